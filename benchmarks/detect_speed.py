@@ -66,7 +66,7 @@ def write_cube(path, lines, seed=1):
 def ours(path, detectors=("cem",), targets=1):
     """(lines, samples) score by the package, from the path."""
     from hyperval.executors import single_blas_thread
-    from hyperval.imagery.cube import open_cube
+    from hyperval.imagery import open_cube
     from hyperval.processing.detectors import pixel_detector, score_cube, whitener_of
     from hyperval.processing.elm import EmpiricalLine
     from hyperval.processing.filters import PositiveDefinite

@@ -14,8 +14,7 @@ from hyperval import api, hdf5
 from hyperval.atmosphere.table_files import read_table
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5, trial
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.placing import sun_of_observation
+from hyperval.imagery import open_cube, sun_of_observation
 from hyperval.spectra.networks import read_hypernets
 from hyperval.statistics_library import read_statistics_library
 

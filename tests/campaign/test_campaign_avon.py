@@ -23,9 +23,7 @@ from hyperval.campaign.job import jobs_of, read_texts
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.run import validate
 from hyperval.config import load_yaml
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import write_cube
-from hyperval.imagery.placing import divided
+from hyperval.imagery import divided, open_cube, write_cube
 from hyperval.processing.intervals import Z95
 from hyperval.report.stored import read_results
 from hyperval.results import Cause, Outcome

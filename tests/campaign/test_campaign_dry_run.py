@@ -17,7 +17,7 @@ from hyperval.campaign.run import validate
 from hyperval.campaign.schema import campaign_runs, load_campaign, load_campaigns, with_words
 from hyperval.config import load_yaml, placeholders
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import write_cube
 from hyperval.spectra.axis import SpectralAxis
 
 CAMPAIGN = {

@@ -14,7 +14,7 @@ from felt_stand_in import LINES, MARK, Departures, stand_in
 from hyperval import cli
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
-from hyperval.imagery.cube import open_cube
+from hyperval.imagery import open_cube
 from hyperval.report.stored import read_results
 from hyperval.results import Outcome, Role
 

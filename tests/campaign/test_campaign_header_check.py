@@ -14,9 +14,7 @@ from rasterio.crs import CRS
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.sides import centre_of, distance_km, header_notes
-from hyperval.imagery.envi import write_cube
-from hyperval.imagery.placing import LookupTable, table_of
-from hyperval.imagery.rasters import open_raster
+from hyperval.imagery import LookupTable, Raster, open_raster, table_of, write_cube
 from hyperval.observe.place import Place
 
 UTM18 = CRS.from_epsg(32618)
@@ -26,9 +24,8 @@ GRID = Affine(1, 0, 275400.0, 0, -1, 4753700.0)
 
 
 def place(transform: Affine | None = GRID, extras: Any = None, table: Any = None):
-    raster = SimpleNamespace(
-        path=Path("nowhere.img"), transform=transform, crs=UTM18 if transform else None, samples=200, lines=100
-    )
+    position = transform, UTM18 if transform else None
+    raster = Raster(Path("nowhere.img"), (100, 200, 1), np.dtype(np.uint8), position=position)
     cube = SimpleNamespace(extras=extras or {}, raster=raster)
     return cast(Place, SimpleNamespace(cube=cube, table=table))
 

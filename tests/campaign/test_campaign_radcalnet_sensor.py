@@ -18,7 +18,7 @@ from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.campaign.dry_run import dry_run
 from hyperval.campaign.job import read_texts
 from hyperval.campaign.schema import DayScenarios, day_scenarios
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import write_cube
 from hyperval.predict import Origins, predict
 from hyperval.report.stored import read_results
 from hyperval.results import Cause

@@ -9,7 +9,7 @@ import pytest
 
 from hyperval.campaign.sides import truth_notes
 from hyperval.collection import Detection
-from hyperval.imagery.truth import TargetObject
+from hyperval.imagery import TargetObject
 from hyperval.scenario import Scenario
 
 SQUARE = {"side_m": 2.0, "gsd_m": 1.0, "pixels": "ranked", "n": 9}

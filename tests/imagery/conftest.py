@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import write_cube
 from hyperval.spectra.axis import SpectralAxis
 
 LINES, SAMPLES, BANDS = 6, 5, 4

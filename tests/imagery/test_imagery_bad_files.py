@@ -17,8 +17,7 @@ import rasterio
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import open_cube, write_cube
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
 

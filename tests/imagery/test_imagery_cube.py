@@ -17,9 +17,7 @@ from rasterio.crs import CRS
 
 from hyperval.envi_header import DATA_TYPES
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import envi_writer, transform_of, write_cube
-from hyperval.imagery.rasters import open_raster
+from hyperval.imagery import envi_writer, open_cube, open_raster, transform_of, write_cube
 from hyperval.spectra.axis import SpectralAxis
 
 UTM18 = CRS.from_epsg(32618)

@@ -10,8 +10,7 @@ import pytest
 from scipy import ndimage
 
 from hyperval.errors import InputError
-from hyperval.imagery.drawing import RegionDrawing, area_inside, polygon_mask, polygon_of
-from hyperval.imagery.regions import holes, read_regions
+from hyperval.imagery import RegionDrawing, area_inside, holes, polygon_mask, polygon_of, read_regions
 
 SHAPE = (10, 12)
 BORDER = 20  # pixels around the image in the larger one that the cut is compared with

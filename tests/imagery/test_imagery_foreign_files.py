@@ -14,10 +14,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy.io import savemat
 
 from hyperval.errors import InputError
-from hyperval.imagery import tiff
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import write_cube
-from hyperval.imagery.rasters import open_raster
+from hyperval.imagery import open_cube, open_raster, tiff, write_cube
 
 CENTRE = (450.0, 550.0, 650.0, 850.0)
 
@@ -48,7 +45,7 @@ def test_wavelengths_in_the_tags_of_the_bands(tmp_path: Path, values, unit: str,
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        ({"wavelength_units": ""}, "lists no wavelengths"),
+        ({"wavelength_units": "inches"}, "in 'inches' cannot be used"),
         ({"wavelength": "blue"}, "that are no positive numbers"),
         ({"wavelength": "nan"}, "that are no positive numbers"),
         ({"fwhm": "-1"}, "'fwhm' of the bands that are no positive numbers"),

@@ -13,8 +13,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import open_cube, write_cube
 from hyperval.report.run import ScoreMap
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.readers import read_records

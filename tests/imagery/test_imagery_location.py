@@ -11,11 +11,17 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
 from hyperval.errors import InputError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import write_cube
-from hyperval.imagery.placing import LocationTable, companion, metres_per_degree, sun_zenith_deg, table_of
-from hyperval.imagery.rasters import open_raster
-from hyperval.imagery.regions import read_regions
+from hyperval.imagery import (
+    LocationTable,
+    companion,
+    metres_per_degree,
+    open_cube,
+    open_raster,
+    read_regions,
+    sun_zenith_deg,
+    table_of,
+    write_cube,
+)
 
 LINES, SAMPLES = 60, 40
 
@@ -118,7 +124,7 @@ def test_metres_of_a_degree_are_those_of_a_map(latitude: float):
 
 def test_places_that_are_none(tmp_path: Path, axis, line_values):
     _, table = pair(tmp_path, axis, line_values)
-    from hyperval.imagery.placing import location_table
+    from hyperval.imagery import location_table
 
     write_cube(tmp_path / "empty", np.zeros((LINES, SAMPLES, 2)), data_type=4)
     with pytest.raises(InputError, match="no pixel has a place"):

@@ -11,10 +11,7 @@ from rasterio.crs import CRS
 from scanned_line import LINES, SAMPLES, UTM18, ScannedLine, write_table
 
 from hyperval.errors import InputError
-from hyperval.imagery.drawing import polygon_mask
-from hyperval.imagery.placing import divided, open_lookup_table
-from hyperval.imagery.regions import read_regions
-from hyperval.imagery.truth import read_targets
+from hyperval.imagery import divided, open_lookup_table, polygon_mask, read_regions, read_targets
 
 SHAPE = (LINES, SAMPLES)
 
@@ -138,7 +135,7 @@ def test_targets_on_the_map_keep_size_and_heading(tmp_path, line, table):
 
 
 def test_a_place_off_the_line_is_named(table):
-    with pytest.raises(InputError, match=r"(?s)r: the place \(9\.00, 9\.00\) has no pixel.*one line"):
+    with pytest.raises(InputError, match=r"(?s)r: the place \(9\.00, 9\.00\) has no pixel.*belongs to this image"):
         table.to_pixel(np.array([(9.0, 9.0)]), where="r")
     with pytest.raises(InputError, match="not finite"):
         table.to_pixel(np.array([(np.nan, 9.0)]), where="r")

@@ -18,11 +18,17 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery import (
+    Cube,
+    layouts,
+    lookup_raster,
+    open_cube,
+    open_lookup_table,
+    open_raster,
+    sun_zenith_deg,
+    table_of,
+)
 from hyperval.imagery.arrays import SLAB_BYTES, page_array
-from hyperval.imagery.cube import Cube, open_cube
-from hyperval.imagery.placing import open_lookup_table, sun_zenith_deg, table_of
-from hyperval.imagery.products import layouts, lookup_raster
-from hyperval.imagery.rasters import open_raster
 
 LINES, SAMPLES = shells.LINES, shells.SAMPLES
 

@@ -12,10 +12,7 @@ import spectral
 
 from hyperval.envi_header import DATA_TYPES
 from hyperval.errors import InputError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.rasters import open_raster
-from hyperval.imagery.regions import objects, overlaps, read_regions
-from hyperval.imagery.truth import intersected_objects
+from hyperval.imagery import intersected_objects, objects, open_cube, open_raster, overlaps, read_regions
 
 pytestmark = pytest.mark.data
 

@@ -18,9 +18,7 @@ from rasterio.warp import transform as reproject
 from scipy import ndimage
 
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.imagery.drawing import polygon_mask
-from hyperval.imagery.envi import write_cube
-from hyperval.imagery.regions import Region, guard, objects, overlaps, read_regions, rectangle_region
+from hyperval.imagery import Region, guard, objects, overlaps, polygon_mask, read_regions, rectangle_region, write_cube
 
 SHAPE = (10, 12)  # lines, samples
 SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7

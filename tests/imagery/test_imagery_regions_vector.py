@@ -13,8 +13,8 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.drawing import RegionDrawing
-from hyperval.imagery.regions import _draw, read_regions
+from hyperval.imagery import RegionDrawing, read_regions
+from hyperval.imagery.regions import _wkb_geometry
 
 SHAPE = (10, 12)
 SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
@@ -126,10 +126,10 @@ def test_a_ring_that_is_not_closed_and_a_geometry_cut_short():
         return points
 
     drawing = RegionDrawing(SHAPE)
-    _draw(drawing, big, place, "f")
+    drawing.add(_wkb_geometry(big, "f"), place, "f")
     assert drawing.area == 18.0
     with pytest.raises(InputError, match="not understood"):
-        _draw(drawing, big[:-4], place, "f")
+        _wkb_geometry(big[:-4], "f")
 
 
 def test_a_polygon_that_leaves_the_image_is_cut_and_one_outside_refused(tmp_path):

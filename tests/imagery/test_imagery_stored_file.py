@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hyperval.errors import InputError
-from hyperval.imagery import arrays
-from hyperval.imagery.arrays import StoredFile
+from hyperval.imagery import envi
+from hyperval.imagery.envi import StoredFile
 
 
 @pytest.fixture
@@ -28,8 +28,8 @@ def filled(file, first, count):
 def way(request, monkeypatch):
     """Either way of reading; systems without ``preadv`` seek first."""
     if request.param == "seek":
-        monkeypatch.delattr(arrays.os, "preadv", raising=False)
-    elif not hasattr(arrays.os, "preadv"):
+        monkeypatch.delattr(envi.os, "preadv", raising=False)
+    elif not hasattr(envi.os, "preadv"):
         pytest.skip("this system has no preadv")
 
 

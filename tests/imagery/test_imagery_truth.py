@@ -10,11 +10,12 @@ import pytest
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.regions import Region, guard
-from hyperval.imagery.truth import (
+from hyperval.imagery import (
+    Region,
     TargetMasks,
     all_pixels,
     cut_out,
+    guard,
     intersected_objects,
     read_targets,
     region_objects,

@@ -13,9 +13,7 @@ from rasterio.crs import CRS
 
 from hyperval.envi_header import parse_header, read_header
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import crs_of, pixel_area_m2, transform_of
-from hyperval.imagery.regions import read_regions
+from hyperval.imagery import crs_of, open_cube, pixel_area_m2, read_regions, transform_of
 
 SIZES = "ENVI\nsamples = 2\nlines = 2\nbands = 1\ndata type = 1\ninterleave = bsq\nbyte order = 0\n"
 
@@ -93,7 +91,7 @@ def test_resonon_writes_a_latitude_band_and_units_without_equals_sign(data_dir):
     assert transform_of(header).almost_equals(
         Affine(0.04, 0, 441371.00707299996, 0, -0.04, 4855941.7317699995), precision=1e-9
     )
-    assert pixel_area_m2(transform_of(header), None, header) == pytest.approx(0.0016)
+    assert pixel_area_m2(transform_of(header), None, header.entries) == pytest.approx(0.0016)
 
 
 @pytest.mark.data
@@ -214,7 +212,7 @@ def test_a_gain_file_that_is_none(tmp_path: Path, text: str, words: str):
     with pytest.raises(InputError, match=words):
         open_cube(path, quantity="radiance", sort_bands=True)
     (tmp_path / "f1.gain").write_text(DIVISORS)
-    with pytest.raises(UsageError, match=r"f1.gain beside the cube gives uW(?s:.*)or scale:"):
+    with pytest.raises(UsageError, match=r"in uW.*those of f1.gain(?s:.*)or state scale:"):
         open_cube(path, quantity="radiance", unit="W m-2 sr-1 nm-1", sort_bands=True)
 
 

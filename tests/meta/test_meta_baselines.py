@@ -102,11 +102,11 @@ def gain_of_electrons(patch: Patch) -> None:
 
 def gain_of_image(patch: Patch) -> None:
     """Radiance of the image 2 % too large."""
-    from hyperval.imagery.cube import open_cube
+    from hyperval.imagery import open_cube
 
     def scaled(*arguments, **named):
         cube = open_cube(*arguments, **named)
-        return replace(cube, scaling=replace(cube.scaling, gain=1.02 * cube.scaling.gain))
+        return replace(cube, scaling=cube.scaling._replace(gain=1.02 * cube.scaling.gain))
 
     patch.setattr("hyperval.observe.place.open_cube", scaled)
 
@@ -120,7 +120,7 @@ def bit_errors_without_factor(patch: Patch) -> None:
 
 def band_order(patch: Patch) -> None:
     """The image's bands from the other end."""
-    from hyperval.imagery.cube import open_cube
+    from hyperval.imagery import open_cube
 
     def reversed_bands(*arguments, **named):
         cube = open_cube(*arguments, **named)

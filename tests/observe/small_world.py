@@ -11,7 +11,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.collection import CollectionSection, Detection
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import write_cube
 from hyperval.observe import Observed, observe
 from hyperval.prediction.inputs import Sources
 from hyperval.scenario import SpectrumSource

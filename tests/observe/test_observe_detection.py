@@ -8,7 +8,7 @@ from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, target_rows
 
 from hyperval.collection import Detection
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import write_cube
 from hyperval.observe.detection import usable_bands
 from hyperval.processing.roc import pd_at_pfa
 from hyperval.processing.sample import SampleStatistics

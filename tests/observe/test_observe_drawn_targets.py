@@ -10,7 +10,7 @@ from small_world import LINES, PLANTED, SAMPLES
 from hyperval.collection import CollectionSection
 from hyperval.collection_files import TargetTruth
 from hyperval.errors import UsageError
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import write_cube
 from hyperval.observe.place import open_place
 
 

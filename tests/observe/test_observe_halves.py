@@ -9,8 +9,7 @@ from small_world import AXIS, BANDS
 
 from hyperval.campaign.sides import with_measured_fractions, without_circles
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.envi import pixel_sides_m
-from hyperval.imagery.regions import Region, half_region, ring_region
+from hyperval.imagery import Region, half_region, pixel_sides_m, ring_region
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
 

@@ -10,8 +10,7 @@ from rasterio.crs import CRS
 
 from hyperval import cli
 from hyperval.errors import UsageError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import open_cube, write_cube
 from hyperval.observe import reflectance_cube
 from hyperval.observe.reflectance_cube import NO_DATA, SCALE, quantised, write_reflectance
 from hyperval.processing.elm import PanelMeasurement, fit_elm

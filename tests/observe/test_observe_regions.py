@@ -221,7 +221,7 @@ def test_a_lookup_table_places_regions_and_targets_of_a_raw_line(world):
     from affine import Affine
     from rasterio.crs import CRS
 
-    from hyperval.imagery.envi import write_cube
+    from hyperval.imagery import write_cube
 
     line, sample = np.indices((LINES, SAMPLES))
     table = np.stack([sample + 1, LINES - line], axis=-1)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperval.errors import HypervalError, UsageError
-from hyperval.imagery.cube import open_cube
+from hyperval.imagery import open_cube
 from hyperval.processing.detectors import pixel_detector, whitener_of
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.filters import cem_correlation_weights, matched_filter_weights, spectral_matched_filter

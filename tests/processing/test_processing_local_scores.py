@@ -8,8 +8,7 @@ from pydantic import ValidationError
 
 from hyperval.collection import LocalWindowSource
 from hyperval.errors import UsageError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import open_cube, write_cube
 from hyperval.processing import detectors as local_scores
 from hyperval.processing.detectors import (
     LOCAL_DETECTORS,

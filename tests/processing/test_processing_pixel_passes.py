@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.imagery import arrays
-from hyperval.imagery.cube import open_cube
+from hyperval.imagery import envi, open_cube
 from hyperval.processing.detectors import pixel_detector, score_cube, whitener_of
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.passes import MAX_THREADS, _segments
@@ -228,7 +227,7 @@ def test_the_file_is_opened_once_for_a_pass(tmp_path, monkeypatch):
         opens.append(path)
         return open(path, *rest, **options)
 
-    monkeypatch.setattr(arrays, "open", counted, raising=False)
+    monkeypatch.setattr(envi, "open", counted, raising=False)
     region_statistics(cube, block_lines=2)
     assert opens == [cube.source_files[0]]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import spectral
 
-from hyperval.imagery.cube import open_cube
+from hyperval.imagery import open_cube
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.region_statistics import region_statistics
 

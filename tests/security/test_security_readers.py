@@ -186,7 +186,7 @@ UNPACKABLE = gzip.compress(bytes(range(256)) * 9)[:40] + b"x" * 90
     ("function", "name", "content", "message"),
     [
         ("spectra.readers.read_spectrum", "a.csv", b"name,400,500,600,700\na,1\rb,2,3,4,5\n", "2 cells"),
-        ("imagery.text_files.read_table", "a.csv", b"line,sample\n1,2\r3,4,5\n", "3 cells for 2 columns"),
+        ("paths.read_table", "a.csv", b"line,sample\n1,2\r3,4,5\n", "3 cells for 2 columns"),
         ("imagery.regions.read_regions", "a.json", FEATURE % (b"[[[" + b"9" * 400 + b", 1], [1, 1], [2, 2]]]"),
          "not valid GeoJSON: a number of 400 digits"),
         ("imagery.regions.read_regions", "a.json", MISNAMED, "unknown coordinate system 'EPSG:1,5'"),

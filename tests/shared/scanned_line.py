@@ -10,7 +10,7 @@ from affine import Affine
 from rasterio.crs import CRS
 from scipy.ndimage import distance_transform_edt
 
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import write_cube
 
 LINES, SAMPLES = 240, 80
 UTM18 = CRS.from_epsg(32618)

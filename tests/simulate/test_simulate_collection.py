@@ -14,9 +14,7 @@ import spectral
 import yaml
 
 from hyperval.errors import UsageError
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.regions import read_regions
-from hyperval.imagery.truth import read_targets
+from hyperval.imagery import open_cube, read_regions, read_targets
 from hyperval.scene.builtin import builtin_class
 from hyperval.simulate import collection, simulate, simulate_to_folder
 from hyperval.simulate.collection import average_reflectance, detector

@@ -16,7 +16,7 @@ from world import AXIS
 
 from hyperval.collection import AreaCheck, Detection
 from hyperval.compare.objects import judged_together
-from hyperval.imagery.truth import TargetObject, all_pixels
+from hyperval.imagery import TargetObject, all_pixels
 from hyperval.observe.detection import target_areas
 from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve
 from hyperval.processing.roc import AREAS, area_estimates, counts_of, pd_at_pfa

@@ -19,7 +19,7 @@ from rasterio.crs import CRS
 from hyperval.atmosphere.modtran import RADIANCE_COLUMNS
 from hyperval.atmosphere.table import QUANTITIES, AtmosphericTable
 from hyperval.atmosphere.table_files import write_table
-from hyperval.imagery.envi import write_cube
+from hyperval.imagery import write_cube
 from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.report.netcdf import write_products
 from hyperval.scene.builtin import builtin_class

@@ -43,10 +43,7 @@ from hyperval.campaign.schema import load_campaigns
 from hyperval.collection_files import AbundanceTruth, BandTableFile, RegionSource
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header
-from hyperval.imagery.cube import Cube, open_cube
-from hyperval.imagery.placing import open_lookup_table
-from hyperval.imagery.regions import read_regions
-from hyperval.imagery.truth import read_targets
+from hyperval.imagery import Cube, open_cube, open_lookup_table, read_regions, read_targets
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.observe.truth_images import abundance_targets, material_regions
 from hyperval.report.netcdf import read_products

@@ -22,7 +22,7 @@ from hyperval import products
 from hyperval.compare.products import product_rows
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.rasters import cube_to_xarray
+from hyperval.imagery.interchange import cube_to_xarray
 from hyperval.metrics import Metric
 from hyperval.report.netcdf import labelled_arrays
 from hyperval.results import ResultTable

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Detection
-from hyperval.imagery.arrays import ArrayRaster
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.truth import all_pixels
 from hyperval.observe import Observed
@@ -165,7 +164,7 @@ def _some_pixels(cube: Cube, bands: list[int], step: int) -> npt.NDArray[Any]:
     lines, samples = range(0, cube.lines, step), range(0, cube.samples, step)
     out = np.empty((len(lines), len(samples), len(bands)), np.float32)
     # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
-    together = step * max(1, LINES_TOGETHER // step) if isinstance(cube.raster, ArrayRaster) else 1
+    together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
     with cube.kept_open():
         for row, line in enumerate(lines):
             if line % together == 0:

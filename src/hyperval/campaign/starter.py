@@ -28,7 +28,7 @@ from hyperval.campaign.sides import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.imagery.rasters import Raster, open_raster
+from hyperval.imagery import Raster, open_raster
 from hyperval.imagery.regions import guard
 from hyperval.imagery.truth import TargetObject
 from hyperval.observe.place import Place, open_place
@@ -537,9 +537,9 @@ def stated_quantity(raster: Raster) -> str:
     UsageError : they do not say, or say both.
     """
     about = raster.description
-    if about is not None and about.quantity is not None:
+    if about.quantity is not None:
         return about.quantity
-    entries = raster.header.extras if raster.header is not None else about.entries if about is not None else {}
+    entries = about.entries
     words = " ".join(text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))
     patterns = {
         "radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])",
@@ -562,7 +562,7 @@ def _cube(sources: StarterSources, raster: Raster, quantity: str, draft: Draft) 
     entry: dict[str, Any] = {"path": draft.reference(sources.cube), "quantity": quantity}
     if sources.header is not None:
         entry["header"] = draft.reference(sources.header)
-    if sources.quantity is None and (raster.description is None or raster.description.quantity is None):
+    if sources.quantity is None and raster.description.quantity is None:
         draft.guess(
             "collection", "cube", "quantity", because=f"{quantity}, by the words of the header or the file name"
         )
@@ -570,7 +570,7 @@ def _cube(sources: StarterSources, raster: Raster, quantity: str, draft: Draft) 
         unit = sources.unit or _stated_unit(raster)
         if unit is not None:
             entry["unit"] = unit
-        elif raster.description is None or raster.description.unit is None:
+        elif raster.description.unit is None:
             raise UsageError(
                 "the files do not say the unit of the radiance",
                 where=str(raster.path),
@@ -581,8 +581,7 @@ def _cube(sources: StarterSources, raster: Raster, quantity: str, draft: Draft) 
 
 def _stated_unit(raster: Raster) -> str | None:
     """The radiance unit that a header entry states, None where none is understood."""
-    entries: Mapping[str, str] = raster.header.extras if raster.header is not None else {}
-    for key, text in entries.items():
+    for key, text in raster.description.entries.items():
         if re.search(r"unit", key) and "wavelength" not in key:
             try:
                 radiance_to_internal(text.strip())
@@ -614,9 +613,10 @@ def _scale(collection: dict[str, Any], raster: Raster, draft: Draft) -> None:
         if "state scale" not in (error.mend or ""):
             raise
         if collection["cube"]["quantity"] != "reflectance":
-            factor = raster.header.number("reflectance scale factor") if raster.header is not None else None
-            if factor is None or raster.header is None or "data gain values" in raster.header.entries:
+            entries = raster.description.entries
+            if "reflectance scale factor" not in entries or "data gain values" in entries:
                 raise
+            factor = float(entries["reflectance scale factor"])  # the reader has found it a number
             collection["cube"]["scale"] = 1.0 / factor
             because = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
             draft.guess("collection", "cube", "scale", because=because)

@@ -1,20 +1,22 @@
-"""The image of a file that holds several arrays, read by blocks of lines like any other raster.
+"""Images in files of named arrays, read by blocks of lines like any other raster.
 
-Files that are opened once for many reads, parts of the arrays in them, lines that are kept for the next read.
+Files that are opened once for many reads, parts of the arrays in them, lines that are kept for the next read.  In
+what an installed engine of xarray opens, an array with a wavelength coordinate is a cube.
 """
 
 from __future__ import annotations
 
 import mmap
-import os
+import re
 import tempfile
 import threading
+import warnings
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import h5py
 import numpy as np
@@ -22,14 +24,27 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.hdf5 import check_hdf5
-from hyperval.imagery.description import Description
+from hyperval.imagery.description import Description, Index, ListedBands, Raster, crs_of_wkt, gdal_transform
+from hyperval.units import radiance_to_internal, wavelength_to_nm
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Selection = tuple[slice, ...]
+AXES = "bls"  # bands, lines, samples: the order in which values are handed out
 MAX_CHUNK_BYTES = 256 << 20
 SMALL_BYTES = 1 << 20
 CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 MB, though each is asked for once
+SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored in blocks
+UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
+_WAVE = re.compile(r"wave|wvl|lambda|band_?cent", re.IGNORECASE)
+_WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
+_GOOD = re.compile(r"good|bbl", re.IGNORECASE)
+_SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
+_LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
+_FRACTIONS = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}
 
 
 class Store(Protocol):
@@ -131,6 +146,72 @@ class Hdf5Store(OpenedFile):
             return size
 
 
+class XarrayStore(OpenedFile):
+    """A group of a file as an engine of xarray opens it; packed values are unpacked by the CF conventions."""
+
+    def __init__(self, path: Path, engine: str | None = None, group: str | None = None) -> None:
+        super().__init__(path)
+        self.engine, self.group = engine, group
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process opens it for itself."""
+        return type(self), (self.path, self.engine, self.group)
+
+    def open(self) -> xr.Dataset:
+        """The group; InputError when no installed engine opens it."""
+        import xarray as xr
+
+        try:
+            with unpacking():
+                return xr.open_dataset(self.path, group=self.group, **options(self.engine))
+        except Exception as error:  # each engine has errors of its own
+            raise InputError(f"no engine of xarray opens it: {error}", where=str(self.path)) from error
+
+    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
+        """A part of an array."""
+        with self.kept_open() as data:
+            return np.asarray(data[name][selection].values)
+
+    def chunks(self, name: str) -> tuple[int, ...] | None:
+        """Size of the blocks that an array is stored in."""
+        with self.kept_open() as data:
+            size: tuple[int, ...] | None = data[name].encoding.get("chunksizes")
+            return size
+
+
+def unpacking() -> AbstractContextManager[Any]:
+    """Without the warning that an array has two no-data values: both are taken as such."""
+    import xarray as xr
+
+    return warnings.catch_warnings(action="ignore", category=xr.SerializationWarning)
+
+
+def options(engine: str | None) -> dict[str, Any]:
+    """An engine of xarray with options that leave times alone and let HDF5 files be read that name no dimensions."""
+    plain: dict[str, Any] = {"engine": engine, "cache": False, "decode_times": False}
+    return plain | {"phony_dims": "sort"} if engine == "h5netcdf" else plain
+
+
+class MemoryStore:
+    """An array that is at hand, such as one of xarray or SPy; it is read by parts as well."""
+
+    def __init__(self, array: Any, path: Path) -> None:
+        self.array, self.path = array, path
+
+    @contextmanager
+    def kept_open(self) -> Iterator[Any]:
+        """Nothing to open."""
+        yield self.array
+
+    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
+        """A part of the array."""
+        return np.asarray(self.array[selection])
+
+    def chunks(self, name: str) -> tuple[int, ...] | None:
+        """None: it is stored as one."""
+        return None
+
+
 def page_array(shape: tuple[int, ...], dtype: np.dtype) -> npt.NDArray[Any]:
     """An array in pages of its own, which go back to the system with it.
 
@@ -165,113 +246,6 @@ def check_own_values(path: Path) -> None:
         )
 
 
-class MemoryStore:
-    """An array that is at hand, such as one of xarray or SPy; it is read by parts as well."""
-
-    def __init__(self, array: Any, path: Path) -> None:
-        self.array, self.path = array, path
-
-    @contextmanager
-    def kept_open(self) -> Iterator[Any]:
-        """Nothing to open."""
-        yield self.array
-
-    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
-        """A part of the array."""
-        return np.asarray(self.array[selection])
-
-    def chunks(self, name: str) -> tuple[int, ...] | None:
-        """None: it is stored as one."""
-        return None
-
-
-class StoredFile(OpenedFile):
-    """A file that several threads read at stated places."""
-
-    def open(self) -> BinaryIO:
-        """The file without a buffer of its own."""
-        stream = open(self.path, "rb", buffering=0)  # noqa: SIM115 - closed when its last user leaves
-        if hasattr(os, "posix_fadvise"):
-            os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
-        return stream
-
-    def fill(self, out: npt.NDArray[Any], offset: int) -> None:
-        """Read a contiguous array from a place in the file.
-
-        Raises
-        ------
-        InputError : the file ends before.
-        """
-        view = memoryview(out.reshape(-1).view("u1").data)  # contiguous, so this is no copy
-        done = 0
-        with self.kept_open() as stream:
-            while done < len(view):
-                step = self._read(stream, view[done:], offset + done)
-                if not step:
-                    raise InputError("the file became shorter while it was read", where=str(self.path))
-                done += step
-
-    def _read(self, stream: BinaryIO, view: memoryview, offset: int) -> int:
-        if hasattr(os, "preadv"):
-            return os.preadv(stream.fileno(), [view], offset)
-        with self._lock:
-            stream.seek(offset)
-            return stream.readinto(view) or 0  # type: ignore[attr-defined]
-
-
-@dataclass(frozen=True, eq=False)
-class InMemory:
-    """Lines in memory, as values (bands, lines, samples)."""
-
-    first: int
-    lines: int
-    values: npt.NDArray[Any]
-
-    def read(self, start: int, count: int) -> npt.NDArray[Any]:
-        """(bands, count, samples) values from line ``start`` of the slab on."""
-        return self.values[:, start : start + count]
-
-
-@dataclass(frozen=True, eq=False)
-class Unpacked:
-    """Lines in a file without a name, one after the other with all their bands; it goes when it is closed."""
-
-    first: int
-    lines: int
-    bands: int
-    samples: int
-    dtype: np.dtype
-    file: Any = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open for as long as the slab is there
-        weakref.finalize(self, file.close)
-        object.__setattr__(self, "file", file)
-
-    def write(self, band: int, values: npt.NDArray[Any]) -> None:
-        """Put some bands (n, lines, samples) in their places, ``band`` the first of them."""
-        row = self.samples * self.dtype.itemsize
-        for line in range(self.lines):
-            self.file.seek((line * self.bands + band) * row)
-            self.file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
-
-    def read(self, start: int, count: int) -> npt.NDArray[Any]:
-        """(bands, count, samples) values from line ``start`` of the slab on."""
-        out = page_array((count, self.bands, self.samples), self.dtype)
-        self.file.seek(start * self.bands * self.samples * self.dtype.itemsize)
-        self.file.readinto(out.data.cast("B"))
-        return out.transpose(1, 0, 2)
-
-
-Slab = InMemory | Unpacked
-
-
-Index = npt.NDArray[np.intp]
-AXES = "lsb"  # lines, samples, bands
-SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored in blocks
-UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
-
-
 @dataclass(frozen=True)
 class Term:
     """One array of a sum: weight * stored, NaN where the stored value is ``ignore``."""
@@ -304,61 +278,49 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class ArrayRaster:
+class Slab:
+    """Consecutive lines that are at hand: in memory, or in a file without a name that goes when it is closed."""
+
+    first: int
+    lines: int
+    dtype: np.dtype
+    values: npt.NDArray[Any] | None = None  # (bands, lines, samples)
+    file: Any = None  # (lines, bands, samples)
+    row: tuple[int, int] = (0, 0)  # bands and samples
+
+    def read(self, start: int, count: int) -> npt.NDArray[Any]:
+        """(bands, count, samples) values from line ``start`` of the slab on."""
+        if self.values is not None:
+            return self.values[:, start : start + count]
+        out = page_array((count, *self.row), self.dtype)
+        self.file.seek(start * out[0].nbytes)
+        self.file.readinto(out.data.cast("B"))
+        return out.transpose(1, 0, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayRaster(Raster):
     """An image of one or several arrays of a file, their bands one after the other.
 
     Attributes
     ----------
-    path : the file
     store : reads parts of its arrays
     pieces : the arrays, in the order of the bands
-    transform, crs : position on a map, where the file tells
-    description : what the file says of the image, None for a lookup table
     zero_for : a value that is handed out as 0, as the fill of a lookup table is
-    other_files : files beside it that were read
     """
 
-    path: Path
-    store: Store
-    pieces: tuple[Piece, ...]
-    transform: Affine | None = None
-    crs: CRS | None = None
-    description: Description | None = None
+    store: Store = field(kw_only=True)
+    pieces: tuple[Piece, ...] = field(kw_only=True)
     zero_for: float | None = None
-    other_files: tuple[Path, ...] = ()
-    header: None = None
     _slabs: threading.local = field(default_factory=threading.local, repr=False)
     _unpacking: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
+    in_blocks = True
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Without the lines that were read last."""
-        values = (self.path, self.store, self.pieces, self.transform, self.crs, self.description, self.zero_for)
-        return type(self), (*values, self.other_files)
-
-    @property
-    def lines(self) -> int:
-        """Number of lines."""
-        return self.pieces[0].size("l")
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return self.pieces[0].size("s")
-
-    @property
-    def bands(self) -> int:
-        """Number of bands."""
-        return sum(piece.size("b") for piece in self.pieces)
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a value."""
-        return np.result_type(*(piece.dtype for piece in self.pieces))
-
-    @property
-    def source_files(self) -> tuple[Path, ...]:
-        """The files that were read."""
-        return (self.path, *self.other_files)
+        about = self.description, self.position, self.other_files, self.zero_for
+        return array_raster, (self.path, self.store, self.pieces, *about)
 
     @contextmanager
     def kept_open(self) -> Iterator[object]:
@@ -367,19 +329,13 @@ class ArrayRaster:
             yield opened
         self._slabs.last = None
 
-    def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
-        """(count, samples, bands) values of consecutive lines."""
-        return self.read_bands(first, count).transpose(1, 2, 0)
-
-    def read_bands(self, first: int, count: int, buffer: npt.NDArray[Any] | None = None) -> npt.NDArray[Any]:
-        """(bands, count, samples) values of consecutive lines; ``buffer`` is not used.
+    def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
+        """Consecutive lines, of a slab that this thread holds or that takes its place.
 
         Arrays that are stored in blocks are read by as many lines as their blocks have, and these are kept for the
         next call of the same thread: in memory where they fit into ``SLAB_BYTES``, else unpacked into a file, so
         that no block is unpacked twice and few are in memory.  Lines far from those before are read alone.
         """
-        if first < 0 or count < 1 or first + count > self.lines:
-            raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
         slab: Slab | None = getattr(self._slabs, "last", None)
         if slab is None or first < slab.first or first + count > slab.first + slab.lines:
             self._slabs.last = slab = None  # the memory of the one before is given back first
@@ -400,32 +356,39 @@ class ArrayRaster:
                 return self._unpacked(first, lines)
             except OSError:
                 pass  # no room for the file: each block is unpacked several times, which only takes longer
-        values = self._part(slice(first, first + min(lines, fit)), slice(0, self.samples))
-        return InMemory(first, values.shape[1], values)
-
-    def _unpacked(self, first: int, lines: int) -> Unpacked:
-        """Lines in a file; the bands of one block are in memory at once."""
-        slab = Unpacked(first, lines, self.bands, self.samples, self.dtype)
+        lines = min(lines, fit)
+        if len(self.pieces) == 1:
+            return Slab(first, lines, self.dtype, self._values(self.pieces[0], self._lines(first, lines)))
+        out = np.empty((self.bands, lines, self.samples), self.dtype)
         for at, piece in self._places():
-            ranges = {"l": slice(first, first + lines), "s": slice(0, self.samples)}
+            out[at : at + piece.size("b")] = self._values(piece, self._lines(first, lines))
+        return Slab(first, lines, self.dtype, out)
+
+    def _unpacked(self, first: int, lines: int) -> Slab:
+        """Lines in a file, one after the other with all their bands; those of one block are in memory at once."""
+        file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open for as long as the slab is there
+        slab = Slab(first, lines, self.dtype, None, file, (self.bands, self.samples))
+        weakref.finalize(slab, file.close)
+        row = self.samples * self.dtype.itemsize
+        for at, piece in self._places():
             for bands in self._some_bands(piece):
                 with self._unpacking:  # one thread at a time reads a file of arrays: no other holds what it is to read
-                    values = self._values(piece, ranges | {"b": bands})
-                    if self.zero_for is not None:
-                        values[values == self.zero_for] = 0
-                    slab.write(at + bands.start, values)
+                    values = self._values(piece, self._lines(first, lines) | {"b": bands})
+                    for line in range(lines):
+                        file.seek((line * self.bands + at + bands.start) * row)
+                        file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
                     del values
         return slab
 
     def read_some_bands(self, first: int, count: int, bands: Sequence[int]) -> npt.NDArray[Any]:
         """(n, count, samples) values of consecutive lines in a few bands, which alone are read."""
         out = np.empty((len(bands), count, self.samples), self.dtype)
-        ranges = {"l": slice(first, first + count), "s": slice(0, self.samples)}
         with self.kept_open():
             for at, piece in self._places():
                 for i, band in enumerate(bands):
                     if at <= band < at + piece.size("b"):
-                        out[i] = self._values(piece, ranges | {"b": slice(band - at, band - at + 1)})[0]
+                        alone = {"b": slice(band - at, band - at + 1)}
+                        out[i] = self._values(piece, self._lines(first, count) | alone)[0]
         return out
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
@@ -434,18 +397,16 @@ class ArrayRaster:
         with self.kept_open():
             for at, piece in self._places():
                 for here in self._by_block(piece, rows, cols):
-                    first, left = int(rows[here].min()), int(cols[here].min())
-                    ranges = {
-                        "l": slice(first, int(rows[here].max()) + 1),
-                        "s": slice(left, int(cols[here].max()) + 1),
-                    }
+                    top, left = int(rows[here].min()), int(cols[here].min())
+                    window = {"l": slice(top, int(rows[here].max()) + 1), "s": slice(left, int(cols[here].max()) + 1)}
                     for bands in self._some_bands(piece):
-                        values = self._values(piece, ranges | {"b": bands})
+                        values = self._values(piece, window | {"b": bands})
                         into = slice(at + bands.start, at + bands.stop)
-                        out[here, into] = values[:, rows[here] - first, cols[here] - left].T
-        if self.zero_for is not None:
-            out[out == self.zero_for] = 0
+                        out[here, into] = values[:, rows[here] - top, cols[here] - left].T
         return out
+
+    def _lines(self, first: int, count: int) -> dict[str, slice]:
+        return {"l": slice(first, first + count), "s": slice(0, self.samples)}
 
     def _places(self) -> Iterator[tuple[int, Piece]]:
         """Each piece and the number of its first band."""
@@ -483,32 +444,266 @@ class ArrayRaster:
         edges = np.flatnonzero(np.any(np.diff(where), axis=0)) + 1
         return [part for part in np.split(order, edges) if part.size]
 
-    def _part(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
-        """(bands, lines, samples) of a window."""
-        if len(self.pieces) == 1 and self.zero_for is None:
-            ranges = {"l": lines, "s": samples, "b": slice(0, self.bands)}
-            return np.asarray(self._values(self.pieces[0], ranges), self.dtype)
-        out = np.empty((self.bands, lines.stop - lines.start, samples.stop - samples.start), self.dtype)
-        for at, piece in self._places():
-            bands = piece.size("b")
-            out[at : at + bands] = self._values(piece, {"l": lines, "s": samples, "b": slice(0, bands)})
-        if self.zero_for is not None:
-            out[out == self.zero_for] = 0
-        return out
-
     def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> npt.NDArray[Any]:
-        """(bands, lines, samples) of a part of a piece."""
+        """(bands, lines, samples) of a part of a piece, all of its bands where none are named."""
+        ranges = {"b": slice(0, piece.size("b")), **ranges}
         selection = tuple(ranges[axis] for axis in piece.axes)
-        order = [piece.axes.index(axis) for axis in "bls" if axis in piece.axes]
-        size = [ranges[axis].stop - ranges[axis].start for axis in "bls"]
-        total: npt.NDArray[Any] | None = None
-        for term in piece.terms:
-            stored = self.store.read(term.name, selection).transpose(order).reshape(size)
-            if len(piece.terms) == 1:
-                return stored
-            value = np.float32(term.weight) * stored.astype(np.float32)
-            if term.ignore is not None:
-                value[stored == term.ignore] = np.nan
-            total = value if total is None else total + value
-        assert total is not None  # noqa: S101 - a piece has terms
-        return total
+        order = [piece.axes.index(axis) for axis in AXES if axis in piece.axes]
+        size = [ranges[axis].stop - ranges[axis].start for axis in AXES]
+        parts = [self.store.read(term.name, selection).transpose(order).reshape(size) for term in piece.terms]
+        total = parts[0]
+        if len(parts) > 1:
+            total = np.zeros(size, np.float32)
+            for term, stored in zip(piece.terms, parts, strict=True):
+                total += np.float32(term.weight) * stored.astype(np.float32)
+                if term.ignore is not None:
+                    total[stored == term.ignore] = np.nan
+        if self.zero_for is not None:
+            total = np.where(total == self.zero_for, 0, total)
+        return np.asarray(total, piece.dtype)
+
+
+def array_raster(
+    path: Path,
+    store: Store,
+    pieces: tuple[Piece, ...],
+    description: Description = Description(),  # noqa: B008 - cannot be changed
+    position: tuple[Affine | None, CRS | None] = (None, None),
+    other_files: tuple[Path, ...] = (),
+    zero_for: float | None = None,
+) -> ArrayRaster:
+    """The image of some arrays of one size.
+
+    Raises
+    ------
+    InputError : arrays of different lines or samples.
+    """
+    if len({(p.size("l"), p.size("s")) for p in pieces}) > 1:
+        raise InputError(
+            "arrays of different lines or samples: " + ", ".join(str(p.shape) for p in pieces), where=str(path)
+        )
+    size = pieces[0].size("l"), pieces[0].size("s"), sum(piece.size("b") for piece in pieces)
+    dtype = np.result_type(*(piece.dtype for piece in pieces))
+    about = path, size, dtype, description, position, other_files
+    return ArrayRaster(*about, store=store, pieces=pieces, zero_for=zero_for)
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateArray:
+    """An array of three axes, and the coordinate that may tell its wavelengths."""
+
+    group: str
+    array: xr.DataArray
+    data: xr.Dataset
+    wave: xr.DataArray | None
+
+    @property
+    def path(self) -> str:
+        """Its name with that of its groups."""
+        return f"{self.group.strip('/')}/{self.array.name}".strip("/")
+
+    @property
+    def label(self) -> str:
+        """Its path, axes and type, for messages."""
+        axes = ", ".join(f"{axis} {size}" for axis, size in self.array.sizes.items())
+        return f"{self.path} ({axes}; {self.array.dtype})"
+
+
+@reader
+def open_labelled(path: Path, variable: str | None = None, engine: str | None = None) -> ArrayRaster:
+    """The image of a file that xarray opens: the only array with a wavelength coordinate, or ``variable``.
+
+    ``engine`` is one of xarray's; None takes the one that says it can open the file.
+
+    Raises
+    ------
+    InputError : no installed engine opens it, or no array has three axes and wavelengths.
+    UsageError : several arrays could be meant, or ``variable`` is none of them.
+    """
+    chosen = _chosen(_groups(path, engine), variable, str(path))
+    return _labelled_raster(chosen, XarrayStore(path, engine, None if chosen.group == "/" else chosen.group), path)
+
+
+def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None) -> ArrayRaster:
+    """The image of an array of xarray that is at hand, read by parts when it is lazy.
+
+    Raises
+    ------
+    InputError, UsageError : as for :func:`open_labelled`.
+    """
+    import xarray as xr
+
+    path = Path(str(array.encoding.get("source") or "xarray"))
+    if isinstance(array, xr.DataArray):
+        array = array.to_dataset(name=array.name or "array")
+    with unpacking():
+        data = xr.decode_cf(array, decode_times=False)
+    chosen = _chosen([("/", data)], variable, str(path))
+    return _labelled_raster(chosen, MemoryStore(chosen.array.variable, path), path)
+
+
+def _groups(path: Path, engine: str | None) -> list[tuple[str, xr.Dataset]]:
+    """The groups of a file, their arrays not yet read."""
+    import xarray as xr
+
+    if path.is_file():  # whatever the engine, HDF5 is read by the one library
+        check_hdf5(path)
+    try:
+        with unpacking():
+            try:
+                tree = xr.open_datatree(path, **options(engine))
+            except (NotImplementedError, TypeError, ValueError):  # an engine without groups
+                with xr.open_dataset(path, **options(engine)) as data:
+                    return [("/", data)]
+        with tree:
+            return [(node.path, node.to_dataset()) for node in tree.subtree]
+    except Exception as error:  # each engine has errors of its own
+        raise InputError(
+            "no installed engine of xarray opens it: " + str(error).split("\n", 1)[0],
+            where=str(path),
+            expected="a file of " + ", ".join(sorted(xr.backends.list_engines())),
+            mend="install the engine of its kind, or save the array as an ENVI cube with its wavelengths",
+        ) from error
+
+
+def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
+    """The coordinate of one axis that holds wavelengths, by its name, its standard name or its unit."""
+
+    def named(name: str, attrs: dict[str, object]) -> bool:
+        return attrs.get("standard_name") == "radiation_wavelength" or _WAVE.search(name) is not None
+
+    def in_wavelengths(name: str, attrs: dict[str, object]) -> bool:
+        try:
+            return wavelength_to_nm(str(attrs.get("units", ""))) > 0
+        except UsageError:
+            return False
+
+    listed = [v for v in data.variables.values() if v.ndim == 1 and v.dims[0] in array.dims and v.dtype.kind in "iuf"]
+    names = {id(v): str(name) for name, v in data.variables.items()}
+    tests: list[Callable[[str, dict[str, object]], bool]] = [named, in_wavelengths]
+    for test in tests:
+        fits = [names[id(v)] for v in listed if test(names[id(v)], v.attrs)]
+        fits = [n for n in fits if not _WIDTH.search(n) or data[n].attrs.get("standard_name") == "radiation_wavelength"]
+        if len(fits) == 1:
+            return data[fits[0]]
+    return None
+
+
+def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: str) -> CandidateArray:
+    """The array that is named, else the only one with wavelengths."""
+    candidates = [
+        CandidateArray(group, array, data, _wavelengths(array, data))
+        for group, data in groups
+        for array in data.data_vars.values()
+        if array.ndim == 3 and array.dtype.kind in "iuf" and 0 not in array.shape
+    ]
+    listed = "; ".join(c.label for c in candidates)
+    if variable is not None:
+        named = [c for c in candidates if variable.strip("/") in (c.array.name, c.path)]
+        if len(named) != 1:
+            raise UsageError(f"{len(named)} arrays {variable!r}", where=where, expected=f"one of {listed or 'none'}")
+        if named[0].wave is None:
+            raise InputError(
+                f"{named[0].label} has no wavelength coordinate",
+                where=where,
+                mend="give a table of the bands, and save the array as an ENVI cube (docs/formats.md)",
+            )
+        return named[0]
+    cubes = [c for c in candidates if c.wave is not None]
+    if not cubes:
+        raise InputError(
+            "no array of the file has a wavelength coordinate",
+            where=where,
+            expected=f"one of its arrays with wavelengths along an axis; it has {listed or 'none of three axes'}",
+            mend="save the array as an ENVI cube, wavelengths in the header (docs/formats.md, Cubes)",
+        )
+    if len(cubes) > 1:
+        raise UsageError(
+            f"{len(cubes)} arrays could be meant",
+            where=where,
+            expected="; ".join(c.label for c in cubes),
+            mend="state variable: which of them is the image",
+        )
+    return cubes[0]
+
+
+def _labelled_raster(chosen: CandidateArray, store: Store, path: Path) -> ArrayRaster:
+    array, data, wave = chosen.array, chosen.data, chosen.wave
+    assert wave is not None  # noqa: S101 - chosen by it
+    axes = _axes(array, str(wave.dims[0]))
+    piece = Piece((Term(str(array.name)),), axes, array.shape, array.dtype.newbyteorder("="))
+    quantity, unit, notes = _quantity(_stated_unit(array), str(array.name))
+    good = _beside(data, wave, _GOOD)
+    centre, width = np.asarray(wave.values, float), _beside(data, wave, _WIDTH)
+    about = Description(
+        product=f"array {str(array.name)!r}",
+        bands=ListedBands(
+            np.where(centre > 0, centre, np.nan), width, _stated_unit(wave), None if good is None else good != 0
+        ),
+        packing=(
+            float(array.encoding.get("scale_factor", 1.0)),
+            float(array.encoding.get("add_offset", 0.0)),
+        ),
+        quantity=quantity,
+        unit=unit,
+        sensor=str(data.attrs.get("instrument", data.attrs.get("sensor", ""))),
+        entries={str(k): str(v) for k, v in data.attrs.items() if isinstance(v, str | int | float)},
+        notes=notes,
+    )
+    return array_raster(path, store, (piece,), about, _labelled_position(data, array, axes))
+
+
+def _stated_unit(array: xr.DataArray) -> str | None:
+    return str(array.attrs.get("units", array.attrs.get("unit", ""))) or None
+
+
+def _axes(array: xr.DataArray, band_axis: str) -> str:
+    """Which axis is lines, samples, bands: by name, else lines before samples."""
+    others = [str(d) for d in array.dims if d != band_axis]
+    swapped = bool(_SAMPLE.match(others[0]) or _LINE.match(others[1]))
+    letters = {band_axis: "b", others[0]: "s" if swapped else "l", others[1]: "l" if swapped else "s"}
+    return "".join(letters[str(d)] for d in array.dims)
+
+
+def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tuple[str, ...]]:
+    """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says."""
+    try:
+        radiance_to_internal(unit or "")
+        return "radiance", unit, ()
+    except UsageError:
+        known = _FRACTIONS.get((unit or "1").lower())
+    if known is None:
+        return None, None, (f"the array states its unit as {unit!r}, which is not known",)
+    named = re.search("reflectance|rfl|rrs", name, re.IGNORECASE)
+    return "reflectance" if named else None, known if named or known == "percent" else None, ()
+
+
+def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> npt.NDArray[np.float64] | None:
+    """Another array along the axis of the wavelengths, by its name."""
+    fits = [v for n, v in data.variables.items() if v.dims == wave.dims and name.search(str(n))]
+    fits = [v for v in fits if v.dtype.kind in "iufb"]
+    return np.asarray(fits[0].values, float) if len(fits) == 1 else None
+
+
+def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tuple[Affine | None, CRS | None]:
+    """From the grid mapping (CF, GDAL), else from evenly spaced coordinates of lines and samples."""
+    mapping = str(array.attrs.get("grid_mapping", array.encoding.get("grid_mapping", "spatial_ref")))
+    attrs = data[mapping].attrs if mapping in data.variables else {}
+    wkt = attrs.get("crs_wkt", attrs.get("spatial_ref"))
+    crs = crs_of_wkt(wkt) if isinstance(wkt, str) else None
+    transform = gdal_transform(str(attrs.get("GeoTransform", "")))
+    if transform is not None or crs is None:
+        return transform, crs
+    steps = {}
+    for dim, letter in zip(array.dims, axes, strict=True):
+        if letter == "b":
+            continue
+        if dim not in data.variables or data[dim].ndim != 1 or data[dim].size < 2:
+            return None, crs
+        at = np.asarray(data[dim].values, float)
+        step = np.diff(at)
+        if not np.all(np.isfinite(at)) or step[0] == 0 or not np.allclose(step, step[0], rtol=1e-3):
+            return None, crs
+        steps[letter] = (at[0], (at[-1] - at[0]) / (at.size - 1))
+    (y, dy), (x, dx) = steps["l"], steps["s"]
+    return Affine(dx, 0.0, x - 0.5 * dx, 0.0, dy, y - 0.5 * dy), crs

@@ -13,13 +13,18 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery import description as bands_of
-from hyperval.imagery.arrays import ArrayRaster
-from hyperval.imagery.description import Bands, BandTable, Scaling, check_values_of, equals, usable_pixels
+from hyperval.errors import UsageError, reader
+from hyperval.imagery.description import (
+    Bands,
+    Raster,
+    Scale,
+    check_values_of,
+    equals,
+    given_bands,
+    usable_pixels,
+)
 from hyperval.imagery.envi import pixel_area_m2
-from hyperval.imagery.rasters import Raster, file_scaling, open_raster, stated_ignore_value
-from hyperval.imagery.tiff import TiffRaster
+from hyperval.imagery.rasters import open_raster
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -75,7 +80,7 @@ class Cube:
     axis: SpectralAxis
     quantity: Quantity
     unit: str
-    scaling: Scaling
+    scaling: Scale
     stored_band: npt.NDArray[np.intp]
     ignore_value: float | None = None
     description: str = ""
@@ -115,17 +120,17 @@ class Cube:
     @property
     def threads(self) -> int | None:
         """Threads of a pass: one where arrays of a file are read, which goes one by one; None as many as cores."""
-        return 1 if isinstance(self.raster, ArrayRaster) else None
+        return 1 if self.raster.in_blocks else None
 
     @property
     def gain(self) -> Array:
         """(B,) value of a stored 1 less that of a stored 0, in the bands of the axis."""
-        return self.scaling.gain[self.stored_band]
+        return np.asarray(self.scaling.gain, float)[self.stored_band]
 
     @property
     def offset(self) -> Array:
         """(B,) value of a stored 0, in the bands of the axis."""
-        return self.scaling.offset[self.stored_band]
+        return np.asarray(self.scaling.offset, float)[self.stored_band]
 
     @property
     def transform(self) -> Affine | None:
@@ -140,7 +145,7 @@ class Cube:
     @property
     def pixel_area_m2(self) -> float | None:
         """Ground area of a pixel [m2], None when the map unit is unknown."""
-        return pixel_area_m2(self.transform, self.crs, self.raster.header)
+        return pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
 
     @property
     def source_files(self) -> tuple[Path, ...]:
@@ -156,12 +161,9 @@ class Cube:
     def read_some_bands(self, first_line: int, count: int, bands: Sequence[int]) -> npt.NDArray[np.float32]:
         """(count, samples, n) values of a few bands of the axis, as for a picture; NaN for ignored values."""
         order = self.stored_band[list(bands)]
-        if isinstance(self.raster, ArrayRaster):
-            stored = self.raster.read_some_bands(first_line, count, order.tolist()).transpose(1, 2, 0)
-        else:
-            stored = self.raster.read_bands(first_line, count)[order].transpose(1, 2, 0)
-        values = stored.astype(np.float32) * self.scaling.gain[order].astype(np.float32)
-        values += self.scaling.offset[order].astype(np.float32)
+        stored = self.raster.read_some_bands(first_line, count, order.tolist()).transpose(1, 2, 0)
+        values = stored.astype(np.float32) * self.gain[list(bands)].astype(np.float32)
+        values += self.offset[list(bands)].astype(np.float32)
         if self.ignore_value is not None:
             values[equals(stored, self.ignore_value)] = np.nan
         return np.asarray(values, np.float32)
@@ -176,16 +178,16 @@ class Cube:
             yield self.read(first, min(step, self.lines - first), dtype)
 
     def to_spy(self) -> Any:
-        """As an image of SPy: :func:`hyperval.imagery.rasters.cube_to_spy`."""
-        from hyperval.imagery import rasters  # SPy and xarray take 70 MB, which most runs need not
+        """As an image of SPy: :func:`hyperval.imagery.interchange.cube_to_spy`."""
+        from hyperval.imagery import interchange  # SPy and xarray take 70 MB, which most runs need not
 
-        return rasters.cube_to_spy(self)
+        return interchange.cube_to_spy(self)
 
     def to_xarray(self) -> Any:
-        """As a lazy array of xarray: :func:`hyperval.imagery.rasters.cube_to_xarray`."""
-        from hyperval.imagery import rasters
+        """As a lazy array of xarray: :func:`hyperval.imagery.interchange.cube_to_xarray`."""
+        from hyperval.imagery import interchange
 
-        return rasters.cube_to_xarray(self)
+        return interchange.cube_to_xarray(self)
 
     def kept_open(self) -> AbstractContextManager[object]:
         """Inside, an ENVI file is opened once for all reads."""
@@ -246,13 +248,12 @@ class Cube:
 
     def _physical(self, stored: npt.NDArray[Any], dtype: np.dtype) -> tuple[npt.NDArray[Any], Mask]:
         """Values (..., B) in the bands of the axis, and which pixels (...) are valid."""
-        order = self.stored_band
         if self._reordered:
-            stored = stored[..., order]
+            stored = stored[..., self.stored_band]
         values = np.empty(stored.shape, dtype)
-        np.multiply(stored, self.scaling.gain[order].astype(dtype), out=values, dtype=dtype, casting="unsafe")
+        np.multiply(stored, self.gain.astype(dtype), out=values, dtype=dtype, casting="unsafe")
         if np.any(self.scaling.offset):
-            values += self.scaling.offset[order].astype(dtype)
+            values += self.offset.astype(dtype)
         valid = np.ones(stored.shape[:-1], bool)
         good = slice(None) if self.axis.good.all() else self.axis.good
         if self.ignore_value is not None:
@@ -304,57 +305,33 @@ def open_cube(
     InputError : missing, truncated or overlong files, headers that contradict them, implausible values.
     UsageError : a unit that is not stated, or paths that may not be opened.
     """
-    if not isinstance(path, Path | str):
-        from hyperval.imagery import rasters
-
-        raster = rasters.raster_of(path, variable)
-    else:
+    if isinstance(path, Path | str):
         raster = open_raster(path, header=header, root=root, variable=variable, engine=engine)
-    table = _table(raster, axis, wavelength_unit, sort_bands)
-    about = raster.description
-    if about is not None:
-        scaling = about.scaling(quantity, unit, scale, str(raster.path))
     else:
-        scaling = file_scaling(raster, quantity=quantity, unit=unit, scale=scale)
-    entries = dict(raster.header.extras) if raster.header is not None else dict(about.entries) if about else {}
-    notes = raster.header.notes if raster.header is not None else about.all_notes if about is not None else ()
-    notes += table.notes + scaling.notes
+        from hyperval.imagery.interchange import raster_of
+
+        raster = raster_of(path, variable)
+    about, where = raster.description, str(raster.path)
+    if axis is not None:
+        table = given_bands(axis, raster.bands, where)
+    else:
+        table = about.band_table(wavelength_unit, where, sort_bands=sort_bands)
+    scaling = about.scaling(quantity, unit, scale, raster.bands, where)
+    notes = about.all_notes + table.notes + ((scaling.source,) if scaling.source else ())
     if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     cube = Cube(
         raster=raster,
         axis=table.axis,
         quantity=quantity,
-        unit=scaling.unit,
+        unit=str(scaling.unit),
         scaling=scaling,
         stored_band=table.stored_band,
-        ignore_value=stated_ignore_value(raster),
-        description=" ".join(entries.get("description", "").split()),
-        extras={key: text for key, text in entries.items() if key not in _TAKEN},
+        ignore_value=about.no_data(),
+        description=" ".join(about.entries.get("description", "").split()),
+        extras={key: text for key, text in about.entries.items() if key not in _TAKEN},
         notes=notes,
     )
     if check_values:
         check_values_of(cube)
     return cube
-
-
-def _table(raster: Raster, axis: Bands, unit: str | None, sort_bands: bool) -> BandTable:
-    where = str(raster.path)
-    if axis is not None:
-        return bands_of.given_bands(axis, raster.bands, where)
-    if raster.header is not None and bands_of.lists_wavelengths(raster.header):
-        return bands_of.band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
-    if raster.description is not None:
-        return raster.description.band_table(unit, where, sort_bands=sort_bands)
-    if isinstance(raster, TiffRaster) and raster.tagged.wavelength_um:
-        tagged = raster.tagged
-        centre = bands_of.wavelengths_in_nm(np.array(tagged.wavelength_um), "um", where)
-        good = ~np.isin(np.arange(raster.bands), raster.bad_bands)
-        width = 1e3 * np.array(tagged.fwhm_um) if tagged.fwhm_um else None
-        return bands_of.ordered_bands(centre, width, good, sort_bands=sort_bands, where=where, notes=tagged.notes)
-    raise InputError(
-        "the file lists no wavelengths",
-        where=where,
-        expected=f"'wavelength = {{...}}' with {raster.bands} values in an ENVI header",
-        mend="give the header that lists them (cube.header), or a table of the bands (collection.bands)",
-    )

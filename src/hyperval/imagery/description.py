@@ -1,20 +1,24 @@
-"""What a product or a header says of its image: bands, units, no-data, sensor; one gain and offset a band.
+"""What the files of an image say of it, and what is taken from that: bands, unit and scale, no data.
 
-The spectral axis of a cube from its header: checked, in nm; a unit is taken only where no other can be meant.
-
-Which pixels of a cube hold data, and whether their values can be what they are said to be.
+Every reader hands on a :class:`Raster`: stored numbers with a :class:`Description`.  Here alone it is decided which
+wavelengths, which unit and which scale an image has, which of its pixels hold data, and whether its values can be
+what they are said to be.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
 
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import InputError, UsageError, reader
@@ -30,6 +34,8 @@ from hyperval.units import (
 )
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 Bands = SpectralAxis | Literal["numbers"] | None
 
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
@@ -40,6 +46,43 @@ _NAMED = re.compile(
     rf"\(\s*([0-9]+\.[0-9]{{3,}})\s*\)|(?<![0-9.])([0-9]+(?:\.[0-9]+)?)\s*{_SPREAD}{_UNIT}(?![a-z])", re.IGNORECASE
 )
 _UNSTATED = ("", "unknown", "none")
+_REFLECTANCE_UNITS = {"fraction": 1.0, "1": 1.0, "percent": 0.01, "%": 0.01}
+_MAX_GAIN_BYTES = 1 << 20
+# Above these the 95th percentile of a cube says that its scale was not stated.
+CHECKED_SAMPLES = 64  # in each of 16 lines
+PLAUSIBLE = {"reflectance": 1.5, "radiance": 200.0}  # a white surface under the zenith sun gives about 65
+
+
+class ListedBands(NamedTuple):
+    """The bands that a file lists, in its own unit and order.
+
+    Attributes
+    ----------
+    wavelength, fwhm : (B,) of the stored bands, NaN where a band has none; widths may lack
+    unit : of both, None where the file does not say
+    good : (B,) False for bands that the file marks as bad
+    where : place of an entry in its file, for messages
+    notes : what was taken for what
+    """
+
+    wavelength: Array
+    fwhm: Array | None = None
+    unit: str | None = None
+    good: Mask | None = None
+    where: Mapping[str, str] = {}
+    notes: tuple[str, ...] = ()
+
+
+class Scale(NamedTuple):
+    """value = gain * stored + offset in ``unit``, for all bands or (B,) for each, and what states it."""
+
+    gain: npt.ArrayLike = 1.0
+    offset: npt.ArrayLike = 0.0
+    source: str = ""
+    unit: str | None = None
+
+
+UNSCALED = Scale()
 
 
 @dataclass(frozen=True)
@@ -49,78 +92,254 @@ class BandTable:
     Attributes
     ----------
     axis : the bands in increasing wavelength
-    stored_band : (B,) 0-based number of the stored band; 0, 1, 2, ... unless bands were sorted
+    stored_band : (B,) 0-based number of the stored band; 0, 1, 2, ... unless bands were sorted or left out
     notes : what was assumed
     """
 
     axis: SpectralAxis
-    stored_band: npt.NDArray[np.intp]
+    stored_band: Index
     notes: tuple[str, ...] = ()
 
 
-def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_bands: bool = False) -> BandTable:
-    """Band centres, widths and bad-band list of an ENVI header.
+@dataclass(frozen=True, eq=False)
+class Description:
+    """What a file, or the metadata beside it, says of an image.
 
-    Parameters
+    Attributes
     ----------
-    header : the parsed header
-    wavelength_unit : the unit where the header states none; must agree with the header otherwise
-    sort_bands : sort bands whose wavelengths do not increase (two detectors that overlap)
-
-    Raises
-    ------
-    InputError : no wavelengths, a wrong count, not finite, not increasing, widths not positive, or
-        a bad-band list that does not fit.
-    UsageError : the unit is missing or contradicts the header, or the wavelengths are implausible in it.
+    product : in words, "" for a plain image
+    bands : as listed, None where the file lists none
+    scale : as stated
+    quantity : "radiance" or "reflectance", None when the files do not say
+    unit : of the scaled values, None when the files do not say
+    ignore_value : stored value that means no data
+    sensor : name of the instrument, "" when unknown
+    sorts : bands may be sorted by wavelength without being told to, as the layout of the product is known
+    entries : what else is said, by key, as the entries of a header
+    notes : what was assumed
+    sun_zenith_deg : zenith angle of the sun for the whole image, None when it is not stated
+    packing : scale and offset of the file by which its reader has unpacked the values that count as stored here
     """
-    values, key = header.numbers("wavelength", header.bands), "wavelength"
-    in_names = _in_header_names(header) if values is None else None
-    stated, remarks = header.text("wavelength units"), []
-    if in_names is not None:
-        values, key, stated = in_names[0], "band names", in_names[1] or stated
-        remarks.append("the header lists no wavelengths: those in the names of its bands are taken")
-    if values is None:
-        raise InputError(
-            "the header lists no wavelengths",
-            where=str(header.path),
-            expected=f"'wavelength = {{...}}' with {header.bands} values",
-        )
-    unit, note = stated_unit(stated, wavelength_unit, values, header.where("wavelength units"))
-    centre = wavelengths_in_nm(values, unit, header.where(key))
-    notes = [*remarks, *note]
-    good = np.ones(header.bands, bool)
-    flags = header.numbers("bbl", header.bands)
-    if flags is not None:
-        if not np.all(np.isin(flags, (0.0, 1.0))):
+
+    product: str = ""
+    bands: ListedBands | None = None
+    scale: Scale = UNSCALED
+    quantity: str | None = None
+    unit: str | None = None
+    ignore_value: float | None = None
+    sensor: str = ""
+    sorts: bool = False
+    entries: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    sun_zenith_deg: float | None = None
+    packing: tuple[float, float] = (1.0, 0.0)
+
+    @property
+    def all_notes(self) -> tuple[str, ...]:
+        """The product and its sensor, then the notes."""
+        by = f" of {self.sensor}" if self.sensor and self.sensor.lower() not in self.product.lower() else ""
+        return (f"read as {self.product}{by}", *self.notes) if self.product else self.notes
+
+    @property
+    def band_names(self) -> tuple[str, ...]:
+        """The names of the bands, empty without any."""
+        return ()
+
+    def listed(self) -> ListedBands | None:
+        """The bands as the file lists them, None where it lists none."""
+        return self.bands
+
+    def scales(self, quantity: str) -> list[Scale]:
+        """What the files state that values of a quantity are scaled by: at most one of them may do something."""
+        return [self.scale]
+
+    def no_data(self) -> float | None:
+        """Stored value that means no data."""
+        return self.ignore_value
+
+    def band_table(self, given_unit: str | None, where: str, *, sort_bands: bool = False) -> BandTable:
+        """The bands that have a wavelength, in nm and in order.
+
+        Parameters
+        ----------
+        given_unit : the unit where the file states none; must agree with the file otherwise
+        sort_bands : sort bands whose wavelengths do not increase (two detectors that overlap)
+
+        Raises
+        ------
+        InputError : no wavelengths, a wrong count, not finite, not increasing, two the same, widths not positive, or
+            a bad-band list that does not fit.
+        UsageError : a unit that contradicts the file or that nobody states, or wavelengths implausible in it.
+        """
+        bands = self.listed()
+        if bands is None:
+            raise InputError(
+                "the file lists no wavelengths",
+                where=where,
+                expected="'wavelength = {...}' with a value for each band in an ENVI header",
+                mend="give the header that lists them (cube.header), or a table of the bands (collection.bands)",
+            )
+        has = np.flatnonzero(np.isfinite(bands.wavelength))
+        if not has.size:
+            raise InputError("no band has a wavelength", where=where)
+        listed, notes = bands.wavelength[has], list(bands.notes)
+        unit, note = stated_unit(bands.unit, given_unit, listed, bands.where.get("wavelength units", where))
+        centre = wavelengths_in_nm(listed, unit, bands.where.get("wavelength", where))
+        notes += note
+        if has.size < bands.wavelength.size:
+            notes.append(f"{bands.wavelength.size - has.size} stored bands without a wavelength are left out")
+        good = np.ones(has.size, bool) if bands.good is None else bands.good[has]
+        if not good.any():
+            raise InputError("the file marks every band as bad", where=bands.where.get("bbl", where))
+        if bands.good is not None and ("bbl" in bands.where or not good.all()):
+            notes.append(f"bad-band list: {int((~good).sum())} of {good.size} bands are bad")
+        width = None if bands.fwhm is None else bands.fwhm[has] * wavelength_to_nm(unit)
+        if width is not None and not width.any():
+            notes.append("every fwhm in the file is 0, which is none")
+            width = None
+        if width is not None:
+            _check_widths(width, centre, unit, bands.where.get("fwhm", where))
+        table = _ordered(centre, width, good, sort_bands or self.sorts, bands.where.get("wavelength", where))
+        return BandTable(table.axis, has[table.stored_band], (*notes, *table.notes))
+
+    def scaling(self, quantity: str, unit: str | None, scale: float | None, bands: int, where: str) -> Scale:
+        """Gain and offset (B,) of so many stored bands in the internal unit.
+
+        What the campaign states must be what the files say; ``scale`` multiplies the stored values, and replaces
+        whatever the files say of a scale.
+
+        Raises
+        ------
+        InputError : the files hold another quantity, scale the values twice or by 0.
+        UsageError : another unit than the file's, one that nobody states or that is unknown, a scale that is none.
+        """
+        if self.quantity is not None and quantity not in ("other", self.quantity):
+            raise InputError(
+                f"the product holds {self.quantity}, the campaign says {quantity}",
+                where=where,
+                mend=f"state quantity: {self.quantity}, or name the {quantity} product",
+            )
+        if scale is not None:
+            if not np.isfinite(scale) or scale <= 0:
+                raise UsageError(f"scale is {scale:g}", expected="a positive number that multiplies the stored values")
+            # It multiplies the packed values, and gives a reflectance as a fraction.
+            own = self.unit if quantity == "radiance" else None
+            stated = Scale(scale / self.packing[0], -scale * self.packing[1] / self.packing[0])
+            note = f"stored values x {scale:g} (stated)"
+        else:
+            active = [s for s in self.scales(quantity) if np.any(np.asarray(s.gain) != 1.0) or np.any(s.offset)]
+            if len(active) > 1:
+                raise InputError(
+                    f"{active[0].source} and {active[1].source} exclude each other",
+                    where=where,
+                    mend="state scale: (what multiplies the stored values) in the campaign",
+                )
+            stated = active[0] if active else UNSCALED
+            own, note = stated.unit or self.unit, stated.source
+            if quantity == "radiance" and unit and own and radiance_to_internal(unit) != radiance_to_internal(own):
+                raise UsageError(
+                    f"the file states its radiance in {own}{f' ({note})' * bool(stated.unit)}, the campaign in {unit}",
+                    where=where,
+                    mend="leave unit out, or state scale: and its unit",
+                )
+        factor, name = _unit_factor(quantity, unit or own)
+        gain, offset = (np.broadcast_to(factor * np.asarray(v, float), bands).copy() for v in stated[:2])
+        return Scale(gain, offset, note, name)
+
+
+@dataclass(frozen=True, eq=False)
+class HeaderDescription(Description):
+    """What an ENVI header says of an image, before what its data file says itself.
+
+    Attributes
+    ----------
+    header : its lists and scale factors are read when they are asked for, as a campaign may state them itself
+    inner : what the tags of a GeoTIFF say
+    gains_path : file of what its whole numbers are divided by to give radiance, where one lies beside it
+    """
+
+    header: EnviHeader = field(kw_only=True)
+    inner: Description | None = None
+    gains_path: Path | None = None
+
+    @property
+    def band_names(self) -> tuple[str, ...]:
+        """The names of the bands, empty where the header does not have one for each."""
+        return self.header.band_names
+
+    def no_data(self) -> float | None:
+        """The ``data ignore value``, else that of the data file."""
+        stated = self.header.number("data ignore value")
+        return self.inner.no_data() if stated is None and self.inner is not None else stated
+
+    def listed(self) -> ListedBands | None:
+        """Band centres, widths and bad-band list of the header."""
+        header = self.header
+        notes: tuple[str, ...] = ()
+        values, unit, key = header.numbers("wavelength", header.bands), header.text("wavelength units"), "wavelength"
+        if values is None:
+            in_names = wavelengths_in_names(header.band_names)
+            if in_names is None:
+                return self.inner.listed() if self.inner is not None else None
+            values, unit, key = in_names[0], in_names[1] or unit, "band names"
+            notes = ("the header lists no wavelengths: those in the names of its bands are taken",)
+        flags = header.numbers("bbl", header.bands)
+        if flags is not None and not np.all(np.isin(flags, (0.0, 1.0))):
             raise InputError(
                 "the bad-band list holds other values than 0 (bad) and 1 (good)", where=header.where("bbl")
             )
-        good = flags == 1.0
-        if not good.any():
-            raise InputError("the bad-band list marks every band as bad", where=header.where("bbl"))
-        notes.append(f"bad-band list: {int((~good).sum())} of {good.size} bands are bad")
-    width = header.numbers("fwhm", header.bands)
-    if width is not None and not width.any():
-        notes.append("every fwhm in the header is 0, which is none")
-        width = None
-    if width is not None:
-        if np.any(width <= 0):
-            at = int(np.flatnonzero(width <= 0)[0])
-            raise InputError(f"band {at + 1} has a width (fwhm) of {width[at]:g}", where=header.where("fwhm"))
-        width = width * wavelength_to_nm(unit)
-        _check_widths(width, centre, unit, header.where("fwhm"))
-    return ordered_bands(
-        centre, width, good, sort_bands=sort_bands, where=header.where("wavelength"), notes=tuple(notes)
+        where = {"wavelength": header.where(key), "wavelength units": header.where("wavelength units")}
+        where |= {name: header.where(name) for name in ("fwhm", "bbl") if name in header.entries}
+        good = None if flags is None else flags == 1.0
+        return ListedBands(values, header.numbers("fwhm", header.bands), unit, good, where, notes)
+
+    def scales(self, quantity: str) -> list[Scale]:
+        """What header, data file and a file of gains state.
+
+        Reflectance is divided by ``reflectance scale factor`` (or multiplied by ``data reflectance gain values``),
+        everything else takes ``data gain values`` and ``data offset values``; whole numbers of radiance are divided
+        by the numbers of a ``.gain`` file.
+
+        Raises
+        ------
+        InputError : a scale factor that is zero, or one of reflectance for a radiance.
+        """
+        header, out = self.header, []
+        own = quantity == "reflectance" and "data reflectance gain values" in header.entries
+        kind = "data reflectance" if own else "data"
+        gain, offset = (header.numbers(f"{kind} {name} values", header.bands) for name in ("gain", "offset"))
+        factor = header.number("reflectance scale factor")
+        if gain is not None and np.any(gain == 0):
+            raise InputError("a gain of 0 makes every value the same", where=header.where(f"{kind} gain values"))
+        if factor is not None and not (np.isfinite(factor) and factor > 0):
+            raise InputError(
+                f"'reflectance scale factor' is {factor:g}",
+                where=header.where("reflectance scale factor"),
+                expected="a positive number",
+            )
+        if gain is not None or offset is not None:
+            own_gain = np.ones(header.bands) if gain is None else gain
+            out.append(Scale(own_gain, 0.0 if offset is None else offset, f"{kind} gain/offset values"))
+        if factor not in (None, 1.0) and (out or quantity == "radiance"):
+            raise InputError(
+                f"'reflectance scale factor' and {out[0].source if out else 'a radiance'} exclude each other",
+                where=header.where("reflectance scale factor"),
+                mend="state scale: (what multiplies the stored values) in the campaign",
+            )
+        if factor is not None and quantity == "reflectance" and not out:
+            out.append(Scale(1.0 / factor, 0.0, f"stored values / {factor:g} (reflectance scale factor)"))
+        if self.gains_path is not None and quantity == "radiance":
+            out.append(_gain_file(self.gains_path, header.bands))
+        return out + (self.inner.scales(quantity) if self.inner is not None else [])
+
+
+def header_description(
+    header: EnviHeader, inner: Description | None = None, gains_path: Path | None = None
+) -> HeaderDescription:
+    """The description of an image with an ENVI header."""
+    return HeaderDescription(
+        entries=header.extras, notes=header.notes, header=header, inner=inner, gains_path=gains_path
     )
-
-
-def lists_wavelengths(header: EnviHeader) -> bool:
-    """Whether a header has wavelengths, as a list or in the names of its bands."""
-    return header.text("wavelength") is not None or _in_header_names(header) is not None
-
-
-def _in_header_names(header: EnviHeader) -> tuple[Array, str | None] | None:
-    return wavelengths_in_names(header.band_names)
 
 
 def wavelengths_in_names(names: Sequence[str]) -> tuple[Array, str | None] | None:
@@ -153,27 +372,14 @@ def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str)
     return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))
 
 
-def ordered_bands(
-    centre_nm: Array,
-    fwhm_nm: Array | None,
-    good: npt.NDArray[np.bool_],
-    *,
-    sort_bands: bool,
-    where: str,
-    notes: tuple[str, ...] = (),
-) -> BandTable:
-    """The bands of a file in increasing wavelength; ``fwhm_nm`` None takes the spacing of each detector.
-
-    Raises
-    ------
-    InputError : wavelengths that do not increase and are not to be sorted, or of which two are the same.
-    """
-    centre, order, remarks = centre_nm, np.arange(centre_nm.size), list(notes)
+def _ordered(centre: Array, fwhm: Array | None, good: Mask, sort_bands: bool, where: str) -> BandTable:
+    """The bands [nm] of a file in increasing wavelength; no widths take the spacing of each detector."""
+    order, notes = np.arange(centre.size), []
     steps = np.diff(centre)
     if np.any(steps <= 0):
         at = int(np.flatnonzero(steps <= 0)[0])
-        if not sort_bands or np.unique(centre).size < centre.size:
-            same = np.unique(centre).size < centre.size
+        same = np.unique(centre).size < centre.size
+        if not sort_bands or same:
             raise InputError(
                 f"wavelengths do not increase: band {at + 2} ({centre[at + 1]:g} nm) follows band {at + 1} "
                 f"({centre[at]:g} nm){' (two bands share a wavelength)' if same else ''}",
@@ -184,15 +390,21 @@ def ordered_bands(
                 "under collection.cube",
             )
         order = np.argsort(centre, kind="stable")
-        remarks.append(f"{int(np.sum(order != np.arange(order.size)))} bands were moved to sort the wavelengths")
-    if fwhm_nm is None:
-        fwhm_nm = _spacing_by_detector(centre)
-        remarks.append("the file lists no fwhm: band widths are taken as the band spacing")
-    return BandTable(SpectralAxis(centre[order], fwhm_nm[order], good[order]), order, tuple(remarks))
+        notes.append(f"{int(np.sum(order != np.arange(order.size)))} bands were moved to sort the wavelengths")
+    if fwhm is None:
+        fwhm = _spacing_by_detector(centre)
+        notes.append("the file lists no fwhm: band widths are taken as the band spacing")
+    return BandTable(SpectralAxis(centre[order], fwhm[order], good[order]), order, tuple(notes))
 
 
 def _check_widths(fwhm: Array, centre: Array, unit: str, where: str) -> None:
-    """Raise InputError for widths [nm] that are plainly not in the unit of the wavelengths."""
+    """Raise InputError for widths [nm] that are not positive, or plainly not in the unit of the wavelengths."""
+    if not np.all(fwhm > 0):
+        at = int(np.flatnonzero(~(fwhm > 0))[0])
+        raise InputError(
+            f"band {at + 1} has a width (fwhm) of {fwhm[at] / wavelength_to_nm(unit):g}, which is not positive",
+            where=where,
+        )
     if np.any(fwhm >= centre) or np.median(fwhm) < LEAST_FWHM_NM:
         raise InputError(
             f"band widths (fwhm) from {fwhm.min():g} to {fwhm.max():g} nm, read in {unit} as the wavelengths are",
@@ -228,9 +440,7 @@ def stated_unit(in_file: str | None, given: str | None, values: Array, where: st
     """
     text = (in_file or "").strip(" \t\"'")
     if text.lower() in _UNSTATED:
-        if given is not None:
-            return given, ()
-        unit = only_wavelength_unit(values)
+        unit = given or only_wavelength_unit(values)
         if unit is None:
             raise UsageError(
                 f"the file states no wavelength unit, and {values.min():g} to {values.max():g} do not tell it",
@@ -238,7 +448,7 @@ def stated_unit(in_file: str | None, given: str | None, values: Array, where: st
                 expected="nm or um",
                 mend="state wavelength_unit: nm (or um) in the campaign",
             )
-        return unit, (wavelength_unit_note(values, unit),)
+        return unit, () if given else (wavelength_unit_note(values, unit),)
     try:
         factor = wavelength_to_nm(text)
     except UsageError:
@@ -257,11 +467,9 @@ def stated_unit(in_file: str | None, given: str | None, values: Array, where: st
     return text, ()
 
 
-def wavelengths_in_nm(values: Array, unit: str, where: str, *, width: bool = False) -> Array:
-    """Wavelengths, or widths of bands, in nm; UsageError when wavelengths are implausible in ``unit``."""
+def wavelengths_in_nm(values: Array, unit: str, where: str) -> Array:
+    """Wavelengths in nm; UsageError when they are implausible in ``unit``."""
     nm = values * wavelength_to_nm(unit)
-    if width:
-        return nm
     low, high = PLAUSIBLE_NM
     if nm.min() < low or nm.max() > high:
         raise UsageError(
@@ -271,191 +479,6 @@ def wavelengths_in_nm(values: Array, unit: str, where: str, *, width: bool = Fal
             mend="0.4 to 2.5 is um, 400 to 2500 is nm: correct the wavelength unit",
         )
     return nm
-
-
-_REFLECTANCE_UNITS = {"fraction": 1.0, "1": 1.0, "percent": 0.01, "%": 0.01}
-_MAX_BYTES = 1 << 20
-
-
-@dataclass(frozen=True, eq=False)
-class Description:
-    """What a file, or the metadata beside it, says of an image.
-
-    Attributes
-    ----------
-    product : in words, for notes
-    wavelength, fwhm : (B,) of the stored bands in ``wavelength_unit``; 0 where a band has none. Widths may lack
-    wavelength_unit : as the file states it, None when it does not
-    good : (B,) False for bands that the product marks as bad
-    gain, offset : (B,) value = gain * stored + offset in ``unit``, or numbers for all bands
-    quantity : "radiance" or "reflectance", None when the product does not say
-    unit : of the scaled values, None when the product does not say
-    ignore_value : stored value that means no data
-    sensor : name of the instrument, "" when unknown
-    sorts : bands may be sorted by wavelength without being told to, as the layout of the product is known
-    entries : what else is said, by key, as the entries of a header
-    notes : what was assumed
-    rectified : False for an image in scanner geometry, whatever map position its file states
-    sun_zenith_deg : zenith angle of the sun for the whole image, None when it is not stated
-    packing : scale and offset of the file by which its reader has unpacked the values that count as stored here
-    """
-
-    product: str
-    wavelength: Array
-    fwhm: Array | None = None
-    wavelength_unit: str | None = None
-    good: npt.NDArray[np.bool_] | None = None
-    gain: npt.ArrayLike = 1.0
-    offset: npt.ArrayLike = 0.0
-    quantity: str | None = None
-    unit: str | None = None
-    ignore_value: float | None = None
-    sensor: str = ""
-    sorts: bool = False
-    entries: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    rectified: bool = True
-    sun_zenith_deg: float | None = None
-    packing: tuple[float, float] = (1.0, 0.0)
-
-    @property
-    def all_notes(self) -> tuple[str, ...]:
-        """The product and its sensor, then the notes."""
-        by = f" of {self.sensor}" if self.sensor and self.sensor.lower() not in self.product.lower() else ""
-        return (f"read as {self.product}{by}", *self.notes)
-
-    def band_table(self, given_unit: str | None, where: str, *, sort_bands: bool = False) -> BandTable:
-        """The bands that have a wavelength, in nm and in order.
-
-        Raises
-        ------
-        InputError : no band has a wavelength, or two share one.
-        UsageError : a unit that contradicts the file, or that nobody states.
-        """
-        has = np.flatnonzero(np.isfinite(self.wavelength) & (self.wavelength > 0))
-        if not has.size:
-            raise InputError("no band has a wavelength", where=where)
-        listed = self.wavelength[has]
-        unit, note = stated_unit(self.wavelength_unit, given_unit, listed, where)
-        centre = wavelengths_in_nm(listed, unit, where)
-        width = None if self.fwhm is None else wavelengths_in_nm(self.fwhm[has], unit, where, width=True)
-        if width is not None and not np.all(width > 0):
-            raise InputError("band widths (fwhm) that are not positive", where=where)
-        good = np.ones(has.size, bool) if self.good is None else self.good[has]
-        if not good.any():
-            raise InputError("the product marks every band as bad", where=where)
-        notes = list(note)
-        if has.size < self.wavelength.size:
-            notes.append(f"{self.wavelength.size - has.size} stored bands without a wavelength are left out")
-        if not good.all():
-            notes.append(f"bad-band list: {int((~good).sum())} of {good.size} bands are bad")
-        table = ordered_bands(centre, width, good, sort_bands=sort_bands or self.sorts, where=where, notes=tuple(notes))
-        return BandTable(table.axis, has[table.stored_band], table.notes)
-
-    def scaling(self, quantity: str, unit: str | None, scale: float | None, where: str) -> Scaling:
-        """Gain and offset of every stored band; what the campaign states must be what the product says.
-
-        Raises
-        ------
-        InputError : the product holds another quantity.
-        UsageError : another unit than the product's, or one that nobody states.
-        """
-        if self.quantity is not None and quantity not in ("other", self.quantity):
-            raise InputError(
-                f"the product holds {self.quantity}, the campaign says {quantity}",
-                where=where,
-                mend=f"state quantity: {self.quantity}, or name the {quantity} product",
-            )
-        both = quantity == "radiance" and unit is not None and self.unit is not None and scale is None
-        if both and radiance_to_internal(str(unit)) != radiance_to_internal(str(self.unit)):
-            raise UsageError(
-                f"the product states its radiance in {self.unit}, the campaign in {unit}",
-                where=where,
-                mend="leave unit out",
-            )
-        bands = self.wavelength.size
-        gain, offset = (np.broadcast_to(np.asarray(v, float), bands).copy() for v in (self.gain, self.offset))
-        note = f"scale of the {self.product}" if np.any(gain != 1.0) or np.any(offset != 0.0) else ""
-        if scale is None:
-            return scaled(gain, offset, note, quantity=quantity, unit=unit or self.unit, scale=None)
-        # What the campaign states multiplies the packed values, and gives a reflectance as a fraction.
-        own = self.unit if quantity == "radiance" else None
-        whole = scaled(gain, offset, note, quantity=quantity, unit=unit or own, scale=scale)
-        return replace(whole, gain=whole.gain / self.packing[0], offset=-whole.gain * self.packing[1] / self.packing[0])
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """value = gain * stored + offset, per stored band, in ``unit``.
-
-    Attributes
-    ----------
-    gain, offset : (B,) in stored band order
-    unit : unit of the values
-    notes : where the numbers come from
-    """
-
-    gain: Array
-    offset: Array
-    unit: str
-    notes: tuple[str, ...] = ()
-
-
-def scaled(gain: Array, offset: Array, note: str, *, quantity: str, unit: str | None, scale: float | None) -> Scaling:
-    """The gain and offset of a file in the internal unit; ``scale`` takes their place.
-
-    Raises
-    ------
-    UsageError : an unknown unit or quantity, a radiance without unit, or a scale that is no number.
-    """
-    to_internal, name = _unit_factor(quantity, unit)
-    if scale is not None:
-        if not np.isfinite(scale) or scale <= 0:
-            raise UsageError(f"scale is {scale:g}", expected="a positive number that multiplies the stored values")
-        gain, offset = np.full(gain.size, float(scale)), np.zeros(gain.size)
-        note = f"stored values x {scale:g} (stated)"
-    return Scaling(gain * to_internal, offset * to_internal, name, (note,) if note else ())
-
-
-def header_scaling(header: EnviHeader | None, bands: int, quantity: str) -> tuple[Array, Array, str]:
-    """Gain and offset of every band by a header, and where it states them; 1 and 0 where it does not.
-
-    Reflectance is divided by ``reflectance scale factor`` (or multiplied by ``data reflectance gain values``),
-    everything else takes ``data gain values`` and ``data offset values``.
-
-    Raises
-    ------
-    InputError : a scale factor that is zero, or two that exclude each other.
-    """
-    one, zero = np.ones(bands), np.zeros(bands)
-    if header is None:
-        return one, zero, ""
-    own = quantity == "reflectance" and "data reflectance gain values" in header.entries
-    kind = "data reflectance" if own else "data"
-    gain = header.numbers(f"{kind} gain values", bands)
-    offset = header.numbers(f"{kind} offset values", bands)
-    factor = header.number("reflectance scale factor")
-    if gain is not None and np.any(gain == 0):
-        raise InputError("a gain of 0 makes every value the same", where=header.where(f"{kind} gain values"))
-    if factor is not None and not (np.isfinite(factor) and factor > 0):
-        raise InputError(
-            f"'reflectance scale factor' is {factor:g}",
-            where=header.where("reflectance scale factor"),
-            expected="a positive number",
-        )
-    scaled = gain is not None or offset is not None
-    if factor not in (None, 1.0) and (scaled or quantity == "radiance"):
-        other = f"'{kind} gain values'" if scaled else "a radiance"
-        raise InputError(
-            f"'reflectance scale factor' and {other} exclude each other",
-            where=header.where("reflectance scale factor"),
-            mend="state scale: (what multiplies the stored values) in the campaign",
-        )
-    if scaled:
-        return (one if gain is None else gain), (zero if offset is None else offset), f"{kind} gain/offset values"
-    if factor is not None and quantity == "reflectance":
-        return one / factor, zero, f"stored values / {factor:g} (reflectance scale factor)"
-    return one, zero, ""
 
 
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
@@ -483,39 +506,19 @@ def gain_file_beside(image: Path) -> Path | None:
     return max(fits, key=lambda p: len(p.stem), default=None)
 
 
-def divided(
-    path: Path | None, bands: int, quantity: str, unit: str | None, scale: float | None
-) -> tuple[npt.NDArray[np.float64] | None, str | None]:
-    """(B,) gains of a radiance and its unit, by a file of divisors; None and the stated unit where it has no say.
+@reader
+def _gain_file(path: Path, bands: int) -> Scale:
+    """The scale of a file of what the stored numbers of each band are divided by.
 
     Source: JPL, AVIRIS Distribution Document 030217: two columns, factor and channel; spectra divided by the
     factors are radiances in micro-watts/cm^2/nm/sr.
 
     Raises
     ------
-    UsageError : a stated unit that is not the file's.
-    """
-    if path is None or quantity != "radiance" or scale is not None:
-        return None, unit
-    if unit is not None and radiance_to_internal(unit) != 1.0:
-        raise UsageError(
-            f"{path.name} beside the cube gives {RADIANCE_UNIT}, the campaign states {unit}",
-            where=str(path),
-            mend=f"state unit: {RADIANCE_UNIT}, or scale: and its unit",
-        )
-    return 1.0 / _divisors(path, bands), RADIANCE_UNIT
-
-
-@reader
-def _divisors(path: Path, bands: int) -> npt.NDArray[np.float64]:
-    """(B,) what the stored numbers of each band are divided by.
-
-    Raises
-    ------
     InputError : not one positive number for each band, or channels that do not count from 1.
     """
     expected = f"{bands} rows of a factor and a channel that counts from 1"
-    text = checked_file(path, what="gain file", most=_MAX_BYTES).read_text("latin-1")
+    text = checked_file(path, what="gain file", most=_MAX_GAIN_BYTES).read_text("latin-1")
     out = np.empty(bands)
     rows = [(n, r.split()) for n, r in enumerate(text.splitlines(), start=1) if r.strip()]
     if len(rows) != bands:
@@ -527,10 +530,103 @@ def _divisors(path: Path, bands: int) -> npt.NDArray[np.float64]:
             out[band], channel = np.nan, 0
         if not (np.isfinite(out[band]) and out[band] > 0 and channel == band + 1):
             raise InputError(f"{' '.join(cells)[:40]!r}", where=f"{path}:{number}", expected=expected)
-    return out
+    return Scale(1.0 / out, 0.0, f"stored values / those of {path.name}", RADIANCE_UNIT)
 
 
-Mask = npt.NDArray[np.bool_]
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """Stored numbers of an image, by lines or by pixels, with what its files say of them; one class for each format.
+
+    Attributes
+    ----------
+    path : the data file
+    size : (lines, samples, bands)
+    dtype : of a stored number
+    description : what the files say
+    position : transform from continuous (sample, line) to map coordinates, and their system; None where unknown
+    other_files : files beside it that were read
+    """
+
+    path: Path
+    size: tuple[int, int, int]
+    dtype: np.dtype
+    description: Description = Description()
+    position: tuple[Affine | None, CRS | None] = (None, None)
+    other_files: tuple[Path, ...] = ()
+
+    in_blocks = False  # whether reading line by line would unpack the same blocks again and again
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return self.size[0]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.size[1]
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        return self.size[2]
+
+    @property
+    def transform(self) -> Affine | None:
+        """Affine transform from continuous (sample, line) to map coordinates, None without one."""
+        return self.position[0]
+
+    @property
+    def crs(self) -> CRS | None:
+        """Coordinate reference system, None when unknown."""
+        return self.position[1]
+
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """The files that were read."""
+        return (self.path, *self.other_files)
+
+    def kept_open(self) -> AbstractContextManager[object]:
+        """Inside, the file is opened once for all reads, where its reader can."""
+        return nullcontext()
+
+    def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
+        """(count, samples, bands) stored numbers of consecutive lines."""
+        return self.read_bands(first, count).transpose(1, 2, 0)
+
+    def read_bands(self, first: int, count: int, buffer: npt.NDArray[Any] | None = None) -> npt.NDArray[Any]:
+        """(bands, count, samples) stored numbers of consecutive lines: a view in the order of the file.
+
+        ``buffer`` is a flat array of ``dtype`` with room for the lines, to read into where the reader can.
+        """
+        if first < 0 or count < 1 or first + count > self.lines:
+            raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
+        return self._read(first, count, buffer)
+
+    def read_some_bands(self, first: int, count: int, bands: Sequence[int]) -> npt.NDArray[Any]:
+        """(n, count, samples) stored numbers of consecutive lines in a few bands."""
+        return self.read_bands(first, count)[list(bands)]
+
+    def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
+        """(n, bands) stored numbers of single pixels."""
+        raise NotImplementedError
+
+    def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
+        raise NotImplementedError
+
+
+def crs_of_wkt(wkt: str | None) -> CRS | None:
+    """The system of a WKT, ESRI's among them; None where there is none that is understood."""
+    try:
+        return CRS.from_wkt(wkt, morph_from_esri_dialect=True) if wkt else None
+    except CRSError:
+        return None
+
+
+def gdal_transform(text: str | None) -> Affine | None:
+    """The transform of six numbers in the order of GDAL's GeoTransform; None where a text has others."""
+    numbers = re.findall(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?", text or "")
+    return Affine.from_gdal(*(float(n) for n in numbers)) if len(numbers) == 6 else None
 
 
 def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
@@ -551,9 +647,7 @@ def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
     limits = np.iinfo(dtype)
     if float(ignore) == float(limits.max):  # as a float, the largest 64-bit number is the next power of two
         return dtype.type(limits.max)
-    if not limits.min <= int(ignore) <= limits.max:
-        return None
-    return dtype.type(int(ignore))
+    return dtype.type(int(ignore)) if limits.min <= int(ignore) <= limits.max else None
 
 
 def usable_pixels(
@@ -585,29 +679,17 @@ def usable_pixels(
     return usable
 
 
-# Above these the 95th percentile of a cube says that its scale was not stated.
-CHECKED_SAMPLES = 64  # in each of 16 lines
-PLAUSIBLE_REFLECTANCE = 1.5
-PLAUSIBLE_RADIANCE = 200.0  # [uW cm-2 sr-1 nm-1]; a white surface under the zenith sun gives about 65
-
-
-def _some_values(cube: Any, line: int) -> npt.NDArray[Any]:
-    """(n,) values of valid pixels of a line, spread over its samples, in the good bands."""
-    rows = np.full(min(cube.samples, CHECKED_SAMPLES), line)
-    cols = np.linspace(0, cube.samples - 1, rows.size).astype(int)
-    return np.asarray(cube.spectra((rows, cols))[:, cube.axis.good].ravel())
-
-
 def check_values_of(cube: Any) -> None:
     """Raise InputError when the values are too large for the quantity: a scale that was not stated."""
-    limit = {"reflectance": PLAUSIBLE_REFLECTANCE, "radiance": PLAUSIBLE_RADIANCE}.get(cube.quantity)
+    limit = PLAUSIBLE.get(cube.quantity)
     if limit is None:
         return
     lines = np.unique(np.linspace(0, cube.lines - 1, 16).astype(int))
-    sample = np.concatenate([_some_values(cube, int(line)) for line in lines])
-    if sample.size == 0:
-        return
-    high = float(np.percentile(sample, 95))
+    cols = np.linspace(0, cube.samples - 1, min(cube.samples, CHECKED_SAMPLES)).astype(int)
+    sample = np.concatenate(
+        [cube.spectra((np.full(cols.size, line), cols))[:, cube.axis.good].ravel() for line in lines]
+    )
+    high = float(np.percentile(sample, 95)) if sample.size else 0.0
     if high > limit:
         raise InputError(
             f"95 % of the {cube.quantity} values reach up to {high:.4g} {cube.unit}".removesuffix(" 1"),

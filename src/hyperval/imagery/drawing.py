@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Ring = npt.ArrayLike
+Placing = Callable[[Array, str, bool], Array]
 MAX_VERTICES = 1_000_000
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
@@ -36,7 +36,12 @@ _SMALL = 0.01  # a part outside that is said without a warning
 
 
 def polygon_mask(
-    exterior: Ring, shape: tuple[int, int], holes: Sequence[Ring] = (), *, where: str, touched: bool = False
+    exterior: npt.ArrayLike,
+    shape: tuple[int, int],
+    holes: Sequence[npt.ArrayLike] = (),
+    *,
+    where: str,
+    touched: bool = False,
 ) -> Mask:
     """(lines, samples) mask of the pixels whose centre lies in a polygon.
 
@@ -52,15 +57,15 @@ def polygon_mask(
     ------
     InputError : fewer than three vertices, not finite, or a vertex outside the image.
     """
-    rings = [ring_of(r, where) for r in (exterior, *holes)]
+    rings = [_ring(r, where) for r in (exterior, *holes)]
     for ring in rings:
         if not inside_image(ring, shape):
             raise outside_error(ring, shape, where)
-    return burned(rings, shape, touched=touched)
+    return _burned(rings, shape, touched=touched)
 
 
-def burned(rings: Sequence[Array], shape: tuple[int, int], *, touched: bool = False) -> Mask:
-    """(lines, samples) mask of a polygon: its exterior, then its holes, each (n, 2); nothing is checked."""
+def _burned(rings: Sequence[Array], shape: tuple[int, int], *, touched: bool = False) -> Mask:
+    """(lines, samples) mask of a polygon: its exterior, then its holes, each (n, 2)."""
     geometry = {"type": "Polygon", "coordinates": [np.vstack([r, r[:1]]).tolist() for r in rings]}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -70,31 +75,12 @@ def burned(rings: Sequence[Array], shape: tuple[int, int], *, touched: bool = Fa
 
 def point_mask(points: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
     """(lines, samples) mask of the pixels that hold points (sample, line) in continuous coordinates."""
-    xy = np.asarray(points, dtype=float).reshape(-1, 2)
-    if not np.all(np.isfinite(xy)):
-        raise InputError("coordinates that are not finite", where=where)
+    xy = _points(points, where)
     if not inside_image(xy, shape):
         raise outside_error(xy, shape, where)
+    col, row = np.clip(np.floor(xy).astype(int), 0, np.array(shape[::-1]) - 1).T
     mask = np.zeros(shape, bool)
-    col = np.clip(np.floor(xy[:, 0]).astype(int), 0, shape[1] - 1)
-    row = np.clip(np.floor(xy[:, 1]).astype(int), 0, shape[0] - 1)
     mask[row, col] = True
-    return mask
-
-
-def pixel_mask(rows: npt.ArrayLike, cols: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
-    """(lines, samples) mask of pixels named by 0-based whole numbers."""
-    r, c = np.asarray(rows, dtype=np.int64), np.asarray(cols, dtype=np.int64)
-    out = (r < 0) | (r >= shape[0]) | (c < 0) | (c >= shape[1])
-    if out.any():
-        i = int(np.flatnonzero(out)[0])
-        raise InputError(
-            f"{int(out.sum())} of {r.size} pixels are outside the image, first (line {r[i]}, sample {c[i]})",
-            where=where,
-            expected=f"lines 0-{shape[0] - 1}, samples 0-{shape[1] - 1}",
-        )
-    mask = np.zeros(shape, bool)
-    mask[r, c] = True
     return mask
 
 
@@ -123,9 +109,8 @@ def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str, ring
     return np.column_stack(~transform @ xy.T)
 
 
-def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where: str) -> Array:
+def reprojected(xy: Array, source: CRS, target: CRS | None, *, where: str) -> Array:
     """(n, 2) map coordinates in ``target`` of points in ``source`` (longitude first)."""
-    xy = np.asarray(points, dtype=float).reshape(-1, 2)
     if target is None:
         raise InputError(
             "the coordinate system of the cube is unknown",
@@ -135,18 +120,17 @@ def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where
     if source == target:
         return xy
     try:
-        placed = reproject(source, target, xy[:, 0].tolist(), xy[:, 1].tolist())[:2]
+        placed, why = np.column_stack(reproject(source, target, xy[:, 0].tolist(), xy[:, 1].tolist())[:2]), ""
     except Exception as error:  # such as a latitude beyond the pole; its class has no public name
-        placed, why = None, f" ({error})"
-    else:
-        why = ""
-    if placed is None or not np.all(np.isfinite(placed)):
+        placed, why = np.full((1, 2), np.nan), f" ({error})"
+    if not np.all(np.isfinite(placed)):
+        low, high = (f"({corner[0]:.6g}, {corner[1]:.6g})" for corner in (xy.min(axis=0), xy.max(axis=0)))
         raise InputError(
-            f"coordinates from {_pair(xy.min(axis=0))} to {_pair(xy.max(axis=0))} cannot be places in {source}{why}",
+            f"coordinates from {low} to {high} cannot be places in {source}{why}",
             where=where,
             mend="check which coordinate system they are in",
         )
-    return np.column_stack(placed)
+    return placed
 
 
 @dataclass(frozen=True)
@@ -168,7 +152,7 @@ class ImageGrid:
     coordinates: str | None = None
     name_field: str | None = None
 
-    def placing(self, stated: CRS | None, where: str) -> Callable[[Array, str, bool], Array]:
+    def placing(self, stated: CRS | None, where: str) -> Placing:
         """A function from the coordinates (n, 2) of a file in a stated system to continuous pixel coordinates.
 
         Raises
@@ -201,38 +185,30 @@ def named_crs(name: str, where: str) -> CRS:
         raise InputError(f"unknown coordinate system {name!r}", where=where) from None
 
 
-def _pair(xy: Array) -> str:
-    return f"({xy[0]:.6g}, {xy[1]:.6g})"
+def _points(points: npt.ArrayLike, where: str) -> Array:
+    xy = np.asarray(points, dtype=float)
+    if xy.size and (xy.ndim != 2 or xy.shape[1] != 2):
+        raise UsageError("coordinates are a list of (sample, line) pairs", where=where)
+    if not np.all(np.isfinite(xy)):
+        raise InputError("coordinates that are not finite", where=where)
+    return xy.reshape(-1, 2)
 
 
-def ring_of(ring: Ring, where: str) -> Array:
-    """(n, 2) vertices of a ring, the closing one left out.
-
-    Raises
-    ------
-    InputError : fewer than three different vertices, too many, or coordinates that are not finite.
-    """
-    xy = np.asarray(ring, dtype=float)
-    if xy.ndim != 2 or xy.shape[1] != 2:
-        raise UsageError("a polygon is a list of (sample, line) pairs", where=where)
-    if len(xy) > MAX_VERTICES:
+def _ring(ring: npt.ArrayLike, where: str) -> Array:
+    """(n, 2) vertices of a ring, the closing one left out."""
+    if np.shape(ring)[:1] > (MAX_VERTICES,):
         raise InputError(f"a polygon of more than {MAX_VERTICES} vertices", where=where)
+    xy = _points(ring, where)
     if len(xy) > 1 and np.array_equal(xy[0], xy[-1]):
         xy = xy[:-1]
     if len(np.unique(xy, axis=0)) < 3:
         raise InputError(f"a polygon of {len(np.unique(xy, axis=0))} different vertices", where=where)
-    if not np.all(np.isfinite(xy)):
-        raise InputError("coordinates that are not finite", where=where)
     return xy
 
 
 def inside_image(xy: Array, shape: tuple[int, int]) -> bool:
     """Whether all of (n, 2) points (sample, line) lie in the image, to a millionth of a pixel."""
-    lines, samples = shape
-    if not xy.size:
-        return True
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    return bool(low.min() >= -_EDGE and high[0] <= samples + _EDGE and high[1] <= lines + _EDGE)
+    return bool(np.all((xy >= -_EDGE) & (xy <= np.array(shape[::-1]) + _EDGE)))
 
 
 def outside_error(
@@ -268,76 +244,115 @@ class RegionDrawing:
     stated_pixels: int | None = None
     points: int = 0
     points_outside: int = 0
-    _bounds: list[Array] = field(default_factory=list)
+    _outside: list[Array] = field(default_factory=list)
     _polygons: list[list[Array]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.mask = np.zeros(self.shape, bool)
 
-    def add_polygon(self, exterior: Ring, holes: Sequence[Ring] = (), *, where: str) -> None:
+    def add(self, geometry: dict[str, Any], place: Placing, where: str) -> None:
+        """Add a polygon or points as GeoJSON has them, their coordinates placed on the image.
+
+        Raises
+        ------
+        InputError : another kind of geometry, or coordinates that are none.
+        """
+        kind, parts = geometry.get("type"), geometry.get("coordinates")
+        if kind in ("Point", "MultiPoint"):
+            self.add_points(place(_pairs([parts] if kind == "Point" else parts, where), where, False), where=where)
+            return
+        if kind not in ("Polygon", "MultiPolygon"):
+            raise InputError(
+                f"geometry {kind!r} has no area", where=where, expected="Polygon, MultiPolygon, Point, MultiPoint"
+            )
+        polygons = [parts] if kind == "Polygon" else parts
+        for rings in polygons if isinstance(polygons, list | tuple) and polygons else [None]:
+            if not isinstance(rings, list | tuple) or not rings:
+                raise InputError("a polygon without vertices", where=where)
+            outer, *inner = [place(_pairs(ring, where), where, True) for ring in rings]
+            self.add_polygon(outer, inner, where=where)
+
+    def add_polygon(self, exterior: npt.ArrayLike, holes: Sequence[npt.ArrayLike] = (), *, where: str) -> None:
         """Add the pixels whose centre lies in a polygon; what leaves the image is cut off and counted.
 
         Raises
         ------
         InputError : fewer than three different vertices, or coordinates that are none.
         """
-        rings = [ring_of(r, where) for r in (exterior, *holes)]
+        rings = [_ring(r, where) for r in (exterior, *holes)]
         for ring in rings:
             if np.abs(ring).max() > FARTHEST:
                 raise outside_error(ring, self.shape, where)
         whole = polygon_of(rings)
         self.area += whole.area
         self.area_inside += area_inside(whole, self.shape)
-        self.mask |= burned(rings, self.shape)
+        self.mask |= _burned(rings, self.shape)
         self._polygons.append(rings)
         if not all(inside_image(r, self.shape) for r in rings):
-            self._bounds.append(rings[0])
+            self._outside.append(rings[0])
 
     def add_points(self, points: npt.ArrayLike, *, where: str) -> None:
         """Add the pixels that hold points (sample, line) in continuous coordinates."""
-        xy = np.asarray(points, dtype=float).reshape(-1, 2)
-        if not np.all(np.isfinite(xy)):
-            raise InputError("coordinates that are not finite", where=where)
-        inside = np.array([inside_image(p[None, :], self.shape) for p in xy], dtype=bool)
+        xy = _points(points, where)
+        inside = np.array([inside_image(p, self.shape) for p in xy], dtype=bool)
         self.points += len(xy)
         self.points_outside += int((~inside).sum())
-        if inside.any():
-            self.mask |= point_mask(xy[inside], self.shape, where=where)
+        self.mask |= point_mask(xy[inside], self.shape, where=where)
         if not inside.all():
-            self._bounds.append(xy)
+            self._outside.append(xy)
 
     def add_pixels(self, rows: npt.ArrayLike, cols: npt.ArrayLike, *, where: str) -> None:
         """Add pixels named by 0-based whole numbers, which must be in the image."""
-        self.mask |= pixel_mask(rows, cols, self.shape, where=where)
+        r, c = np.asarray(rows, dtype=np.int64), np.asarray(cols, dtype=np.int64)
+        out = (r < 0) | (r >= self.shape[0]) | (c < 0) | (c >= self.shape[1])
+        if out.any():
+            i = int(np.flatnonzero(out)[0])
+            raise InputError(
+                f"{int(out.sum())} of {r.size} pixels are outside the image, first (line {r[i]}, sample {c[i]})",
+                where=where,
+                expected=f"lines 0-{self.shape[0] - 1}, samples 0-{self.shape[1] - 1}",
+            )
+        self.mask[r, c] = True
 
     @property
     def touched(self) -> Mask:
         """(lines, samples) the pixels of the region and all others that its polygons touch."""
         out = self.mask.copy()
         for rings in self._polygons:
-            out |= burned(rings, self.shape, touched=True)
+            out |= _burned(rings, self.shape, touched=True)
         return out
 
     def notes(self) -> tuple[str, ...]:
         """What is to be said, after the region's name, of the part outside the image; empty without one."""
-        left = f"{int(self.mask.sum())} pixels are left"
+        drawn = int(self.mask.sum())
         out = []
         # To the millionth of a pixel of the border, see ``inside_image``.
-        part = 1.0 - self.area_inside / self.area if self._bounds and self.area > 0.0 else 0.0
+        part = 1.0 - self.area_inside / self.area if self._outside and self.area > 0.0 else 0.0
         if part > 0.0:
             sign = "" if part < _SMALL else WARNING
-            out.append(f"{sign}leaves the image: {_percent(part)} of its area is outside, {left}")
+            percent = f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
+            out.append(f"{sign}leaves the image: {percent} of its area is outside, {drawn} pixels are left")
         if self.points_outside:
-            out.append(f"{WARNING}leaves the image: {self.points_outside} of {self.points} points are outside, {left}")
-        drawn = int(self.mask.sum())
+            out.append(
+                f"{WARNING}leaves the image: {self.points_outside} of {self.points} points are outside, "
+                f"{drawn} pixels are left"
+            )
         if self.stated_pixels not in (None, drawn):
             out.append(f"has {self.stated_pixels} pixels as its file says; {drawn} have their centre inside")
         return tuple(out)
 
     def check(self, where: str) -> None:
         """Raise InputError where all of the drawing lies outside the image."""
-        if self._bounds and not self.mask.any():
-            raise outside_error(np.vstack(self._bounds), self.shape, where)
+        if self._outside and not self.mask.any():
+            raise outside_error(np.vstack(self._outside), self.shape, where)
+
+
+def _pairs(points: Any, where: str) -> Array:
+    """(n, 2) coordinates of a list of positions, of which the height is left aside."""
+    try:
+        return np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
+    except (TypeError, ValueError, IndexError):
+        raise InputError("coordinates that are not pairs of numbers", where=where) from None
 
 
 def polygon_of(rings: Sequence[Array]) -> shapely.Geometry:
@@ -352,7 +367,3 @@ def area_inside(polygon: shapely.Geometry, shape: tuple[int, int]) -> float:
     import shapely
 
     return float(polygon.intersection(shapely.box(0, 0, shape[1], shape[0])).area)
-
-
-def _percent(part: float) -> str:
-    return f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"

@@ -1,20 +1,17 @@
-"""Any file that an installed engine of xarray opens: an array with a wavelength coordinate is a cube.
+"""Products in trees of arrays (HDF5, NetCDF-4, HDF-EOS5), opened by their layout.
 
-Layouts of products as data (``layouts.yaml``): which array of a tree is the image, and what belongs to it.
-
-Products in trees of arrays (HDF5, NetCDF-4, HDF-EOS5), opened by their layout.
+Layouts are data (``products.yaml``): which array of a tree is the image, and what belongs to it.
 """
 
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -27,25 +24,18 @@ from rasterio.errors import CRSError
 from hyperval.config import Model, load_model
 from hyperval.envi_header import parse_header
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.hdf5 import check_hdf5
-from hyperval.imagery.arrays import ArrayRaster, Hdf5Store, MemoryStore, OpenedFile, Piece, Selection, Store, Term
-from hyperval.imagery.description import Description
-from hyperval.imagery.envi import crs_of, crs_of_wkt, gdal_transform, transform_of
-from hyperval.units import RADIANCE_UNIT, radiance_to_internal, wavelength_to_nm
-
-if TYPE_CHECKING:
-    import xarray as xr
+from hyperval.imagery.arrays import ArrayRaster, Hdf5Store, Piece, Term, array_raster, check_own_values
+from hyperval.imagery.description import Description, ListedBands, Raster, Scale, crs_of_wkt, gdal_transform
+from hyperval.imagery.envi import crs_of, transform_of
+from hyperval.units import radiance_to_internal
 
 Array = npt.NDArray[np.float64]
 MAX_BANDS = 20_000
+SAMPLED_LINES = 16
+SUN_ZENITH = re.compile(r"(sun|solar)\W+zenith", re.IGNORECASE)
+_FILL_NAMES = ("_FillValue", "Data_Ignore_Value", "missing_value")
+_HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
 Reference = str | float
-
-
-class Addend(Model):
-    """A second array of the same shape that is added to the first."""
-
-    path: str
-    divisor: Reference = 1.0
 
 
 class ImageArray(Model):
@@ -56,7 +46,7 @@ class ImageArray(Model):
     wavelength: str
     fwhm: str | None = None
     good: str | None = None
-    plus: Addend | None = None
+    plus: tuple[str, Reference] | None = None  # a second array of the same shape that is added, and its divisor
     scale: Reference = 1.0
     divisor: Reference = 1.0
     offset: Reference = 0.0
@@ -134,22 +124,7 @@ class Layouts(Model):
 @cache
 def layouts() -> Layouts:
     """The layouts that come with the package."""
-    return load_model(Layouts, Path(__file__).with_name("layouts.yaml"))
-
-
-def tree_of(file: h5py.File) -> Tree | None:
-    """The layout whose images and wavelengths the file holds, None when it is none of them."""
-    for tree in layouts().trees:
-        if all(_present(file, array.path) and _present(file, array.wavelength) for array in tree.arrays):
-            return tree
-    return None
-
-
-def _present(file: h5py.File, reference: str) -> bool:
-    """Whether a file has the array or the attribute of a reference."""
-    name, at, attribute = reference.partition("@")
-    item = member(file, name) if name else file
-    return item is not None and attribute in item.attrs if at else isinstance(item, h5py.Dataset)
+    return load_model(Layouts, Path(__file__).with_name("products.yaml"))
 
 
 @dataclass(frozen=True)
@@ -159,17 +134,35 @@ class Values:
     file: h5py.File
     path: Path
 
-    def raw(self, reference: str) -> Any:
-        """The content of an array or attribute, None when the file has none."""
+    def item(self, reference: str) -> Any:
+        """The array, group or attribute of a reference, None when there is none.
+
+        "*" is the only group of its level; links into other files are none.
+        """
         name, at, attribute = reference.partition("@")
-        item = member(self.file, name) if name else self.file
-        if item is None:
-            return None
-        if at:
-            return item.attrs.get(attribute)
-        if not isinstance(item, h5py.Dataset) or item.size > MAX_BANDS * 100:
-            return None
-        return item[()]
+        found: Any = self.file
+        for part in name.split("/") if name else ():
+            if not isinstance(found, h5py.Group):
+                return None
+            if part == "*":
+                groups = [key for key in found if isinstance(found.get(key, getlink=True), h5py.HardLink)]
+                part = groups[0] if len(groups) == 1 else ""
+            if part not in found or isinstance(found.get(part, getlink=True), h5py.ExternalLink):
+                return None
+            found = found[part]
+        return found.attrs.get(attribute) if at else found
+
+    def present(self, reference: str) -> bool:
+        """Whether the file has the array or the attribute of a reference."""
+        found = self.item(reference)
+        return found is not None if "@" in reference else isinstance(found, h5py.Dataset)
+
+    def raw(self, reference: str) -> Any:
+        """The content of a small array or an attribute, None when the file has none."""
+        found = self.item(reference)
+        if "@" in reference:
+            return found
+        return found[()] if isinstance(found, h5py.Dataset) and found.size <= MAX_BANDS * 100 else None
 
     def text(self, reference: str | None) -> str | None:
         """A text or number as text; None when the file has none."""
@@ -184,9 +177,8 @@ class Values:
         """A number; InputError when the file has none there, or not a finite one."""
         if not isinstance(reference, str):
             return reference
-        value = self.raw(reference)
         try:
-            number = float(np.asarray(value).ravel()[0])
+            number = float(np.asarray(self.raw(reference)).ravel()[0])
         except (TypeError, ValueError, IndexError):
             number = np.nan
         if not np.isfinite(number):
@@ -208,22 +200,21 @@ class Values:
             )
         return out
 
+    def image(self, store: Hdf5Store, reference: str) -> h5py.Dataset:
+        """An array of three axes; InputError where it is none."""
+        name = self.item(reference).name.strip("/")
+        dataset = store.dataset(self.file, name)
+        if dataset is None or dataset.dtype.kind not in "iuf" or dataset.ndim != 3 or 0 in dataset.shape:
+            raise InputError(f"{name!r} is no image of three axes", where=str(self.path))
+        return dataset
 
-def member(file: h5py.File, name: str) -> Any:
-    """The group or array of a name, in which "*" is the only group of its level; None when there is none."""
-    at: Any = file
-    for part in name.split("/"):
-        if not isinstance(at, h5py.Group):
-            return None
-        if part == "*":
-            groups = [key for key in at if isinstance(at.get(key, getlink=True), h5py.HardLink)]
-            if len(groups) != 1:
-                return None
-            part = groups[0]
-        if part not in at or isinstance(at.get(part, getlink=True), h5py.ExternalLink):
-            return None
-        at = at[part]
-    return at
+
+def tree_of(values: Values) -> Tree | None:
+    """The layout whose images and wavelengths the file holds, None when it is none of them."""
+    for tree in layouts().trees:
+        if all(values.present(array.path) and values.present(array.wavelength) for array in tree.arrays):
+            return tree
+    return None
 
 
 def stated_number(attributes: Mapping[str, Any], names: Sequence[str]) -> float | None:
@@ -235,21 +226,8 @@ def stated_number(attributes: Mapping[str, Any], names: Sequence[str]) -> float 
     return None
 
 
-def level_of(texts: Sequence[str | None]) -> str | None:
-    """Processing level (L1A, L1B, L1C, L2A ...) that one of the texts names, None when none does."""
-    for text in texts:
-        level = re.search(r"L[0-4][A-D]", (text or "").upper())
-        if level is not None:
-            return level.group()
-    return None
-
-
-_FILL_NAMES = ("_FillValue", "Data_Ignore_Value", "missing_value")
-_HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
-
-
 @reader
-def open_tree(path: Path) -> ArrayRaster | None:
+def open_product(path: Path) -> ArrayRaster | None:
     """The image of a product whose layout is known; None when the file has none of the layouts.
 
     Raises
@@ -258,35 +236,38 @@ def open_tree(path: Path) -> ArrayRaster | None:
     """
     store = Hdf5Store(path)
     with store.kept_open() as file:
-        tree = tree_of(file)
+        values = Values(file, path)
+        tree = tree_of(values)
         if tree is None:
             return None
-        values = Values(file, path)
-        datasets = [_dataset(store, file, array.path) for array in tree.arrays]
-        ignore = _ignore(tree, values, datasets)
-        pieces = tuple(
-            _piece(array, dataset, store, values, ignore) for array, dataset in zip(tree.arrays, datasets, strict=True)
-        )
-        if len({(p.size("l"), p.size("s")) for p in pieces}) > 1:
-            raise InputError(
-                "arrays of different lines or samples: " + ", ".join(str(p.shape) for p in pieces), where=str(path)
-            )
-        transform, crs, notes = _position_in_tree(tree, values, pieces[0])
+        datasets = [values.image(store, array.path) for array in tree.arrays]
+        ignore = _ignore(tree, values, datasets[0])
+        pieces = tuple(_piece(a, d, store, values, ignore) for a, d in zip(tree.arrays, datasets, strict=True))
+        transform, crs, notes = (None, None, ()) if tree.lookup_table else _position(tree, values, pieces[0])
         summed = any(len(p.terms) > 1 for p in pieces)
-        description = _description(tree, values, datasets, pieces, None if summed else ignore, notes)
-        return ArrayRaster(path, store, pieces, transform, crs, description)
+        about = _description(tree, values, datasets, pieces, None if summed else ignore, notes)
+    return array_raster(path, store, pieces, about, (transform, crs))
 
 
-def lookup_raster(raster: ArrayRaster) -> ArrayRaster | None:
+@contextmanager
+def _product_of(raster: Raster) -> Iterator[tuple[Tree, Values, Hdf5Store] | None]:
+    """The layout and the opened file of an image, None where it is no product."""
+    if not isinstance(raster, ArrayRaster) or not isinstance(raster.store, Hdf5Store):
+        yield None
+        return
+    with raster.store.kept_open() as file:
+        values = Values(file, raster.path)
+        tree = tree_of(values)
+        yield None if tree is None else (tree, values, raster.store)
+
+
+def lookup_raster(raster: Raster) -> ArrayRaster | None:
     """The geographic lookup table in a product in scanner geometry, as an image of two bands; None without."""
-    if not isinstance(raster.store, Hdf5Store):
-        return None
-    store = raster.store
-    with store.kept_open() as file:
-        tree = tree_of(file)
-        if tree is None or tree.lookup_table is None:
+    with _product_of(raster) as product:
+        if product is None or product[0].lookup_table is None:
             return None
-        columns = [c for name in tree.lookup_table if (c := store.dataset(file, name)) is not None]
+        tree, values, store = product
+        columns = [c for name in product[0].lookup_table if (c := store.dataset(values.file, name)) is not None]
         if len(columns) < 2:
             return None
         pieces = []
@@ -294,42 +275,35 @@ def lookup_raster(raster: ArrayRaster) -> ArrayRaster | None:
             if column.ndim != 2 or column.dtype.kind not in "iuf":
                 raise InputError(f"{column.name!r} is no lookup table", where=str(raster.path))
             pieces.append(Piece((Term(column.name.strip("/")),), "ls", column.shape, np.dtype(np.int32)))
-        fill = _fill(columns[0])
-        transform, crs, _ = _position_in_tree(tree, Values(file, raster.path), pieces[0], grid=True)
-    return ArrayRaster(raster.path, store, tuple(pieces), transform, crs, zero_for=fill)
+        fill = stated_number(columns[0].attrs, _FILL_NAMES)
+        position = _position(tree, values, pieces[0])[:2]
+    return array_raster(raster.path, store, tuple(pieces), position=position, zero_for=fill)
 
 
-def location_names(raster: ArrayRaster) -> tuple[str, str] | None:
-    """Names of the arrays of longitude and latitude of every pixel, None where the product has none."""
-    if not isinstance(raster.store, Hdf5Store):
-        return None
-    with raster.store.kept_open() as file:
-        tree = tree_of(file)
-        if tree is None or tree.location is None:
+def location_raster(raster: Raster) -> ArrayRaster | None:
+    """Longitude and latitude of every pixel of a product, as an image of two bands; None without."""
+    with _product_of(raster) as product:
+        if product is None or product[0].location is None:
             return None
-        arrays = [raster.store.dataset(file, name) for name in tree.location]
-        fits = all(a is not None and a.shape == (raster.lines, raster.samples) for a in arrays)
-    return tree.location if fits else None
-
-
-def _dataset(store: Hdf5Store, file: h5py.File, name: str) -> h5py.Dataset:
-    resolved = member(file, name).name.strip("/")
-    dataset = store.dataset(file, resolved)
-    if dataset is None or dataset.dtype.kind not in "iuf" or dataset.ndim != 3 or 0 in dataset.shape:
-        raise InputError(f"{resolved!r} is no image of three axes", where=str(store.path))
-    return dataset
+        tree, values, store = product
+        names, shape = tree.location or (), raster.size[:2]
+        if any(getattr(values.item(name), "shape", None) != shape for name in names):
+            return None
+        pieces = tuple(Piece((Term(name),), "ls", shape, np.dtype(np.float64)) for name in names)
+        return array_raster(raster.path, store, pieces)
 
 
 def _piece(array: ImageArray, dataset: h5py.Dataset, store: Hdf5Store, values: Values, ignore: float | None) -> Piece:
     first = Term(dataset.name.strip("/"))
     if array.plus is None:
         return Piece((first,), array.dimensions, dataset.shape, dataset.dtype.newbyteorder("="))
-    second = _dataset(store, values.file, array.plus.path)
+    second = values.image(store, array.plus[0])
     if second.shape != dataset.shape:
         raise InputError(f"{second.name!r} is of another shape than {dataset.name!r}", where=str(store.path))
+    weight = 1.0 / values.number(array.plus[1])
     terms = (
         Term(first.name, 1.0, ignore),
-        Term(second.name.strip("/"), 1.0 / values.number(array.plus.divisor), _fill(second)),
+        Term(second.name.strip("/"), weight, stated_number(second.attrs, _FILL_NAMES)),
     )
     return Piece(terms, array.dimensions, dataset.shape, np.dtype(np.float32))
 
@@ -346,41 +320,37 @@ def _description(
     for array, dataset, piece in zip(tree.arrays, datasets, pieces, strict=True):
         bands = piece.size("b")
         columns["wavelength"].append(values.numbers(array.wavelength, bands, "wavelengths"))
-        if array.fwhm is not None and values.raw(array.fwhm) is not None:
-            columns["fwhm"].append(values.numbers(array.fwhm, bands, "widths"))
-        has_flags = array.good is not None and values.raw(array.good) is not None
-        flags = values.numbers(str(array.good), bands, "flags") if has_flags else np.ones(bands)
-        columns["good"].append(flags != 0)
-        gain, offset = _scale(array, dataset, values)
-        columns["gain"].append(np.full(bands, gain))
-        columns["offset"].append(np.full(bands, offset))
+        for name, reference, what in (("fwhm", array.fwhm, "widths"), ("good", array.good, "flags")):
+            if reference is not None and values.raw(reference) is not None:
+                columns[name].append(values.numbers(reference, bands, what))
+            elif name == "good":
+                columns[name].append(np.ones(bands))
+        for name, number in zip(("gain", "offset"), _scale(array, dataset, values), strict=True):
+            columns[name].append(np.full(bands, number))
     wavelength = np.concatenate(columns["wavelength"])
-    good = np.concatenate(columns["good"]).astype(bool)
+    good = np.concatenate(columns["good"]) != 0
     for reference in tree.bad_ranges_nm:
         low_high = values.raw(reference)
         if low_high is not None and np.size(low_high) == 2:
             low, high = np.sort(np.asarray(low_high, float))
             good &= ~((wavelength >= low) & (wavelength <= high))
-    sensor = values.text(tree.sensor) if tree.sensor.startswith("@") else tree.sensor
+    sensor = (values.text(tree.sensor) if tree.sensor.startswith("@") else tree.sensor) or ""
     entries = {key: text for key, reference in tree.entries.items() if (text := values.text(reference))}
-    if sensor:
-        entries["sensor"] = sensor
-    unit, unit_notes = _unit(tree, datasets, values.path)
+    unit, unit_notes = _unit(tree, datasets)
+    width = np.concatenate(columns["fwhm"]) if len(columns["fwhm"]) == len(pieces) else None
+    gain, offset = np.concatenate(columns["gain"]), np.concatenate(columns["offset"])
     return Description(
-        tree.product,
-        wavelength,
-        np.concatenate(columns["fwhm"]) if len(columns["fwhm"]) == len(pieces) else None,
-        tree.wavelength_unit,
-        good,
-        np.concatenate(columns["gain"]),
-        np.concatenate(columns["offset"]),
-        tree.quantity,
-        unit,
-        ignore,
-        sensor or "",
-        tree.sorts,
-        entries,
-        (*unit_notes, *notes, *([tree.remark] if tree.remark else [])),
+        product=tree.product,
+        bands=ListedBands(np.where(wavelength > 0, wavelength, np.nan), width, tree.wavelength_unit, good),
+        scale=Scale(gain, offset, f"scale of the {tree.product}"),
+        quantity=tree.quantity,
+        unit=unit,
+        ignore_value=ignore,
+        sensor=sensor,
+        sorts=tree.sorts,
+        entries=entries | ({"sensor": sensor} if sensor else {}),
+        notes=(*unit_notes, *notes, *([tree.remark] if tree.remark else [])),
+        sun_zenith_deg=_sun(tree, values),
     )
 
 
@@ -398,45 +368,33 @@ def _scale(array: ImageArray, dataset: h5py.Dataset, values: Values) -> tuple[fl
     return values.number(array.scale) / divisor, values.number(array.offset) - values.number(array.subtract)
 
 
-def _unit(tree: Tree, datasets: list[h5py.Dataset], path: Path) -> tuple[str, tuple[str, ...]]:
+def _unit(tree: Tree, datasets: list[h5py.Dataset]) -> tuple[str, tuple[str, ...]]:
     """The unit of the layout; a unit that the image itself states takes its place when it is another."""
-    if tree.quantity != "radiance":
-        return tree.unit, ()
-    for dataset in datasets:
+    for dataset in datasets if tree.quantity == "radiance" else ():
         for name in ("units", "Units", "unit", "Unit"):
             stated = dataset.attrs.get(name)
             text = stated.decode("utf-8", "replace") if isinstance(stated, bytes) else stated
             try:
                 if isinstance(text, str) and radiance_to_internal(text) != radiance_to_internal(tree.unit):
-                    note = f"radiance in {text} as the file states, where the layout has {tree.unit or RADIANCE_UNIT}"
-                    return text, (note,)
+                    return text, (f"radiance in {text} as the file states, where the layout has {tree.unit}",)
             except UsageError:
                 continue  # a spelling that is not known: that of the layout stands
     return tree.unit, ()
 
 
-def _ignore(tree: Tree, values: Values, datasets: list[h5py.Dataset]) -> float | None:
+def _ignore(tree: Tree, values: Values, dataset: h5py.Dataset) -> float | None:
     if isinstance(tree.ignore, str):
         try:
             return values.number(tree.ignore)
         except InputError:
-            pass
-    stated = _fill(datasets[0])
-    return stated if stated is not None or isinstance(tree.ignore, str) else tree.ignore
+            return stated_number(dataset.attrs, _FILL_NAMES)
+    stated = stated_number(dataset.attrs, _FILL_NAMES)
+    return tree.ignore if stated is None else stated
 
 
-def _fill(dataset: h5py.Dataset) -> float | None:
-    """The value that an array states for no data."""
-    return stated_number(dataset.attrs, _FILL_NAMES)
-
-
-def _position_in_tree(
-    tree: Tree, values: Values, piece: Piece, *, grid: bool = False
-) -> tuple[Affine | None, CRS | None, tuple[str, ...]]:
-    """Transform and system of the image, or of the lookup table of one in scanner geometry (``grid``)."""
+def _position(tree: Tree, values: Values, piece: Piece) -> tuple[Affine | None, CRS | None, tuple[str, ...]]:
+    """Transform and system of the image, or of the lookup table of one in scanner geometry."""
     crs = _crs(tree, values)
-    if tree.lookup_table is not None and not grid:
-        return None, None, ()
     if tree.map_info is not None:
         info = values.text(tree.map_info)
         if info is None:
@@ -460,8 +418,9 @@ def _from_corners(
     west, north, east, south = (values.number(r) for r in tree.corner_pixels or ())
     size, lines, samples = float(tree.pixel_size or 0.0), piece.size("l"), piece.size("s")
     for inner, kind in ((1, "centres"), (0, "edges")):
-        steps = (east - west) / (samples - inner), (north - south) / (lines - inner)
-        if np.allclose(steps, size, rtol=1e-3):
+        if samples > inner < lines and np.allclose(
+            [(east - west) / (samples - inner), (north - south) / (lines - inner)], size, rtol=1e-3
+        ):
             half = 0.5 * size * inner
             note = f"the corners of the product are taken as {kind} of pixels, which gives {size:g} m"
             return Affine(size, 0.0, west - half, 0.0, -size, north + half), crs, (note,)
@@ -495,273 +454,51 @@ def _crs(tree: Tree, values: Values) -> CRS | None:
     return crs_of_wkt(wkt)
 
 
-_WAVE = re.compile(r"wave|wvl|lambda|band_?cent", re.IGNORECASE)
-_WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
-_GOOD = re.compile(r"good|bbl", re.IGNORECASE)
-_SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
-_LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
-
-
-@dataclass(frozen=True, eq=False)
-class CandidateArray:
-    """An array of three axes, and the coordinate that may tell its wavelengths."""
-
-    group: str
-    name: str
-    array: xr.DataArray
-    data: xr.Dataset
-    wave: xr.DataArray | None
-
-    @property
-    def label(self) -> str:
-        """Its path, axes and type, for messages."""
-        axes = ", ".join(f"{axis} {size}" for axis, size in self.array.sizes.items())
-        return f"{self.group.strip('/')}/{self.name}".strip("/") + f" ({axes}; {self.array.dtype})"
-
-
-@reader
-def open_labelled(path: Path, variable: str | None = None, engine: str | None = None) -> ArrayRaster:
-    """The image of a file that xarray opens: the only array with a wavelength coordinate, or ``variable``.
-
-    ``engine`` is one of xarray's; None takes the one that says it can open the file.
-
-    Raises
-    ------
-    InputError : no installed engine opens it, or no array has three axes and wavelengths.
-    UsageError : several arrays could be meant, or ``variable`` is none of them.
-    """
-    groups = _groups(path, engine)
-    chosen = _chosen(list(_candidates(groups)), variable, str(path))
-    group = None if chosen.group == "/" else chosen.group
-    return _raster(chosen, XarrayStore(path, engine, group), path)
-
-
-def _groups(path: Path, engine: str | None) -> list[tuple[str, xr.Dataset]]:
-    """The groups of a file, their arrays not yet read."""
-    import xarray as xr
-
-    if path.is_file():  # whatever the engine, HDF5 is read by the one library
-        check_hdf5(path)
+def _sun(tree: Tree, values: Values) -> float | None:
+    """The zenith angle of the sun [degrees] that a product states for the whole image; None without."""
+    found = None if tree.sun_zenith is None else values.item(tree.sun_zenith)
     try:
-        with unpacking():
-            try:
-                tree = xr.open_datatree(path, engine=engine, cache=False, **options(engine))
-            except (NotImplementedError, TypeError, ValueError):  # an engine without groups
-                with xr.open_dataset(path, engine=engine, cache=False, **options(engine)) as data:
-                    return [("/", data)]
-        with tree:
-            return [(node.path, node.to_dataset()) for node in tree.subtree]
-    except Exception as error:  # each engine has errors of its own
-        raise InputError(
-            "no installed engine of xarray opens it: " + str(error).split("\n", 1)[0],
-            where=str(path),
-            expected="a file of " + ", ".join(sorted(xr.backends.list_engines())),
-            mend="install the engine of its kind, or save the array as an ENVI cube with its wavelengths",
-        ) from error
+        if isinstance(found, h5py.Dataset) and found.ndim == 2:
+            return median_angle(_some_lines(found))
+        return median_angle(np.array([float(values.text(tree.sun_zenith) or "nan")]))
+    except (ValueError, OSError):
+        return None
 
 
-def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None) -> ArrayRaster:
-    """The image of an array of xarray that is at hand, read by parts when it is lazy.
+def median_angle(angles: Array) -> float | None:
+    """Median of the angles between 0 and 180 degrees, None where there is none."""
+    angles = angles[(angles >= 0.0) & (angles <= 180.0)]
+    return float(np.median(angles)) if angles.size else None
+
+
+def sun_of_observation(path: Path, shape: tuple[int, int]) -> Array | None:
+    """Zenith angles of the sun [degrees] in some lines of a file of angles for an image of ``shape``.
+
+    None where its layout is not known or it is of another size.
 
     Raises
     ------
-    InputError, UsageError : as for :func:`open_labelled`.
+    InputError : no HDF5 file, or one whose values lie elsewhere.
     """
-    import xarray as xr
-
-    path = Path(str(array.encoding.get("source") or "xarray"))
-    if isinstance(array, xr.DataArray):
-        array = array.to_dataset(name=array.name or "array")
-    with unpacking():
-        data = xr.decode_cf(array, decode_times=False)
-    chosen = _chosen(list(_candidates([("/", data)])), variable, str(path))
-    return _raster(chosen, MemoryStore(chosen.array.variable, path), path)
-
-
-def _candidates(groups: list[tuple[str, xr.Dataset]]) -> Iterator[CandidateArray]:
-    for group, data in groups:
-        for name, array in data.data_vars.items():
-            if array.ndim == 3 and array.dtype.kind in "iuf" and 0 not in array.shape:
-                yield CandidateArray(group, str(name), array, data, _wavelengths(array, data))
-
-
-def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
-    """The coordinate of one axis that holds wavelengths, by its name, its standard name or its unit."""
-    listed = [v for v in data.variables if data[v].ndim == 1 and data[v].dims[0] in array.dims]
-    for test in (_is_wavelength, _has_wavelength_unit):
-        fits = [v for v in listed if data[v].dtype.kind in "iuf" and test(str(v), data[v])]
-        if len(fits) == 1:
-            return data[fits[0]]
+    check_own_values(path)
+    with Hdf5Store(path).kept_open() as file:
+        values = Values(file, path)
+        for layout in layouts().observations:
+            array = values.item(layout.sun_zenith or layout.image or "")
+            names = values.item(layout.names) if layout.names is not None else None
+            if not isinstance(array, h5py.Dataset):
+                continue
+            if layout.sun_zenith is not None and array.shape == shape:
+                return _some_lines(array)
+            if isinstance(names, h5py.Dataset):
+                words = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].ravel()]
+                bands = [i for i, word in enumerate(words) if SUN_ZENITH.search(word)]
+                if len(bands) == 1 and array.shape == (*shape, len(words)):
+                    return _some_lines(array, bands[0])
     return None
 
 
-def _is_wavelength(name: str, array: xr.DataArray) -> bool:
-    standard = array.attrs.get("standard_name", "")
-    return standard == "radiation_wavelength" or (_WAVE.search(name) is not None and not _WIDTH.search(name))
-
-
-def _has_wavelength_unit(name: str, array: xr.DataArray) -> bool:
-    try:
-        wavelength_to_nm(str(array.attrs.get("units", "")))
-    except UsageError:
-        return False
-    return not _WIDTH.search(name)
-
-
-def _chosen(candidates: list[CandidateArray], variable: str | None, where: str) -> CandidateArray:
-    if variable is not None:
-        wanted = variable.strip("/")
-        named = [c for c in candidates if wanted in (c.name, f"{c.group.strip('/')}/{c.name}".strip("/"))]
-        if len(named) != 1:
-            listed = "; ".join(c.label for c in candidates) or "none"
-            raise UsageError(f"{len(named)} arrays {variable!r}", where=where, expected=f"one of {listed}")
-        if named[0].wave is None:
-            raise InputError(
-                f"{named[0].label} has no wavelength coordinate",
-                where=where,
-                mend="give a table of the bands, and save the array as an ENVI cube (docs/formats.md)",
-            )
-        return named[0]
-    cubes = [c for c in candidates if c.wave is not None]
-    if len(cubes) == 1:
-        return cubes[0]
-    if not cubes:
-        listed = "; ".join(c.label for c in candidates) or "none of three axes"
-        raise InputError(
-            "no array of the file has a wavelength coordinate",
-            where=where,
-            expected=f"one of its arrays with wavelengths along an axis; it has {listed}",
-            mend="save the array as an ENVI cube, wavelengths in the header (docs/formats.md, Cubes)",
-        )
-    raise UsageError(
-        f"{len(cubes)} arrays could be meant",
-        where=where,
-        expected="; ".join(c.label for c in cubes),
-        mend="state variable: which of them is the image",
-    )
-
-
-def _raster(chosen: CandidateArray, store: Store, path: Path) -> ArrayRaster:
-    array, data, wave = chosen.array, chosen.data, chosen.wave
-    assert wave is not None  # noqa: S101 - chosen by it
-    axes = _axes(array, str(wave.dims[0]))
-    along = {str(d): letter for d, letter in zip(array.dims, axes, strict=True)}
-    piece = Piece((Term(chosen.name),), axes, array.shape, array.dtype.newbyteorder("="))
-    stated = str(array.attrs.get("units", array.attrs.get("unit", ""))) or None
-    quantity, unit, notes = _quantity(stated, chosen.name)
-    packing = array.encoding.get("scale_factor", 1.0), array.encoding.get("add_offset", 0.0)
-    description = Description(
-        product=f"array {chosen.name!r}",
-        wavelength=np.asarray(wave.values, float),
-        fwhm=_beside(data, wave, _WIDTH),
-        wavelength_unit=str(wave.attrs.get("units", wave.attrs.get("unit", ""))) or None,
-        good=None if (flags := _beside(data, wave, _GOOD)) is None else flags != 0,
-        packing=(float(packing[0]), float(packing[1])),
-        quantity=quantity,
-        unit=unit,
-        sensor=str(data.attrs.get("instrument", data.attrs.get("sensor", ""))),
-        entries={str(k): str(v) for k, v in data.attrs.items() if isinstance(v, str | int | float)},
-        notes=notes,
-    )
-    transform, crs = _array_position(data, array, along)
-    return ArrayRaster(path, store, (piece,), transform, crs, description)
-
-
-def _axes(array: xr.DataArray, band_axis: str) -> str:
-    """Which axis is lines, samples, bands: by name, else lines before samples."""
-    others = [str(d) for d in array.dims if d != band_axis]
-    swapped = bool(_SAMPLE.match(others[0]) or _LINE.match(others[1]))
-    letters = {band_axis: "b", others[0]: "s" if swapped else "l", others[1]: "l" if swapped else "s"}
-    return "".join(letters[str(d)] for d in array.dims)
-
-
-def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tuple[str, ...]]:
-    """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says."""
-    try:
-        radiance_to_internal(unit or "")
-        return "radiance", unit, ()
-    except UsageError:
-        pass
-    known = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}.get((unit or "1").lower())
-    if known is None:
-        return None, None, (f"the array states its unit as {unit!r}, which is not known",)
-    named = re.search("reflectance|rfl|rrs", name, re.IGNORECASE)
-    return "reflectance" if named else None, known if named or known == "percent" else None, ()
-
-
-def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
-    """Another array along the axis of the wavelengths, by its name."""
-    fits = [v for v in data.variables if data[v].dims == wave.dims and name.search(str(v))]
-    fits = [v for v in fits if data[v].dtype.kind in "iufb"]
-    return np.asarray(data[fits[0]].values, float) if len(fits) == 1 else None
-
-
-def _array_position(data: xr.Dataset, array: xr.DataArray, along: dict[str, str]) -> tuple[Affine | None, CRS | None]:
-    """From the grid mapping (CF, GDAL), else from evenly spaced coordinates of lines and samples."""
-    mapping = str(array.attrs.get("grid_mapping", array.encoding.get("grid_mapping", "spatial_ref")))
-    attrs = data[mapping].attrs if mapping in data.variables else {}
-    wkt = attrs.get("crs_wkt", attrs.get("spatial_ref"))
-    crs = crs_of_wkt(wkt) if isinstance(wkt, str) else None
-    transform = gdal_transform(str(attrs.get("GeoTransform", "")))
-    if transform is not None:
-        return transform, crs
-    steps = {}
-    for dim, letter in along.items():
-        if letter == "b" or dim not in data.variables or data[dim].ndim != 1 or data[dim].size < 2:
-            continue
-        at = np.asarray(data[dim].values, float)
-        step = np.diff(at)
-        if np.all(np.isfinite(at)) and step[0] != 0 and np.allclose(step, step[0], rtol=1e-3):
-            steps[letter] = (at[0], (at[-1] - at[0]) / (at.size - 1))
-    if set(steps) != {"l", "s"} or crs is None:
-        return None, crs
-    (y, dy), (x, dx) = steps["l"], steps["s"]
-    return Affine(dx, 0.0, x - 0.5 * dx, 0.0, dy, y - 0.5 * dy), crs
-
-
-class XarrayStore(OpenedFile):
-    """A group of a file as an engine of xarray opens it; packed values are unpacked by the CF conventions."""
-
-    def __init__(self, path: Path, engine: str | None = None, group: str | None = None) -> None:
-        super().__init__(path)
-        self.engine, self.group = engine, group
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Another process opens it for itself."""
-        return type(self), (self.path, self.engine, self.group)
-
-    def open(self) -> xr.Dataset:
-        """The group; InputError when no installed engine opens it."""
-        import xarray as xr
-
-        try:
-            with unpacking():
-                return xr.open_dataset(
-                    self.path, engine=self.engine, group=self.group, cache=False, **options(self.engine)
-                )
-        except Exception as error:  # each engine has errors of its own
-            raise InputError(f"no engine of xarray opens it: {error}", where=str(self.path)) from error
-
-    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
-        """A part of an array."""
-        with self.kept_open() as data:
-            return np.asarray(data[name][selection].values)
-
-    def chunks(self, name: str) -> tuple[int, ...] | None:
-        """Size of the blocks that an array is stored in."""
-        with self.kept_open() as data:
-            size: tuple[int, ...] | None = data[name].encoding.get("chunksizes")
-            return size
-
-
-def unpacking() -> AbstractContextManager[Any]:
-    """Without the warning that an array has two no-data values: both are taken as such."""
-    import xarray as xr
-
-    return warnings.catch_warnings(action="ignore", category=xr.SerializationWarning)
-
-
-def options(engine: str | None) -> dict[str, Any]:
-    """Options of xarray that leave times alone, and let HDF5 files be read that name no dimensions."""
-    plain: dict[str, Any] = {"decode_times": False}
-    return plain | {"phony_dims": "sort"} if engine == "h5netcdf" else plain
+def _some_lines(array: h5py.Dataset, band: int | None = None) -> Array:
+    lines = np.unique(np.linspace(0, array.shape[0] - 1, SAMPLED_LINES).astype(int))
+    rows = [array[int(line)] if band is None else array[int(line), :, band] for line in lines]
+    return np.concatenate([np.asarray(row, dtype=np.float64).ravel() for row in rows])

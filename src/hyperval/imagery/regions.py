@@ -1,8 +1,7 @@
 """Regions of interest: named masks on the grid of a cube, from any of the usual files.
 
-Regions of ENVI: XML (5.x), ASCII export and classic binary files.
-
-Regions from GeoJSON, CSV lists, class rasters; GeoPackage, Shapefile and KML by the extra ``vector``.
+ENVI regions (XML of 5.x, ASCII export, classic binary), GeoJSON, CSV lists, class rasters; GeoPackage, Shapefile and
+KML by the extra ``vector``.  Each reader hands on drawings by name.
 """
 
 from __future__ import annotations
@@ -11,8 +10,8 @@ import json
 import re
 import struct
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -26,28 +25,28 @@ from skimage.measure import label
 
 from hyperval.envi_header import header_beside
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery.description import equals
-from hyperval.imagery.drawing import WARNING, ImageGrid, Position, RegionDrawing, named_crs
-from hyperval.imagery.envi import crs_of_wkt
-from hyperval.imagery.rasters import raster_of_size, stated_ignore_value
-from hyperval.imagery.text_files import read_table, read_xml
-from hyperval.imagery.tiff import TIFF_SUFFIXES
-from hyperval.paths import checked_file, head_of, read_text
+from hyperval.imagery.description import crs_of_wkt, equals
+from hyperval.imagery.drawing import WARNING, ImageGrid, Placing, Position, RegionDrawing, named_crs
+from hyperval.imagery.rasters import raster_of_size
+from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
+from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Drawings = dict[str, RegionDrawing]
 MAX_XML_BYTES = 8 << 20
 MAX_BINARY_BYTES = 64 << 20
+MAX_BYTES = 256 << 20
+MAX_FEATURES = 100_000
+MAX_CLASSES = 1000
+_MAX_DIGITS = 300  # more are no float
+_COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
+REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
+_SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
+_STATE = "state coordinates: pixel, map (the cube's own system) or lonlat"
 
 
-def _root(path: Path) -> ElementTree.Element:
-    """The root of an ENVI 5 ROI file."""
-    root = read_xml(path, MAX_XML_BYTES)
-    if root.tag != "RegionsOfInterest":
-        raise InputError(f"the root element is {root.tag!r}", where=str(path), expected="RegionsOfInterest")
-    return root
-
-
-def xml_drawings(path: Path, grid: ImageGrid) -> dict[str, RegionDrawing]:
+def xml_drawings(path: Path, grid: ImageGrid) -> Drawings:
     """Drawings by name of an ENVI 5 ROI file.
 
     ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
@@ -57,174 +56,55 @@ def xml_drawings(path: Path, grid: ImageGrid) -> dict[str, RegionDrawing]:
     ------
     InputError : larger than 8 MiB, with a DOCTYPE or ENTITY, not such a file, or a region that cannot be placed.
     """
-    root = _root(path)
-    drawings: dict[str, RegionDrawing] = {}
+    root = read_xml(path, MAX_XML_BYTES)
+    if root.tag != "RegionsOfInterest":
+        raise InputError(f"the root element is {root.tag!r}", where=str(path), expected="RegionsOfInterest")
+    drawings: Drawings = {}
     for number, region in enumerate(root.iter("Region"), start=1):
         name = region.get("name") or str(number)
         where = f"{path}: region {name!r}"
-        if name in drawings:
-            raise InputError("the name stands twice", where=where)
-        drawing = RegionDrawing(grid.shape)
-        for definition in region.iter("GeometryDef"):
-            system = " ".join((definition.findtext("CoordSysStr") or "none").split())
-
-            def placed(element: ElementTree.Element, ring: bool, system: str = system, where: str = where) -> Array:
-                return _placed(_pairs(element, where), system, grid, where, ring)
-
-            for child in definition:
-                if child.tag == "CoordSysStr":
-                    continue
-                if child.tag in ("Polygon", "MultiPolygon"):
-                    for polygon in child.iter("Polygon"):
-                        outer = [placed(ring, True) for ring in polygon.findall("Exterior/LinearRing")]
-                        inner = [placed(ring, True) for ring in polygon.findall("Interior/LinearRing")]
-                        if len(outer) != 1:
-                            raise InputError(f"a polygon with {len(outer)} exterior rings", where=where)
-                        drawing.add_polygon(outer[0], inner, where=where)
-                elif child.tag in ("Point", "MultiPoint"):
-                    drawing.add_points(placed(child, False), where=where)
-                else:
-                    raise InputError(
-                        f"geometry {child.tag!r} has no area", where=where, expected="Polygon, Point or MultiPoint"
-                    )
-        if not any(True for _ in region.iter("GeometryDef")):
+        drawing = _new(drawings, name, grid.shape, where)
+        definitions = list(region.iter("GeometryDef"))
+        if not definitions:
             raise InputError(
                 "a region without geometry",
                 where=where,
                 expected="polygons or points; a threshold is not evaluated here",
                 mend="turn it into pixels before it is exported, or take it out of the file",
             )
-        drawings[name] = drawing
+        for definition in definitions:
+            place = _in_system(" ".join((definition.findtext("CoordSysStr") or "none").split()), grid, where)
+            for child in definition:
+                for geometry in _xml_geometries(child, where):
+                    drawing.add(geometry, place, where)
     return drawings
 
 
-def _dimension(value: str, shape: tuple[int, int], where: str) -> tuple[int, int]:
-    """Lines and samples that a region file was made for, which have to be those of the cube."""
-    sizes = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
-    if sizes is None:
-        raise InputError(f"file dimension {value!r}", where=where, expected="samples x lines")
-    dimension = int(sizes[2]), int(sizes[1])
-    if dimension != shape:
-        raise InputError(
-            f"the regions were made for {dimension[0]} lines x {dimension[1]} samples",
-            where=where,
-            expected=f"{shape[0]} lines x {shape[1]} samples, as the cube",
-        )
-    return dimension
+def _in_system(system: str, grid: ImageGrid, where: str) -> Placing:
+    """How coordinates in a system of a region file come to pixels."""
+    if system.lower() == "none":
+        return lambda points, where, ring: points
+    source = crs_of_wkt(system)
+    if source is None:
+        raise InputError(f"unknown coordinate system {system[:60]!r}", where=where)
+    return replace(grid, coordinates=None).placing(source, where)
 
 
-def ascii_drawings(path: Path, shape: tuple[int, int]) -> dict[str, RegionDrawing]:
-    """Drawings by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
-
-    Raises
-    ------
-    InputError : the file was made for an image of another size, or its counts do not add up.
-    """
-    names: list[str] = []
-    counts: list[int] = []
-    rows: list[tuple[int, int]] = []
-    dimension: tuple[int, int] | None = None
-    announced: int | None = None
-    columns = (1, 2)
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        where = f"{path}:{number}"
-        text = line.strip()
-        if not text:
-            continue
-        if text.startswith(";"):
-            label, _, value = text.lstrip("; ").partition(":")
-            label, value = label.strip().lower(), value.strip()
-            if label == "file dimension":
-                dimension = _dimension(value, shape, where)
-            elif label == "number of rois":
-                announced = _whole(value, where)
-            elif label == "roi name":
-                names.append(value)
-            elif label == "roi npts":
-                counts.append(_whole(value, where))
-            elif not value and {"x", "y"} <= set(text.lstrip("; ").lower().split()):
-                titles = text.lstrip("; ").lower().split()
-                columns = titles.index("x"), titles.index("y")
-            elif not value and re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text):
-                raise InputError(
-                    f"no pixel numbers among the columns: {text.lstrip('; ')[:60]!r}",
-                    where=where,
-                    expected="ID X Y ...",
-                    mend="export it again with the pixel location (X, Y)",
-                )
-            continue
-        parts = text.split()
-        if len(parts) <= max(columns):
-            raise InputError(f"{len(parts)} columns", where=where, expected="ID X Y ...")
-        rows.append((_whole(parts[columns[1]], where) - 1, _whole(parts[columns[0]], where) - 1))
-    if dimension is None:
-        raise InputError("no 'File Dimension' line", where=str(path))
-    if len(names) != len(counts) or (announced is not None and announced != len(names)) or sum(counts) != len(rows):
-        raise InputError(
-            f"{announced} regions announced, {len(names)} named with {sum(counts)} points; {len(rows)} follow",
-            where=str(path),
-            mend="the file is cut short or was edited: export it again",
-        )
-    if len(set(names)) < len(names):
-        raise InputError("two regions have the same name", where=str(path))
-    placed = np.array(rows, dtype=np.int64).reshape(-1, 2)
-    drawings, start = {}, 0
-    for name, count in zip(names, counts, strict=True):
-        part = placed[start : start + count]
-        drawings[name] = RegionDrawing(shape)
-        drawings[name].add_pixels(part[:, 0], part[:, 1], where=f"{path}: region {name!r}")
-        start += count
-    return drawings
+def _xml_geometries(element: ElementTree.Element, where: str) -> Iterator[dict[str, Any]]:
+    """The polygons or points of an element of ENVI's, as GeoJSON has them."""
+    if element.tag in ("Point", "MultiPoint"):
+        yield {"type": "MultiPoint", "coordinates": _xml_pairs(element, where)}
+    elif element.tag in ("Polygon", "MultiPolygon"):
+        for polygon in element.iter("Polygon"):
+            outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
+            if len(outer) != 1:
+                raise InputError(f"a polygon with {len(outer)} exterior rings", where=where)
+            yield {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
+    elif element.tag != "CoordSysStr":
+        yield {"type": element.tag}
 
 
-def binary_drawings(path: Path, shape: tuple[int, int]) -> dict[str, RegionDrawing]:
-    """Drawings by name of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
-
-    Raises
-    ------
-    InputError : larger than 64 MiB, cut short, made for an image of another size, or with polylines.
-    """
-    raw, at = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4
-
-    def words(count: int, kind: str = "i") -> tuple[int, ...]:
-        nonlocal at
-        size = 4 * count
-        if count < 0 or at + size > len(raw):
-            raise InputError("the region file is cut short", where=str(path))
-        out = struct.unpack_from(f">{count}{kind}", raw, at)
-        at += size
-        return out
-
-    drawings: dict[str, RegionDrawing] = {}
-    for _ in range(words(1)[0]):
-        length = words(2)[1]
-        if not 0 <= length <= 4096 or at + length > len(raw):
-            raise InputError("a region name of impossible length", where=str(path))
-        name = raw[at : at + length].split(b"\0")[0].decode("latin-1").strip()
-        at += -(-length // 4) * 4
-        table = words(45)
-        where = f"{path}: region {name!r}"
-        if (table[1], table[0]) != shape:
-            raise InputError(f"made for {table[1]} lines x {table[0]} samples", where=where, expected=f"{shape}")
-        if table[43]:
-            raise InputError("polylines have no area", where=where)
-        if name in drawings:
-            raise InputError("the name stands twice", where=where)
-        drawings[name] = drawing = RegionDrawing(shape)
-        if table[44]:
-            words(1)
-            addresses = np.array(words(table[3]), dtype=np.int64)
-            drawing.add_pixels(addresses // shape[1], addresses % shape[1], where=where)
-        elif table[3] > 0:
-            drawing.stated_pixels = table[3]
-        for _ in range(table[42]):
-            vertices = words(2)[0]
-            ring = np.column_stack([words(vertices, "f"), words(vertices, "f")])
-            drawing.add_polygon(ring, where=where)
-    return drawings
-
-
-def _pairs(element: ElementTree.Element, where: str) -> Array:
+def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
     text = " ".join(part.text or "" for part in element.iter("Coordinates"))
     try:
         values = np.array([float(v) for v in text.split()])
@@ -235,13 +115,133 @@ def _pairs(element: ElementTree.Element, where: str) -> Array:
     return values.reshape(-1, 2)
 
 
-def _placed(points: Array, system: str, grid: ImageGrid, where: str, ring: bool) -> Array:
-    if system.lower() == "none":
-        return points
-    source = crs_of_wkt(system)
-    if source is None:
-        raise InputError(f"unknown coordinate system {system[:60]!r}", where=where)
-    return ImageGrid(grid.shape, grid.transform, grid.crs).placing(source, where)(points, where, ring)
+def ascii_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
+    """Drawings by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
+
+    Raises
+    ------
+    InputError : the file was made for an image of another size, or its counts do not add up.
+    """
+    names: list[str] = []
+    counts: list[int] = []
+    rows: list[tuple[int, int]] = []
+    made_for = announced = None
+    columns = (1, 2)
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        where = f"{path}:{number}"
+        text, comment = line.strip("; \t\r\0"), line.strip().startswith(";")
+        if not text:
+            continue
+        if not comment:
+            parts = text.split()
+            if len(parts) <= max(columns):
+                raise InputError(f"{len(parts)} columns", where=where, expected="ID X Y ...")
+            rows.append((_whole(parts[columns[1]], where) - 1, _whole(parts[columns[0]], where) - 1))
+            continue
+        key, _, value = (part.strip() for part in text.partition(":"))
+        titles = text.lower().split()
+        if key.lower() == "file dimension":
+            made_for = _dimension(value, shape, where)
+        elif key.lower() == "number of rois":
+            announced = _whole(value, where)
+        elif key.lower() == "roi name":
+            names.append(value)
+        elif key.lower() == "roi npts":
+            counts.append(_whole(value, where))
+        elif not value and {"x", "y"} <= set(titles):
+            columns = titles.index("x"), titles.index("y")
+        elif not value and re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text):
+            raise InputError(
+                f"no pixel numbers among the columns: {text[:60]!r}",
+                where=where,
+                expected="ID X Y ...",
+                mend="export it again with the pixel location (X, Y)",
+            )
+    if made_for is None:
+        raise InputError("no 'File Dimension' line", where=str(path))
+    if len(names) != len(counts) or announced not in (None, len(names)) or sum(counts) != len(rows):
+        raise InputError(
+            f"{announced} regions announced, {len(names)} named with {sum(counts)} points; {len(rows)} follow",
+            where=str(path),
+            mend="the file is cut short or was edited: export it again",
+        )
+    if len(set(names)) < len(names):
+        raise InputError("two regions have the same name", where=str(path))
+    starts = np.cumsum([0, *counts])
+    return _pixel_drawings({name: rows[starts[i] : starts[i + 1]] for i, name in enumerate(names)}, shape, path)
+
+
+def _dimension(value: str, shape: tuple[int, int], where: str) -> str:
+    """The size that a region file was made for, which has to be that of the cube."""
+    sizes = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
+    if sizes is None:
+        raise InputError(f"file dimension {value!r}", where=where, expected="samples x lines")
+    if (int(sizes[2]), int(sizes[1])) != shape:
+        raise InputError(
+            f"the regions were made for {sizes[2]} lines x {sizes[1]} samples",
+            where=where,
+            expected=f"{shape[0]} lines x {shape[1]} samples, as the cube",
+        )
+    return value
+
+
+def _pixel_drawings(pixels: Mapping[str, Sequence[tuple[int, int]]], shape: tuple[int, int], path: Path) -> Drawings:
+    """Drawings of pixels (line, sample) from 0 by name."""
+    drawings: Drawings = {}
+    for name, listed in pixels.items():
+        lines, samples = np.array(listed, dtype=np.int64).reshape(-1, 2).T
+        where = f"{path}: region {name!r}"
+        _new(drawings, name, shape, where).add_pixels(lines, samples, where=where)
+    return drawings
+
+
+def _new(drawings: Drawings, name: str, shape: tuple[int, int], where: str) -> RegionDrawing:
+    """A drawing under a name that none has yet."""
+    if name in drawings:
+        raise InputError("the name stands twice", where=where)
+    drawings[name] = RegionDrawing(shape)
+    return drawings[name]
+
+
+def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
+    """Drawings by name of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
+
+    Raises
+    ------
+    InputError : larger than 64 MiB, cut short, made for an image of another size, or with polylines.
+    """
+    raw, at = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4
+
+    def words(count: int, kind: str = "i") -> tuple[int, ...]:
+        nonlocal at
+        if count < 0 or at + 4 * count > len(raw):
+            raise InputError("the region file is cut short", where=str(path))
+        at += 4 * count
+        return struct.unpack_from(f">{count}{kind}", raw, at - 4 * count)
+
+    drawings: Drawings = {}
+    for _ in range(words(1)[0]):
+        length = words(2)[1]
+        if not 0 <= length <= 4096 or at + length > len(raw):
+            raise InputError("a region name of impossible length", where=str(path))
+        name = raw[at : at + length].split(b"\0")[0].decode("latin-1").strip()
+        at += -(-length // 4) * 4
+        table, where = words(45), f"{path}: region {name!r}"
+        if (table[1], table[0]) != shape:
+            raise InputError(f"made for {table[1]} lines x {table[0]} samples", where=where, expected=f"{shape}")
+        if table[43]:
+            raise InputError("polylines have no area", where=where)
+        drawing = _new(drawings, name, shape, where)
+        if table[44]:
+            words(1)
+            addresses = np.array(words(table[3]), dtype=np.int64)
+            drawing.add_pixels(addresses // shape[1], addresses % shape[1], where=where)
+        elif table[3] > 0:
+            drawing.stated_pixels = table[3]
+        for _ in range(table[42]):
+            vertices = words(2)[0]
+            drawing.add_polygon(np.column_stack([words(vertices, "f"), words(vertices, "f")]), where=where)
+    return drawings
 
 
 def _whole(text: str, where: str) -> int:
@@ -250,78 +250,14 @@ def _whole(text: str, where: str) -> int:
     return int(text)
 
 
-Mask = npt.NDArray[np.bool_]
-MAX_CLASSES = 1000
-_MAX_DIGITS = 300  # more are no float
-_COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
-REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
-
-MAX_BYTES = 256 << 20
-MAX_FEATURES = 100_000
-_SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
-_KINDS = ("Polygon", "MultiPolygon", "Point", "MultiPoint")
-
-
-def geojson_drawings(path: Path, grid: ImageGrid) -> dict[str, RegionDrawing]:
-    """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united.
-
-    Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
-    has it.
-    """
-    try:
-        data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse, parse_int=_whole_number)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not valid GeoJSON: {error}", where=str(path)) from error
-    stated = _stated_crs(data, path)
-    assumed = grid.coordinates is None and stated is None
-    if assumed and grid.transform is None:
-        raise UsageError(
-            "a GeoJSON file holds longitude and latitude (RFC 7946), and the cube has no position",
-            where=str(path),
-            mend="state coordinates: pixel, map (the cube's own system) or lonlat",
-        )
-    in_pixels = grid.placing(stated, str(path))
-
-    def place(points: Any, where: str, ring: bool) -> npt.NDArray[np.float64]:
-        try:
-            xy = np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
-        except (TypeError, ValueError, IndexError):
-            raise InputError("coordinates that are not pairs of numbers", where=where) from None
-        if assumed and np.any(np.abs(xy) > (180.0, 90.0)):
-            raise UsageError(
-                f"{xy[0, 0]:.6g}, {xy[0, 1]:.6g} is no longitude and latitude, as GeoJSON holds (RFC 7946)",
-                where=where,
-                mend="state coordinates: pixel or map (the cube's own system)",
-            )
-        return in_pixels(xy, where, ring)
-
-    drawings: dict[str, RegionDrawing] = {}
-    for number, (name, geometry) in enumerate(_features(data, path, grid.name_field), start=1):
-        where = f"{path}: feature {number} ({name})"
-        kind, parts = geometry.get("type"), geometry.get("coordinates")
-        if kind in ("Point", "MultiPoint"):
-            placed = place([parts] if kind == "Point" else parts, where, False)
-            drawings.setdefault(name, RegionDrawing(grid.shape)).add_points(placed, where=where)
-        elif kind in ("Polygon", "MultiPolygon"):
-            polygons = [parts] if kind == "Polygon" else parts
-            for rings in polygons if isinstance(polygons, list) else [None]:
-                if not isinstance(rings, list) or not rings:
-                    raise InputError("a polygon without vertices", where=where)
-                outer, *inner = [place(ring, where, True) for ring in rings]
-                drawings.setdefault(name, RegionDrawing(grid.shape)).add_polygon(outer, inner, where=where)
-        else:
-            raise InputError(f"geometry {kind!r}", where=where, expected="Polygon, MultiPolygon, Point, MultiPoint")
-    return drawings
-
-
-def csv_drawings(path: Path, shape: tuple[int, int]) -> dict[str, RegionDrawing]:
+def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
     """Drawings by name of a CSV pixel list.
 
     Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
     ``name`` or ``class`` where the file holds more than one region.
     """
     fields, rows = read_table(path, {*REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
-    pair = next((p for p in _COLUMNS if p[0] in fields and p[1] in fields), None)
+    pair = next((p for p in _COLUMNS if set(p) <= set(fields)), None)
     if pair is None:
         raise InputError(
             f"columns {', '.join(fields) or 'none'}",
@@ -336,17 +272,11 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> dict[str, RegionDrawing]
                 f"no whole numbers in {pair[0]}, {pair[1]}: {row[pair[0]]!r}, {row[pair[1]]!r}",
                 where=f"{path}:{number}",
             )
-        place = int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]
         name = row[column] if column else path.stem
         if not name:
             raise InputError(f"no name in column {column!r}", where=f"{path}:{number}")
-        pixels.setdefault(name, []).append(place)
-    drawings = {}
-    for name, listed in pixels.items():
-        places = np.array(listed, dtype=np.int64)
-        drawings[name] = RegionDrawing(shape)
-        drawings[name].add_pixels(places[:, 0], places[:, 1], where=f"{path}: region {name!r}")
-    return drawings
+        pixels.setdefault(name, []).append((int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]))
+    return _pixel_drawings(pixels, shape, path)
 
 
 def raster_masks(
@@ -359,12 +289,11 @@ def raster_masks(
     ``by_value``.  Several bands: a mask of what is not 0, nor NaN, nor the ignore value, under the band name.
     """
     raster = raster_of_size(path, shape, root=root)
-    stored = raster.read_lines(0, raster.lines)
-    header = raster.header
-    ignore = stated_ignore_value(raster)
+    stored, about = raster.read_lines(0, raster.lines), raster.description
+    ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
-        names = header.band_names if header else ()
+        names = about.band_names
         if not names or len(set(names)) != len(names):
             names = tuple(f"band-{i + 1}" for i in range(raster.bands))
         return {name: (stored[:, :, i] != 0) & valid[:, :, i] for i, name in enumerate(names)}
@@ -375,7 +304,7 @@ def raster_masks(
     numbers = [int(v) for v in values if v != 0]
     if by_value:
         return {value: classes == value for value in numbers}
-    listed = (header.strings("class names") if header else None) or ()
+    listed = [name.strip() for name in about.entries.get("class names", "").split(",")]
     out: dict[str | int, Mask] = {}
     for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
@@ -388,36 +317,77 @@ def raster_masks(
     return out
 
 
-def _features(data: Any, path: Path, name_field: str | None) -> list[tuple[str, dict[str, Any]]]:
+def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
+    """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united.
+
+    Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
+    has it.
+    """
+    try:
+        data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse, parse_int=_whole_number)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not valid GeoJSON: {error}", where=str(path)) from error
     kind = data.get("type") if isinstance(data, dict) else None
     items = data.get("features") if kind == "FeatureCollection" else [data]
     if kind is None or not isinstance(items, list):
         raise InputError("not a GeoJSON object", where=str(path))
-    out = []
-    for number, item in enumerate(items, start=1):
-        feature = item if isinstance(item, dict) else {}
-        geometry = feature.get("geometry") if feature.get("type") == "Feature" else feature
+    name = _within(data, "crs", "properties", "name")
+    stated = named_crs(name, str(path)) if isinstance(name, str) else None
+    assumed = grid.coordinates is None and stated is None
+    if assumed and grid.transform is None:
+        raise UsageError(
+            "a GeoJSON file holds longitude and latitude (RFC 7946), and the cube has no position",
+            where=str(path),
+            mend=_STATE,
+        )
+    in_pixels = grid.placing(stated, str(path))
+
+    def place(xy: Array, where: str, ring: bool) -> Array:
+        if assumed and np.any(np.abs(xy) > (180.0, 90.0)):
+            raise UsageError(
+                f"{xy[0, 0]:.6g}, {xy[0, 1]:.6g} is no longitude and latitude, as GeoJSON holds (RFC 7946)",
+                where=where,
+                mend="state coordinates: pixel or map (the cube's own system)",
+            )
+        return in_pixels(xy, where, ring)
+
+    drawings: Drawings = {}
+    for number, feature in enumerate(items, start=1):
+        geometry = _within(feature, "geometry") if _within(feature, "type") == "Feature" else feature
         if not isinstance(geometry, dict):
             raise InputError("a feature without geometry", where=f"{path}: feature {number}")
-        properties = feature.get("properties")
-        properties = {str(k).lower(): v for k, v in properties.items()} if isinstance(properties, dict) else {}
-        columns = REGION_COLUMNS if name_field is None else (name_field.lower(),)
-        if name_field is not None and properties.get(columns[0]) is None:
-            raise UsageError(
-                f"no property {name_field!r}",
-                where=f"{path}: feature {number}",
-                expected="one of " + (", ".join(properties) or "none"),
-            )
-        given = next((properties[c] for c in columns if properties.get(c) is not None), feature.get("id"))
-        out.append((str(given) if given is not None else (path.stem if len(items) == 1 else str(number)), geometry))
-    return out
+        properties, own = _within(feature, "properties"), _within(feature, "id")
+        fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
+        known = properties if isinstance(properties, dict) else {}
+        name = _feature_name(known, grid.name_field, fallback, f"{path}: feature {number}")
+        drawing = drawings.setdefault(name, RegionDrawing(grid.shape))
+        drawing.add(geometry, place, f"{path}: feature {number} ({name})")
+    return drawings
 
 
-def _stated_crs(data: Any, path: Path) -> CRS | None:
-    crs = data.get("crs") if isinstance(data, dict) else None
-    properties = crs.get("properties") if isinstance(crs, dict) else None
-    name = properties.get("name") if isinstance(properties, dict) else None
-    return named_crs(name, str(path)) if isinstance(name, str) else None
+def _within(data: Any, *keys: str) -> Any:
+    """What stands under keys in objects within each other, None where one is no object."""
+    for key in keys:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data
+
+
+def _feature_name(properties: Mapping[str, Any], name_field: str | None, fallback: str, where: str) -> str:
+    """Name of a feature: that of its attribute, else the fallback.
+
+    Raises
+    ------
+    UsageError : the attribute that is to name it is not there.
+    """
+    lower = {str(key).lower(): value for key, value in properties.items()}
+    columns = REGION_COLUMNS if name_field is None else (name_field.lower(),)
+    named = next((lower[c] for c in columns if lower.get(c) is not None), None)
+    if name_field is not None and named is None:
+        raise UsageError(
+            f"no property {name_field!r}", where=where, expected="one of " + (", ".join(properties) or "none")
+        )
+    text = "" if named is None or named != named else str(named).strip()
+    return text or fallback
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -447,7 +417,7 @@ def is_kml(head: bytes) -> bool:
     return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
 
 
-def vector_drawings(path: Path, grid: ImageGrid, root: Path | None = None) -> dict[str, RegionDrawing]:
+def vector_drawings(path: Path, grid: ImageGrid, root: Path | None = None) -> Drawings:
     """Drawings by name of the polygons and points of every layer; features of one name are united.
 
     A name comes from the attribute ``name_field``, or else from ``region``, ``name``, ``class`` or ``class_name``;
@@ -470,7 +440,7 @@ def vector_drawings(path: Path, grid: ImageGrid, root: Path | None = None) -> di
             mend="pip install hyperval[vector], or export the regions as GeoJSON",
         ) from None
     _check_files(path, root)
-    drawings: dict[str, RegionDrawing] = {}
+    drawings: Drawings = {}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -480,16 +450,45 @@ def vector_drawings(path: Path, grid: ImageGrid, root: Path | None = None) -> di
                 if count > MAX_FEATURES:
                     raise InputError(f"{count} features", where=str(path), expected=f"at most {MAX_FEATURES}")
                 meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
-                inner = f"{path}: layer {layer!r}"
-                place = _placing(grid, meta["crs"], inner)
                 fields = dict(zip((str(f) for f in meta["fields"]), columns, strict=True))
-                names = _names(layer, fields, len(shapes), grid.name_field, inner)
-                for number, (name, wkb) in enumerate(zip(names, shapes, strict=True), start=1):
-                    where = f"{inner}, feature {number} ({name})"
-                    _draw(drawings.setdefault(name, RegionDrawing(grid.shape)), wkb, place, where)
+                _layer_drawings(drawings, f"{path}: layer {layer!r}", layer, meta["crs"], shapes, fields, grid)
     except (DataLayerError, DataSourceError) as error:
         raise InputError(f"cannot be read: {error}", where=str(path)) from error
     return drawings
+
+
+def _layer_drawings(
+    drawings: Drawings,
+    where: str,
+    layer: str,
+    stated: str | None,
+    shapes: Sequence[bytes | None],
+    fields: Mapping[str, Any],
+    grid: ImageGrid,
+) -> None:
+    """Add the features of a layer, whose attributes stand in columns."""
+    own = named_crs(stated, where) if stated else None
+    if own is None and grid.coordinates is None:
+        raise UsageError("the file states no coordinate system", where=where, mend=_STATE)
+    if own is not None and grid.coordinates == "pixel":
+        raise InputError(f"the file is in {own}, not in pixel coordinates", where=where, mend="leave coordinates out")
+    wanted = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
+    texts = any(np.asarray(values).dtype.kind == "O" for values in fields.values())
+    if not {f.lower() for f in fields} & set(wanted) and (grid.name_field or (len(shapes) > 1 and texts)):
+        raise UsageError(
+            f"no attribute {grid.name_field!r}" if grid.name_field else "no attribute that names the regions",
+            where=where,
+            expected="one of " + (", ".join(fields) or "none"),
+            mend="state name_field: which of the attributes names them",
+        )
+    place = grid.placing(own, where)
+    column = next((f for w in wanted for f in fields if f.lower() == w), None)
+    for i, wkb in enumerate(shapes):
+        fallback = layer if len(shapes) == 1 else f"{layer}-{i + 1}"
+        known = {"name": fields[column][i]} if column is not None else {}
+        name = _feature_name(known, None, fallback, where)
+        at = f"{where}, feature {i + 1} ({name})"
+        drawings.setdefault(name, RegionDrawing(grid.shape)).add(_wkb_geometry(wkb, at), place, at)
 
 
 def _check_files(path: Path, root: Path | None) -> None:
@@ -506,47 +505,12 @@ def _check_files(path: Path, root: Path | None) -> None:
                     expected="the files .shp, .shx, .dbf (and .prj) side by side",
                 )
         files += [checked_file(parts[end], root=root, what="region file") for end in _SIDECARS if end in parts]
-    size = sum(f.stat().st_size for f in files)
-    if size > MAX_BYTES:
+    if sum(f.stat().st_size for f in files) > MAX_BYTES:
         raise InputError(f"larger than {MAX_BYTES >> 20} MiB", where=str(path))
 
 
-def _placing(grid: ImageGrid, stated: str | None, where: str) -> Callable[[Array, str, bool], Array]:
-    """A function from the file's coordinates (n, 2) to continuous pixel coordinates."""
-    own = named_crs(stated, where) if stated else None
-    if own is None and grid.coordinates is None:
-        raise UsageError(
-            "the file states no coordinate system",
-            where=where,
-            mend="state coordinates: pixel, map (the cube's own system) or lonlat",
-        )
-    if own is not None and grid.coordinates == "pixel":
-        raise InputError(f"the file is in {own}, not in pixel coordinates", where=where, mend="leave coordinates out")
-    return grid.placing(own, where)
-
-
-def _names(layer: str, fields: dict[str, Any], count: int, name_field: str | None, where: str) -> list[str]:
-    """Name of each feature: its attribute, else the layer's (numbered when it holds several)."""
-    lower = {name.lower(): values for name, values in fields.items()}
-    wanted = REGION_COLUMNS if name_field is None else (name_field.lower(),)
-    column = next((lower[c] for c in wanted if c in lower), None)
-    texts = [name for name, values in fields.items() if np.asarray(values).dtype.kind == "O"]
-    if column is None and (name_field is not None or (count > 1 and texts)):
-        raise UsageError(
-            f"no attribute {name_field!r}" if name_field is not None else "no attribute that names the regions",
-            where=where,
-            expected="one of " + (", ".join(fields) or "none"),
-            mend="state name_field: which of the attributes names them",
-        )
-    out = []
-    for i in range(count):
-        value = None if column is None else column[i]
-        text = "" if value is None or value != value else str(value).strip()
-        out.append(text or (layer if count == 1 else f"{layer}-{i + 1}"))
-    return out
-
-
-def _draw(drawing: RegionDrawing, wkb: bytes | None, place: Any, where: str) -> None:
+def _wkb_geometry(wkb: bytes | None, where: str) -> dict[str, Any]:
+    """A geometry as GeoJSON has it."""
     if wkb is None:
         raise InputError("a feature without geometry", where=where)
     import shapely
@@ -557,16 +521,9 @@ def _draw(drawing: RegionDrawing, wkb: bytes | None, place: Any, where: str) -> 
         geometry = None
     if geometry is None:
         raise InputError("a geometry that is not understood", where=where)
-    if geometry.geom_type not in _KINDS or geometry.is_empty:
-        what = "an empty geometry" if geometry.geom_type in _KINDS else f"geometry {geometry.geom_type!r}"
-        raise InputError(what, where=where, expected=", ".join(_KINDS))
-    if geometry.geom_type.endswith("Point"):
-        drawing.add_points(place(shapely.get_coordinates(geometry), where, False), where=where)
-        return
-    for polygon in shapely.get_parts(geometry):
-        rings = [shapely.get_coordinates(ring) for ring in (polygon.exterior, *polygon.interiors)]
-        outer, *inner = [place(ring, where, True) for ring in rings]
-        drawing.add_polygon(outer, inner, where=where)
+    if geometry.is_empty:
+        raise InputError("an empty geometry", where=where, expected="polygons or points")
+    return dict(shapely.geometry.mapping(geometry))
 
 
 @dataclass(frozen=True, eq=False)
@@ -655,7 +612,7 @@ def read_regions(
     stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     grid = ImageGrid(cube_shape, transform, crs, coordinates, name_field)
     drawn: Mapping[Any, Mask | RegionDrawing]
-    if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+    if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in TIFF_MARKS:
         drawn = raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
     elif stripped.startswith(b"<") and not is_kml(head):
         drawn = xml_drawings(path, grid)

@@ -16,8 +16,7 @@ from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, outside_error, point_mask, polygon_mask
 from hyperval.imagery.placing import LookupTable
 from hyperval.imagery.regions import Region, guard, patches
-from hyperval.imagery.text_files import read_table
-from hyperval.paths import checked_file
+from hyperval.paths import checked_file, read_table
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

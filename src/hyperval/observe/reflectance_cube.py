@@ -16,8 +16,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
 from hyperval.errors import UsageError
-from hyperval.imagery.cube import Cube
-from hyperval.imagery.envi import EnviRaster, envi_writer
+from hyperval.imagery import Cube, EnviRaster, envi_writer
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis
@@ -107,12 +106,12 @@ def _envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[_Wr
     # The scale is written, not applied: blocks come as stored numbers.
     extra = {"reflectance scale factor": repr(float(SCALE)), "z plot titles": "{Wavelength [nm], Reflectance [1]}"}
     place: dict[str, Any] = {"transform": cube.transform, "crs": cube.crs}
-    header = cube.raster.header
-    if isinstance(cube.raster, EnviRaster) and header is not None and header.text("map info") is not None:
+    stated = cube.raster.description.entries
+    if isinstance(cube.raster, EnviRaster) and stated.get("map info", "").strip():
         # As it stands: a rotated grid, a datum or a unit that we would have to put in our own words.
         place = {}
         for key in ("map info", "coordinate system string"):
-            if (text := header.text(key)) is not None:
+            if text := stated.get(key, "").strip():
                 extra[key] = text if text.startswith("{") else "{" + text + "}"
     with envi_writer(
         path, lines=cube.lines, samples=cube.samples, bands=cube.bands, data_type=_INT16, interleave="bil",

@@ -22,9 +22,9 @@ from scipy.special import ndtri
 
 from hyperval.collection_files import AbundanceTruth, BandRange, FinerTruth, RegionSource
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery import Raster, open_raster, raster_of_size
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.drawing import outside_error
-from hyperval.imagery.rasters import Raster, open_raster, raster_of_size
 from hyperval.imagery.regions import Region, patches
 from hyperval.imagery.truth import TargetObject, cut_out
 from hyperval.scene.fill import aperture_weights
@@ -336,7 +336,7 @@ def abundance_targets(
 
 def _band(raster: Raster, wanted: int | str, path: Path) -> int:
     """Number from 0 of a band that is named or numbered (from 1)."""
-    names = raster.header.band_names if raster.header is not None else ()
+    names = raster.description.band_names
     if isinstance(wanted, int):
         if not 1 <= wanted <= raster.bands:
             raise InputError(f"no band {wanted}", where=str(path), expected=f"1 to {raster.bands}")

@@ -24,7 +24,7 @@ from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
 from hyperval.executors import in_order, single_blas_thread
-from hyperval.imagery.envi import envi_writer, write_cube
+from hyperval.imagery.interchange import envi_writer, write_cube
 from hyperval.progress import track
 from hyperval.scene.builtin import builtin_mean
 from hyperval.simulate import schema
