@@ -49,7 +49,7 @@ def without_figures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
     patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
     patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
-    patch.setattr("hyperval.report.netcdf.write_products", lambda path, *sides, **words: path.touch())
+    patch.setattr("hyperval.run.write_products", lambda folder, *sides, **words: (folder / "products.nc").touch())
     # Sets of objects for p-values that no test of the small campaign asks for: a fifth of what is left.
     patch.setattr("hyperval.compare.objects.REPLICATES", 400)
     patch.setattr("hyperval.compare.objects.POWER_DRAWS", 40)

@@ -17,8 +17,8 @@ import hyperval
 from hyperval import cli
 from hyperval.cli.shared import note
 from hyperval.errors import EngineError, InputError, MissingDataError, UsageError
-from hyperval.report.tables import results_json
 from hyperval.results import Outcome, Result, Role
+from hyperval.run import results_json
 
 
 @pytest.fixture(autouse=True)

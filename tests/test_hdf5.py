@@ -15,6 +15,7 @@ from hyperval.atmosphere.table_files import read_table
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery import open_cube, sun_of_observation
+from hyperval.run import write_table
 from hyperval.spectra.networks import read_hypernets
 from hyperval.statistics_library import read_statistics_library
 
@@ -69,7 +70,7 @@ def test_every_reader_of_hdf5_asks_first(read, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["products.nc", "table.nc"])
 def test_results_are_loaded_no_sooner(name, tmp_path, monkeypatch):
     (tmp_path / name).write_bytes(b"\x89HDF\r\n\x1a\n")
-    monkeypatch.setattr(api.verbs, "read_run", lambda folder: None)
+    write_table([], tmp_path)
     monkeypatch.setattr(hdf5, "_trial", lambda *file: "fails")
     with pytest.raises(InputError, match="the HDF5 library fails"):
         api.open(tmp_path)

@@ -163,6 +163,11 @@ COLUMNS = (
 _WORDS = ("role", "evidence", "outcome", "cause")
 
 
+def judged_or_whole(rows: Iterable[Result]) -> ResultTable:
+    """The rows without the numbers of single bands that nothing was asked of, which are most of a table."""
+    return ResultTable(row for row in rows if row.planned or not row.per_band)
+
+
 def of_campaign(rows: Iterable[Result], campaign: str) -> list[Result]:
     """The rows as those of a campaign: what makes them does not know its name."""
     return [replace(row, campaign=campaign) for row in rows]

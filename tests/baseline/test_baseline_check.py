@@ -16,8 +16,8 @@ from hyperval.baseline import accept, check
 from hyperval.baseline.check import _stale
 from hyperval.campaign.job import Job
 from hyperval.campaign.schema import load_campaign
-from hyperval.report.stored import read_results
 from hyperval.results import Outcome
+from hyperval.run import read_rows
 from hyperval.sensor.specification import load_sensor
 from small_campaign import SmallCampaign, sensor_data, stand_in_atmosphere, write_yaml
 
@@ -111,7 +111,7 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
     assert cli.run(["check", *given, "--baselines", str(elsewhere)]) == 1
     assert f'accept {campaign} --baselines accepted --reason "..."' in capsys.readouterr().err
     elsewhere.rename("validation/baselines")
-    rows = list(read_results(place / "out/results.json"))
+    rows = list(read_rows(place / "out"))
     assert sum(r.outcome is Outcome.DISAGREES for r in rows) == 4
     for page in ("out/report.html", "out/small/report.html"):
         text = (place / page).read_text()

@@ -25,8 +25,8 @@ from hyperval.campaign.run import validate
 from hyperval.config import load_yaml
 from hyperval.imagery import divided, open_cube, write_cube
 from hyperval.processing.intervals import Z95
-from hyperval.report.stored import read_results
 from hyperval.results import Cause, Outcome
+from hyperval.run import Run
 from hyperval.scene.builtin import builtin_class
 from hyperval.simulate import SceneFile, simulate
 from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
@@ -92,7 +92,7 @@ def test_the_readme_names_every_file_and_every_line(no_data):
 
 def test_without_the_collection_it_is_skipped_and_the_run_does_not_fail(no_data, tmp_path):
     assert validate([CAMPAIGN], tmp_path / "out", show_progress=False) == 5  # nothing was checked, nothing failed
-    rows = read_results(tmp_path / "out" / "results.json")
+    rows = Run.open(tmp_path / "out").table
     assert {str(r.outcome) for r in rows} == {"skipped"}
     assert {r.campaign for r in rows} == {f"share2012-avon-{line}" for line in LINES}
     assert all("held by Rochester Institute of Technology" in r.reason for r in rows)

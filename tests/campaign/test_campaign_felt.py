@@ -15,8 +15,8 @@ from hyperval import cli
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
 from hyperval.imagery import open_cube
-from hyperval.report.stored import read_results
 from hyperval.results import Outcome, Role
+from hyperval.run import Run
 
 CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
 FILES = {
@@ -63,7 +63,7 @@ def test_stand_in_lines_close(name, tmp_path, data_dir, monkeypatch):
     assert cube.description == MARK
     if name.endswith("chip"):
         assert cli.run(["-q", "validate", str(CAMPAIGNS / FILES[name]), "-o", str(tmp_path / "out")]) == 0
-        table = read_results(tmp_path / "out" / "results.json")
+        table = Run.open(tmp_path / "out").table
     else:
         folder = tmp_path / "campaign"
         shutil.copytree((CAMPAIGNS / FILES[name]).parent, folder)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hyperval.cli import run
-from hyperval.report.stored import read_run
 from hyperval.results import Outcome
+from hyperval.run import Run
 
 PAGE = Path(__file__).parents[2] / "docs" / "first-campaign.md"
 
@@ -28,7 +28,7 @@ def test_the_first_campaign_runs_and_passes(folder):
     campaign, out = str(folder / "campaign.yaml"), folder / "first"
     assert run(["-q", "validate", "--dry-run", campaign]) == 0
     assert run(["-q", "validate", campaign, "-o", str(out)]) == 0
-    table = read_run(out).table
+    table = Run.open(out).table
     passed = table.where(outcome=Outcome.AGREES)
     assert {r.subject for r in passed if r.product == "radiance"} == {
         "field",

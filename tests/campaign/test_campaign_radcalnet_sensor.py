@@ -20,8 +20,8 @@ from hyperval.campaign.job import read_texts
 from hyperval.campaign.schema import DayScenarios, day_scenarios
 from hyperval.imagery import write_cube
 from hyperval.predict import Origins, predict
-from hyperval.report.stored import read_results
 from hyperval.results import Cause
+from hyperval.run import Run, read_rows
 from hyperval.sensor.specification import load_sensor
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "radcalnet-sensor"
@@ -118,14 +118,14 @@ def test_without_files_it_waits_and_says_for_what(monkeypatch, tmp_path):
         "data:radcalnet-portal/BTCN02_2018_148_v00.03.input",
     }
     assert cli.run(["-q", "validate", str(FOLDER / "campaign.yaml"), "-o", str(tmp_path / "out")]) == 5
-    assert {str(r.outcome) for r in read_results(tmp_path / "out" / "results.json")} == {"skipped"}
+    assert {str(r.outcome) for r in read_rows(tmp_path / "out")} == {"skipped"}
 
 
 @pytest.mark.slow
 def test_from_files_to_verdict_and_drift(overpasses, tmp_path, capsys):
     out = tmp_path / "out"
     code = cli.run(["-q", "validate", str(overpasses), "-o", str(out)])
-    rows = read_results(out / "results.json")
+    rows = Run.open(out).table
     bias = {r.campaign[-10:]: r for r in rows if r.metric == "bias_ratio"}
     # Predicted over collected: a sensor that gains 1 % each half year.
     assert [bias[run].value for run in OVERPASSES] == pytest.approx([0.0, -0.0099, -0.0196, -0.0291], abs=4e-4)

@@ -20,8 +20,8 @@ from hyperval.campaign.job import jobs_of
 from hyperval.campaign.run import Finished
 from hyperval.datasets import InputLog
 from hyperval.report import RunReport
-from hyperval.report.outputs import write_tables
 from hyperval.results import Result, ResultTable
+from hyperval.run import write_table
 from hyperval.storage import PARTIAL, RECORD
 from small_campaign import SmallCampaign, with_stand_in_atmosphere, without_figures
 
@@ -216,7 +216,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         )
 
     def write(run, folder):
-        write_tables(run.table, folder)
+        write_table(run.table, folder)
         (folder / "figures").mkdir()
         (folder / "figures" / "none.svg").write_text("<svg/>")
         (folder / "provenance.json").write_text(json.dumps(run.provenance))

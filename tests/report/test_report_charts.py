@@ -24,10 +24,10 @@ from hyperval.report.charts import (
 )
 from hyperval.report.charts_base import FIRST_CURVES
 from hyperval.report.figures import spectra_plots
-from hyperval.report.netcdf import labelled_arrays
 from hyperval.report.plots_run import eigenvalue_plots
 from hyperval.report.run import ScoreMap, difference, eigenvalues
 from hyperval.results import Outcome, Result, Role
+from hyperval.run import to_arrays
 from hyperval.spectra.axis import SpectralAxis
 
 
@@ -178,7 +178,7 @@ def test_bands_that_go_by_number_are_called_so(run):
     assert "wavelength" not in chart.alt
     (plots, *_) = spectra_plots((None, observed), "reflectance")
     assert "against number of the band" in plots.alt
-    assert labelled_arrays(observed).coords["wavelength"][2] == {"units": "1", "long_name": "number of the band"}
+    assert to_arrays(observed)["wavelength"][2] == {"units": "1", "long_name": "number of the band"}
     known = spectra_chart((None, run.observation), "reflectance")
     assert models(known.content, "VStrip")
     assert "against wavelength" in known.alt

@@ -8,8 +8,7 @@ from synthetic_run import make_run
 
 import hyperval
 from hyperval.errors import UsageError
-from hyperval.report.netcdf import write_products
-from hyperval.report.outputs import write_tables
+from hyperval.run import write_products, write_table
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +20,8 @@ def run():
 def opened(run, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     sides = {"predicted": run.prediction, "observed": run.observation}
-    write_products(folder / "products.nc", sides, title=run.title, simulated=True)
-    write_tables(run.table, folder)
+    write_products(folder, sides, title=run.title, simulated=True)
+    write_table(run.table, folder)
     return hyperval.open(folder)
 
 

@@ -508,6 +508,9 @@ def test_index_joins_campaigns(run, tmp_path):
         "second <b>", "roc", "t", "CEM", "pd", 0.1, role=Role.GATE, outcome=Outcome.DISAGREES, reason="too low"
     )
     second = RunReport("second <b>", "Second", "", False, ResultTable([failed]))
+    for one, name in ((run, "invented"), (second, "second_b_")):
+        (tmp_path / name).mkdir()
+        write_outputs(one, tmp_path / name)
     write_index([run, second], tmp_path)
     page = Page((tmp_path / "report.html").read_text())
     links = [attributes["href"] for tag, attributes in page.tags if tag == "a"]

@@ -11,8 +11,8 @@ from hyperval import cli
 from hyperval.errors import InputError
 from hyperval.report import write_outputs
 from hyperval.report.side_by_side import _names, compare_runs, difference_table, paired
-from hyperval.report.stored import read_results, read_run
 from hyperval.results import Outcome, Result, ResultTable, Role
+from hyperval.run import Run, read_rows
 
 
 def _row(metric="bias_ratio", value=1.0, outcome=Outcome.AGREES, **more):
@@ -36,7 +36,7 @@ def folders(tmp_path_factory):
 
 
 def test_a_stored_table_is_read_back_as_it_was(folders):
-    stored = read_run(folders / "a")
+    stored = Run.open(folders / "a")
     assert stored.table.frame().equals(make_run().table.frame())
     assert stored.figures
 
@@ -48,7 +48,7 @@ def test_a_table_of_the_version_before_is_read_too(folders, tmp_path):
         **now, "schema_version": 2, "rows": [dict(zip(now["columns"], row, strict=True)) for row in now["rows"]],
     }  # fmt: skip
     (tmp_path / "results.json").write_text(json.dumps(before))
-    assert read_results(tmp_path / "results.json").frame().equals(read_results(folders / "a" / "results.json").frame())
+    assert Run.open(tmp_path).table.frame().equals(Run.open(folders / "a").table.frame())
 
 
 def test_a_verdict_that_turned_stands_first(folders):
@@ -78,7 +78,7 @@ def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
 
 def test_a_run_against_itself_has_no_difference(folders):
     compare_runs(folders / "a", folders / "a", folders / "same")
-    rows = list(read_results(folders / "same" / "results.json"))
+    rows = list(read_rows(folders / "same"))
     assert rows
     assert all(r.value == 0 or r.value != r.value for r in rows)
     page = (folders / "same" / "report.html").read_text("utf-8")
@@ -122,7 +122,7 @@ def test_a_gate_that_one_run_lacks_is_a_changed_verdict():
 def test_other_files_are_refused(tmp_path, text):
     (tmp_path / "results.json").write_text(text)
     with pytest.raises(InputError):
-        read_results(tmp_path / "results.json")
+        list(read_rows(tmp_path))
 
 
 def test_a_folder_without_results_is_exit_code_3(tmp_path, capsys):

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 from synthetic_run import NASTY, make_run
 
-from hyperval.report.tables import junit_xml, results_csv, results_json
 from hyperval.results import COLUMNS, Outcome, Result, ResultTable, Role
+from hyperval.run import junit_xml, results_csv, results_json
 
 ODD = Result(
     NASTY, "radiance", 'comma, "quote"\nline', "", "bias_ratio", 0.1 + 0.2, "1", band_nm=float(np.float64(1) / 3),

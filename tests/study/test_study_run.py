@@ -7,7 +7,7 @@ import xarray as xr
 
 from hyperval import cli
 from hyperval.executors import workers
-from hyperval.report.stored import read_results
+from hyperval.run import Run, read_rows
 from hyperval.study import run as study_run
 from hyperval.study.run import study_to_folder
 
@@ -51,7 +51,7 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
         np.testing.assert_array_equal(data["pd"].values, table["pd"].to_numpy())
         np.testing.assert_array_equal(data["fill"].values, table["fill"].to_numpy())
         assert data["c"].attrs["units"] == "%"
-    assert {str(r.outcome) for r in read_results(out / "results.json")} <= {"none", "skipped"}
+    assert {str(r.outcome) for r in read_rows(out)} <= {"none", "skipped"}
     unsolved = table["signal"].isna()
     assert table.loc[unsolved, "reason"].str.contains("no solution").all()
     page = (out / "report.html").read_text()
@@ -128,7 +128,7 @@ outputs: [{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}]
 plots: [{kind: lines, x: haze, output: pd}, {kind: heat, x: haze, y: fill, output: pd}]
 """)
     study_to_folder(path, tmp_path / "out")
-    rows = read_results(tmp_path / "out" / "results.json")
+    rows = Run.open(tmp_path / "out").table
     error = {r.subject: r.value for r in rows if r.metric == "error_at_held_out_states"}
     assert 0 < error["radiance, worst"] < 0.01
     assert error["radiance, rms"] <= error["radiance, worst"]

@@ -17,8 +17,8 @@ from web_server import serve
 import hyperval.predict
 from hyperval import api
 from hyperval.cli import app as command
-from hyperval.report.netcdf import read_products
 from hyperval.report.style import Drawing
+from hyperval.run import read_pair
 from hyperval.web.store import view_name
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
@@ -144,7 +144,7 @@ def thresholds_of_targets(page, content, results):
 
     with rasterio.open(results / "scores" / "yellow-cem.tif") as file:
         scores = file.read(1).astype(float)
-    _, observed = read_products(results / "products.nc")
+    _, observed = read_pair(results)
     for number, curve in enumerate(content["curves"]):
         own = curve["target_scores"]
         n = curve["n_target"]
@@ -269,8 +269,8 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
         words = ["validate", str(tmp_path / "campaign.yaml"), "-o", str(tmp_path / "out")]
         done = CliRunner().invoke(command, words)
     assert done.exit_code in (0, 1), done.output
-    _, here = read_products(own.app.state.store.place(run["id"]) / "results" / "products.nc")
-    predicted, there = read_products(tmp_path / "out" / "products.nc")
+    _, here = read_pair(own.app.state.store.place(run["id"]) / "results")
+    predicted, there = read_pair(tmp_path / "out")
     assert predicted.radiance
     for name, spectrum in here.radiance.items():
         np.testing.assert_array_equal(spectrum.mean, there.radiance[name].mean)

@@ -21,7 +21,7 @@ from hyperval.atmosphere.table import QUANTITIES, AtmosphericTable
 from hyperval.atmosphere.table_files import write_table
 from hyperval.imagery import write_cube
 from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
-from hyperval.report.netcdf import write_products
+from hyperval.run import write_products
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import write_statistics_library
@@ -216,7 +216,7 @@ def with_text_beside(folder: Path) -> dict[str, dict[str, bytes]]:
 
 def results(folder: Path) -> dict[str, dict[str, bytes]]:
     """Files in which a run keeps its products."""
-    write_products(folder / "products.nc", {"predicted": prediction(), "observed": None}, title="t", simulated=True)
+    write_products(folder, {"predicted": prediction(), "observed": None}, title="t", simulated=True)
     write_answer(folder / "answer.npz", prediction())
     return {name: {name: (folder / name).read_bytes()} for name in ("products.nc", "answer.npz")}
 

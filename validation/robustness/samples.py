@@ -46,10 +46,8 @@ from hyperval.envi_header import read_header
 from hyperval.imagery import Cube, open_cube, open_lookup_table, read_regions, read_targets
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.observe.truth_images import abundance_targets, material_regions
-from hyperval.report.netcdf import read_products
-from hyperval.report.stored import read_results
-from hyperval.report.tables import results_json
 from hyperval.results import Result
+from hyperval.run import read_pair, read_rows, results_json
 from hyperval.scenario import load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate.schema import load_scene
@@ -228,9 +226,7 @@ def samples(folder: Path) -> list[Sample]:
             {"a.json": json.dumps(deck, indent=1).encode()},
             lambda f: read_modtran_json(f / "a.json"),
         ),
-        Sample(
-            "results", {"results.json": results_json(compared).encode()}, lambda f: read_results(f / "results.json")
-        ),
+        Sample("results", {"results.json": results_json(compared).encode()}, lambda f: list(read_rows(f))),
     ]
     made = written(folder)
     header, cube = made["envi cube"]["a.hdr"], made["envi cube"]["a.img"]
@@ -271,7 +267,7 @@ def samples(folder: Path) -> list[Sample]:
     kept = results(folder)
     out += [
         Sample("radcalnet", {"a.input": radcalnet().encode()}, lambda f: _spectra(f / "a.input")),
-        Sample("products.nc", kept["products.nc"], lambda f: read_products(f / "products.nc"), 0.03),
+        Sample("products.nc", kept["products.nc"], read_pair, 0.03),
         Sample("answer of the web application", kept["answer.npz"], lambda f: _answer(f / "answer.npz"), 0.1),
     ]
     for kind, (path, read, share) in _yaml().items():

@@ -15,7 +15,7 @@
 Every object has a short ``repr``, ``to_dataframe()``, ``to_xarray()`` and ``plot``; metrics have nothing to plot.
 """
 
-from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Run, Study
+from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Study, Validation
 from hyperval.api.verbs import (
     check,
     compare,
@@ -31,6 +31,6 @@ from hyperval.api.verbs import (
 )
 
 __all__ = [
-    "Collection", "Metrics", "Observation", "Prediction", "Results", "Run", "Study", "check", "compare",
+    "Collection", "Metrics", "Observation", "Prediction", "Results", "Study", "Validation", "check", "compare",
     "load_campaign", "load_scenario", "metrics", "observe", "open", "predict", "simulate", "study", "validate",
 ]  # fmt: skip

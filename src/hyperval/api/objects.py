@@ -24,8 +24,8 @@ from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.interchange import cube_to_xarray
 from hyperval.metrics import Metric
-from hyperval.report.netcdf import labelled_arrays
 from hyperval.results import ResultTable
+from hyperval.run import to_xarray
 from hyperval.simulate.collection import SimulatedCollection
 from hyperval.units import RADIANCE_UNIT
 
@@ -220,7 +220,8 @@ class _Side(_Shown):
 
     def to_xarray(self: Any) -> xr.Dataset:
         """Spectra, covariances, noise and curves as the group of ``products.nc`` has them."""
-        return labelled_arrays(self).to_xarray()
+        data: xr.Dataset = to_xarray(self)
+        return data
 
     def to_dataframe(self: Any) -> pd.DataFrame:
         """Spectra by band, score moments, P_D at decades of P_FA and areas: a row each, as in ``results.csv``."""
@@ -267,7 +268,7 @@ class Results(_Shown, ResultTable):
 
 
 @dataclass(frozen=True, repr=False)
-class Run(_Shown):
+class Validation(_Shown):
     """A campaign that was run, now or earlier.
 
     Attributes
@@ -277,7 +278,7 @@ class Run(_Shown):
     sides : "predicted" and "observed" as datasets
     provenance : inputs, versions, command
     notes : assumptions, what was left out
-    prediction, observation : the sides as objects; None for a run that was opened
+    prediction, observation : the sides as objects; None for one that was not made
     """
 
     name: str

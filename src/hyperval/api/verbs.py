@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
@@ -12,22 +11,20 @@ from typing import Any, TypeVar
 import xarray as xr
 
 from hyperval import metrics as metrics_table
-from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Run, Study
+from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Study, Validation
 from hyperval.baseline.accepted import DEFAULT_FOLDER
 from hyperval.baseline.check import check as check_numbers
 from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.sides import collected
 from hyperval.compare import compare_products
-from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5
 from hyperval.predict import Origins
 from hyperval.predict import predict as predict_scenario
 from hyperval.products import Products
-from hyperval.report.netcdf import labelled_arrays
 from hyperval.report.outputs import write_outputs
-from hyperval.report.stored import read_run
 from hyperval.results import of_campaign
+from hyperval.run import Run, to_xarray
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.simulate import simulate as simulate_scene
 from hyperval.simulate.schema import SceneFile
@@ -114,7 +111,9 @@ def compare(
     return Results(of_campaign(compare_products(known, measured, method=method), name))
 
 
-def validate(campaign: Job | Path | str, *, output: Path | str | None = None, show_progress: bool | None = None) -> Run:
+def validate(
+    campaign: Job | Path | str, *, output: Path | str | None = None, show_progress: bool | None = None
+) -> Validation:
     """Predict, observe and compare a campaign of one run; with ``output`` the folder of results is written, too.
 
     >>> run = validate("campaign.yaml")
@@ -132,15 +131,7 @@ def validate(campaign: Job | Path | str, *, output: Path | str | None = None, sh
         with whole_folder(Path(output)) as folder:
             write_outputs(report, folder)
     sides = {"predicted": report.prediction, "observed": report.observation}
-    return Run(
-        name=report.campaign,
-        results=Results(report.table),
-        sides={name: labelled_arrays(products).to_xarray() for name, products in sides.items() if products is not None},
-        provenance=report.provenance,
-        notes=tuple(report.notes),
-        prediction=None if report.prediction is None else _side(Prediction, report.prediction),
-        observation=None if report.observation is None else _side(Observation, report.observation),
-    )
+    return _validation(report.campaign, Run(report.table, report.provenance, sides), tuple(report.notes))
 
 
 def study(path: Path | str, *, output: Path | str | None = None, show_progress: bool | None = None) -> Study:
@@ -197,7 +188,7 @@ def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress
     return Collection(**{f.name: getattr(made, f.name) for f in fields(made)})
 
 
-def open(folder: Path | str) -> Run | Study:
+def open(folder: Path | str) -> Validation | Study:
     """A folder of results of an earlier run, or of a study.
 
     >>> run = validate("campaign.yaml", output="results")
@@ -211,18 +202,8 @@ def open(folder: Path | str) -> Run | Study:
     folder = Path(folder)
     if (folder / "table.nc").is_file():
         return _study(folder)
-    stored = read_run(folder)
-    products = folder / "products.nc"
-    sides: dict[str, xr.Dataset] = {}
-    if products.is_file():
-        check_hdf5(products)
-        try:
-            with xr.open_datatree(products, engine="h5netcdf") as tree:
-                sides = {name: node.load().to_dataset() for name, node in tree.children.items()}
-        except (OSError, ValueError) as error:
-            raise InputError(f"cannot be read: {error}", where=str(products)) from error
-    name = next((row.campaign for row in stored.table), folder.name)
-    return Run(name=name, results=Results(stored.table), sides=sides, provenance=stored.provenance)
+    run = Run.open(folder)
+    return _validation(next((row.campaign for row in run.table), folder.name), run)
 
 
 def metrics() -> Metrics:
@@ -250,6 +231,18 @@ def _study(folder: Path) -> Study:
     check_hdf5(folder / "table.nc")
     with xr.open_dataset(folder / "table.nc", engine="h5netcdf") as data:
         table = data.load()
-    stored = read_run(folder)
-    provenance = json.loads((folder / "provenance.json").read_text("utf-8"))
-    return Study(table=table, results=Results(stored.table), provenance=provenance)
+    run = Run.open(folder)
+    return Study(table=table, results=Results(run.table), provenance=run.provenance)
+
+
+def _validation(name: str, run: Run, notes: tuple[str, ...] = ()) -> Validation:
+    predicted, observed = run.pair
+    return Validation(
+        name=name,
+        results=Results(run.table),
+        sides={side: to_xarray(products) for side, products in run.sides.items()},
+        provenance=run.provenance,
+        notes=notes,
+        prediction=None if predicted is None else _side(Prediction, predicted),
+        observation=None if observed is None else _side(Observation, observed),
+    )

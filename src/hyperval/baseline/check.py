@@ -40,11 +40,9 @@ from hyperval.campaign.run import validate
 from hyperval.errors import InputError, UsageError
 from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
-from hyperval.report.outputs import campaign_folders
-from hyperval.report.stored import read_run
-from hyperval.report.tables import junit_xml
 from hyperval.report.verdict import accepted_words
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
+from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.sensor_check.suite import Engine
 from hyperval.storage import scratch_folder, sha256_of, whole_folder, write_text
@@ -242,7 +240,7 @@ def _folder(keep: Path | None) -> Iterator[Path]:
 def _read(job: AnyJob, source: Path, *, finished: bool) -> RunNumbers:
     name = job.campaign.name
     inner = source / name
-    run = read_run(inner if (inner / "results.json").is_file() else source)
+    run = Run.open(inner if is_run(inner) else source)
     table = run.table.where(campaign=name)
     if not len(table):
         raise InputError(f"holds no run of campaign {name!r}", where=str(source), mend="run it with hyperval validate")
@@ -397,7 +395,7 @@ def _write(outcome: Checks, folder: Path) -> None:
         )
         for item in outcome.checked
     ]
-    folders = campaign_folders(reports)
+    folders = file_stems(report.campaign for report in reports)
     for report in reports:
         inner = folder / folders[report.campaign]
         inner.mkdir(exist_ok=True)

@@ -34,13 +34,12 @@ from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.progress import step, track, working
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.run import accepted_table
-from hyperval.report.stored import read_results
-from hyperval.results import Outcome, ResultTable
+from hyperval.results import Outcome, ResultTable, judged_or_whole
+from hyperval.run import read_rows
 from hyperval.storage import RECORD, partial_folder, sha256_of, whole_folder, write_text
 
 if TYPE_CHECKING:
     from hyperval.observe import Observed
-    from hyperval.report import RunReport
 
 
 class Finished:
@@ -114,7 +113,7 @@ def as_before(job: Job, folder: Path) -> RunReport | None:
             and record["outputs"]
             and all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
         ):
-            return report_of(job.campaign, read_results(folder / "results.json"))
+            return report_of(job.campaign, judged_or_whole(read_rows(folder)))
     return None
 
 
@@ -256,7 +255,8 @@ def _run_into(job: AnyJob, finished: Finished, show_progress: bool | None) -> Do
         write_outputs(run, folder)
     if isinstance(job, Job):
         finished.keep(job, run)
-    return replace(run, prediction=None, observation=None, score_maps={}, quicklook=None), None
+    table = judged_or_whole(run.table)
+    return replace(run, table=table, prediction=None, observation=None, score_maps={}, quicklook=None), None
 
 
 def _stopped(job: AnyJob, folder: Path, error: Exception) -> Done:
@@ -361,8 +361,8 @@ def validate(
             return _only(jobs[0], folder, None if again else output, tell, show_progress).exit_code(strict=strict)
         finished = Finished(partial_folder(output).resolve(), None if again else output.resolve())
         done = run_jobs(jobs, finished, tell=tell, scheduler=scheduler, show_progress=show_progress)
-        write_index([run for run, _ in done], folder)
         finished.hand_over([job.campaign.name for job in jobs], folder)
+        write_index([run for run, _ in done], folder)
     finished.remove()
     first_error = next((code for _, code in done if code is not None), None)
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)

@@ -273,8 +273,8 @@ def drift(
     """Print a row for each day of finished runs, and the change in a year with its interval."""
     from hyperval.compare.rows import drift as drift_of
     from hyperval.errors import UsageError
-    from hyperval.report.stored import days_of
     from hyperval.results import Outcome
+    from hyperval.run import SECONDS_PER_YEAR, days_of
 
     if within is not None and not within[0] < within[1]:
         raise UsageError(f"--within {within[0]:g} {within[1]:g} holds no range", expected="lowest, highest")
@@ -282,15 +282,11 @@ def drift(
     print_table(
         ("time", "campaign", metric, "lower", "upper"),
         [
-            (
-                f"{d.when:%Y-%m-%dT%H:%M:%SZ}",
-                d.row.campaign,
-                *(f"{x:.6g}" for x in (d.row.value, d.row.lower, d.row.upper)),
-            )
-            for d in days
+            (f"{when:%Y-%m-%dT%H:%M:%SZ}", row.campaign, *(f"{x:.6g}" for x in (row.value, row.lower, row.upper)))
+            for when, row in days
         ],
     )
-    trend = drift_of([d.year for d in days], [d.row.value for d in days])
+    trend = drift_of([when.timestamp() / SECONDS_PER_YEAR for when, _ in days], [row.value for _, row in days])
     words = f"{metric} changes by {trend.per_year:+.3g} in a year, 95 % interval "
     words += f"{trend.lower:+.3g} to {trend.upper:+.3g}"
     if within is None:
@@ -514,6 +510,7 @@ def validate(
     if output is None:
         raise UsageError("no folder for the results", mend="name one with --output (-o)")
     from hyperval.campaign.run import validate as run
+    from hyperval.run import junit_of
     from hyperval.storage import write_text
 
     code = run(
@@ -521,7 +518,7 @@ def validate(
         show_progress=settings.show_progress,
     )  # fmt: skip
     if junit is not None:
-        write_text(junit, (output / "junit.xml").read_text("utf-8"))
+        write_text(junit, junit_of(output))
     note(f"results in {output}")
     say_warnings(output)
     say_verdicts(output)

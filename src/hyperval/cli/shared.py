@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated
 
@@ -81,15 +82,13 @@ def say_verdicts(output: Path) -> None:
 
     Errors are said under --quiet too.
     """
-    from hyperval.report.stored import read_results
     from hyperval.report.verdict import last_line, verdict
-    from hyperval.results import Outcome
+    from hyperval.results import Outcome, judged_or_whole
+    from hyperval.run import is_run, read_rows
 
-    if not (output / "results.json").is_file():
-        return
-    rows = list(read_results(output / "results.json"))
-    for name in dict.fromkeys(row.campaign for row in rows):
-        note(f"{name}: {verdict([row for row in rows if row.campaign == name])[1]}")
+    rows = list(judged_or_whole(read_rows(output))) if is_run(output) else []
+    for name, own in groupby(rows, lambda row: row.campaign):
+        note(f"{name}: {verdict(own)[1]}")
     for outcome in (Outcome.ERROR, Outcome.SKIPPED):
         concerned: dict[str, dict[str, None]] = {}
         for row in rows:
@@ -98,16 +97,17 @@ def say_verdicts(output: Path) -> None:
         for reason, campaigns in concerned.items():
             line = f"{', '.join(campaigns)}: {outcome}: {reason}"
             print(line, file=sys.stderr) if outcome is Outcome.ERROR else note(line)
-    note(last_line(rows))
+    if rows:
+        note(last_line(rows))
 
 
 def say_warnings(output: Path) -> None:
     """The warnings of a finished run, each with its campaign."""
-    import json
+    from hyperval.run import provenance_of, runs_in
 
-    for path in sorted([*output.glob("provenance.json"), *output.glob("*/provenance.json")]):
-        record = json.loads(path.read_text("utf-8"))
-        name = record.get("configuration", {}).get("campaign", {}).get("name", path.parent.name)
+    for folder in runs_in([output]) if output.is_dir() else ():
+        record = provenance_of(folder)
+        name = record.get("configuration", {}).get("campaign", {}).get("name", folder.name)
         for line in record.get("warnings", ()):
             note(f"{name}: {line}")
 

@@ -1,6 +1,6 @@
 """Figures, HTML, CSV, JSON, JUnit and NetCDF: views of one results table."""
 
-from .outputs import campaign_folders, write_index, write_outputs, write_tables
+from .outputs import write_index, write_outputs
 from .run import ExpectedScores, Quicklook, RunReport, ScoreMap
 
 __all__ = [
@@ -8,8 +8,6 @@ __all__ = [
     "Quicklook",
     "RunReport",
     "ScoreMap",
-    "campaign_folders",
     "write_index",
     "write_outputs",
-    "write_tables",
 ]

@@ -13,7 +13,6 @@ Figures of a finished run, drawn again for print from ``products.nc``.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -42,13 +41,12 @@ from hyperval.report.charts import (
     subject_spectra,
     wavelength_ends,
 )
-from hyperval.report.netcdf import read_products
 from hyperval.report.plots import GREY, Axis, Mark, Part, Plots, SubjectView, measured_mark, predicted_mark
 from hyperval.report.plots_run import equivalence_margin, every_plot
 from hyperval.report.run import EigenvalueSpectrum, Sides, TailCurve, best_counted, both_first, drawn_of
-from hyperval.report.stored import read_results
 from hyperval.report.style import Drawing, Print, house_style
 from hyperval.results import ResultTable
+from hyperval.run import Run, is_run, is_simulated, read_pair
 from hyperval.storage import whole_folder
 
 Entries = list[tuple[Any, str]]
@@ -329,14 +327,9 @@ def figures_to_folder(run: Path, output: Path, print_as: Print, curves: Curves |
 
 def drawings_of(run: Path, print_as: Print, curves: Curves | None = None) -> list[Drawing]:
     """The figures of the products of a folder, and of the reasons that its table holds."""
-    import xarray as xr
-
-    path, rows, record = (Path(run) / name for name in ("products.nc", "results.json", "provenance.json"))
-    sides = read_products(path)
-    with xr.open_dataset(path, engine="h5netcdf") as head:
-        simulated = head.attrs.get("simulated") == "yes"
-    table = read_results(rows) if rows.is_file() else ResultTable()
-    margin = equivalence_margin(json.loads(record.read_bytes())) if record.is_file() else None
+    sides, simulated = read_pair(run), is_simulated(run)
+    known = Run.open(run) if is_run(run) else Run(ResultTable())
+    table, margin = known.table, equivalence_margin(known.provenance) if known.provenance else None
     predicted, observed = sides
     spread = curves(predicted, observed) if curves and predicted and observed else ({}, {})
     spectra = [plots for product in SPECTRA for plots in spectra_plots(sides, product)]

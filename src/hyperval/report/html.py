@@ -31,9 +31,9 @@ from hyperval.report.charts_base import Chart
 from hyperval.report.plots_run import equivalence_margin, every_plot
 from hyperval.report.run import WARNING, RunReport
 from hyperval.report.style import Drawing
-from hyperval.report.tables import row_name
 from hyperval.report.verdict import outcome_words, worst
 from hyperval.results import Outcome, Result
+from hyperval.run import row_name
 from hyperval.storage import installed_file
 
 

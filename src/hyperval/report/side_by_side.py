@@ -17,12 +17,9 @@ from hyperval.report import verdict as v
 from hyperval.report.charts import draw_charts
 from hyperval.report.charts_base import Chart
 from hyperval.report.html import common_words, environment, packed_library, script_hashes, starter
-from hyperval.report.netcdf import read_products
-from hyperval.report.outputs import write_tables
-from hyperval.report.stored import StoredRun, read_run
-from hyperval.report.tables import row_name
 from hyperval.results import Cause, Outcome, Result, ResultTable
-from hyperval.storage import whole_folder, write_text
+from hyperval.run import Run, row_name
+from hyperval.storage import whole_folder
 
 _FIGURE_BYTES = 4_200_000
 _MOST_MOVED = 60
@@ -95,15 +92,14 @@ def compare_runs(one: Path, other: Path, output: Path) -> int:
     InputError : a folder that holds no results.
     UsageError : two runs that have no comparison in common.
     """
-    a, b = read_run(one), read_run(other)
+    a, b = Run.open(one), Run.open(other)
     pairs = paired(a.table, b.table)
     if not any(p.a and p.b for p in pairs):
         raise UsageError(
             "the two runs compare nothing in common", where=f"{one}, {other}", expected="runs of one campaign"
         )
     with whole_folder(output) as folder:
-        write_tables(difference_table(pairs), folder)
-        write_text(folder / "report.html", side_by_side_page(a, b, pairs))
+        Run(difference_table(pairs)).write(folder, side_by_side_page(a, b, pairs))
     return 0
 
 
@@ -131,13 +127,13 @@ def difference_table(pairs: Sequence[Pair]) -> ResultTable:
     return ResultTable(rows)
 
 
-def side_by_side_page(a: StoredRun, b: StoredRun, pairs: Sequence[Pair]) -> str:
+def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     """The page: both verdicts, verdicts that changed, what moved most, provenance that differs, figures."""
     changed = sorted((p for p in pairs if p.verdict_changed), key=lambda p: _RANK[(p.b or p.either).outcome])
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
     charts = [] if len(moved) + len(changed) == 0 else _charts(a, b)
-    labels = zip("AB", (a, b), _names(a.folder, b.folder), strict=True)
+    labels = zip("AB", (a, b), _names(a.folder or Path(), b.folder or Path()), strict=True)
     return environment().get_template("pair.html.j2").render(
         runs=[{"label": label, "folder": name, "verdict": v.verdict(run.table),
                "counts": v.outcome_words(run.table)} for label, run, name in labels],
@@ -169,7 +165,7 @@ def _names(a: Path, b: Path) -> tuple[str, str]:
     return a.name or str(a), b.name or str(b)
 
 
-def provenance_differences(a: StoredRun, b: StoredRun) -> list[tuple[str, str, str]]:
+def provenance_differences(a: Run, b: Run) -> list[tuple[str, str, str]]:
     """Entries of the provenance that differ: key, in A, in B."""
     left, right = _flat("", a.provenance), _flat("", b.provenance)
     keys = dict.fromkeys([*left, *right])
@@ -185,13 +181,9 @@ def _flat(prefix: str, value: Any) -> dict[str, str]:
     return {prefix: str(value)}
 
 
-def _charts(a: StoredRun, b: StoredRun) -> list[Chart]:
+def _charts(a: Run, b: Run) -> list[Chart]:
     """Spectra and ROC of both runs: of their predictions, or of their collections where those alone differ."""
-    files = [run.folder / "products.nc" for run in (a, b)]
-    if not all(file.is_file() for file in files):  # the page of several campaigns
-        return []
-    first, second = (read_products(file) for file in files)
-    pairs = [(one, other) for one, other in zip(first, second, strict=True) if one and other]
+    pairs = [(one, other) for one, other in zip(a.pair, b.pair, strict=True) if one and other]
     chosen = next((pair for pair in pairs if not _same_curves(*pair)), None)
     return draw_charts(chosen, [], labels=("run A", "run B")) if chosen else []
 
@@ -210,13 +202,13 @@ def _same_curves(one: Products, other: Products) -> bool:
     )
 
 
-def _alike(a: StoredRun, b: StoredRun) -> list[str]:
+def _alike(a: Run, b: Run) -> list[str]:
     """File names of the figures that are the same in both runs."""
     both = [name for name in a.figures if name in b.figures]
     return [name for name in both if a.figures[name].read_bytes() == b.figures[name].read_bytes()]
 
 
-def _figures(a: StoredRun, b: StoredRun) -> list[dict[str, Any]]:
+def _figures(a: Run, b: Run) -> list[dict[str, Any]]:
     """Figures that are not the same in both runs, as data; beyond the size of the page they are named only."""
     room, out, alike = _FIGURE_BYTES, [], _alike(a, b)
     for name in dict.fromkeys([*a.figures, *b.figures]):

@@ -22,8 +22,8 @@ from hyperval.executors import in_order, worker_count, workers
 from hyperval.observe.place import open_place
 from hyperval.progress import step, track
 from hyperval.report.benchmark import BenchmarkReport, CampaignWords, benchmark_page, draw_benchmark
-from hyperval.report.outputs import write_page, write_tables
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
+from hyperval.run import Run
 from hyperval.scenario import Scenario
 from hyperval.scoreboard.looks import (
     EVERY_OBJECT,
@@ -229,7 +229,6 @@ def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, f
         [CampaignWords(d.name, d.title, d.simulated, tuple(d.notes)) for d in done],
         {m.name: m.title for m in MEASURES.values()},
     )
-    write_tables(report.table, folder)
     record: dict[str, Any] = {
         "command": command_without_output(),
         "seed": seed,
@@ -237,4 +236,5 @@ def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, f
         "campaigns": {d.name: d.provenance for d in done},
     }
     drawings = draw_benchmark(report)
-    write_page(folder, record, drawings, benchmark_page(report, drawings))
+    page = benchmark_page(report, drawings)
+    Run(report.table, record).write(folder, page, {d.file_name: d.content for d in drawings})

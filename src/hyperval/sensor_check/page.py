@@ -19,11 +19,10 @@ from hyperval.report import style
 from hyperval.report import verdict as v
 from hyperval.report.figures import drawing_of
 from hyperval.report.html import common_words, environment
-from hyperval.report.netcdf import write_products
-from hyperval.report.outputs import write_page, write_tables
 from hyperval.report.plots import Axis, Dash, Mark, Part, Plots, SubjectView, rows_axis
 from hyperval.report.style import Drawing
 from hyperval.results import Outcome, Result
+from hyperval.run import Run
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.sensor_check.suite import (
     LEVELS,
@@ -429,11 +428,9 @@ def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
     """Write results, figures, products, provenance and report.html; the same file gives the same bytes."""
     folder = Path(folder)
     record = _provenance(check, name_or_file)
-    write_tables(check.table, folder)
-    title = f"sensor {check.sensor.name}"
-    write_products(folder / "products.nc", dict(check.predictions), title=title, simulated=False)
     drawings = draw_datasheet(check)
-    write_page(folder, record, drawings, datasheet_page(check, drawings, record))
+    run = Run(check.table, record, dict(check.predictions), title=f"sensor {check.sensor.name}")
+    run.write(folder, datasheet_page(check, drawings, record), {d.file_name: d.content for d in drawings})
 
 
 def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:

@@ -16,9 +16,7 @@ from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, 
 from hyperval.predict import Origins
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.progress import track
-from hyperval.report.netcdf import write_products
-from hyperval.report.outputs import write_page
-from hyperval.report.outputs import write_tables as write_results
+from hyperval.run import Run
 from hyperval.storage import partial_folder, whole_folder
 from hyperval.study.page import draw, knees_of, result_rows, study_page
 from hyperval.study.plan import Plan, answers, plan_study
@@ -155,7 +153,6 @@ def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | No
     names = write_tables(table, folder, show_progress=show_progress)
     knees = knees_of(study, table)
     rows = result_rows(plan, table, knees)
-    write_results(rows, folder)
     record = provenance(
         command=command_without_output(),
         inputs=plan.log.entries(),
@@ -167,7 +164,7 @@ def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | No
         },
         engines={"0": dict(prediction.provenance)},
     )
-    write_products(folder / "products.nc", {"predicted": prediction, "observed": None},
-                   title=study.title or study.name, simulated=False)  # fmt: skip
     drawings = draw(study, table, knees)
-    write_page(folder, record, drawings, study_page(plan, table, drawings, record, names, knees))
+    page = study_page(plan, table, drawings, record, names, knees)
+    run = Run(rows, record, {"predicted": prediction}, study.title or study.name)
+    run.write(folder, page, {d.file_name: d.content for d in drawings})

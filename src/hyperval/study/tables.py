@@ -24,7 +24,7 @@ from scipy.stats import qmc
 import hyperval
 from hyperval.errors import UsageError
 from hyperval.progress import track
-from hyperval.report.tables import harmless
+from hyperval.run import harmless
 from hyperval.storage import write_text
 from hyperval.study.schema import Grid, Input, Random, StudyFile
 

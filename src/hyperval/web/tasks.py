@@ -45,11 +45,9 @@ from hyperval.products import (
 )
 from hyperval.report.charts import chart_of, draw_charts, scores_chart, spectra_chart
 from hyperval.report.charts_base import Chart
-from hyperval.report.netcdf import read_products
-from hyperval.report.outputs import file_stems
 from hyperval.report.plots_run import exceedance_plots
-from hyperval.report.stored import read_results
 from hyperval.report.verdict import verdict
+from hyperval.run import file_stems, read_pair, read_rows
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import load_scene, simulate
@@ -260,7 +258,7 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
     with _command("observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results", show_progress=False)
     header = {"lines": lines, "samples": samples, "bands": bands, "type": str(raster.dtype)}
-    _, observed = read_products(place / "results" / "products.nc")
+    _, observed = read_pair(place / "results")
     if observed is not None:
         nm = observed.axis.centre_nm
         header["wavelengths"] = f"{nm[0]:g} to {nm[-1]:g} nm"
@@ -314,7 +312,7 @@ def _thresholds(ordered: npt.NDArray[Any], curves: list[dict[str, Any]]) -> list
 
 def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     """Measured curves whose scores the map shows: threshold, P_FA, P_D, and the scores at their upper ends."""
-    _, observed = read_products(Path(folder) / "results" / "products.nc")
+    _, observed = read_pair(Path(folder) / "results")
     curves = [] if observed is None else list(observed.roc.items())
     detectors = {detector for _, detector, _ in dict(curves) if name.endswith(f"-{detector}")}
     own_detector = max(detectors, key=len, default="")
@@ -376,7 +374,7 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     if not (0 <= line < cube.lines and 0 <= sample < cube.samples):
         raise UsageError(f"no such pixel: ({line}, {sample})", expected=f"({cube.lines}, {cube.samples}) pixels")
     values = cube.read(line, 1).values[0, sample]
-    predicted, _ = read_products(Path(folder) / "results" / "products.nc")
+    predicted, _ = read_pair(Path(folder) / "results")
     if predicted is None:
         raise UsageError("this run predicted nothing")
     product = collection.cube.quantity
@@ -394,7 +392,7 @@ def _write(path: Path, content: Any) -> None:
 
 
 def _verdicts(results: Path) -> dict[str, Any]:
-    rows = list(read_results(results / "results.json"))
+    rows = list(read_rows(results))
     planned = [row for row in rows if row.planned]
     counts: dict[str, int] = {}
     for row in planned:

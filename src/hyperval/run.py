@@ -1,0 +1,894 @@
+"""A folder of results, written and read: the only code that knows the names of its files.
+
+============================  =====================================================================================
+``results.csv, .json``        the table: a row for each comparison; ``summary.csv`` has the planned ones alone
+``junit.xml``                 a test case for each acceptance criterion and each error
+``products.nc``               what both sides hold, by one codec over the fields of their dataclasses
+``provenance.json``           inputs with SHA-256, versions, command, seed
+``figures/``, ``scores/``     pictures; score maps as GeoTIFF
+``report.html``               the page
+============================  =====================================================================================
+
+The folder of several campaigns has a folder for each.  Its tables are joined from theirs, text by text, and its
+``results.json`` names them, so that neither writing nor opening it needs more memory than its largest campaign.
+
+Numbers are written as their shortest exact representation, and the same run gives the same bytes.
+
+``products.nc`` has a group for each side (``predicted``, ``observed``) and in its root the spectra of all of them, by
+side and subject.  Every entry of a product is named by coordinates (``roc_subject``, ``roc_detector``, ...); arrays of
+unequal length are filled up with NaN.  Numbers are float64; covariances are float32 (24 bits of mantissa) and
+compressed, since they are most of the file, and their diagonals come back from the standard uncertainties.  The
+covariance between bands of an SNR is left out.  A predicted score of objects is a law: the file has its quantiles,
+and read back it is a thousand values evenly spread between the outermost of these.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
+from functools import cache, cached_property
+from itertools import chain, takewhile
+from operator import attrgetter
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
+
+import h5netcdf
+import h5py
+import numpy as np
+import yaml
+
+import hyperval
+import hyperval.products as product_types
+from hyperval.errors import InputError, UsageError, reader
+from hyperval.hdf5 import check_hdf5
+from hyperval.metrics import Evidence
+from hyperval.products import (
+    SPECTRA,
+    ObjectScores,
+    ObservedProducts,
+    PredictedProducts,
+    Products,
+    RocCurve,
+    SpectralEstimate,
+)
+from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.storage import write_text
+
+SIDES = {"predicted": PredictedProducts, "observed": ObservedProducts}
+SCHEMA_VERSION = 3
+SECONDS_PER_YEAR = 365.2425 * 86400.0
+MAX_BYTES = 500_000_000  # of a table that is read
+MOST_JOINED = 50_000  # rows that the results.json of several campaigns repeats
+TABLE, PRODUCTS, PROVENANCE, PAGE, JUNIT, CSV = (
+    "results.json", "products.nc", "provenance.json", "report.html", "junit.xml", "results.csv",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a folder of results holds.
+
+    Attributes
+    ----------
+    table : every row
+    provenance : where it came from; empty for what joins several runs
+    given : name of a side -> its products, of a run that is to be written
+    title, simulated : of ``products.nc``
+    folder : where it was read, None for one that is to be written
+    """
+
+    table: ResultTable
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    given: Mapping[str, Products | None] = field(default_factory=dict)
+    title: str = ""
+    simulated: bool = False
+    folder: Path | None = None
+
+    @classmethod
+    def open(cls, folder: Path) -> Run:
+        """What a command wrote into a folder; products are read when they are asked for.
+
+        Raises
+        ------
+        InputError : no results.json, or one that is not of this kind.
+        """
+        return cls(ResultTable(read_rows(Path(folder))), provenance_of(folder), folder=Path(folder))
+
+    @cached_property
+    def sides(self) -> Mapping[str, Products]:
+        """Name of a side -> its products; InputError for a damaged file, empty where there is none."""
+        if self.folder is None:
+            return {name: products for name, products in self.given.items() if products is not None}
+        return read_products(self.folder) if (self.folder / PRODUCTS).is_file() else {}
+
+    @property
+    def pair(self) -> tuple[PredictedProducts | None, ObservedProducts | None]:
+        """The prediction and the observation; None for one that was not made."""
+        return _pair(self.sides)
+
+    @property
+    def figures(self) -> dict[str, Path]:
+        """Name of a file in ``figures/`` -> its path."""
+        found = sorted((self.folder / "figures").glob("*.*")) if self.folder else []
+        return {path.name: path for path in found if path.suffix in (".svg", ".png")}
+
+    @property
+    def times(self) -> set[datetime]:
+        """When its scenarios take place, in UTC."""
+        records = [r for r in dict(self.provenance.get("engines") or {}).values() if isinstance(r, dict)]
+        texts = {str(record["time_utc"]) for record in records if record.get("time_utc")}
+        given = (datetime.fromisoformat(text) for text in texts)
+        return {t.replace(tzinfo=UTC) if t.tzinfo is None else t.astimezone(UTC) for t in given}
+
+    def write(
+        self,
+        folder: Path,
+        page: str,
+        figures: Mapping[str, bytes] | None = None,
+        score_maps: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write the run into an existing folder.
+
+        Parameters
+        ----------
+        page : HTML
+        figures : file name -> content
+        score_maps : "TARGET-DETECTOR" -> :class:`hyperval.report.run.ScoreMap`
+        """
+        folder = Path(folder)
+        write_table(self.table, folder)
+        if self.given:
+            write_products(folder, self.given, title=self.title, simulated=self.simulated)
+        stems = file_stems(score_maps or {})
+        for name, score_map in (score_maps or {}).items():
+            (folder / "scores").mkdir(exist_ok=True)
+            _write_score_map(folder / "scores" / f"{stems[name]}.tif", name, score_map)
+        if self.provenance:
+            record = json.dumps(json_value(dict(self.provenance)), indent=1, ensure_ascii=False)
+            write_text(folder / PROVENANCE, record + "\n")
+            (folder / "figures").mkdir(exist_ok=True)
+        for name, content in (figures or {}).items():
+            (folder / "figures" / name).write_bytes(content)
+        write_text(folder / PAGE, page)
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder holds results."""
+    return (Path(folder) / TABLE).is_file()
+
+
+def provenance_of(folder: Path) -> dict[str, Any]:
+    """Where the results of a folder came from; empty where they join several runs."""
+    path = Path(folder) / PROVENANCE
+    return _json(path) if path.is_file() else {}
+
+
+def junit_of(folder: Path) -> str:
+    """The text of its junit.xml."""
+    return (Path(folder) / JUNIT).read_text("utf-8")
+
+
+def runs_in(folders: Iterable[Path]) -> list[Path]:
+    """The folders of single runs: those named, or where one joins several campaigns those inside it.
+
+    Raises
+    ------
+    InputError : a folder without results.
+    """
+    out: list[Path] = []
+    for folder in map(Path, folders):
+        inside = sorted(path.parent for path in folder.glob(f"*/{PROVENANCE}"))
+        if not inside and not is_run(folder):
+            raise InputError("no results", where=str(folder), mend="name a folder that hyperval validate wrote")
+        out += inside or [folder]
+    return out
+
+
+def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) -> list[tuple[datetime, Result]]:
+    """A row of every run in the folders, by the time of its scenario; skipped ones are left out.
+
+    Raises
+    ------
+    InputError : a folder without results.
+    UsageError : a run with several times, or none of the runs has such a row.
+    """
+    days = []
+    for run in map(Run.open, runs_in(folders)):
+        rows = [r for r in run.table if (r.product, r.subject, r.metric) == (product, subject, metric)]
+        rows = [r for r in rows if not math.isnan(r.value)]
+        if rows and len(run.times) != 1:
+            where = str(run.folder)
+            raise UsageError(f"{len(run.times)} times in one run", where=where, expected="scenarios of one time_utc")
+        days += [(when, rows[0]) for when in run.times if rows]
+    if not days:
+        raise UsageError(
+            f"no run has the row {product}, {subject}, {metric}",
+            expected="names as in results.csv",
+            mend="hyperval drift FOLDER --product P --subject S --metric M",
+        )
+    return sorted(days, key=lambda day: day[0])
+
+
+def file_stems(names: Iterable[str]) -> dict[str, str]:
+    """A distinct, harmless file name for each name: letters, digits, dot, minus and underscore."""
+    stems: dict[str, str] = {}
+    taken: set[str] = set()
+    for name in names:
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:100] or "_"
+        candidate, number = stem, 2
+        while candidate.lower() in taken:
+            candidate, number = f"{stem}_{number}", number + 1
+        taken.add(candidate.lower())
+        stems[name] = candidate
+    return stems
+
+
+def _write_score_map(path: Path, name: str, score_map: Any) -> None:
+    """Write one map as float32 GeoTIFF; NaN is nodata; georeferenced where the map knows its transform."""
+    import rasterio  # 20 MB, which runs without score maps do not need
+    from affine import Affine
+    from rasterio.errors import NotGeoreferencedWarning
+
+    values = np.asarray(score_map.values, dtype=np.float32)
+    profile = {
+        "driver": "GTiff", "height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": "float32",
+        "nodata": float("nan"), "compress": "deflate", "predictor": 3,
+    }  # fmt: skip
+    if score_map.transform is not None:
+        profile["transform"] = Affine(*[float(number) for number in list(score_map.transform)[:6]])
+    if score_map.crs:
+        profile["crs"] = score_map.crs
+    with warnings.catch_warnings():
+        # A map in image geometry is a legitimate product.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **profile) as out:
+            out.write(values, 1)
+            out.set_band_description(1, f"{name} score [1]")
+
+
+# The table ------------------------------------------------------------------------------------------------------------
+
+_values = attrgetter(*COLUMNS)
+# What XML 1.0 cannot hold at all, not even escaped.
+_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_ELEMENTS = {
+    Outcome.DISAGREES: "failure", Outcome.ERROR: "error", Outcome.SKIPPED: "skipped", Outcome.UNDECIDED: "skipped",
+}  # fmt: skip
+_READABLE = (2, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
+_INFINITE = {"inf": math.inf, "-inf": -math.inf}
+_NUMBERS = ("value", "band_nm", "lower", "upper", "limit_low", "limit_high", "detectable")
+_KNOWN = {f.name for f in fields(Result)}
+_TYPES = {"role": Role, "evidence": Evidence, "outcome": Outcome, "cause": Cause}
+
+
+def write_table(table: Iterable[Result], folder: Path) -> None:
+    """Write results.csv, summary.csv (the planned comparisons alone), results.json and junit.xml."""
+    rows = list(table)
+    write_text(folder / CSV, results_csv(rows))
+    write_text(folder / "summary.csv", results_csv(row for row in rows if row.planned))
+    write_text(folder / TABLE, results_json(rows))
+    write_text(folder / JUNIT, junit_xml(rows))
+
+
+def write_joined(folder: Path, names: Sequence[str], page: str) -> None:
+    """Write the page and the tables of several runs, whose folders stand in ``folder`` under these names."""
+    for name in (CSV, "summary.csv"):
+        with open(folder / name, "w", encoding="utf-8", newline="") as out:
+            out.write(results_csv([]))
+            for part in names:
+                with open(folder / part / name, encoding="utf-8", newline="") as own:
+                    next(own)
+                    out.writelines(own)
+    heads = {name: _json_head(folder / name / TABLE) for name in names}
+    counts = {o: sum(int(head["counts"][o]) for head in heads.values()) for o in map(str, Outcome)}
+    is_small = sum(counts.values()) <= MOST_JOINED
+    rows = chain.from_iterable(read_rows(folder / name) for name in names) if is_small else []
+    write_text(folder / TABLE, _document(rows, counts, {"runs": list(names)}))
+    _write_joined_junit(folder, names)
+    write_text(folder / PAGE, page)
+
+
+def _json_head(path: Path) -> dict[str, Any]:
+    """What a table says before its rows."""
+    with open(path, encoding="utf-8") as stream:
+        text = "".join(takewhile(lambda line: line != ' "rows": [\n', stream)).rstrip()
+    return dict(json.loads(text.removesuffix(",") + "}" if text.endswith(",") else text))
+
+
+def _write_joined_junit(folder: Path, names: Sequence[str]) -> None:
+    texts = [(folder / name / JUNIT).read_text("utf-8").split("\n", 2) for name in names]
+    totals: Counter[str] = Counter()
+    for _, head, _ in texts:
+        totals.update({key: int(number) for key, number in re.findall(r' (\w+)="(\d+)"', head)})
+    suites = "".join(body.removesuffix("</testsuites>\n") for _, _, body in texts)
+    write_text(folder / JUNIT, _junit(suites, [totals[k] for k in ("tests", "failures", "errors", "skipped")]))
+
+
+def results_csv(rows: Iterable[Result]) -> str:
+    """The table as CSV: the columns ``results.COLUMNS``, an empty cell for NaN and None."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows([_cell(value) for value in _values(row)] for row in rows)
+    return out.getvalue()
+
+
+def results_json(rows: Iterable[Result]) -> str:
+    """The table as JSON: a header, and a list of values a row in the order of ``columns``.
+
+    A line a row; null for NaN, "inf" and "-inf" for infinities.
+    """
+    rows = list(rows)
+    count = Counter(row.outcome for row in rows)
+    return _document(rows, {str(outcome): count[outcome] for outcome in Outcome})
+
+
+def _document(rows: Iterable[Result], counts: Mapping[str, int], more: Mapping[str, Any] | None = None) -> str:
+    document = {
+        "schema_version": SCHEMA_VERSION, "hyperval_version": hyperval.__version__, "counts": dict(counts),
+        **(more or {}), "columns": list(COLUMNS), "rows": [],
+    }  # fmt: skip
+    head = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+    encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode  # fast only without indentation
+    listed = ",\n".join(f"  {encode([json_value(value) for value in _values(row)])}" for row in rows)
+    return head.removesuffix("[]\n}") + f"[\n{listed}\n ]\n}}\n" if listed else head + "\n"
+
+
+def junit_xml(rows: Iterable[Result]) -> str:
+    """One test case for each gate and each error; what disagrees fails, what is undecided counts as skipped."""
+    suites: dict[str, list[Result]] = {}
+    for row in rows:
+        suites.setdefault(row.campaign, [])
+        if row.gates or row.outcome is Outcome.ERROR:
+            suites[row.campaign].append(row)
+    text = ""
+    for campaign, suite in suites.items():
+        text += f" <testsuite name={_attribute(campaign)} {_totals(_tally(suite))}>\n"
+        text += "".join(f"{_test_case(row)}\n" for row in suite) + " </testsuite>\n"
+    return _junit(text, _tally(list(chain.from_iterable(suites.values()))))
+
+
+def _junit(suites: str, totals: Sequence[int]) -> str:
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    return f'{head}<testsuites name="hyperval" {_totals(totals)}>\n{suites}</testsuites>\n'
+
+
+def _tally(rows: Sequence[Result]) -> list[int]:
+    count = Counter(_ELEMENTS.get(row.outcome) for row in rows)
+    return [len(rows), *(count[element] for element in ("failure", "error", "skipped"))]
+
+
+def _totals(numbers: Sequence[int]) -> str:
+    return 'tests="{}" failures="{}" errors="{}" skipped="{}"'.format(*numbers)
+
+
+def _test_case(row: Result) -> str:
+    head = f"  <testcase classname={_attribute(f'{row.campaign}.{row.product}')} name={_attribute(row_name(row))}"
+    element = _ELEMENTS.get(row.outcome)
+    if element is None:
+        return head + "/>"
+    undecided = f"undecided: {row.cause}" if row.outcome is Outcome.UNDECIDED else ""
+    words = "; ".join(part for part in (undecided, _why(row)) if part)
+    return f"{head}><{element} message={_attribute(words)}/></testcase>"
+
+
+def _why(row: Result) -> str:
+    """The reason of a row, or its numbers where it states none."""
+    ends = (("at least", row.limit_low), ("at most", row.limit_high))
+    limits = " and ".join(f"{words} {end:.6g}" for words, end in ends if not math.isnan(end))
+    numbers = f"{row.metric} = {row.value:.6g} {row.unit}" + (f", accepted {limits}" if limits else "")
+    return f"{row.reason} ({numbers})" if row.reason and math.isfinite(row.value) else row.reason or numbers
+
+
+def _attribute(text: str) -> str:
+    return quoteattr(_NOT_XML.sub("\ufffd", text), {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
+
+
+def row_name(row: Result) -> str:
+    """Subject, method, metric and band in one line."""
+    parts = [row.subject, row.method, row.metric]
+    if math.isfinite(row.band_nm):
+        parts.append(f"{row.band_nm:g} nm")
+    return " ".join(part for part in parts if part)
+
+
+def json_value(value: Any) -> Any:
+    """A value that JSON can hold: NaN becomes null, an infinity its name, anything unknown its text."""
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None if math.isnan(value) else str(value)
+    if value is None or isinstance(value, int):
+        return value
+    if isinstance(value, list | tuple):
+        return [json_value(item) for item in value]
+    if hasattr(value, "tolist"):  # NumPy scalars and arrays
+        return json_value(value.tolist())
+    if hasattr(value, "items"):
+        return {str(key): json_value(item) for key, item in value.items()}
+    return str(value)
+
+
+def harmless(text: str) -> str:
+    """The text of a CSV cell, with an apostrophe before what a spreadsheet would take for a formula.
+
+    A carriage return becomes a line feed: readers of CSV take a bare one for the end of the row.
+    """
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\n") else text
+
+
+def _cell(value: Any) -> Any:
+    return harmless(value) if isinstance(value, str) else json_value(value)
+
+
+def read_rows(folder: Path) -> Iterator[Result]:
+    """The rows of a folder's results.json; of one that joins several campaigns those of each, one after the other.
+
+    Raises
+    ------
+    InputError : no such file, not JSON, or not a results table of this version.
+    """
+    path = Path(folder) / TABLE
+    document = _document_of(path)
+    for name in document.get("runs", ()):
+        if not isinstance(name, str) or Path(name).name != name or name.startswith("."):
+            raise InputError(f"{name!r} is no folder beside it", where=str(path))
+        yield from read_rows(folder / name)
+    if "runs" not in document:
+        yield from _rows(path, document["columns"], document["rows"])
+
+
+@reader
+def _document_of(path: Path) -> dict[str, Any]:
+    document = _json(path)
+    lists = all(isinstance(document.get(name, []), list) for name in ("runs", "columns", "rows"))
+    if document.get("schema_version") not in _READABLE or not lists or not {"columns", "rows"} <= document.keys():
+        expected = f"results.json of schema version {SCHEMA_VERSION}"
+        raise InputError("not a results table", where=str(path), expected=expected)
+    return document
+
+
+@reader
+def _rows(path: Path, columns: list[Any], rows: list[Any]) -> list[Result]:
+    words: dict[str, str] = {}  # rows repeat their words, which are kept once
+    return [_row(item, columns, words, f"{path}, row {i}") for i, item in enumerate(rows, start=1)]
+
+
+def _row(item: Any, columns: list[Any], words: dict[str, str], where: str) -> Result:
+    if isinstance(item, list) and len(item) == len(columns):
+        item = dict(zip(map(str, columns), item, strict=True))
+    if not isinstance(item, dict) or item.keys() != _KNOWN:
+        raise InputError("not a row of results", where=where, expected="the columns " + ", ".join(sorted(_KNOWN)))
+    values: dict[str, Any] = {k: words.setdefault(v, v) if isinstance(v, str) else v for k, v in item.items()}
+    try:
+        for name in _NUMBERS:
+            value = values[name]
+            values[name] = math.nan if value is None else float(_INFINITE.get(value, value))
+        for name, kind in _TYPES.items():
+            values[name] = kind(values[name])
+        return Result(**values)
+    except (TypeError, ValueError, UsageError) as error:
+        raise InputError(f"not a row of results: {error}", where=where) from error
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"larger than {MAX_BYTES} bytes", where=str(path))
+        content = json.loads(path.read_bytes())
+    except FileNotFoundError as error:
+        raise InputError("no such file", where=str(path), mend="name a folder of results") from error
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not JSON: {error}", where=str(path)) from error
+    if not isinstance(content, dict):
+        raise InputError("not a JSON object", where=str(path))
+    return content
+
+
+# Products -------------------------------------------------------------------------------------------------------------
+
+Entry = tuple[tuple[str, ...], Any, Mapping[str, Any]]  # axes, values, attributes
+Arrays = dict[str, Entry]
+_SCALES = ("wavelength", "wavelength_2", "object_score_probability")
+
+
+class Column(NamedTuple):
+    """A number, an array or a word of each entry of a product, as ``products.yaml`` states it.
+
+    Attributes
+    ----------
+    field : of the entry, ``self`` for the entry itself
+    name, text, unit : of the variable, its ``long_name`` and ``units``, none for words; {} is the key of a mapping
+    axes : of an array, after that of the entries; ``band`` has one length, others are filled up with NaN
+    """
+
+    field: str
+    name: str
+    text: str
+    unit: str
+    axes: tuple[str, ...] = ()
+
+
+class Layout(NamedTuple):
+    """How a product lies in the file: see ``products.yaml``."""
+
+    prefix: str
+    kind: type | None
+    axis: str
+    key: tuple[str, ...]
+    columns: tuple[Column, ...] = ()
+    inner: Mapping[str, Layout] = MappingProxyType({})
+
+
+@cache
+def _layouts() -> dict[str, Layout]:
+    stated = yaml.safe_load((Path(__file__).parent / "products.yaml").read_text("utf-8"))
+    return {name: _layout(name, about) for name, about in stated.items()}
+
+
+def _layout(name: str, about: Mapping[str, Any]) -> Layout:
+    prefix, units, names = (about.get(key, usual) for key, usual in (("prefix", name), ("units", {}), ("names", {})))
+    groups = [((), "1", about.get("numbers", {})), ((), "", about.get("words", {}))]
+    groups += [(tuple(axes.split()), "1", own) for axes, own in about.get("arrays", {}).items()]
+    columns = []
+    for axes, unit, own in groups:
+        for field_, text in own.items():
+            named = names.get(field_, f"{prefix}_{field_}").replace("{prefix}", prefix)
+            words = text.replace("{prefix}", prefix)
+            columns.append(Column(field_, named, words, units.get(field_, unit), axes))
+    inner = {field: _layout(field, own) for field, own in about.get("inner", {}).items()}
+    kind = getattr(product_types, about["kind"]) if "kind" in about else None
+    return Layout(prefix, kind, about["axis"], tuple(about["key"]), tuple(columns), inner)
+
+
+# A predicted object score is a law; its quantiles say what its draws do.
+OBJECT_QUANTILES = (0.001, 0.005, 0.01, 0.025, 0.05, *np.round(np.arange(0.1, 0.95, 0.1), 1).tolist(),
+                    0.95, 0.975, 0.99, 0.995, 0.999)  # fmt: skip
+_LAW_VALUES = 1000
+_TARGET = ("subject", "detector")
+_PARTS = {
+    "subject": "what is looked for or seen",
+    "detector": "detector",
+    "unit": "what is counted: pixels or objects",
+    "classes": "classes told apart",
+    "features": "features of the classifier",
+    "range": "which area, and its range of P_FA",
+    "name": "object",
+}
+
+
+def _is_label(name: str, entry: Entry) -> bool:
+    """Whether an array only names the places along an axis."""
+    return name in _SCALES or np.asarray(entry[1]).dtype.kind == "O"
+
+
+def to_xarray(products: Products) -> Any:
+    """One side as a dataset of xarray, which takes 80 MB with pandas and is loaded where it is asked for."""
+    import xarray as xr
+
+    parts: tuple[Arrays, Arrays] = ({}, {})
+    for name, entry in to_arrays(products).items():
+        parts[_is_label(name, entry)][name] = entry
+    return xr.Dataset(*parts)
+
+
+def to_arrays(products: Products) -> Arrays:
+    """One side as arrays along ``band``, ``band_2``, ``PRODUCT_subject``, ``roc_curve``, ``roc_point``, ..."""
+    axis, data = products.axis, _bands(products.axis)
+    unit = data["wavelength"][2]["units"]
+    words = {"units": unit, "long_name": "wavelength, second index"}
+    data["wavelength_2"] = (("band_2",), axis.centre_nm, words)
+    flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "not_used used"}
+    good = {"units": "1", "long_name": "whether the band is used", **flags}
+    data["good_band"] = (("band",), axis.good.astype(np.int8), good)
+    for name, layout in _layouts().items():
+        _add(data, layout, [(_key(key), item) for key, item in getattr(products, name, {}).items()])
+    _add_object_scores(data, products.object_scores)
+    return data
+
+
+def _bands(axis: SpectralAxis) -> Arrays:
+    words = {"units": "nm", "standard_name": "radiation_wavelength"}
+    words = {"units": "1", "long_name": "number of the band"} if axis.numbered else words
+    data: Arrays = {"wavelength": (("band",), axis.centre_nm, words)}
+    data["fwhm"] = (("band",), axis.fwhm_nm, {"units": "nm", "long_name": "full width at half maximum"})
+    return data
+
+
+def _key(key: Any) -> tuple[str, ...]:
+    return (key,) if isinstance(key, str) else tuple(key)
+
+
+def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], Any]]) -> None:
+    if not entries:
+        return
+    for i, part in enumerate(layout.key):
+        names = np.array([str(key[i]) for key, _ in entries], dtype=object)
+        data[f"{layout.prefix}_{part}"] = ((layout.axis,), names, {"long_name": _PARTS[part]})
+    each = [(column, [_field(item, column) for _, item in entries]) for column in layout.columns]
+    longest = {axis: 0 for column in layout.columns for axis in column.axes}
+    for column, values in each:
+        for array in (v for value in values for v in (value.values() if isinstance(value, Mapping) else [value])):
+            longest.update({a: max(longest[a], n) for a, n in zip(column.axes, np.shape(array), strict=False)})
+    for column, values in each:
+        shape = [longest[axis] for axis in column.axes]
+        if "{}" not in column.name:
+            _add_column(data, layout, column, values, shape)
+            continue
+        for source in sorted({source for value in values for source in value}):
+            suffix = re.sub(r"[^A-Za-z0-9]", "_", source)
+            own = column._replace(name=column.name.format(suffix), text=column.text.format(source.replace("_", " ")))
+            _add_column(data, layout, own, [value.get(source) for value in values], shape, source=source)
+    for name, inner in layout.inner.items():
+        found = []
+        for key, item in entries:
+            held = getattr(item, name)
+            named = held.items() if isinstance(held, Mapping) else (((), one) for one in held)
+            found += [((*key, *_key(own)), one) for own, one in named]
+        _add(data, inner, found)
+
+
+def _field(item: Any, column: Column) -> Any:
+    return item if column.field == "self" else getattr(item, column.field)
+
+
+def _add_column(
+    data: Arrays, layout: Layout, column: Column, values: Sequence[Any], shape: Sequence[int], **more: str
+) -> None:
+    """Numbers or arrays below each other, NaN where one is None or has ended; nothing where all arrays are None."""
+    name, axes, words = column.name, (layout.axis, *column.axes), {"long_name": column.text, **more}
+    if not column.unit:
+        data[name] = (axes, np.array([str(value) for value in values], dtype=object), words)
+    elif not shape or any(value is not None for value in values):
+        out = np.full((len(values), *shape), np.nan, dtype=np.float32 if _is_packed(name) else float)
+        for row, value in zip(out[..., None], values, strict=True):
+            if value is not None:
+                row[tuple(slice(n) for n in np.shape(value))] = np.asarray(value)[..., None]
+        data[name] = (axes, out, {"units": column.unit, **words})
+
+
+def _add_object_scores(data: Arrays, scores: Mapping[tuple[str, str], ObjectScores]) -> None:
+    """Measured: one score for each object; predicted: quantiles of the law of an object's score."""
+    text = "greatest score over the pixels of an object"
+    each = [((*key, name), value) for key, own in scores.items() if np.ndim(own.values) == 1
+            for name, value in zip(own.names or [""] * len(own.values), own.values, strict=True)]  # fmt: skip
+    column = Column("self", "object_score", text, "1")
+    _add(data, Layout("object_score", None, "object_score_entry", (*_TARGET, "name"), (column,)), each)
+    laws = [(key, np.quantile(own.values, OBJECT_QUANTILES)) for key, own in scores.items() if np.ndim(own.values) == 2]
+    if laws:
+        _add(data, Layout("object_score_law", None, "object_score_law_entry", _TARGET), laws)
+        lower = "object_score_probability"
+        words = {"units": "1", "long_name": "probability of a lower score"}
+        data[lower] = ((lower,), np.array(OBJECT_QUANTILES), words)
+        axes, values = ("object_score_law_entry", lower), np.stack([values for _, values in laws])
+        data["object_score_quantile"] = (axes, values, {"units": "1", "long_name": f"quantile of the {text}"})
+
+
+def write_products(folder: Path, sides: Mapping[str, Products | None], *, title: str, simulated: bool) -> None:
+    """Write ``products.nc`` of the sides that there are into a folder; two writes give the same bytes."""
+    with h5netcdf.File(Path(folder) / PRODUCTS, "w") as file:
+        file.attrs.update({
+            "Conventions": "CF-1.11", "title": title, "source": f"hyperval {hyperval.__version__}",
+            "simulated": "yes" if simulated else "no",
+        })  # fmt: skip
+        known = {name: products for name, products in sides.items() if products is not None}
+        for name, products in known.items():
+            _write_group(file.create_group(name), to_arrays(products))
+        _write_group(file, _all_spectra(known))  # last: its axes are not those of the groups
+
+
+def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
+    """The spectra of all sides with their standard uncertainties, NaN where a side has no such subject."""
+    each = list(sides.values())
+    products = [name for name in SPECTRA if any(getattr(side, name) for side in each)]
+    if not products or not all(side.axis.matches(each[0].axis) for side in each):
+        return {}
+    data = _bands(each[0].axis)
+    subjects = list(dict.fromkeys(s for side in each for name in products for s in getattr(side, name)))
+    data["side"] = (("side",), np.array(list(sides), dtype=object), {"long_name": "predicted or observed"})
+    data["subject"] = (("subject",), np.array(subjects, dtype=object), {"long_name": _PARTS["subject"]})
+    for name in products:
+        for column in (c for c in _layouts()[name].columns if c.field in ("mean", "standard_uncertainty")):
+            values = np.full((len(each), len(subjects), len(each[0].axis)), np.nan)
+            for i, side in enumerate(each):
+                for subject, estimate in getattr(side, name).items():
+                    values[i, subjects.index(subject)] = getattr(estimate, column.field)
+            words = {"units": column.unit, "long_name": column.text}
+            data[column.name] = (("side", "subject", "band"), values, words)
+    return data
+
+
+def _is_packed(name: str) -> bool:
+    return name.endswith("_covariance")
+
+
+def _write_group(group: Any, data: Arrays) -> None:
+    labels = sorted(name for name, entry in data.items() if _is_label(name, entry))
+    for name, (axes, values, attributes) in data.items():
+        array = np.asarray(values)
+        for axis, size in zip(axes, array.shape, strict=True):
+            if axis not in group.dimensions:
+                group.dimensions[axis] = size
+        options: dict[str, Any] = {"dtype": array.dtype}
+        if array.dtype.kind == "O":
+            options["dtype"] = h5py.string_dtype()
+        elif array.dtype.kind == "f" and name not in labels:
+            options["fillvalue"] = np.nan
+            if _is_packed(name):
+                options |= {
+                    "fillvalue": np.float32(np.nan),
+                    "compression": "gzip",
+                    "compression_opts": 4,
+                    "shuffle": True,
+                }
+        variable = group.create_variable(name, axes, data=array, **options)
+        variable.attrs.update(attributes)
+        beside = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
+        if name not in labels and beside:
+            variable.attrs["coordinates"] = " ".join(beside)
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[Any]:
+    """The open products.nc of a folder; whatever is wrong with it is an InputError."""
+    path = Path(folder) / PRODUCTS
+    if not path.is_file():
+        raise InputError("no such file", where=str(path), expected="products.nc of a finished run")
+    check_hdf5(path)
+    try:
+        with h5netcdf.File(path, "r") as file:
+            yield file
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise InputError(f"cannot be read: {error}", where=str(path), expected="products.nc of a run") from error
+
+
+@reader
+def read_products(folder: Path) -> dict[str, Products]:
+    """The sides of a run as they were written.
+
+    Raises
+    ------
+    InputError : no products.nc, or one that is not of this kind.
+    """
+    with _opened(folder) as file:
+        kinds = {name: SIDES.get(name, PredictedProducts) for name in file.groups}
+        return {name: _products(file.groups[name], kind) for name, kind in kinds.items()}
+
+
+def read_pair(folder: Path) -> tuple[PredictedProducts | None, ObservedProducts | None]:
+    """The prediction and the observation of a run, None for one that was not made; errors of read_products."""
+    return _pair(read_products(folder))
+
+
+def _pair(sides: Mapping[str, Products]) -> tuple[PredictedProducts | None, ObservedProducts | None]:
+    predicted, observed = (sides.get(name) for name in SIDES)
+    return (
+        predicted if isinstance(predicted, PredictedProducts) else None,
+        observed if isinstance(observed, ObservedProducts) else None,
+    )
+
+
+@reader
+def is_simulated(folder: Path) -> bool:
+    """Whether a run is one of a simulated collection; errors of read_products."""
+    with _opened(folder) as file:
+        return bool(file.attrs.get("simulated") == "yes")
+
+
+def _products(group: Any, kind: type[Products]) -> Products:
+    centre, fwhm, good = (group[name][...] for name in ("wavelength", "fwhm", "good_band"))
+    axis = SpectralAxis(centre, fwhm, good.astype(bool))
+    content: dict[str, Any] = {}
+    for name, layout in _layouts().items():
+        if entries := _entries(group, layout):
+            content[name] = {key[0] if len(layout.key) == 1 else key: item for key, item in entries}
+    return kind(axis=axis, **content, object_scores=_object_scores(group))
+
+
+def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
+    """Key and entry of each that a group holds of a product."""
+    if f"{layout.prefix}_{layout.key[0]}" not in group:
+        return []
+    keys = list(zip(*(_texts(group[f"{layout.prefix}_{part}"]) for part in layout.key), strict=True))
+    items: list[dict[str, Any]] = [{} for _ in keys]
+    for column in layout.columns:
+        name = column.field
+        for source, variable in _variables(group, column).items():
+            values = variable[...] if column.unit else _texts(variable)
+            for item, value in zip(items, values, strict=True):
+                if source and not np.isnan(value).all():
+                    item.setdefault(name, {})[source] = value
+                elif not source:
+                    item[name] = value
+    for axes in {column.axes for column in layout.columns if column.axes and "band" not in column.axes}:
+        for item in items:
+            _trim(item, [column.field for column in layout.columns if column.axes == axes])
+    by_key = dict(zip(keys, items, strict=True))
+    for name, inner in layout.inner.items():
+        for key, entry in _entries(group, inner):
+            item, own = by_key[key[: len(layout.key)]], key[len(layout.key) :]
+            item[name] = {**item.get(name, {}), own[0]: entry} if own else (*item.get(name, ()), entry)
+    return [(key, _made(layout.kind, key, item)) for key, item in zip(keys, items, strict=True)]
+
+
+def _variables(group: Any, column: Column) -> dict[str, Any]:
+    """Source -> variable of a column, where it stands for several; else "" -> the one, where there is one."""
+    if "{}" not in column.name:
+        return {"": group[column.name]} if column.name in group else {}
+    found = [variable for name, variable in group.variables.items() if name.startswith(column.name.format(""))]
+    return {str(variable.attrs["source"]): variable for variable in found}
+
+
+def _texts(variable: Any) -> list[str]:
+    return [text.decode() if isinstance(text, bytes) else str(text) for text in variable[...]]
+
+
+def _trim(item: dict[str, Any], names: Sequence[str]) -> None:
+    """Cut off what fills arrays of one length up to the longest of their kind."""
+    arrays = {name: item[name] for name in names if name in item}
+    ends = [np.flatnonzero(~np.isnan(values)) for values in arrays.values()]
+    size = max((int(places[-1]) + 1 for places in ends if places.size), default=0)
+    item.update({name: values[:size] for name, values in arrays.items()})
+
+
+def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
+    """The entry of these fields; NaN is None where a field may be None, and a whole number where it is one."""
+    if kind is None:
+        return item["self"]
+    if kind is SpectralEstimate:
+        variance = item.pop("standard_uncertainty") ** 2
+        covariance = np.array(item.get("error_covariance", np.diag(variance)), dtype=float)
+        np.fill_diagonal(covariance, variance)
+        item["error_covariance"] = covariance
+    if kind is RocCurve:
+        item["unit"] = "pixel" if key[2] == "pixel" else "object"
+    for name, hint in _hints(kind).items():
+        value = item.get(name)
+        if not isinstance(value, np.ndarray | np.floating):
+            continue
+        if "None" in hint and np.isnan(value).all():
+            item[name] = None
+        elif isinstance(value, np.ndarray):
+            item[name] = value.astype(np.int64 if "int64" in hint else float)
+        else:
+            item[name] = int(value) if hint.startswith("int") else bool(value) if hint == "bool" else float(value)
+    return kind(**item)
+
+
+@cache
+def _hints(kind: type) -> dict[str, str]:
+    return {f.name: str(f.type) for f in fields(kind)}
+
+
+def _object_scores(group: Any) -> dict[tuple[str, str], ObjectScores]:
+    """Scores of the measured objects, or the law of those of a predicted one."""
+    out: dict[tuple[str, str], ObjectScores] = {}
+    if "object_score_quantile" in group:
+        at, known = (np.arange(_LAW_VALUES) + 0.5) / _LAW_VALUES, group["object_score_probability"][...]
+        keys = zip(*(_texts(group[f"object_score_law_{part}"]) for part in _TARGET), strict=True)
+        for (subject, detector), quantiles in zip(keys, group["object_score_quantile"][...], strict=True):
+            out[subject, detector] = ObjectScores(np.interp(at, known, quantiles)[None])
+    if "object_score" in group:
+        each: dict[tuple[str, str], list[tuple[str, float]]] = {}
+        names = (_texts(group[f"object_score_{part}"]) for part in (*_TARGET, "name"))
+        for subject, detector, name, value in zip(*names, group["object_score"][...], strict=True):
+            each.setdefault((subject, detector), []).append((name, float(value)))
+        for key, own in each.items():
+            out[key] = ObjectScores(np.array([value for _, value in own]), tuple(name for name, _ in own))
+    return out
