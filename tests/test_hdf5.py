@@ -11,7 +11,7 @@ import h5py
 import pytest
 
 from hyperval import api, hdf5
-from hyperval.atmosphere.table_files import read_table
+from hyperval.atmosphere.table import read_table
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery import open_cube, sun_of_observation

@@ -8,7 +8,6 @@ from modtran_samples import spectrum, tape7
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.atmosphere.modtran import (
-    checked_albedos,
     read_channels,
     read_chn,
     read_modtran_runs,
@@ -51,7 +50,7 @@ def test_where_nothing_is_reflected_the_spherical_albedo_is_that_of_the_neighbou
 )
 def test_albedos_that_do_not_determine_the_terms_are_refused(wrong):
     with pytest.raises(UsageError, match="albedos"):
-        checked_albedos(wrong, len(wrong))
+        solve_coefficients(wrong, np.ones((len(wrong), 2)), np.ones((len(wrong), 2)))
 
 
 def test_tape7_runs_give_terms_per_wavelength(tmp_path):

@@ -54,11 +54,11 @@ def test_a_system_on_which_the_program_starts_is_left_alone(tmp_path, monkeypatc
 def test_user_search_path_is_kept(tmp_path, monkeypatch):
     seen = {}
 
-    def run(args, **options):
-        seen.update(options["env"])
-        return subprocess.CompletedProcess(args, 0, "6SV version apparent reflectance", "")
+    def run(command, name, mend, *, environment, **options):
+        seen.update(environment)
+        return subprocess.CompletedProcess(command, 0, "6SV version apparent reflectance", "")
 
-    monkeypatch.setattr(sixs.subprocess, "run", run)
+    monkeypatch.setattr(sixs, "run_program", run)
     monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/mine")
     sixs._start(CARD, str(tmp_path))
     assert seen["LD_LIBRARY_PATH"] == f"{tmp_path}{os.pathsep}/opt/mine"

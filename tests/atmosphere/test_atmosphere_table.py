@@ -289,7 +289,7 @@ def test_a_table_with_a_damaged_block_is_refused_or_unharmed(tmp_path):
 def test_a_table_too_large_is_refused_before_it_is_loaded(tmp_path, monkeypatch):
     table = made_up({"aot550": [0.1, 0.4]}, lambda nm, aot550: aot550 + 0 * nm)
     write_table(table, tmp_path / "table.nc")
-    monkeypatch.setattr("hyperval.atmosphere.table_files._MAX_VALUES", 100)
+    monkeypatch.setattr("hyperval.atmosphere.table._MAX_VALUES", 100)
     with pytest.raises(InputError, match="732 values"):
         read_table(tmp_path / "table.nc")
 

@@ -17,8 +17,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.atmosphere.modtran import RADIANCE_COLUMNS
-from hyperval.atmosphere.table import QUANTITIES, AtmosphericTable
-from hyperval.atmosphere.table_files import write_table
+from hyperval.atmosphere.table import QUANTITIES, AtmosphericTable, write_table
 from hyperval.imagery import write_cube
 from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.run import write_products

@@ -36,7 +36,7 @@ from contents import (
 )
 
 from hyperval.atmosphere.modtran import read_channels, read_chn, read_modtran_json, read_tape7, terms_from_runs
-from hyperval.atmosphere.table_files import read_table
+from hyperval.atmosphere.table import read_table
 from hyperval.baseline.accepted import load_baseline
 from hyperval.campaign.job import read_texts
 from hyperval.campaign.schema import load_campaigns

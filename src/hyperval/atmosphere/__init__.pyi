@@ -3,8 +3,7 @@
 from .engine import ENGINES, atmospheric_terms
 from .modtran import modtran6_json, read_chn, read_modtran_runs, read_tape7, tape5
 from .state import AerosolMix, AtmosphericState
-from .table import AtmosphericTable
-from .table_files import build_table, read_table, write_table
+from .table import AtmosphericTable, build_table, read_table, write_table
 from .terms import AtmosphericTerms
 
 __all__ = [

@@ -1,11 +1,17 @@
-"""A cache of arrays on disk: safe for parallel processes, deaf to corrupted entries."""
+"""What every engine needs: a program that ends with the process that starts it, and a cache of what it computed.
+
+The cache is of arrays on disk: safe for parallel processes, deaf to corrupted entries.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+import signal
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +19,56 @@ import numpy as np
 import numpy.typing as npt
 import platformdirs
 
-from hyperval.storage import whole_file
+from hyperval.errors import EngineError
+from hyperval.storage import ending_with_this_process, is_no_program, last_line, whole_file
 
 Array = npt.NDArray[np.float64]
 Arrays = dict[str, Array]
+
+
+def run_program(
+    command: Sequence[str],
+    name: str,
+    mend: str,
+    *,
+    timeout_s: float,
+    text: str = "",
+    folder: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> subprocess.CompletedProcess[str]:
+    """What a program says that is given ``text`` to read; it and its children end with this process and its patience.
+
+    Parameters
+    ----------
+    command : the program and its arguments
+    name, mend : what messages call it, and what they advise where it cannot be started
+    timeout_s : how long it may take [s]
+    folder : its working directory
+    environment : its variables; None: those of this process
+
+    Raises
+    ------
+    EngineError : it cannot be started, or takes longer.
+    """
+    try:
+        process = subprocess.Popen(  # noqa: S603
+            ending_with_this_process(command), cwd=folder, env=environment, stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True,
+        )  # fmt: skip
+    except OSError as error:
+        raise EngineError(f"{name} cannot be started: {error.strerror}", where=command[0], mend=mend) from error
+    with process:
+        try:
+            said, complaint = process.communicate(text, timeout_s)
+        except subprocess.TimeoutExpired as error:
+            raise EngineError(f"{name} ran longer than {timeout_s:g} s", where=command[0]) from error
+        finally:
+            if process.poll() is None:
+                with contextlib.suppress(OSError):
+                    os.killpg(process.pid, signal.SIGKILL)
+    if is_no_program(process.returncode):
+        raise EngineError(f"{name} cannot be started: {last_line(complaint)}", where=command[0], mend=mend)
+    return subprocess.CompletedProcess(command, process.returncode, said, complaint)
 
 
 def cache_folder(given: Path | None = None) -> Path:

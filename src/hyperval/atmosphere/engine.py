@@ -9,7 +9,7 @@ from hyperval.atmosphere.cache import cache_folder
 from hyperval.atmosphere.modtran import modtran_terms
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
-from hyperval.atmosphere.table_files import read_table
+from hyperval.atmosphere.table import read_table
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError
 

@@ -29,13 +29,10 @@ What a run template of MODTRAN 6 (JSON input) states of the atmosphere, the sun 
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
 import shutil
-import signal
-import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
@@ -47,14 +44,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere import solar
-from hyperval.atmosphere import state as visibility
-from hyperval.atmosphere.cache import Arrays, cached
-from hyperval.atmosphere.state import AerosolMix, AtmosphericState
+from hyperval.atmosphere.cache import Arrays, cached, run_program
+from hyperval.atmosphere.state import AerosolMix, AtmosphericState, range_from_aot550
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import EngineError, InputError, UsageError, reader
 from hyperval.paths import read_text
 from hyperval.progress import track
-from hyperval.storage import ending_with_this_process, is_no_program, last_line, scratch_folder, sha256_of
+from hyperval.storage import last_line, scratch_folder, sha256_of
 from hyperval.units import radiance_per_wavelength, radiance_to_internal
 
 Array = npt.NDArray[np.float64]
@@ -71,20 +67,11 @@ CHANNEL_COLUMNS = (
     "surface emission", "multiple scatter", "single scatter", "ground reflected", "ground reflected of the sun",
     "sun", "sun by way of the ground", "sun at the sensor", "A", "B", "S", "path transmittance", "emissivity",
 )  # fmt: skip
-# Each radiance of a run as the sum of columns, of tape7 and of channel files; the middle three make the total.
-_SUMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "radiance": (("TOTAL_RAD",), ("channel radiance",)),
-    "thermal": (("PTH_THRML", "SURF_EMIS"), ("thermal emission", "thermal scatter", "surface emission")),
-    "path": (("SOL_SCAT",), ("multiple scatter", "single scatter")),
-    "ground": (("GRND_RFLT",), ("ground reflected",)),
-    "ground_of_sun": (("DRCT_RFLT",), ("ground reflected of the sun",)),
-    "sun": (("TOA_SUN",), ("sun",)),
-}
-_PARTS = ("thermal", "path", "ground")
-TOTAL_PARTS = tuple(column for part in _PARTS for column in _SUMS[part][0])
+TOTAL_PARTS = ("thermal", "path", "ground")  # of the total radiance
 _WIDTH_STEP_NM = 1e-4  # four decimals of a width are printed
 _LEAST_RADIANCE = 1e-28  # in the unit of the file: below the range of its exponent's digits nothing adds up
 _SURREF = slice(73, 80)
+_DAMAGED = "copy the file again: it is damaged or cut short"
 
 
 class _Layout(NamedTuple):
@@ -92,34 +79,38 @@ class _Layout(NamedTuple):
 
     what: str
     heading: str  # how it begins
-    whole_heading: str
     names: tuple[str, ...]
+    of_names: bool  # whether the heading is of the names, else of a dash for each and one more
     end: str
-    blank: float | None  # what stands for an empty field; None: there is none
-    sums: dict[str, tuple[str, ...]]
+    blank: float | None  # what stands for an empty field; None: there is none, and text may follow the columns
     rounding: float  # of the total, relative
+    sums: dict[str, tuple[str, ...]]  # radiances as sums of columns
+
+    def fits(self, words: list[str]) -> bool:
+        """Whether these are the words of a whole heading."""
+        if self.of_names:
+            return words == list(self.names)
+        return len(words) == len(self.names) + 1 and set("".join(words)) == {"-"}
 
 
 _TAPE7 = _Layout(
-    what="tape7 of MODTRAN in radiance mode with the sun (IEMSCT 2)",
-    heading=r"\s*FREQ",
-    whole_heading=r"\s*" + r"\s+".join(map(re.escape, RADIANCE_COLUMNS)) + r"\s*",
-    names=RADIANCE_COLUMNS,
-    end=r"\s*-9999",
-    blank=np.nan,
-    sums={name: columns for name, (columns, _) in _SUMS.items()},
-    rounding=9e-5,  # five digits are printed
-)
+    "tape7 of MODTRAN in radiance mode with the sun (IEMSCT 2)", r"\s*FREQ", RADIANCE_COLUMNS, True, r"\s*-9999",
+    blank=np.nan, rounding=9e-5,  # five digits are printed
+    sums={
+        "radiance": ("TOTAL_RAD",), "thermal": ("PTH_THRML", "SURF_EMIS"), "path": ("SOL_SCAT",),
+        "ground": ("GRND_RFLT",), "ground_of_sun": ("DRCT_RFLT",), "sun": ("TOA_SUN",),
+    },
+)  # fmt: skip
 _CHANNELS = _Layout(
-    what=f"a .chn file of MODTRAN 5.3 or 6, of {len(CHANNEL_COLUMNS)} columns",
-    heading="----[- ]*$",
-    whole_heading=f"(-+ +){{{len(CHANNEL_COLUMNS)}}}-+ *",
-    names=CHANNEL_COLUMNS,
+    f"a .chn file of MODTRAN 5.3 or 6, of {len(CHANNEL_COLUMNS)} columns", "----[- ]*$", CHANNEL_COLUMNS, False,
     end=r"\s*$",
-    blank=None,
-    sums={name: columns for name, (_, columns) in _SUMS.items()},
-    rounding=1e-5,  # seven digits are printed
-)
+    blank=None, rounding=1e-5,  # seven digits are printed
+    sums={
+        "radiance": ("channel radiance",), "path": ("multiple scatter", "single scatter"),
+        "thermal": ("thermal emission", "thermal scatter", "surface emission"), "ground": ("ground reflected",),
+        "ground_of_sun": ("ground reflected of the sun",), "sun": ("sun",),
+    },
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -135,35 +126,40 @@ class _Table:
         """Raise InputError for the first row that is wrong; ``what`` and ``expected`` hold places of the values."""
         if wrong.any():
             row = int(np.argmax(wrong))
-            there = [v[row] for v in values]
-            raise InputError(
-                what.format(*there), where=f"{self.path}:{self.line + row + 1}", expected=expected.format(*there),
-                mend="copy the file again: it is damaged",
-            )  # fmt: skip
+            there, where = [v[row] for v in values], f"{self.path}:{self.line + row + 1}"
+            raise InputError(what.format(*there), where=where, expected=expected.format(*there), mend=_DAMAGED)
+
+    def radiances(self, layout: _Layout, converted: Callable[[Array], Array]) -> dict[str, Any]:
+        """The radiances of a run, converted; 0 where the file is blank: a term that the run did not compute."""
+        added = {name: sum(np.nan_to_num(self.columns[c]) for c in columns) for name, columns in layout.sums.items()}
+        total, together = np.asarray(added["radiance"]), np.asarray(sum(added[part] for part in TOTAL_PARTS))
+        wrong = np.abs(total - together) > layout.rounding * np.abs(total) + _LEAST_RADIANCE
+        parts = " + ".join(column for part in TOTAL_PARTS for column in layout.sums[part])
+        what = f"{layout.sums['radiance'][0]} {{:.6E}} is not the sum of its parts {{:.6E}}"
+        self.refuse(wrong, what, total, together, expected=f"{parts} within {layout.rounding:g}")
+        return {name: converted(np.asarray(values)) for name, values in added.items()}
 
 
 def _tables(path: Path, layout: _Layout) -> list[_Table]:
     """All tables of a file; raises InputError where it holds none, or one that is cut short."""
     tables: list[_Table] = []
-    ends, head, rows, heading = list[int](), list[str](), list[list[float]](), 0
-    number = 0
+    ends, head, rows, heading, number = list[int](), list[str](), list[list[float]](), 0, 0
     for number, line in enumerate([*read_text(path, MAX_BYTES).splitlines(), ""], 1):
         where = f"{path}:{number}"
         if not ends and not re.match(layout.heading, line):
             head.append(line)
         elif not ends:
-            if not re.fullmatch(layout.whole_heading, line):
+            if not layout.fits(line.split()):
                 names = " ".join(line.split()[:6])
                 raise InputError(f"unknown columns: {names} ...", where=where, expected=layout.what)
             # A name ends where its column ends, so that the widths of another release show in the heading.
             ends, heading = [m.end() for m in re.finditer(r"\S+", line)][: len(layout.names)], number
         elif not re.match(layout.end, line):
-            rows.append(fixed_columns(line, ends, where, layout.blank))
+            rows.append(_row(line, ends, where, layout.blank))
         elif not rows:
             raise InputError("a table without rows", where=f"{path}:{heading}", expected=layout.what)
         else:
-            columns = dict(zip(layout.names, np.array(rows).T, strict=True))
-            tables.append(_Table(path, heading, head, columns))
+            tables.append(_Table(path, heading, head, dict(zip(layout.names, np.array(rows).T, strict=True))))
             ends, head, rows = [], [], []
     if ends:
         raise InputError("the table has no end", where=f"{path}:{heading}", expected="a last line -9999.")
@@ -171,35 +167,25 @@ def _tables(path: Path, layout: _Layout) -> list[_Table]:
         raise InputError("no table", where=str(path), expected=layout.what)
     if any(line.strip() for line in head):
         where = f"{path}:{number - len(head) + 1}"
-        raise InputError("a case without a table", where=where, expected="a whole file", mend="copy the file again")
+        raise InputError("a case without a table", where=where, expected="a whole file", mend=_DAMAGED)
     return tables
 
 
-def fixed_columns(line: str, ends: list[int], where: str, blank: float | None = None) -> list[float]:
-    """The numbers of one row, cut at the given column ends.
-
-    ``blank`` stands for an empty field, and then no text may follow; None: there is none, and text may.
-
-    Raises
-    ------
-    InputError : a field that is no finite number, a row that is too short, or too long.
-    """
+def _row(line: str, ends: list[int], where: str, blank: float | None) -> list[float]:
+    """The numbers of one row, cut at the given column ends."""
     if blank is None and len(line) < ends[-1]:
         raise InputError(f"a line of {len(line)} characters", where=where, expected=f"{ends[-1]} or more")
     if blank is not None and line[ends[-1] :].strip():
         raise InputError(f"text beyond column {ends[-1]}", where=where, expected=f"{len(ends)} columns")
     values = []
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
-        field = line[start:end].strip()
-        if not field and blank is not None:
-            values.append(blank)
-            continue
+        text, place = line[start:end].strip(), f"in columns {start + 1}-{end}"
         try:
-            value = float(field)
+            value = blank if blank is not None and not text else float(text)
         except ValueError as error:
-            raise InputError(f"{field!r} in columns {start + 1}-{end}", where=where, expected="a number") from error
-        if not np.isfinite(value):
-            raise InputError(f"a value that is not finite in columns {start + 1}-{end}", where=where)
+            raise InputError(f"{text!r} {place}", where=where, expected="a number") from error
+        if text and not np.isfinite(value):
+            raise InputError(f"a value that is not finite {place}", where=where)
         values.append(value)
     return values
 
@@ -272,27 +258,10 @@ def _tape7_run(table: _Table) -> ModtranRun:
         constant = np.all(np.isfinite(emissivity)) and np.ptp(emissivity) <= 1e-4
         albedo = round(float(1.0 - np.median(emissivity)), 4) if constant else np.nan
     return ModtranRun(
-        where=f"{table.path}:{table.line}",
-        columns=table.columns,
-        albedo=albedo,
-        wavelength_nm=1e7 / nu[::-1],
-        transmittance=np.nan_to_num(table.columns["TOT_TRANS"], nan=0.0)[::-1],
-        **_radiances(table, _TAPE7, lambda values: radiance_per_wavelength(values, nu)[::-1]),
-    )
-
-
-def _radiances(table: _Table, layout: _Layout, converted: Callable[[Array], Array]) -> dict[str, Any]:
-    """The radiances of a run, converted; 0 where the file is blank: a term that the run did not compute."""
-
-    def added(names: Sequence[str]) -> Array:
-        return np.asarray(sum(np.nan_to_num(table.columns[name], nan=0.0) for name in names))
-
-    parts = [name for part in _PARTS for name in layout.sums[part]]
-    total, together = added(layout.sums["radiance"]), added(parts)
-    wrong = np.abs(total - together) > layout.rounding * np.abs(total) + _LEAST_RADIANCE
-    what = f"{layout.sums['radiance'][0]} {{:.6E}} is not the sum of its parts {{:.6E}}"
-    table.refuse(wrong, what, total, together, expected=f"{' + '.join(parts)} within {layout.rounding:g}")
-    return {name: converted(added(names)) for name, names in layout.sums.items()}
+        f"{table.path}:{table.line}", table.columns, albedo, wavelength_nm=1e7 / nu[::-1],
+        transmittance=np.nan_to_num(table.columns["TOT_TRANS"])[::-1],
+        **table.radiances(_TAPE7, lambda values: radiance_per_wavelength(values, nu)[::-1]),
+    )  # fmt: skip
 
 
 @reader
@@ -305,21 +274,23 @@ def read_channels(path: Path) -> list[ModtranRun]:
         first and the last, tables of different length, or a last line that is cut off.
     """
     tables = _tables(Path(path), _CHANNELS)
-    first = tables[0].columns["channel"].size
-    for table in tables:
-        size = table.columns["channel"].size
-        if size != first:
-            where, expected = f"{path}:{table.line + size}", f"{first}, as in the first table"
-            mend = "copy the file again: it is cut short"
-            raise InputError(f"a table of {size} channels", where=where, expected=expected, mend=mend)
+    sizes = [table.columns["channel"].size for table in tables]
+    for table, size in zip(tables, sizes, strict=True):
+        if size != sizes[0]:
+            where, expected = f"{path}:{table.line + size}", f"{sizes[0]}, as in the first table"
+            raise InputError(f"a table of {size} channels", where=where, expected=expected, mend=_DAMAGED)
     return [_channel_run(table) for table in tables]
 
 
 def _channel_run(table: _Table) -> ModtranRun:
     t = table.columns
-    width, number, total = t["width in nm"], t["channel"], t["channel radiance"]
+    width, number, total, following = (
+        t["width in nm"],
+        t["channel"],
+        t["channel radiance"],
+        np.arange(1.0, t["A"].size + 1),
+    )
     table.refuse(width <= 0.0, "equivalent width {:g} nm", width, expected="a positive width")
-    following = np.arange(1.0, number.size + 1.0)
     table.refuse(number != following, "channel {:g}", number, following, expected="channel {1:g}, the next one")
     product = t["radiance per nm"] * width
     rounding = _CHANNELS.rounding * np.abs(total) + np.abs(t["radiance per nm"]) * _WIDTH_STEP_NM
@@ -327,28 +298,18 @@ def _channel_run(table: _Table) -> ModtranRun:
     table.refuse(np.abs(product - total) > rounding, what, total, product, expected="the same twice")
     # Sensors with overlapping spectrometers list their channels out of order.
     order = np.argsort(t["spectral moment"], kind="stable")
-    radiances = _radiances(table, _CHANNELS, lambda values: (values / width * _RADIANCE)[order])
+    radiances = table.radiances(_CHANNELS, lambda values: (values / width * _RADIANCE)[order])
     printed = Coefficients(*(t[name][order] for name in "ABS"))
-    return ModtranRun(
-        where=f"{table.path}:{table.line}",
-        columns=t,
-        albedo=_printed_albedo(radiances["sun"], radiances["ground"], printed),
-        wavelength_nm=t["spectral moment"][order],
-        transmittance=t["path transmittance"][order],
-        width_nm=width[order],
-        printed=printed,
-        **radiances,
-    )
-
-
-def _printed_albedo(sun: Array, ground: Array, printed: Coefficients) -> float:
-    """Ground reflectance, from ground = F A rho / (1 - S rho): a channel file does not state it."""
-    full = sun * printed.direct
+    # A channel file does not state the ground: its light is F A rho / (1 - S rho).
+    full = radiances["sun"] * printed.direct
     bright = full > 0.05 * full.max()
-    if not np.any(bright):
-        return 0.0
-    ratio = ground[bright] / full[bright]
-    return float(np.median(ratio / (1.0 + printed.spherical_albedo[bright] * ratio)))
+    ratio = radiances["ground"][bright] / full[bright]
+    albedos = ratio / (1.0 + printed.spherical_albedo[bright] * ratio)
+    return ModtranRun(
+        f"{table.path}:{table.line}", t, float(np.median(albedos)) if bright.any() else 0.0,
+        wavelength_nm=t["spectral moment"][order], transmittance=t["path transmittance"][order],
+        width_nm=width[order], printed=printed, **radiances,
+    )  # fmt: skip
 
 
 _OF_THE_RUNS = {"solar_spectrum": "of the MODTRAN run", "emission": "of the black run, part of the path radiance"}
@@ -376,37 +337,33 @@ def solve_coefficients(
     ------
     UsageError : albedos that do not determine the terms.
     """
-    rho = checked_albedos(albedos, len(albedos))
-    seen, scattered = np.asarray(ground, dtype=float), np.asarray(path, dtype=float)
-    black, low, high = (rho.index(r) for r in (0.0, min(r for r in rho if r > 0.0), max(rho)))
-    lit = (seen[low] > 0.0) & (seen[high] > 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at_low, at_high = rho[low] / seen[low], rho[high] / seen[high]
-        slope = (at_high - at_low) / (rho[high] - rho[low])  # -S/A
-        inverse = at_low - slope * rho[low]  # 1/A
-        s = -slope / inverse
-    known = lit & np.isfinite(s) & (s > -0.01) & (s < GREATEST_ALBEDO_OF_AIR)
-    if spherical_albedo is None:
-        index = np.arange(s.size)
-        spherical_albedo = np.interp(index, index[known], s[known]) if known.any() else np.zeros(s.size)
-    s = np.maximum(np.where(known, s, spherical_albedo), 0.0)
-    from_bright = (1.0 - s * rho[high]) / rho[high]
-    return Coefficients(seen[high] * from_bright, (scattered[high] - scattered[black]) * from_bright, s)
-
-
-def checked_albedos(albedos: Sequence[float], runs: int) -> list[float]:
-    """The albedos of so many runs as a list, when they determine the terms; raises UsageError."""
-    rho = [float(a) for a in albedos]
+    rho, seen, scattered = list(albedos), np.asarray(ground, dtype=float), np.asarray(path, dtype=float)
     positive = {a for a in rho if a > 0.0}
-    if len(rho) != runs:
-        raise UsageError(f"{len(rho)} albedos for {runs} runs")
+    if len(rho) != len(seen):
+        raise UsageError(f"{len(rho)} albedos for {len(seen)} runs")
     if rho.count(0.0) != 1 or len(positive) < 2 or len(positive) != len(rho) - 1 or max(rho) > 1.0:
         raise UsageError(
             f"albedos {rho}",
             expected="one run over black ground and two or more over different brighter ground, 0-1",
             mend="hand in the albedos where the runs do not state them (nan)",
         )
-    return rho
+    black, low, high = (rho.index(r) for r in (0.0, min(positive), max(rho)))
+    lit = (seen[low] > 0.0) & (seen[high] > 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_low, at_high = rho[low] / seen[low], rho[high] / seen[high]
+        slope = (at_high - at_low) / (rho[high] - rho[low])  # -S/A
+        s = -slope / (at_low - slope * rho[low])  # over 1/A
+    known = lit & np.isfinite(s) & (s > -0.01) & (s < GREATEST_ALBEDO_OF_AIR)
+    elsewhere = _of_neighbours(s, known) if spherical_albedo is None else spherical_albedo
+    s = np.maximum(np.where(known, s, elsewhere), 0.0)
+    from_bright = (1.0 - s * rho[high]) / rho[high]
+    return Coefficients(seen[high] * from_bright, (scattered[high] - scattered[black]) * from_bright, s)
+
+
+def _of_neighbours(values: Array, known: npt.NDArray[np.bool_]) -> Array:
+    """The values, where they are not known straight between those that are; 0 where none is."""
+    index = np.arange(values.size)
+    return np.interp(index, index[known], values[known]) if known.any() else np.zeros(values.size)
 
 
 def terms_from_runs(runs: Sequence[ModtranRun], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
@@ -428,21 +385,21 @@ def terms_from_runs(runs: Sequence[ModtranRun], albedos: Sequence[float] | None 
         if not np.array_equal(run.wavelength_nm, runs[0].wavelength_nm):
             raise InputError("other wavelengths than the first run", where=run.where)
     stated = [round(run.albedo, 2) if run.printed else run.albedo for run in runs] if albedos is None else albedos
-    rho = checked_albedos(stated, len(runs))
+    rho, printed = [float(a) for a in stated], runs[0].printed
+    found = solve_coefficients(
+        rho, [run.ground for run in runs], [run.path for run in runs], printed and printed.spherical_albedo
+    )
     black, bright = runs[rho.index(0.0)], runs[rho.index(max(rho))]
-    printed = black.printed.spherical_albedo if black.printed else None
-    found = solve_coefficients(rho, [run.ground for run in runs], [run.path for run in runs], printed)
     with np.errstate(divide="ignore", invalid="ignore"):
         efficiency = np.where(black.sun > 0.0, found.direct / black.sun, 0.0)
         share = bright.ground_of_sun / max(rho) / found.direct
-    provenance = {
-        "engine": "MODTRAN",
-        "solved_from": [run.where for run in runs],
-        "albedos": rho,
-        **_OF_THE_RUNS,
-    }
+    where = [run.where for run in runs]
+    provenance = {"engine": "MODTRAN", "solved_from": where, "albedos": rho, **_OF_THE_RUNS}
     terms = _terms(black, found, black.path + black.thermal, efficiency, provenance)
-    return replace(terms, diffuse_fraction=_diffuse(share))
+    # The sky's part of the irradiance of black ground; in the dark that of the neighbours.
+    known = np.isfinite(share)
+    sky = np.clip(1.0 - _of_neighbours(share, known), 0.0, 1.0) if known.any() else np.zeros(known.size)
+    return replace(terms, diffuse_fraction=sky)
 
 
 def _terms(
@@ -452,28 +409,17 @@ def _terms(
 
     The ground irradiance is pi A / (direct transmittance of the path) [uW cm-2 nm-1], NaN where the path is opaque.
     """
-    opaque = run.transmittance <= _LEAST_TRANSMITTANCE
-    irradiance = np.pi * found.direct / np.where(opaque, np.nan, run.transmittance)
-    channels = run.width_nm is not None
+    opaque, width = run.transmittance <= _LEAST_TRANSMITTANCE, run.width_nm
     return AtmosphericTerms(
         wavelength_nm=run.wavelength_nm,
         path_radiance=path_radiance,
         **found._asdict(),
-        ground_irradiance=irradiance,
-        gas_transmittance=over_continuum(run.wavelength_nm, efficiency, 0.0 if channels else _LINES_NM),
+        ground_irradiance=np.pi * found.direct / np.where(opaque, np.nan, run.transmittance),
+        gas_transmittance=over_continuum(run.wavelength_nm, efficiency, _LINES_NM if width is None else 0.0),
         provenance=provenance,
-        fwhm_nm=None if run.width_nm is None else _FWHM_PER_WIDTH * run.width_nm,
-        diffuser_radiance=run.sun if channels else None,
+        fwhm_nm=None if width is None else _FWHM_PER_WIDTH * width,
+        diffuser_radiance=None if width is None else run.sun,
     )
-
-
-def _diffuse(sun_share: Array) -> Array:
-    """Sky's part of the irradiance of black ground, 1 - DRCT_RFLT / (A rho); in the dark that of the neighbours."""
-    known = np.isfinite(sun_share)
-    if not known.any():
-        return np.zeros(sun_share.size)
-    index = np.arange(sun_share.size)
-    return np.clip(1.0 - np.interp(index, index[known], sun_share[known]), 0.0, 1.0)
 
 
 def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
@@ -485,8 +431,8 @@ def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = N
     """
     if not paths:
         raise UsageError("no MODTRAN output named", expected="a .chn file, or one or more tape7 files")
-    named = [(Path(path).name.removesuffix(".gz").endswith(".chn"), path) for path in paths]
-    return terms_from_runs([r for chn, p in named for r in (read_channels(p) if chn else read_tape7(p))], albedos)
+    read = [read_channels if Path(p).name.removesuffix(".gz").endswith(".chn") else read_tape7 for p in paths]
+    return terms_from_runs([run for runs, path in zip(read, paths, strict=True) for run in runs(path)], albedos)
 
 
 @reader
@@ -509,9 +455,9 @@ def read_chn(path: Path) -> AtmosphericTerms:
     run = min(runs, key=lambda r: r.albedo)
     assert run.printed is not None  # noqa: S101 - of a channel file
     efficiency, b, s = run.printed
-    found = Coefficients(run.sun * efficiency, run.sun * b, s)
-    added = found.adjacency * run.albedo / (1.0 - s * run.albedo)
+    added = run.sun * b * run.albedo / (1.0 - s * run.albedo)
     provenance = {"engine": "MODTRAN", "file": str(path), "blocks": len(runs)}
+    found = Coefficients(run.sun * efficiency, run.sun * b, s)
     return _terms(run, found, run.thermal + run.path - added, efficiency, provenance)
 
 
@@ -521,12 +467,11 @@ def over_continuum(wavelength_nm: Array, coefficient: Array, reach_nm: float = 0
     ``reach_nm`` takes the largest value within that distance of a window, for spectra with resolved lines.
     """
     inside = [w for w in _CONTINUUM_NM if wavelength_nm[0] <= w <= wavelength_nm[-1]]
-    if not inside:
-        return np.clip(coefficient / max(float(coefficient.max()), 1e-30), 0.0, 1.0)
+    level = np.interp(inside, wavelength_nm, coefficient)
     if reach_nm > 0.0:
         level = np.array([coefficient[np.abs(wavelength_nm - w) <= reach_nm].max(initial=0.0) for w in inside])
-    else:
-        level = np.interp(inside, wavelength_nm, coefficient)
+    if not inside:
+        inside, level = [wavelength_nm[0]], coefficient.max(keepdims=True)
     continuum = np.exp(np.interp(np.log(wavelength_nm), np.log(inside), np.log(np.maximum(level, 1e-30))))
     return np.asarray(np.clip(coefficient / continuum, 0.0, 1.0))
 
@@ -557,10 +502,10 @@ HAZES = {
 
 def _haze(state: AtmosphericState) -> tuple[int, str]:
     """IHAZE of the card and of the JSON input: none where there is no aerosol, since a range of 0 is a default."""
-    if isinstance(state.aerosol, AerosolMix) or state.aerosol not in HAZES:
-        name = "a mix" if isinstance(state.aerosol, AerosolMix) else state.aerosol
-        raise UsageError(f"aerosol: MODTRAN has no {name}", expected="one of " + ", ".join(HAZES))
-    return HAZES[state.aerosol if state.aerosol_optical_depth > 0.0 else "none"]
+    kind = "a mix" if isinstance(state.aerosol, AerosolMix) else state.aerosol
+    if kind not in HAZES:
+        raise UsageError(f"aerosol: MODTRAN has no {kind}", expected="one of " + ", ".join(HAZES))
+    return HAZES[kind if state.aerosol_optical_depth > 0.0 else "none"]
 
 
 def _angles(state: AtmosphericState) -> tuple[float, float, float]:
@@ -620,7 +565,7 @@ def _cards(state: AtmosphericState, albedo: float, version: int) -> list[str]:
     view, sun, azimuth = _angles(state)
     amount = 0.0
     if haze:
-        amount = -depth if five else visibility.range_from_aot550(depth, ground_km)
+        amount = -depth if five else range_from_aot550(depth, ground_km)
     columns = _amount("g", state.water_vapour_g_cm2) + _amount("a", state.ozone_atm_cm)
     end_1a = " F F F F F  0.000000" + 4 * zero + "         0" if five else " F F F F       0.000"
     return [
@@ -832,22 +777,24 @@ def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TI
     ------
     EngineError : it cannot be started, takes longer than ``timeout_s``, fails, or leaves no output.
     """
+    where, arguments = str(modtran.executable), list[str]()
     if modtran.version == 6:
-        named, candidates = [f"{_NAME}.json"], [f"{_NAME}.tp7", f"{_NAME}.chn"]
+        arguments, candidates = [f"{_NAME}.json"], [f"{_NAME}.tp7", f"{_NAME}.chn"]
     else:
-        named, candidates = [], ["tape7", "tape5.tp7"]
+        candidates = ["tape7", "tape5.tp7"]
         if modtran.data is not None:
             (folder / "DATA").symlink_to(modtran.data)
-    (folder / "".join(named or ["tape5"])).write_text(deck, encoding="ascii")
-    _start([str(modtran.executable), *named], folder, timeout_s)
+    (folder / "".join(arguments or ["tape5"])).write_text(deck, encoding="ascii")
+    done = run_program([where, *arguments], "MODTRAN", _HOW, timeout_s=timeout_s, folder=folder)
+    said = last_line(done.stderr or done.stdout)
+    if done.returncode != 0:
+        what, mend = f"ended with code {done.returncode}", "run it by itself to see that licence and data are in place"
+        raise EngineError(f"MODTRAN {what}: {said}", where=where, mend=mend)
     for name in candidates:
         if (folder / name).is_file():
             return folder / name
-    raise EngineError(
-        f"MODTRAN left none of {', '.join(candidates)}: {_last_words(folder)}",
-        where=str(modtran.executable),
-        mend=f"check that {VERSION} is right (now {modtran.version}) and that MODTRAN runs by itself",
-    )
+    mend = f"check that {VERSION} is right (now {modtran.version}) and that MODTRAN runs by itself"
+    raise EngineError(f"MODTRAN left none of {', '.join(candidates)}: {said}", where=where, mend=mend)
 
 
 def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | None = None) -> AtmosphericTerms:
@@ -892,36 +839,3 @@ def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | N
 @lru_cache(maxsize=4)
 def _fingerprint(executable: str, changed_ns: int) -> str:
     return sha256_of(Path(executable))
-
-
-def _start(command: list[str], folder: Path, timeout_s: float) -> None:
-    """Run the command in ``folder``; what it says goes to a file, and its children end with it."""
-    with open(folder / "messages.txt", "wb") as messages:
-        try:
-            process = subprocess.Popen(  # noqa: S603
-                ending_with_this_process(command), cwd=folder, stdin=subprocess.DEVNULL, stdout=messages,
-                stderr=messages, start_new_session=True,
-            )  # fmt: skip
-        except OSError as error:
-            raise EngineError(f"MODTRAN cannot be started: {error.strerror}", where=command[0], mend=_HOW) from error
-        try:
-            code = process.wait(timeout=timeout_s)
-        except subprocess.TimeoutExpired as error:
-            raise EngineError(f"MODTRAN ran longer than {timeout_s:g} s", where=command[0]) from error
-        finally:
-            if process.poll() is None:
-                with contextlib.suppress(OSError):
-                    os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-    if is_no_program(code):
-        raise EngineError(f"MODTRAN cannot be started: {_last_words(folder)}", where=command[0], mend=_HOW)
-    if code != 0:
-        raise EngineError(
-            f"MODTRAN ended with code {code}: {_last_words(folder)}",
-            where=command[0],
-            mend="run it by itself to see that licence and data are in place",
-        )
-
-
-def _last_words(folder: Path) -> str:
-    return last_line((folder / "messages.txt").read_text("utf-8", "replace"))

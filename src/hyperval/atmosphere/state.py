@@ -25,7 +25,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -285,6 +285,11 @@ class AerosolMix(Model):
 RURAL_MIX = AerosolMix(dust=0.55, water_soluble=0.447, oceanic=0.0, soot=0.003)
 
 
+def _number(description: str, **limits: Any) -> Any:
+    """A number that may be left out."""
+    return Field(None, description=description, **limits)
+
+
 class AtmosphericState(Model):
     """Atmosphere, sun and sensor of one collection or scenario.
 
@@ -304,52 +309,37 @@ class AtmosphericState(Model):
         "channel files",
     )
     model: AtmosphereModel = Field("midlatitude-summer", description="standard atmosphere")
-    water_vapour_g_cm2: float | None = Field(
-        None, ge=0.01, le=10.0, description="water column above the ground [g cm-2], 0.01-10; null: the model's own"
+    water_vapour_g_cm2: float | None = _number(
+        "water column above the ground [g cm-2], 0.01-10; null: the model's own", ge=0.01, le=10.0
     )
-    ozone_atm_cm: float | None = Field(
-        None, ge=0.01, le=1.0, description="ozone column above the ground [atm cm], 0.01-1; null: the model's own"
+    ozone_atm_cm: float | None = _number(
+        "ozone column above the ground [atm cm], 0.01-1; null: the model's own", ge=0.01, le=1.0
     )
     aerosol: Literal["none", "rural", "continental", "maritime", "urban", "desert"] | AerosolMix = Field(
         "rural", description="aerosol type, or the volume shares of a mix"
     )
-    aot550: float | None = Field(
-        None, ge=0.0, le=5.0, description="vertical aerosol optical depth at 550 nm above the ground [1], 0-5"
-    )
-    angstrom_exponent: float | None = Field(
-        None,
-        ge=-1.0,
-        le=3.0,
-        description="optical depth goes from aot550 as wavelength to the power of minus this; null: as the type of "
-        "aerosol has it, whose absorption and phase function stay (engine sixs)",
-    )
-    aerosol_share_below: float | None = Field(
-        None,
-        gt=0.0,
-        le=1.0,
-        description="share of the aerosol's depth between ground and an airborne sensor, 0-1; null: by the LOWTRAN "
-        "vertical profile (engine sixs)",
-    )
-    meteorological_range_km: float | None = Field(
-        None,
-        ge=SHORTEST_KM,
-        le=LONGEST_KM,
-        description="meteorological range at the ground [km], 2-300, by the LOWTRAN rule",
+    aot550: float | None = _number("vertical aerosol optical depth at 550 nm above the ground [1], 0-5", ge=0.0, le=5.0)
+    angstrom_exponent: float | None = _number(
+        "optical depth goes from aot550 as wavelength to the power of minus this; null: as the type of "
+        "aerosol has it, whose absorption and phase function stay (engine sixs)", ge=-1.0, le=3.0,
+    )  # fmt: skip
+    aerosol_share_below: float | None = _number(
+        "share of the aerosol's depth between ground and an airborne sensor, 0-1; null: by the LOWTRAN "
+        "vertical profile (engine sixs)", gt=0.0, le=1.0,
+    )  # fmt: skip
+    meteorological_range_km: float | None = _number(
+        "meteorological range at the ground [km], 2-300, by the LOWTRAN rule", ge=SHORTEST_KM, le=LONGEST_KM
     )
     ground_altitude_km: float = Field(0.0, ge=0.0, le=5.0, description="ground above sea level [km], 0-5")
     sensor_altitude_km: float = Field(
         ge=0.0, le=100_000.0, description="sensor above sea level [km]; 100 and more is space"
     )
-    solar_zenith_deg: float | None = Field(None, ge=0.0, description="solar zenith angle [deg], 0 to less than 85")
-    solar_azimuth_deg: float | None = Field(
-        None, ge=-360.0, le=360.0, description="azimuth of the sun, east of north [deg]"
-    )
-    day_of_year: int | None = Field(None, ge=1, le=366, description="day of year, for the Earth-Sun distance")
-    earth_sun_distance_au: float | None = Field(
-        None, ge=0.98, le=1.02, description="Earth-Sun distance [au], 0.98-1.02"
-    )
-    latitude_deg: float | None = Field(None, ge=-90.0, le=90.0, description="latitude, north positive [deg]")
-    longitude_deg: float | None = Field(None, ge=-180.0, le=180.0, description="longitude, east positive [deg]")
+    solar_zenith_deg: float | None = _number("solar zenith angle [deg], 0 to less than 85", ge=0.0)
+    solar_azimuth_deg: float | None = _number("azimuth of the sun, east of north [deg]", ge=-360.0, le=360.0)
+    day_of_year: int | None = _number("day of year, for the Earth-Sun distance", ge=1, le=366)
+    earth_sun_distance_au: float | None = _number("Earth-Sun distance [au], 0.98-1.02", ge=0.98, le=1.02)
+    latitude_deg: float | None = _number("latitude, north positive [deg]", ge=-90.0, le=90.0)
+    longitude_deg: float | None = _number("longitude, east positive [deg]", ge=-180.0, le=180.0)
     time_utc: str | None = Field(None, description="time of collection, ISO 8601, UTC unless it has an offset")
     view_zenith_deg: float = Field(
         0.0, ge=0.0, le=70.0, description="zenith angle of the sensor seen from the ground [deg], 0-70; 0 is nadir"

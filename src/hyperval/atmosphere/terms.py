@@ -262,30 +262,28 @@ def inside(name: str, nodes: Array, x: npt.ArrayLike) -> Array:
 
 
 @dataclass(frozen=True)
-class Interpolator:
-    """Terms between runs of an engine.
+class InterpolatedTerms:
+    """Atmospheric terms on bands between runs of an engine.
 
     Attributes
     ----------
     axes : input -> nodes.  On a grid they are all combined, the last input fastest; on a star each input moves
         alone from its first node, and changes of several inputs add up
-    rules : input -> rule along it
-    values : quantity -> (runs, B) on the scale of its interpolation; on a star the run at all first nodes, then the
-        other nodes input by input
+    values : term -> (runs, B), of transmittances the logarithm; on a star the run at all first nodes, then the other
+        nodes input by input
+    pattern : gives what is not interpolated
     star : whether the runs are a star
     bounded : whether a state outside the nodes is refused
-    logarithms : quantities whose values are logarithms
     """
 
     axes: Mapping[str, Array]
-    rules: Mapping[str, Rule]
     values: Mapping[str, Array]
+    pattern: AtmosphericTerms
     star: bool = False
     bounded: bool = True
-    logarithms: frozenset[str] = frozenset()
 
-    def __call__(self, columns: Columns) -> dict[str, Array]:
-        """Quantity -> (n, B) at the values (n,) of each input.
+    def __call__(self, columns: Columns) -> AtmosphericTerms:
+        """Terms (n, B) at the values (n,) of each input.
 
         Raises
         ------
@@ -295,15 +293,11 @@ class Interpolator:
         for name, nodes in self.axes.items():
             x = np.atleast_1d(np.asarray(columns[name], dtype=float))
             x = inside(f"atmosphere.{name}", nodes, x) if self.bounded else x
-            parts.append(node_weights(nodes, x, self.rules[name]))
+            parts.append(node_weights(nodes, x, smooth_rule(name)))
         joint = _star(parts) if self.star else reduce(_crossed, parts)
-        columns_of = {}
-        for name, values in self.values.items():
-            x = joint @ values
-            columns_of[name] = _lit(np.exp(x)) if name in self.logarithms else x
-            if name in _AT_MOST_ONE:
-                columns_of[name] = np.minimum(columns_of[name], 1.0)
-        return columns_of
+        terms: dict[str, Any] = {name: joint @ values for name, values in self.values.items()}
+        terms |= {name: _lit(np.exp(x)) for name, x in terms.items() if name not in AS_THEY_ARE}
+        return replace(self.pattern, **terms | {n: np.minimum(terms[n], 1.0) for n in _AT_MOST_ONE if n in terms})
 
 
 def _crossed(a: Array, b: Array) -> Array:
@@ -317,28 +311,13 @@ def _star(parts: Sequence[Array]) -> Array:
     return np.concatenate([middle[:, None], *rest], axis=1)
 
 
-@dataclass(frozen=True)
-class InterpolatedTerms:
-    """Atmospheric terms on bands between runs of an engine; ``pattern`` gives what is not interpolated."""
-
-    between: Interpolator
-    pattern: AtmosphericTerms
-
-    def __call__(self, columns: Columns) -> AtmosphericTerms:
-        """Terms (n, B) at the values (n,) of each input."""
-        terms: dict[str, Any] = dict(self.between(columns))
-        return replace(self.pattern, **terms)
-
-
 def interpolated_terms(
     axes: Mapping[str, Array], runs: Sequence[AtmosphericTerms], *, star: bool = False, bounded: bool = True
 ) -> InterpolatedTerms:
-    """Interpolation between ``runs`` of an engine at the nodes of a grid or a star (see :class:`Interpolator`)."""
+    """Interpolation between ``runs`` of an engine at the nodes of a grid or a star (see :class:`InterpolatedTerms`)."""
     values = stacked_values(runs)
-    logarithms = frozenset(values) - frozenset(AS_THEY_ARE)
-    values |= {name: np.log(np.maximum(values[name], _LEAST)) for name in logarithms}
-    rules = {name: smooth_rule(name) for name in axes}
-    return InterpolatedTerms(Interpolator(axes, rules, values, star, bounded, logarithms), runs[0])
+    values |= {name: np.log(np.maximum(v, _LEAST)) for name, v in values.items() if name not in AS_THEY_ARE}
+    return InterpolatedTerms(axes, values, runs[0], star, bounded)
 
 
 def stacked_values(runs: Sequence[AtmosphericTerms]) -> dict[str, Array]:

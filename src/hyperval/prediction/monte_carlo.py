@@ -238,7 +238,7 @@ class Emulator:
     @property
     def axes(self) -> Mapping[str, Array]:
         """Field -> its values at the nodes, the stated one first."""
-        return {} if self.between is None else self.between.between.axes
+        return {} if self.between is None else self.between.axes
 
     def __call__(self, state: AtmosphericState) -> AtmosphericTerms:
         """The terms of a state that differs from the stated one in the uncertain fields alone."""
@@ -246,7 +246,7 @@ class Emulator:
             return self.stated
         at = {n: np.array([_beside(n, nodes[0], state_value(state, n))]) for n, nodes in self.axes.items()}
         terms = self.between(at)
-        return replace(terms, **{n: getattr(terms, n)[0] for n in self.between.between.values})
+        return replace(terms, **{n: getattr(terms, n)[0] for n in self.between.values})
 
 
 def _beside(name: str, stated: float, value: float) -> float:

@@ -408,7 +408,7 @@ class Table:
         UsageError : a value outside the nodes: a table is never extrapolated.
         """
         terms = self.between(columns)
-        return replace(terms, **{n: getattr(terms, n)[:, None, :] for n in self.between.between.values})
+        return replace(terms, **{n: getattr(terms, n)[:, None, :] for n in self.between.values})
 
 
 def few_states(
