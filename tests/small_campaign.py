@@ -46,9 +46,9 @@ def with_stand_in_atmosphere(patch: pytest.MonkeyPatch) -> None:
 
 def without_figures(patch: pytest.MonkeyPatch) -> None:
     """Leave out figures, charts and arrays, which are most of a small run's time."""
-    patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
-    patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
-    patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
+    patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
+    patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
+    patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
     patch.setattr("hyperval.run.write_products", lambda folder, *sides, **words: (folder / "products.nc").touch())
     # Sets of objects for p-values that no test of the small campaign asks for: a fifth of what is left.
     patch.setattr("hyperval.compare.objects.REPLICATES", 400)

@@ -9,7 +9,7 @@ import numpy as np
 from hyperval.campaign.one import Job, run_campaign
 from hyperval.campaign.pictures import expected_maps, scene_content
 from hyperval.campaign.schema import load_campaign
-from hyperval.report.pictures import score_map_figures
+from hyperval.figures import score_map_figures
 from small_campaign import PANELS
 
 

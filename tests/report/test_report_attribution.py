@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import pytest
-from test_report_charts import models, numbers
+from test_report_charts import stated
 
-from hyperval.report.charts import chart_of
-from hyperval.report.figures import drawing_of
-from hyperval.report.plots_run import reason_plots
-from hyperval.report.style import house_style
+from hyperval.figures import drawings_of, reason_figures
 from hyperval.results import Result, ResultTable
 
 
@@ -30,18 +26,12 @@ def plots():
         Result("c", "what-if", "all", "closer", "reduced_chi_square", 1.2, reason="1.5 before"),
         Result("c", "what-if", "all", "farther", "reduced_chi_square", 2.2, reason="1.5 before"),
     ]
-    return {p.name: p for p in reason_plots(ResultTable(rows))}
+    return {figure.name: figure for figure in reason_figures(ResultTable(rows))}
 
 
 @pytest.fixture(scope="module")
 def drawings(plots):
-    with house_style():
-        return {name: drawing_of(p, simulated=False) for name, p in plots.items()}
-
-
-@pytest.fixture(scope="module")
-def charts(plots):
-    return {name: chart_of(p) for name, p in plots.items()}
+    return {drawing.name: drawing for drawing in drawings_of(list(plots.values()), simulated=False)}
 
 
 def _words(drawing):
@@ -73,24 +63,20 @@ def test_captions_say_what_a_unit_and_a_number_in_brackets_are(drawings):
     assert "one chance in a thousand" in drawings["attribution-inputs"].legend
 
 
-def test_charts_hold_the_numbers_of_the_rows(charts):
-    fill = json.loads(charts["attribution-inputs"].content)["fill"]
-    bars = {name: numbers(fill["arrays"][i]) for name, i in fill["sources"]["m-0-0"].items()}
-    assert bars["right"].tolist() == pytest.approx([130.0, 5.0, 0.2])
-    assert fill["ranges"]["y-0"] == [2.6, -0.6], "the greatest gain stands above the others"
-    assert fill["texts"]["m-0-0"]["words"][0] == "−3 times its step of 1 %"
-    fill = json.loads(charts["attribution-effects"].content)["fill"]
-    assert numbers(fill["arrays"][fill["sources"]["m-0-0"]["value"]]).tolist() == pytest.approx(
-        [0.01, 0.02, 0.03, 0.04]
-    )
-    assert fill["names"]["names-y-0"][3] == "all of the materials 4 m, P_D 1e-2 cem (gap 0.2)"
-    assert len(fill["names"]["names-x-0"]) == 1
+def test_statements_hold_the_numbers_of_the_rows(plots):
+    (part,) = stated(plots["attribution-inputs"])["views"][0]["parts"]
+    bars = part["marks"][0]
+    assert bars["columns"]["right"].tolist() == pytest.approx([130.0, 5.0, 0.2])
+    assert bars["words"][0] == "−3 times its step of 1 %"
+    (part,) = stated(plots["attribution-effects"])["views"][0]["parts"]
+    assert part["marks"][0]["columns"]["value"].tolist() == pytest.approx([0.01, 0.02, 0.03, 0.04])
+    assert part["y"]["names"][3] == "all of the materials 4 m, P_D 1e-2 cem (gap 0.2)"
+    assert len(part["x"]["names"]) == 1
 
 
-def test_charts_tell_closer_from_farther_by_shape_and_hold_no_numbers_in_their_models(charts):
-    shapes = [glyph["angle"]["value"] for glyph in models(charts["what-ifs"].content, "Scatter") if "angle" in glyph]
-    assert len(set(shapes)) == 2, "triangles that point either way"
-    content = json.loads(charts["attribution-subjects"].content)
-    assert "104" not in json.dumps(content["item"])
-    assert content["fill"]["texts"]["m-0-0"]["words"] == ["104"]
-    assert all(re.search("[a-z]{3}", chart.alt) for chart in charts.values())
+def test_closer_and_farther_differ_in_shape_where_a_page_draws_them(plots):
+    (part,) = stated(plots["what-ifs"])["views"][0]["parts"]
+    assert [mark["marker"] for mark in part["marks"]] == ["circle", "left", "right"]
+    (part,) = stated(plots["attribution-subjects"])["views"][0]["parts"]
+    assert part["marks"][0]["words"] == ["104"]
+    assert all(re.search("[a-z]{3}", figure.alt) for figure in plots.values())

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
-from test_report_charts import numbers
+from test_report_charts import stated
 
-from hyperval.products import Abundance, ClassificationError, ObservedProducts, PredictedProducts
-from hyperval.report.charts import chart_of
-from hyperval.report.figures import drawing_of
-from hyperval.report.plots_run import (
-    class_error_plots,
-    every_plot,
-    sampled_eigenvalue_plots,
-    tail_plots,
-    unmixing_plots,
+from hyperval.figures import (
+    EigenvalueSpectrum,
+    TailCurve,
+    class_error_figure,
+    drawings_of,
+    further_figures,
+    sampled_eigenvalue_figures,
+    statement,
+    tail_figure,
+    unmixing_figure,
 )
-from hyperval.report.run import EigenvalueSpectrum, TailCurve
-from hyperval.report.style import house_style
+from hyperval.products import Abundance, ClassificationError, ObservedProducts, PredictedProducts
 from hyperval.results import Result, ResultTable
 from hyperval.spectra.axis import SpectralAxis
 
@@ -30,14 +29,15 @@ AXIS = SpectralAxis(np.array([500.0, 600.0]), 10.0)
 def eigenvalues():
     e = np.geomspace(10.0, 1e-4, 20)
     spectrum = EigenvalueSpectrum(1.02 * e, e, 0.95 * e, 1.05 * e, 5000)
-    return sampled_eigenvalue_plots({("grass $x$", "radiance"): spectrum})
+    (figure,) = sampled_eigenvalue_figures({("grass $x$", "radiance"): spectrum})
+    return figure
 
 
 def tails():
     d = np.linspace(0.5, 9.0, 30)
     share = np.exp(-d)
     curve = TailCurve(d, share, 0.8 * share, 1.2 * share, None, share**2, share, None, 6.0, 4, 900)
-    return tail_plots({"grass": curve})
+    return tail_figure({"grass": curve})
 
 
 def classes():
@@ -45,7 +45,7 @@ def classes():
     none = ClassificationError(0.0, 0.0, 0.01, 400, 400.0, 9.0, 1e-9, 1e-14, 1e-7)
     held = {("a / b", "2 bands"): found, ("a / c", "2 bands"): none}
     sides = PredictedProducts(AXIS, classification=held), ObservedProducts(AXIS, classification=held)
-    return class_error_plots(sides)
+    return class_error_figure(sides)
 
 
 def areas():
@@ -56,7 +56,7 @@ def areas():
         )
         for a in (1, 4) for side in ("predicted", "observed")
     ]  # fmt: skip
-    return unmixing_plots((PredictedProducts(AXIS, abundance=held), ObservedProducts(AXIS, abundance=held)), rows)
+    return unmixing_figure((PredictedProducts(AXIS, abundance=held), ObservedProducts(AXIS, abundance=held)), rows)
 
 
 @pytest.mark.parametrize(
@@ -69,40 +69,39 @@ def areas():
     ],
 )
 def test_drawn_and_told(draw, section, words):
-    (plots,), (same,) = draw(), draw()
-    with house_style():
-        drawing, again = (drawing_of(one, simulated=True) for one in (plots, same))
+    figure, same = draw(), draw()
+    (drawing,), (again,) = (drawings_of([one], simulated=True) for one in (figure, same))
     assert drawing.section == section
     assert words in drawing.alt
     assert drawing.content.startswith(b"<?xml")
     assert len(drawing.content) > 5000
     assert drawing.content == again.content
-    chart = chart_of(plots)
-    assert (chart.alt, chart.section) == (drawing.alt, section)
-    assert chart.content == chart_of(same).content
+    assert statement(figure) == statement(same)
 
 
-def test_charts_hold_the_numbers_and_a_subject_each():
+def test_statements_hold_the_numbers_and_a_view_each():
     """The ratio below eigenvalues is that of the columns above; of classes without error the axis has an end."""
-    (chart,) = map(chart_of, eigenvalues())
-    fill = json.loads(chart.content)["fill"]
-    above, measured, below = (
-        {name: numbers(fill["arrays"][i]) for name, i in fill["sources"][source].items()}
-        for source in ("m-0-0", "m-0-1", "m-1-0")
-    )
-    np.testing.assert_allclose(above["y"] / measured["y"], below["y"], rtol=1e-6)
-    np.testing.assert_allclose(below["high"], 1.05 / 1.02, rtol=1e-6)
-    (plots,) = areas()
-    two = dataclasses.replace(plots, views={"a": plots.views["fcls"], "b": plots.views["fcls"]})
-    content = json.loads(chart_of(two).content)
-    assert (chart_of(two).subjects, len(content["subjects"])) == (("a", "b"), 2)
-    assert content["fill"]["sources"] == {}
-    (plots,) = classes()
-    view = plots.views[""]
-    assert view.ends()[0] > 0.0
+    above, below = stated(eigenvalues())["views"][0]["parts"]
+    predicted, measured = (mark["columns"] for mark in above["marks"])
+    ratio = below["marks"][0]["columns"]
+    np.testing.assert_allclose(predicted["y"] / measured["y"], ratio["y"], rtol=1e-6)
+    np.testing.assert_allclose(ratio["high"], 1.05 / 1.02, rtol=1e-6)
+    figure = areas()
+    two = dataclasses.replace(figure, views=figure.views * 2)
+    assert len(stated(two)["columns"]) == len(stated(figure)["columns"])
+    (view,) = classes().views
+    assert view.ends("x")[0] > 0.0
     assert all((mark.columns["low"] > 0.0).all() for mark in view.parts[0].marks if "low" in mark.columns)
+
+
+def test_more_subjects_than_have_room_are_on_further_sheets():
+    figure = areas()
+    many = dataclasses.replace(figure, views=figure.views * 30)
+    drawings = drawings_of([many], simulated=False)
+    assert [drawing.name for drawing in drawings] == ["unmixing-areas-1", "unmixing-areas-2"]
+    assert all(drawing.title.endswith("; 24 of 30 are drawn, all are in products.nc") for drawing in drawings)
 
 
 def test_nothing_to_draw():
     nothing = PredictedProducts(AXIS), ObservedProducts(AXIS)
-    assert every_plot(nothing, ResultTable(), {}, {}, None) == []
+    assert further_figures(nothing, ResultTable(), {}, {}, None) == []

@@ -9,9 +9,9 @@ from synthetic_run import make_run
 from hyperval.campaign.sides import spread_curves
 from hyperval.cli.main import run as command
 from hyperval.errors import InputError
+from hyperval.figures import Print
 from hyperval.products import ObjectScores, ObservedProducts, PixelDistribution, PredictedProducts
-from hyperval.report.figures import drawings_of
-from hyperval.report.style import Print
+from hyperval.report.html import run_drawings
 from hyperval.run import read_pair, write_products
 from hyperval.spectra.axis import SpectralAxis
 
@@ -52,7 +52,7 @@ def test_spread_of_pixels_and_scores_of_objects_are_read_as_laws(tmp_path):
     parts = [0.025, 0.3, 0.5, 0.975]
     read = np.quantile(first.object_scores["a", "cem"].values, parts)
     np.testing.assert_allclose(read, np.quantile(draws, parts), atol=1e-3)
-    names = {d.name for d in drawings_of(tmp_path, Print("svg"), spread_curves)}
+    names = {d.name for d in run_drawings(tmp_path, Print("svg"), spread_curves)}
     assert {"object-scores", "object-transforms", "pixel-tails"} <= names
 
 
@@ -60,7 +60,7 @@ def test_spread_of_pixels_and_scores_of_objects_are_read_as_laws(tmp_path):
 def test_figures_are_drawn_in_each_format(folder, tmp_path, kind, style):
     assert command(["figures", str(folder), "-o", str(tmp_path / "out"), "--format", kind, "--style", style]) == 0
     files = {p.name: p.read_bytes() for p in (tmp_path / "out").glob(f"*.{kind}")}
-    assert {f"radiance-pair.{kind}", f"roc.{kind}", f"radiance-budget.{kind}", f"scores.{kind}"} <= set(files)
+    assert {f"radiance.{kind}", f"roc.{kind}", f"radiance-budget.{kind}", f"scores.{kind}"} <= set(files)
     assert all(content.startswith(BEGINNING[kind]) for content in files.values())
     assert b"CreationDate" not in b"".join(files.values())
 

@@ -71,7 +71,7 @@ def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
     compare_runs(folders / "a", tmp_path / "moved", tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "run A (dashed) and run B" in page
-    assert page.count('id="chart-radiance"') == page.count('id="library"') == 1
+    assert page.count('id="chart-radiance"') == page.count('id="chart-snr"') == 1
     compare_runs(folders / "a", folders / "b", tmp_path / "verdicts")  # of the same curves
     assert 'class="chart"' not in (tmp_path / "verdicts" / "report.html").read_text("utf-8")
 

@@ -1,42 +1,11 @@
 """Small helpers of the figures, each against a plain statement of what it must do."""
 
-import re
-
 import numpy as np
 import pytest
 
-from hyperval.report.pictures import Window, block_maximum, outline_segments, shown_window
-from hyperval.report.style import compact_path, plain, shortened
-
-
-def corners(path):
-    """Absolute points of a path of M, L, l and z."""
-    points, at, command = [], np.zeros(2), ""
-    tokens = re.findall(r"[MLlz]|-?[\d.]+", path)
-    while tokens:
-        if tokens[0] in "MLlz":
-            command = tokens.pop(0)
-            if command == "z":
-                continue
-        step = np.array([float(tokens.pop(0)), float(tokens.pop(0))])
-        at = at + step if command == "l" else step
-        points.append(at)
-    return np.array(points)
-
-
-def test_compact_path_is_the_same_line_to_a_twentieth_of_a_point():
-    rng = np.random.default_rng(1)
-    points = rng.normal(0, 40, (500, 2)).cumsum(axis=0)
-    text = " \n".join(f"{'M' if i in (0, 200) else 'L'} {x:.6f} {y:.6f}" for i, (x, y) in enumerate(points)) + " \nz"
-    compact = compact_path(text)
-    assert len(compact) < 0.6 * len(text)
-    assert compact.endswith("z")
-    assert compact.count("M") == 2
-    np.testing.assert_allclose(corners(compact), points, atol=0.05 + 1e-6)
-
-
-def test_curves_are_rounded_only():
-    assert compact_path("M 1.26 2 C 1.04 2.5 3 4 5.55 6 z") == "M 1.3 2 C 1 2.5 3 4 5.5 6 z"
+from hyperval.figures.pictures import Window, block_maximum, outline_segments, shown_window
+from hyperval.figures.print import plain
+from hyperval.figures.spec import shortened
 
 
 def test_outline_is_the_edge_between_pixels():

@@ -27,7 +27,7 @@ def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperval.scoreboard.one.draw_benchmark", lambda report: [])
+    monkeypatch.setattr("hyperval.report.benchmark.benchmark_figures", lambda report: [])
 
 
 def rows_of(folder: Path) -> list[dict[str, str]]:

@@ -39,7 +39,7 @@ def write(path: Path, data: dict) -> Path:
 @pytest.fixture
 def no_drawing(monkeypatch) -> None:
     """Datasheets without figures, where a test is about something else."""
-    monkeypatch.setattr("hyperval.sensor_check.page.draw_datasheet", lambda check: [])
+    monkeypatch.setattr("hyperval.sensor_check.page.datasheet_figures", lambda check: [])
 
 
 class Outside(HTMLParser):
@@ -54,7 +54,7 @@ class Outside(HTMLParser):
         for name, value in attrs:
             if name in ("src", "href") and value and not value.startswith(("data:", "#")):
                 self.loads.append(value)
-        self.pictures += tag == "img"
+        self.pictures += tag == "div" and ("class", "chart") in attrs
 
 
 def test_check_writes_a_datasheet(here, capsys):

@@ -55,7 +55,7 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
     unsolved = table["signal"].isna()
     assert table.loc[unsolved, "reason"].str.contains("no solution").all()
     page = (out / "report.html").read_text()
-    assert page.count("<img ") == 2
+    assert page.count('<div class="chart"') == len(list((out / "figures").glob("*.svg"))) == 2
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert (out / "provenance.json").is_file()
     assert (out / "products.nc").is_file()

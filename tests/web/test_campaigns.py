@@ -17,7 +17,7 @@ from web_server import serve
 import hyperval.predict
 from hyperval import api
 from hyperval.cli import app as command
-from hyperval.report.style import Drawing
+from hyperval.figures import Drawing
 from hyperval.run import read_pair
 from hyperval.web.store import view_name
 from small_campaign import SmallCampaign, scene_data, write_yaml
@@ -53,9 +53,9 @@ DRAWINGS = [
 def run(own):
     client = own.session()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: DRAWINGS)
-        patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
-        patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
+        patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: DRAWINGS)
+        patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
+        patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
         told = client.post(f"{own.address}/api/v1/validations", json={"campaign": "small"}).json()
         told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
@@ -108,9 +108,9 @@ def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run
     observed, compared = threading.Event(), threading.Event()
     predict = hyperval.predict.predict
     monkeypatch.setattr("hyperval.predict.predict", lambda *a, **k: observed.wait(60) and predict(*a, **k))
-    monkeypatch.setattr("hyperval.report.pictures.draw_pictures", lambda run: compared.wait(60) and [])
-    monkeypatch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
-    monkeypatch.setattr("hyperval.report.html.every_plot", lambda *_: [])
+    monkeypatch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: compared.wait(60) and [])
+    monkeypatch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
+    monkeypatch.setattr("hyperval.report.html.further_figures", lambda *_: [])
     context = browser.new_context(base_url=own.address)
     context.set_default_timeout(60_000)
     own.long.gate.clear()
@@ -196,7 +196,7 @@ def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
         page.locator("#threshold").fill("800")
         picture(page, "map")
         page.locator("#map-canvas").click(position={"x": 20, "y": 20})
-        page.wait_for_selector("#pixel figure .bk-Column")
+        page.wait_for_selector("#pixel figure .bk-Column, #pixel .bk-Figure")
         assert page.locator("#line").input_value() == page.locator("#sample").input_value() == "6"
         assert "pixel (6, 6)" in page.locator("#pixel [role=img]").get_attribute("aria-label")
         for scheme in ("light", "dark"):
@@ -253,9 +253,9 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
     client = own.session()
     url = f"{own.address}/api/v1/uploads"
     with monkeypatch.context() as patch:
-        patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
-        patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
-        patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
+        patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
+        patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
+        patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
         run = client.post(url, files={k: (None, v) for k, v in BROUGHT.items()}).json()["run"]
         told = client.get(f"{own.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
@@ -263,9 +263,9 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
     (tmp_path / "campaign.yaml").write_bytes(text)
     shutil.copytree(own.app.state.settings.data / "collection", tmp_path / "collection")
     with monkeypatch.context() as patch:
-        patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
-        patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
-        patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
+        patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
+        patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
+        patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
         words = ["validate", str(tmp_path / "campaign.yaml"), "-o", str(tmp_path / "out")]
         done = CliRunner().invoke(command, words)
     assert done.exit_code in (0, 1), done.output

@@ -27,9 +27,9 @@ EASY = {"name": "yellow-planks-asphalt"}
 
 @pytest.fixture
 def no_figures(monkeypatch):
-    monkeypatch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
-    monkeypatch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
-    monkeypatch.setattr("hyperval.report.html.every_plot", lambda *_: [])
+    monkeypatch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
+    monkeypatch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
+    monkeypatch.setattr("hyperval.report.html.further_figures", lambda *_: [])
 
 
 class Fields(HTMLParser):
@@ -240,9 +240,9 @@ def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, se
     files = f"{server.address}/api/v1/runs/{run['id']}/files"
     (tmp_path / "scenario.yaml").write_bytes(client.get(f"{files}/scenario.yaml").content)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
-        patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
-        patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
+        patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
+        patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
+        patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
         done = CliRunner().invoke(command, ["predict", str(tmp_path / "scenario.yaml"), "-o", str(tmp_path / "out")])
     assert done.exit_code == 0
     assert (tmp_path / "out" / "results.csv").read_bytes() == client.get(f"{files}/results.csv").content
@@ -277,7 +277,7 @@ def test_charts_of_two_runs_have_differences(client, server):
     assert {view_name("charts"), "charts-others.json"} <= {path.name for path in kept.iterdir()}
     both = client.get(f"{server.address}/runs/{runs[1]}/charts", params={"beside": runs[0]}).json()
     radiance = next(c for c in both if c["name"] == "chart-radiance")
-    assert '"difference"' in radiance["content"]
+    assert "difference ratio" in radiance["content"]
     assert "identical" not in radiance["title"]
     page = client.get(f"{server.address}/runs/{runs[1]}", params={"beside": runs[0]}).text
     assert "Difference" in page

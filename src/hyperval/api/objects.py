@@ -21,6 +21,7 @@ import xarray as xr
 from hyperval import products
 from hyperval.compare.products import product_rows
 from hyperval.errors import UsageError
+from hyperval.figures.spec import COVERAGE, SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.interchange import cube_to_xarray
 from hyperval.metrics import Metric
@@ -33,18 +34,27 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_STYLES = ("-", "--", ":")
+_DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted")
 _RGB_NM = (660.0, 550.0, 470.0)
 _MOST = 40  # rows that a page can hold
 
 
-def _axes(ax: Axes | None, **size: Any) -> Axes:
-    if ax is not None:
-        return ax
+def _axes(ax: Axes | None, height_in: float = 4.8) -> Axes:
     from matplotlib import pyplot
 
-    made: Axes = pyplot.subplots(**size)[1]
-    return made
+    return ax or pyplot.subplots(figsize=(8.0, height_in))[1]
+
+
+def _drawn(view: Panels, ax: Axes | None, height_in: float = 4.8) -> Axes:
+    """A stated view in axes, new ones where none are given."""
+    from hyperval.figures.print import draw_part, legend_of
+
+    ax = _axes(ax, height_in)
+    draw_part(ax, view, view.parts[0])
+    ax.set(xlabel=view.x.label, ylabel=view.parts[0].y.label)
+    if any(mark.label for mark in view.parts[0].marks):
+        ax.legend(*legend_of(view), fontsize="small")
+    return ax
 
 
 @dataclass(frozen=True)
@@ -61,25 +71,22 @@ class SidesPlot:
         return self.roc(ax=ax)
 
     def spectra(self, product: str = "radiance", ax: Axes | None = None) -> Axes:
-        """Mean spectra of ``radiance``, ``reflectance`` or ``snr`` with two standard uncertainties.
+        """Mean spectra of ``radiance``, ``reflectance`` or ``snr`` with their 95 % intervals.
 
         Raises
         ------
         UsageError : no side has the product.
         """
         sides = self._with(product)
-        ax = _axes(ax)
         subjects = list(dict.fromkeys(str(s) for d in sides.values() for s in d[f"{product}_subject"].to_numpy()))
-        for style, (side, data) in zip(_STYLES, sides.items(), strict=False):
+        marks = []
+        for dash, (side, data) in zip(_DASHES, sides.items(), strict=False):
             for i, subject in enumerate(map(str, data[f"{product}_subject"].to_numpy())):
-                nm, mean = data["wavelength"].to_numpy(), data[product].to_numpy()[i]
-                u = 2.0 * data[f"{product}_standard_uncertainty"].to_numpy()[i]
-                colour = f"C{subjects.index(subject) % 10}"
-                ax.plot(nm, mean, style, color=colour, label=f"{subject}, {side}")
-                ax.fill_between(nm, mean - u, mean + u, color=colour, alpha=0.15, linewidth=0.0)
-        ax.set(xlabel="wavelength [nm]", ylabel=f"{product} [{next(iter(sides.values()))[product].attrs['units']}]")
-        ax.legend(fontsize="small")
-        return ax
+                half = COVERAGE * data[f"{product}_standard_uncertainty"].to_numpy()[i]
+                columns = {"x": data["wavelength"].to_numpy(), "y": data[product].to_numpy()[i], "half": half}
+                colour = SOURCES[subjects.index(subject) % len(SOURCES)]
+                marks.append(Mark("line", columns, f"{subject}, {side}", colour, dash))
+        return _drawn(single(Axis(WAVELENGTH), _label(next(iter(sides.values()))[product]), marks), ax)
 
     def roc(self, ax: Axes | None = None) -> Axes:
         """Every ROC curve, false alarms on a logarithmic scale.
@@ -88,16 +95,15 @@ class SidesPlot:
         ------
         UsageError : no side has a curve.
         """
-        sides = self._with("roc_pd")
-        ax = _axes(ax)
-        for style, (side, data) in zip(_STYLES, sides.items(), strict=False):
+        marks = []
+        for dash, (side, data) in zip(_DASHES, self._with("roc_pd").items(), strict=False):
             for i in range(data.sizes["roc_curve"]):
                 words = [str(data[f"roc_{part}"].to_numpy()[i]) for part in ("subject", "detector", "unit")]
-                pfa, pd_ = data["roc_pfa"].to_numpy()[i], data["roc_pd"].to_numpy()[i]
-                ax.semilogx(pfa, pd_, style, color=f"C{i % 10}", label=f"{'/'.join(words)}, {side}")
-        ax.set(xlabel="probability of false alarm", ylabel="probability of detection", ylim=(0.0, 1.0))
-        ax.legend(fontsize="small")
-        return ax
+                columns = {"x": data["roc_pfa"].to_numpy()[i], "y": data["roc_pd"].to_numpy()[i]}
+                label = f"{'/'.join(words)}, {side}"
+                marks.append(Mark("line", columns, label, SOURCES[i % len(SOURCES)], dash))
+        axis = Axis("probability of false alarm", "log")
+        return _drawn(single(axis, "probability of detection", marks, ends=(0.0, 1.0)), ax)
 
     def _with(self, variable: str) -> dict[str, xr.Dataset]:
         sides = {side: data for side, data in self.sides.items() if variable in data}
@@ -117,16 +123,16 @@ class ResultsPlot:
         """Value, interval and limits of each row that has limits, forty at most, one above the other."""
         limits = self.frame[["limit_low", "limit_high"]].notna().any(axis=1)
         rows = self.frame[limits & self.frame["value"].notna()].head(_MOST)
-        ax = _axes(ax, figsize=(8.0, 1.0 + 0.25 * max(len(rows), 4)))
-        y = np.arange(len(rows))[::-1]
-        ax.plot(rows["value"], y, "o", color="C0", label="value")
-        ax.hlines(y, rows["lower"], rows["upper"], color="C0")
-        for side in ("limit_low", "limit_high"):
-            ax.plot(rows[side], y, "|", color="C3", markersize=12.0)
+        y = np.arange(float(len(rows)))
+        values = {"x": rows["value"].to_numpy(), "low": rows["lower"].to_numpy(), "high": rows["upper"].to_numpy()}
+        marks = [Mark("dots", {"y": y, **values}, "value", SOURCES[0], marker="circle", along="x")]
+        marks += [
+            Mark("dots", {"x": rows[side].to_numpy(), "y": y}, "limit", SOURCES[5], marker="tick", along="x")
+            for side in ("limit_low", "limit_high")
+        ]
         labels = rows[["subject", "method", "metric"]].astype(str).agg(" ".join, axis=1)
-        ax.set_yticks(y, labels.to_list(), fontsize="small")
-        ax.set_xlabel("value, 95 % interval, limits")
-        return ax
+        part = Part(row_names(labels.to_list(), 80), tuple(marks))
+        return _drawn(Panels(Axis("value, 95 % interval, limits"), (part,)), ax, 1.0 + 0.25 * max(len(rows), 4))
 
 
 @dataclass(frozen=True)
@@ -146,10 +152,15 @@ class TablePlot:
         x, y = x or names[0], y or names[-1]
         if x not in names or y not in names:
             raise UsageError(f"no column {x if x not in names else y!r}", expected="one of " + ", ".join(names))
-        ax = _axes(ax)
-        ax.plot(self.table[x].to_numpy(), self.table[y].to_numpy(), ".")
-        ax.set(xlabel=_label(self.table[x]), ylabel=_label(self.table[y]))
-        return ax
+        values, across = self.table[x].to_numpy(), Axis(_label(self.table[x]))
+        if values.dtype.kind not in "fiu":
+            kinds = list(dict.fromkeys(values.tolist()))
+            values = np.array([kinds.index(v) for v in values.tolist()])
+            across = Axis(across.label, "names", tuple(map(str, kinds)))
+        columns = {"x": values, "y": self.table[y].to_numpy()}
+        return _drawn(
+            single(across, _label(self.table[y]), [Mark("dots", columns, "", SOURCES[0], marker="circle")]), ax
+        )
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from hyperval.campaign.schema import Outline
 from hyperval.campaign.sides import Collected, collected, header_notes, joined, truth_notes
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError
+from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.predict import predictions
@@ -25,8 +26,7 @@ from hyperval.prediction.uncertainty import given_of, inputs_of
 from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.products import PredictedProducts, Products
 from hyperval.progress import step
-from hyperval.report import RunReport
-from hyperval.report.run import EigenvalueSpectrum, TailCurve, accepted_table
+from hyperval.report.run import RunReport, accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings

@@ -31,6 +31,7 @@ from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
 from hyperval.compare.products import SPREAD
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
+from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
 from hyperval.imagery.acquisition import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
 from hyperval.imagery.truth import TargetObject
@@ -57,7 +58,6 @@ from hyperval.products import (
     Products,
     RocCurve,
 )
-from hyperval.report.run import EigenvalueSpectrum, TailCurve
 from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario, Target
 from hyperval.scene.fill import touched_counts
 from hyperval.storage import scratch_folder

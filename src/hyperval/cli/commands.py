@@ -323,8 +323,8 @@ def figures(
 ) -> int:
     """Draw the figures of a finished run for print, from its folder."""
     from hyperval.campaign.sides import spread_curves
-    from hyperval.report.figures import figures_to_folder
-    from hyperval.report.style import Print
+    from hyperval.figures.print import Print
+    from hyperval.report.html import figures_to_folder
 
     print_as = Print(kind.value, style is Style.JOURNAL)
     return finished(figures_to_folder(run, output, print_as, spread_curves), output)

@@ -7,32 +7,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import ListedColormap
 
-from hyperval.report import style
-from hyperval.report.figures import drawing_of
-from hyperval.report.html import common_words, environment
-from hyperval.report.plots import Axis, Part, Plots, SubjectView, measured_mark, rows_axis
-from hyperval.report.style import Drawing, house_style
+from hyperval.figures.spec import (
+    Axis,
+    ColourScale,
+    Figure,
+    Mark,
+    Panels,
+    Part,
+    measured_mark,
+    row_names,
+    statement,
+)
+from hyperval.report.html import common_words, drawn_words, environment
 from hyperval.report.verdict import number_text
 from hyperval.results import Outcome, Result, ResultTable
+from hyperval.run import Run
 
 EVERY_OBJECT = "all objects"
 _MOST_SUBJECTS = 30
 _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
 
 
-def detector_plots(
+def detector_figure(
     name: str, rows: Sequence[Result], groups: Sequence[tuple[str, ...]], measures: Mapping[str, str]
-) -> Plots | None:
-    """One plot for each metric on all objects: value, interval, rank with its set."""
+) -> Figure | None:
+    """A view for each metric on all objects: value, interval, rank with its set."""
     here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_OBJECT and r.outcome is Outcome.NONE}
-    detectors, captions = rows_axis([" = ".join(g) for g in groups]), []
-    views: dict[str, SubjectView] = {}
+    detectors, captions = row_names([" = ".join(g) for g in groups]), []
+    views = []
     for metric in [m for m in measures if any(metric == m for _, metric in here)]:
         pairs = [[here.get((f"{g[0]}/object", f"{p}{metric}")) for p in ("", "rank_")] for g in groups]
         known = [(i, row, rank) for i, (row, rank) in enumerate(pairs) if row is not None and rank is not None]
@@ -40,74 +48,55 @@ def detector_plots(
         far = metric.startswith("far")
         positive = [v for _, row, _ in known for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
-        marks = []
+        marks, notes = [], [""] * len(groups)
         for first in (True, False):
             own = [(i, row, rank) for i, row, rank in known if (rank.lower <= 1) == first]
             values = np.array([(row.value, row.lower, row.upper, i) for i, row, _ in own], float).reshape(-1, 4).T
             columns = dict(zip(("x", "low", "high"), np.maximum(values[:3], floor), strict=True)) | {"y": values[3]}
-            words = tuple(f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]" for *_, rank in own)
-            beside = {"x": np.fmax(columns["x"], columns["high"]), "y": values[3]}
             label = "may be first" if first else "is not first"
             marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
-            marks.append(measured_mark("dots", beside, "", words=words, beside=True))
-            captions += [
-                f"{'/'.join(groups[i])} {metric} {row.value:.3g}, rank {w}"
-                for (i, row, _), w in zip(own, words, strict=True)
-            ]
+            for i, row, rank in own:
+                notes[i] = f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]"
+                captions.append(f"{'/'.join(groups[i])} {metric} {row.value:.3g}, rank {notes[i]}")
         none = " (none: at the left end)" if far and any(row.value == 0.0 for _, row, _ in known) else ""
-        views[measures[metric] + none] = SubjectView(
-            Axis("value", "log" if far else "linear"), (Part(detectors, tuple(marks)),)
-        )
+        part = Part(replace(detectors, notes=tuple(notes)), tuple(marks))
+        views.append(Panels(Axis("value", "log" if far else "linear"), (part,), measures[metric] + none))
     if not views or not groups:
         return None
     title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set]"
     alt = f"Metrics of each detector on all objects of {name}. {'; '.join(captions)}."
-    return Plots(f"{name}-detectors", name, title, alt, views)
+    return Figure(f"{name}-detectors", name, title, alt, tuple(views))
 
 
-def rank_figures(
-    name: str,
-    rows: Sequence[Result],
-    groups: Sequence[tuple[str, ...]],
-    measures: Mapping[str, str],
-    *,
-    simulated: bool,
-) -> list[Drawing]:
+def rank_figure(
+    name: str, rows: Sequence[Result], groups: Sequence[tuple[str, ...]], measures: Mapping[str, str]
+) -> Figure | None:
     """Ranks by subject, as a map: dark where the detector leads, with the set of ranks that are not refuted."""
     metric = next((m for m in _RANK_METRICS if any(r.metric == f"rank_{m}" for r in rows)), None)
-    if metric is None:
-        return []
     here = {(r.subject, r.method): r for r in rows if r.metric == f"rank_{metric}" and r.outcome is Outcome.NONE}
     every = list(dict.fromkeys(s for s, _ in here))
     subjects = every[:_MOST_SUBJECTS]
-    if len(subjects) < 2 or not groups:
-        return []
-    worst = max(r.value for r in here.values())
-    grid = np.full((len(subjects), len(groups)), np.nan)
-    figure = style.new_figure(
-        2.6 + 1.35 * len(groups), 1.3 + 0.27 * len(subjects), f"{name}: rank of each detector by subject", simulated
-    )
-    axes = figure.add_subplot()
-    captions = []
+    if metric is None or len(subjects) < 2 or not groups:
+        return None
+    cells, words, captions = [], [], []
     for i, subject in enumerate(subjects):
         for j, names in enumerate(groups):
             row = here.get((subject, f"{names[0]}/object"))
-            if row is None:
-                continue
-            grid[i, j] = row.value
-            words = f"{row.value:.0f} [{row.lower:.0f}-{row.upper:.0f}]"
-            shade = "white" if row.value <= worst / 3 else "black"
-            axes.text(j, i, words, ha="center", va="center", fontsize=7.5, color=shade)
-            captions.append(f"{subject}, {'/'.join(names)}: {words}")
-    shades = ListedColormap([(s, s + 0.04, s + 0.09) for s in np.linspace(0.2, 0.9, 16)])
-    axes.imshow(grid, cmap=shades, vmin=1, vmax=worst, aspect="auto")
-    axes.set_xticks(range(len(groups)), [style.plain("\n= ".join(g)) for g in groups], fontsize=7.5)
-    axes.set_yticks(range(len(subjects)), [style.plain(style.shortened(s)) for s in subjects], fontsize=8.0)
-    axes.grid(visible=False)
+            if row is not None:
+                cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
+                words.append(f"{row.value:.0f} [{row.lower:.0f}-{row.upper:.0f}]")
+                captions.append(f"{subject}, {'/'.join(names)}: {words[-1]}")
+    columns = dict(zip(("left", "right", "bottom", "top", "value"), np.array(cells, float).T, strict=True))
+    scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
+    mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
-    title = f"{name}: rank [95 % set] by {measures[metric]}, subjects of two objects and more{more}"
-    alt = f"Rank of each detector by subject. {'; '.join(captions)}."
-    return [style.vector_drawing(figure, f"{name}-ranks", name, title, alt)]
+    return Figure(
+        f"{name}-ranks", name,
+        f"{name}: rank [95 % set] by {measures[metric]}, subjects of two objects and more{more}",
+        f"Rank of each detector by subject. {'; '.join(captions)}.",
+        (Panels(row_names([" = ".join(g) for g in groups]), (Part(row_names(subjects), (mark,)),)),),
+        head=f"{name}: rank of each detector by subject", width_in=2.6 + 1.35 * len(groups),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -134,17 +123,25 @@ class BenchmarkReport:
     measures: Mapping[str, str]
 
 
-def draw_benchmark(report: BenchmarkReport) -> list[Drawing]:
+def benchmark_figures(report: BenchmarkReport) -> list[Figure]:
     """The figures of the page."""
-    out: list[Drawing] = []
-    with house_style():
-        for item in report.campaigns:
-            rows = list(report.table.where(campaign=item.name))
-            groups = alike(rows, report.measures)
-            plots = detector_plots(item.name, rows, groups, report.measures)
-            out += [] if plots is None else [drawing_of(plots, simulated=item.simulated)]
-            out += rank_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
-    return out
+    out = []
+    for item in report.campaigns:
+        rows = list(report.table.where(campaign=item.name))
+        groups = alike(rows, report.measures)
+        out += [make(item.name, rows, groups, report.measures) for make in (detector_figure, rank_figure)]
+    return [figure for figure in out if figure is not None]
+
+
+def write_benchmark(folder: Path, report: BenchmarkReport, record: Mapping[str, Any]) -> None:
+    """Write the folder of a benchmark."""
+    from hyperval.figures.print import drawings_of
+
+    simulated = {item.name: item.simulated for item in report.campaigns}
+    figures = benchmark_figures(report)
+    drawings = [one for figure in figures for one in drawings_of([figure], simulated=simulated[figure.section])]
+    run = Run(report.table, record)
+    run.write(folder, benchmark_page(report, figures), {one.file_name: one.content for one in drawings})
 
 
 def alike(rows: Sequence[Result], measures: Mapping[str, str]) -> list[tuple[str, ...]]:
@@ -157,7 +154,7 @@ def alike(rows: Sequence[Result], measures: Mapping[str, str]) -> list[tuple[str
     return [tuple(names) for names in groups.values()]
 
 
-def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
+def benchmark_page(report: BenchmarkReport, figures: Sequence[Figure]) -> str:
     """The page."""
     skipped = [r for r in report.table if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)]
     entries = []
@@ -172,12 +169,12 @@ def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
                 "leads": leads(rows, groups, report.measures),
                 "measures": [t for m, t in report.measures.items() if _has(rows, m)],
                 "detectors": [_detector(rows, names, report.measures) for names in groups],
-                "figures": [{"drawing": d, "source": d.source} for d in drawings if d.section == item.name],
+                "figures": [one for one in figures if one.section == item.name],
             }
         )
     return environment().get_template("benchmark.html.j2").render(
         entries=entries, skipped=skipped, count=len(report.table),
-        all=len(report.campaigns), **common_words(),
+        all=len(report.campaigns), **drawn_words({one.name: statement(one) for one in figures}), **common_words(),
     )  # fmt: skip
 
 

@@ -1,7 +1,5 @@
 """``report.html``: one page that a reader understands in half a minute, with nothing loaded from elsewhere.
 
-The scripts that draw a page's charts: a kept library from its installed package, and a short one of our own.
-
 The first screen: product by subject, or product by campaign, each cell with its outcome.
 """
 
@@ -17,47 +15,62 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 from markupsafe import Markup
 
 import hyperval
+from hyperval.errors import UsageError
+from hyperval.figures.catalogue import first_figures, further_figures
+from hyperval.figures.detection import many_objects_figure
+from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
+from hyperval.figures.spec import Drawing, Figure, statement
 from hyperval.metrics import Evidence, explained
-from hyperval.products import background_of
+from hyperval.products import ObservedProducts, PredictedProducts, background_of
 from hyperval.report import verdict as v
-from hyperval.report.charts import chart_of, draw_charts, objects_chart
-from hyperval.report.charts_base import Chart
-from hyperval.report.plots_run import equivalence_margin, every_plot
 from hyperval.report.run import WARNING, RunReport
-from hyperval.report.style import Drawing
 from hyperval.report.verdict import outcome_words, worst
-from hyperval.results import Outcome, Result
-from hyperval.run import row_name
-from hyperval.storage import installed_file
+from hyperval.results import Outcome, Result, ResultTable
+from hyperval.run import Run, is_run, is_simulated, read_pair, row_name
+from hyperval.storage import installed_file, whole_folder
+
+if TYPE_CHECKING:
+    from hyperval.figures.print import Print
+
+
+LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
+
+
+def library(name: str) -> str:
+    """One script of the library, from its installed package."""
+    return installed_file("bokeh", "server", "static", "js", name).read_text("utf-8")
 
 
 @functools.cache
-def starter() -> str:
-    """The script that unpacks the library and draws the charts."""
-    return (resources.files("hyperval.report") / "templates" / "charts.js").read_text("utf-8")
+def packed_library() -> tuple[str, ...]:
+    """The library's scripts as base64 of gzip: 0.6 MB in place of 1.4 leave the figures room."""
+    return tuple(
+        base64.b64encode(gzip.compress(library(name).encode("utf-8"), mtime=0)).decode("ascii") for name in LIBRARY
+    )
 
 
 @functools.cache
-def _library() -> str:
-    return installed_file("bokeh", "server", "static", "js", "bokeh.min.js").read_text("utf-8")
-
-
-@functools.cache
-def packed_library() -> str:
-    """The library's script as base64 of gzip: 0.5 MB in place of 1.3 leave the figures room."""
-    return base64.b64encode(gzip.compress(_library().encode("utf-8"), mtime=0)).decode("ascii")
+def script() -> str:
+    """The script that unpacks the library and draws the figures."""
+    return (resources.files("hyperval.figures") / "charts.js").read_text("utf-8")
 
 
 @functools.cache
 def script_hashes() -> str:
-    """The scripts of a page with charts as sources of its policy: these texts, and no other, may run."""
-    return " ".join(map(_source, (_library(), starter(), page_script())))
+    """The scripts of a page with figures as sources of its policy: these texts, and no other, may run."""
+    return " ".join(map(source_of, (*map(library, LIBRARY), script())))
+
+
+def source_of(text: str) -> str:
+    """A script as a source of a content security policy."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
 
 
 @functools.cache
@@ -69,11 +82,7 @@ def page_script() -> str:
 @functools.cache
 def page_script_hash() -> str:
     """The script of every page as a source of its policy."""
-    return _source(page_script())
-
-
-def _source(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
+    return source_of(page_script())
 
 
 LETTERS = {
@@ -201,7 +210,7 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")  # of a run, beside each other, before everything else
-_BUDGET = "chart-radiance-budget"
+_BUDGET = "radiance-budget"
 _FIRST_FIGURES = PICTURES  # that are embedded whatever else there is no room for
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
@@ -242,7 +251,7 @@ class Section:
     name: str
     title: str
     figures: list[dict[str, Any]]
-    charts: list[Chart]
+    charts: list[Figure]
     gates: list[Result]
     informing: list[Result]
     others: list[Result]
@@ -252,15 +261,14 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
     rows = list(run.table)
     sides = (run.prediction, run.observation)
-    charts = _worst_first(draw_charts(sides, rows), rows)
-    many = objects_chart(run.score_maps, sides)
+    charts = _worst_first(first_figures(sides, run.table), rows)
+    many = many_objects_figure(run.score_maps, sides)
     charts += [many] if many is not None else []
-    margin = equivalence_margin(run.provenance)
-    plots = every_plot(sides, run.table, run.eigenvalues, run.tails, margin)
-    # Of many objects that chart is a map and a histogram in place of a list.
-    folded = [chart_of(one) for one in plots if many is None or one.name != "object-scores"]
-    every = [*charts, *folded]
-    embedded = _embedded(drawings, every)
+    plots = further_figures(sides, run.table, run.eigenvalues, run.tails, equivalence_margin(run.provenance))
+    # Of many objects that figure is a map and a histogram in place of a list.
+    folded = [one for one in plots if many is None or one.name != "object-scores"]
+    statements = {one.name: statement(one) for one in (*charts, *folded)}
+    embedded = _embedded(drawings, statements)
     shown = same_background_once(rows)
     sections = _sections(run, drawings, folded, embedded, shown)
     tone, words = v.verdict(rows)
@@ -291,9 +299,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         budget=[chart for chart in folded if chart.name == _BUDGET],
         sections=[section for section in sections if section.name not in _REASONS],
         reasons=[section for section in sections if section.name in _REASONS],
-        library=packed_library() if every else "",
-        starter=starter() if every else "",
-        script_hashes=script_hashes() if every else "",
+        **drawn_words(statements),
         undone=_undone(rows),
         notes=_all_notes(run),
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
@@ -387,6 +393,26 @@ def environment() -> jinja2.Environment:
     return environment
 
 
+def drawn_words(statements: Mapping[str, str]) -> dict[str, Any]:
+    """What a page with figures holds besides them: name of each -> its statement, and the scripts that draw them."""
+    return {
+        "statements": statements, "library": packed_library() if statements else (),
+        "starter": script() if statements else "", "script_hashes": page_hashes() if statements else "",
+    }  # fmt: skip
+
+
+def page_hashes() -> str:
+    """The scripts of a page with figures as sources of its policy: these texts, and no other, may run."""
+    return f"{script_hashes()} {page_script_hash()}"
+
+
+def equivalence_margin(provenance: Mapping[str, Any]) -> float | None:
+    """The margin that the campaign of a run states, as its provenance records it."""
+    campaign = (provenance.get("configuration") or {}).get("campaign") or {}
+    margin = campaign.get("equivalence_margin")
+    return float(margin) if isinstance(margin, int | float) else None
+
+
 def common_words() -> dict[str, Any]:
     """What every page says: version, when it was made, how much is listed."""
     return {
@@ -437,10 +463,10 @@ def _subject_text(text: str) -> str:
     return re.sub(r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0", text)
 
 
-def _worst_first(charts: Sequence[Chart], rows: Sequence[Result]) -> list[Chart]:
+def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figure]:
     """Charts of products whose gates say worse before the others; of one rank, by what does not decide."""
 
-    def rank(chart: Chart) -> tuple[int, ...]:
+    def rank(chart: Figure) -> tuple[int, ...]:
         made = (row for row in rows if row.planned and row.outcome is not Outcome.SKIPPED)
         planned = [row for row in made if row.product == chart.section]
         return tuple(v.WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
@@ -451,7 +477,7 @@ def _worst_first(charts: Sequence[Chart], rows: Sequence[Result]) -> list[Chart]
 def _sections(
     run: RunReport,
     drawings: Sequence[Drawing],
-    charts: Sequence[Chart],
+    charts: Sequence[Figure],
     embedded: Mapping[str, str],
     rows: Sequence[Result],
 ) -> list[Section]:
@@ -489,13 +515,13 @@ def _figures(run: RunReport, drawings: Sequence[Drawing], embedded: Mapping[str,
     return out
 
 
-def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str, str]:
+def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dict[str, str]:
     """Name of a figure -> its data URI, for as many as the page has room for.
 
     What shows the most comes first: the scene, the first score map, the budget; the other score maps come last.
     """
     sources: dict[str, str] = {}
-    room = _FIGURE_BYTES - sum(len(chart.content) for chart in charts) - (len(packed_library()) if charts else 0)
+    room = _FIGURE_BYTES - sum(map(len, statements.values())) - (sum(map(len, packed_library())) if statements else 0)
     for drawing in sorted(drawings, key=_rank):
         source = drawing.source
         if len(source) <= room:
@@ -559,3 +585,37 @@ def _all_notes(run: RunReport) -> list[str]:
         if side is not None:
             notes += [f"{name}: {note}" for note in side.notes if note not in run.notes]
     return list(dict.fromkeys(notes))
+
+
+Spread = tuple[Mapping[tuple[str, str], EigenvalueSpectrum], Mapping[str, TailCurve]]
+Curves = Callable[[PredictedProducts, ObservedProducts], Spread]
+
+
+def figures_to_folder(run: Path, output: Path, print_as: Print, curves: Curves | None = None) -> int:
+    """Draw what the products of ``run`` allow into a new folder, with the spread of its pixels by ``curves``.
+
+    Raises
+    ------
+    InputError : no products.nc, or a damaged one.
+    UsageError : products of which nothing can be drawn.
+    """
+    drawings = run_drawings(run, print_as, curves)
+    if not drawings:
+        raise UsageError("there is nothing to draw", where=str(run), expected="spectra or ROC curves in products.nc")
+    with whole_folder(output) as folder:
+        for drawing in drawings:
+            (folder / drawing.file_name).write_bytes(drawing.content)
+    return 0
+
+
+def run_drawings(run: Path, print_as: Print, curves: Curves | None = None) -> list[Drawing]:
+    """The figures of the products of a folder, and of the reasons that its table holds."""
+    from hyperval.figures.print import drawings_of
+
+    sides, simulated = read_pair(run), is_simulated(run)
+    known = Run.open(run) if is_run(run) else Run(ResultTable())
+    margin = equivalence_margin(known.provenance) if known.provenance else None
+    predicted, observed = sides
+    spread = curves(predicted, observed) if curves and predicted and observed else ({}, {})
+    figures = [*first_figures(sides), *further_figures(sides, known.table, *spread, margin)]
+    return drawings_of(figures, simulated=simulated, print_as=print_as)

@@ -15,9 +15,9 @@ def write_outputs(run: RunReport, folder: Path) -> None:
 
     drawings = []
     if run.quicklook is not None or run.score_maps:
-        from hyperval.report.pictures import draw_pictures
+        from hyperval.figures.pictures import draw_pictures
 
-        drawings = draw_pictures(run)
+        drawings = draw_pictures(run.quicklook, run.score_maps, simulated=run.simulated)
     Run(
         run.table,
         {**run.provenance, "warnings": run.warnings},

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from hyperval.errors import UsageError
+from hyperval.figures.catalogue import first_figures
+from hyperval.figures.spec import Figure, statement
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
-from hyperval.report.charts import draw_charts
-from hyperval.report.charts_base import Chart
-from hyperval.report.html import common_words, environment, packed_library, script_hashes, starter
+from hyperval.report.html import common_words, drawn_words, environment
 from hyperval.results import Cause, Outcome, Result, ResultTable
 from hyperval.run import Run, row_name
 from hyperval.storage import whole_folder
@@ -146,9 +146,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         identical=not moved and all(p.a and p.b and not p.verdict_changed for p in pairs),
         inputs=provenance_differences(a, b),
         charts=charts,
-        library=packed_library() if charts else "",
-        starter=starter() if charts else "",
-        script_hashes=script_hashes() if charts else "",
+        **drawn_words({one.name: statement(one) for one in charts}),
         figures=_figures(a, b),
         alike=_alike(a, b),
         number=v.number_text,
@@ -181,11 +179,11 @@ def _flat(prefix: str, value: Any) -> dict[str, str]:
     return {prefix: str(value)}
 
 
-def _charts(a: Run, b: Run) -> list[Chart]:
+def _charts(a: Run, b: Run) -> list[Figure]:
     """Spectra and ROC of both runs: of their predictions, or of their collections where those alone differ."""
     pairs = [(one, other) for one, other in zip(a.pair, b.pair, strict=True) if one and other]
     chosen = next((pair for pair in pairs if not _same_curves(*pair)), None)
-    return draw_charts(chosen, [], labels=("run A", "run B")) if chosen else []
+    return first_figures(chosen, names=("run A", "run B")) if chosen else []
 
 
 def _same_curves(one: Products, other: Products) -> bool:

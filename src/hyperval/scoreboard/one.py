@@ -21,9 +21,8 @@ from hyperval.errors import HypervalError, InputError, MissingDataError, UsageEr
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.observe.place import open_place
 from hyperval.progress import step, track
-from hyperval.report.benchmark import BenchmarkReport, CampaignWords, benchmark_page, draw_benchmark
+from hyperval.report.benchmark import BenchmarkReport, CampaignWords, write_benchmark
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
-from hyperval.run import Run
 from hyperval.scenario import Scenario
 from hyperval.scoreboard.looks import (
     EVERY_OBJECT,
@@ -235,6 +234,4 @@ def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, f
         "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
         "campaigns": {d.name: d.provenance for d in done},
     }
-    drawings = draw_benchmark(report)
-    page = benchmark_page(report, drawings)
-    Run(report.table, record).write(folder, page, {d.file_name: d.content for d in drawings})
+    write_benchmark(folder, report, record)

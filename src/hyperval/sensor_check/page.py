@@ -14,13 +14,25 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.campaign.provenance import command_without_output, provenance
+from hyperval.figures.print import drawings_of
+from hyperval.figures.spec import (
+    SOURCES,
+    WAVELENGTH,
+    Axis,
+    Dash,
+    Figure,
+    Mark,
+    Panels,
+    Part,
+    robust_limits,
+    row_names,
+    shortened,
+    single,
+    statement,
+)
 from hyperval.products import PredictedProducts
-from hyperval.report import style
 from hyperval.report import verdict as v
-from hyperval.report.figures import drawing_of
-from hyperval.report.html import common_words, environment
-from hyperval.report.plots import Axis, Dash, Mark, Part, Plots, SubjectView, rows_axis
-from hyperval.report.style import Drawing
+from hyperval.report.html import common_words, drawn_words, environment
 from hyperval.results import Outcome, Result
 from hyperval.run import Run
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
@@ -53,27 +65,26 @@ _SOURCES = {
 }
 
 
-def draw_datasheet(check: SensorCheck) -> list[Drawing]:
+def datasheet_figures(check: SensorCheck) -> list[Figure]:
     """Every figure that the checks allow, in the order of the page."""
     if not check.usable:
         return []
-    plots = [
-        *response_plots(check),
-        snr_plots(check),
-        published_plots(check.points) if check.points else None,
-        noise_plots(check),
-        saturation_plots(check),
-        detection_plots(check.predictions),
-        sensitivity_plots(check.swings, check.probe, check.vary),
+    figures = [
+        *response_figures(check),
+        snr_figure(check),
+        published_figure(check.points) if check.points else None,
+        noise_figure(check),
+        saturation_figure(check),
+        detection_figure(check.predictions),
+        sensitivity_figure(check.swings, check.probe, check.vary),
     ]
-    with style.house_style():
-        return [drawing_of(one, simulated=False) for one in plots if one is not None]
+    return [one for one in figures if one is not None]
 
 
-def response_plots(check: SensorCheck) -> list[Plots]:
+def response_figures(check: SensorCheck) -> list[Figure]:
     """Widths against spacing, and the responses of a few bands."""
     axis = check.sensor.axis
-    wide, narrow = style.SOURCE_COLOURS[0], style.SOURCE_COLOURS[5]
+    wide, narrow = SOURCES[0], SOURCES[5]
     marks = [
         Mark(
             "line",
@@ -98,49 +109,49 @@ def response_plots(check: SensorCheck) -> list[Plots]:
         responses.append(Mark("line", {"x": w, "y": response}, "", (wide, narrow)[k % 2]))
     ends = responses[0].columns["x"][0], responses[-1].columns["x"][-1]
     return [
-        Plots(
+        Figure(
             "response", "response", "Width and spacing of the bands",
             f"Width and spacing of the {len(axis)} bands against wavelength{ratio}.",
-            _one(_wavelengths(axis), "width, spacing [nm]", marks),
+            (single(_wavelengths(axis), "width, spacing [nm]", marks),),
         ),
-        Plots(
+        Figure(
             "responses", "response", f"Responses of {shown.size} bands",
             f"Relative response of {shown.size} bands against wavelength.",
-            _one(Axis(style.WAVELENGTH_LABEL, ends=ends), "relative response", responses),
+            (single(Axis(WAVELENGTH, ends=ends), "relative response", responses),),
         ),
     ]  # fmt: skip
 
 
-def snr_plots(check: SensorCheck) -> Plots:
+def snr_figure(check: SensorCheck) -> Figure:
     """SNR against wavelength at the reference radiances, with and without C_R."""
     axis, noise = check.sensor.axis, check.sensor.noise()
     marks, highest = [], []
-    for level, colour in zip(LEVELS, style.SOURCE_COLOURS, strict=False):
+    for level, colour in zip(LEVELS, SOURCES, strict=False):
         radiance = sunlit_radiance(axis, level)
         free = noise.snr(radiance, calibration=False)
         marks.append(_curve(axis, free, f"reflectance {level:g}", colour))
         marks.append(_curve(axis, noise.snr(radiance), "", colour, "dashed"))
         highest.append(free[_shown(axis) if len(axis) >= 30 else axis.good])
     middle = noise.snr(sunlit_radiance(axis, MIDDLE), calibration=False)[_shown(axis)]
-    return Plots(
+    return Figure(
         "snr", "snr", "Signal-to-noise ratio, sun at 45° and no atmosphere (dashed: with the calibration error C_R)",
         "Signal-to-noise ratio against wavelength for ground of 0.05, 0.25 and 0.6, with and without the "
         f"calibration error. At 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to "
         f"{middle.max():.0f}.",
-        _one(_wavelengths(axis), "signal-to-noise ratio", marks, ends=style.robust_limits(highest, zero=True)),
+        (single(_wavelengths(axis), "signal-to-noise ratio", marks, ends=robust_limits(highest, zero=True)),),
     )  # fmt: skip
 
 
-def noise_plots(check: SensorCheck) -> Plots:
+def noise_figure(check: SensorCheck) -> Figure:
     """Share of each source in the noise variance."""
     axis = check.sensor.axis
-    views: dict[str, SubjectView] = {}
+    views: list[Panels] = []
     shown: dict[str, str] = {}
     for level in (LEVELS[0], LEVELS[-1]):
         parts = check.sensor.noise().breakdown(sunlit_radiance(axis, level))
         rows = {words: np.abs(getattr(parts, name)) for name, words in _SOURCES.items()}
         total, base, marks = sum(rows.values()), np.zeros(len(axis)), []
-        for (words, value), colour in zip(rows.items(), style.SOURCE_COLOURS, strict=False):
+        for (words, value), colour in zip(rows.items(), SOURCES, strict=False):
             share = 100.0 * value / total
             if np.max(share) <= 0.01:
                 continue
@@ -152,12 +163,12 @@ def noise_plots(check: SensorCheck) -> Plots:
             base = base + share
             shown.setdefault(words, colour)
         label = "share of the variance [%]"
-        views |= _one(_wavelengths(axis), label, marks, name=f"reflectance {level:g}", ends=(0.0, 100.0))
+        views.append(single(_wavelengths(axis), label, marks, subject=f"reflectance {level:g}", ends=(0.0, 100.0)))
     alt = f"Share of each source in the variance of the noise, dark and bright ground: {', '.join(shown)}."
-    return Plots("noise", "noise", "Sources of noise, dark and bright ground", alt, views)
+    return Figure("noise", "noise", "Sources of noise, dark and bright ground", alt, tuple(views))
 
 
-def saturation_plots(check: SensorCheck) -> Plots | None:
+def saturation_figure(check: SensorCheck) -> Figure | None:
     """Signal as a part of full scale; None where the file does not say where that is."""
     axis, noise = check.sensor.axis, check.sensor.noise()
     if noise.full_scale is None:
@@ -166,23 +177,14 @@ def saturation_plots(check: SensorCheck) -> Plots | None:
     parts = [noise.full_scale_fraction(sunlit_radiance(axis, level)) for level in levels]
     marks = [
         _curve(axis, part, f"reflectance {level:g}", colour)
-        for level, part, colour in zip(levels, parts, style.SOURCE_COLOURS, strict=False)
+        for level, part, colour in zip(levels, parts, SOURCES, strict=False)
     ]
     highest = max(1.0, *(float(np.max(part)) for part in parts))
-    return Plots(
+    return Figure(
         "saturation", "saturation", "Signal as a part of full scale, sun at 45° and no atmosphere (dotted: full scale)",
         f"Signal as a part of full scale against wavelength; the highest, at reflectance 1, is {highest:.2f}.",
-        _one(_wavelengths(axis), "part of full scale", marks, ends=(0.0, 1.08 * highest), level=1.0),
+        (single(_wavelengths(axis), "part of full scale", marks, ends=(0.0, 1.08 * highest), level=1.0),),
     )  # fmt: skip
-
-
-def _one(
-    x: Axis, label: str, marks: Sequence[Mark], *, name: str = "", ends: tuple[float, float] | None = None,
-    level: float | None = None,
-) -> dict[str, SubjectView]:  # fmt: skip
-    """A single plot of marks, with a line across at ``level``."""
-    part = Part(Axis(label, ends=ends), tuple(marks), () if level is None else (("y", level),))
-    return {name: SubjectView(x, (part,))}
 
 
 def _few_bands(axis: SpectralAxis) -> npt.NDArray[np.intp]:
@@ -209,19 +211,19 @@ def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, dash: Das
 
 def _wavelengths(axis: SpectralAxis) -> Axis:
     low, high = axis.centre_nm[0] - axis.fwhm_nm[0], axis.centre_nm[-1] + axis.fwhm_nm[-1]
-    return Axis(style.WAVELENGTH_LABEL, ends=(float(low), float(high)))
+    return Axis(WAVELENGTH, ends=(float(low), float(high)))
 
 
 _MOST_SWINGS = 20
 _LOWEST_PFA = 1e-6
 
 
-def published_plots(points: Sequence[SnrPoint]) -> Plots:
+def published_figure(points: Sequence[SnrPoint]) -> Figure:
     """Computed over published ratio by wavelength."""
     looks = {
-        "value": ("circle", style.SOURCE_COLOURS[0], "published value"),
-        "at least": ("square", style.SOURCE_COLOURS[2], "published lower bound"),
-        "unstated": ("tick", style.SOURCE_COLOURS[7], "no radiance stated: not judged"),
+        "value": ("circle", SOURCES[0], "published value"),
+        "at least": ("square", SOURCES[2], "published lower bound"),
+        "unstated": ("tick", SOURCES[7], "no radiance stated: not judged"),
     }
     kinds = [point.item.says if point.judged else "unstated" for point in points]
     w, ratios = np.array([p.wavelength_nm for p in points]), np.array([p.computed / p.published for p in points])
@@ -230,23 +232,23 @@ def published_plots(points: Sequence[SnrPoint]) -> Plots:
     marks = []
     if "value" in kinds:
         columns = {"x": np.array(x), "low": np.full(2, 1 - TOLERANCE), "high": np.full(2, 1 + TOLERANCE)}
-        marks.append(Mark("area", columns, f"within {100 * TOLERANCE:g} %", style.SOURCE_COLOURS[0], alpha=0.15))
+        marks.append(Mark("area", columns, f"within {100 * TOLERANCE:g} %", SOURCES[0], alpha=0.15))
     for kind, (marker, colour, label) in looks.items():
         own = [i for i, k in enumerate(kinds) if k == kind]
         words = tuple(f"{points[i].computed:.0f} / {points[i].published:g}" for i in own)
         if own:
             columns = {"x": w[own], "y": ratios[own]}
-            marks.append(Mark("dots", columns, label, colour, marker=marker, words=words, beside=True))
+            marks.append(Mark("dots", columns, label, colour, marker=marker, words=words, beside="right"))
     listed = "; ".join(f"{p.wavelength_nm:g} nm {p.computed:.0f} to {p.published:g}" for p in points)
     ends = min(0.6, 0.9 * float(ratios.min())), max(1.4, 1.15 * float(ratios.max()))
-    return Plots(
+    return Figure(
         "published-snr", "published_snr", "Computed over published signal-to-noise ratio",
         f"Computed against published ratios: {listed}.",
-        _one(Axis(style.WAVELENGTH_LABEL, ends=x), "computed / published", marks, ends=ends, level=1.0),
+        (single(Axis(WAVELENGTH, ends=x), "computed / published", marks, ends=ends, level=1.0),),
     )  # fmt: skip
 
 
-def detection_plots(predictions: Mapping[str, PredictedProducts]) -> Plots | None:
+def detection_figure(predictions: Mapping[str, PredictedProducts]) -> Figure | None:
     """Receiver operating characteristic of every target of the standard scenes."""
     scenes = {name: prediction for name, prediction in predictions.items() if prediction.roc}
     if not scenes:
@@ -254,48 +256,52 @@ def detection_plots(predictions: Mapping[str, PredictedProducts]) -> Plots | Non
     keys = [key for prediction in scenes.values() for key in prediction.roc]
     subjects = list(dict.fromkeys(key[0] for key in keys))
     dashes = dict(zip(sorted({key[1] for key in keys}), get_args(Dash), strict=False))
-    views: dict[str, SubjectView] = {}
+    views: list[Panels] = []
     for name, prediction in scenes.items():
         marks = []
         for (subject, detector, unit), curve in prediction.roc.items():
             if unit == "pixel" and detector in dashes:
                 keep = curve.pfa >= _LOWEST_PFA
-                colour = style.SOURCE_COLOURS[subjects.index(subject) % len(style.SOURCE_COLOURS)]
-                label = style.shortened(subject, 24)
+                colour = SOURCES[subjects.index(subject) % len(SOURCES)]
+                label = shortened(subject, 24)
                 columns = {"x": curve.pfa[keep], "y": curve.pd[keep]}
                 marks.append(Mark("line", columns, label, colour, dashes[detector]))
-        views |= _one(Axis("P_FA", "log", ends=(_LOWEST_PFA, 1.0)), "P_D", marks, name=name, ends=(-0.02, 1.04))
+        views.append(
+            single(Axis("P_FA", "log", ends=(_LOWEST_PFA, 1.0)), "P_D", marks, subject=name, ends=(-0.02, 1.04))
+        )
     words = ", ".join(f"{detector}: {dash}" for detector, dash in dashes.items())
-    return Plots(
+    return Figure(
         "detection", "scenario", f"Detection in the standard scenes with this sensor ({words})",
-        f"Probability of detection against that of false alarm in {', '.join(scenes)}, by target and detector.", views,
+        f"Probability of detection against that of false alarm in {', '.join(scenes)}, by target and detector.",
+        tuple(views),
     )  # fmt: skip
 
 
-def sensitivity_plots(swings: Sequence[Swing], probe: Probe | None, vary: float) -> Plots | None:
+def sensitivity_figure(swings: Sequence[Swing], probe: Probe | None, vary: float) -> Figure | None:
     """Tornado: what each assumed number does to the SNR and to P_D."""
     if not swings:
         return None
     kept = list(swings[:_MOST_SWINGS])
-    views: dict[str, SubjectView] = {}
-    rows, names = np.arange(len(kept), dtype=float), rows_axis([s.number.name for s in kept])
+    views: list[Panels] = []
+    rows, names = np.arange(len(kept), dtype=float), row_names([s.number.name for s in kept])
     for name, changes in (
         ("change of the SNR at reflectance 0.25 [%]", np.array([s.snr for s in kept]) * 100.0),
         ("change of P_D", np.array([s.detection for s in kept])),
     ):
         marks = tuple(
             Mark("bars", {"left": np.minimum(change, 0.0), "right": np.maximum(change, 0.0), "bottom": rows - 0.31,
-                          "top": rows + 0.31}, label, style.SOURCE_COLOURS[colour], alpha=1.0)
+                          "top": rows + 0.31}, label, SOURCES[colour], alpha=1.0)
             for change, label, colour in zip(changes.T, ("lower", "higher"), (4, 5), strict=True)
         )  # fmt: skip
-        views[name] = SubjectView(Axis("change"), (Part(names, marks, (("x", 0.0),)),))
+        views.append(Panels(Axis("change"), (Part(names, marks, (("x", 0.0),)),), name))
     most, what = kept[0], f" of {probe.key[0]} by {probe.key[1]}" if probe else ""
     more = f"; {len(kept)} of {len(swings)} are drawn" if len(kept) < len(swings) else ""
-    return Plots(
+    return Figure(
         "sensitivity", "sensitivity",
         f"Assumed numbers {100 * vary:g} % lower and higher: SNR of the band that moves most, P_D{what}{more}",
         f"Bars of what each of {len(swings)} assumed numbers does when it is {100 * vary:g} % lower or higher. "
-        f"Most for the SNR: {most.number.name}, {100 * most.snr[0]:+.1f} % and {100 * most.snr[1]:+.1f} %.", views,
+        f"Most for the SNR: {most.number.name}, {100 * most.snr[0]:+.1f} % and {100 * most.snr[1]:+.1f} %.",
+        tuple(views),
     )  # fmt: skip
 
 
@@ -314,7 +320,7 @@ SECTIONS = {
 _FOLDED = 12  # rows of a section that are not folded
 
 
-def datasheet_page(check: SensorCheck, drawings: Sequence[Drawing], provenance: dict[str, Any]) -> str:
+def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: dict[str, Any]) -> str:
     """The page of one sensor."""
     rows = list(check.table)
     listed = numbers(check.sensor.specification)
@@ -332,7 +338,8 @@ def datasheet_page(check: SensorCheck, drawings: Sequence[Drawing], provenance: 
             facts=_facts(check.sensor),
             numbers=listed,
             assumed=sum(n.assumed for n in listed),
-            sections=_sections(rows, drawings),
+            sections=_sections(rows, figures),
+            **drawn_words({one.name: statement(one) for one in figures}),
             beside=bands_beside(check.sensor),
             provenance=provenance,
             folded=_FOLDED,
@@ -402,11 +409,11 @@ def bands_beside(sensor: Sensor) -> dict[str, Any] | None:
     return {"name": name, "rows": rows, "words": words}
 
 
-def _sections(rows: Sequence[Result], drawings: Sequence[Drawing]) -> list[dict[str, Any]]:
+def _sections(rows: Sequence[Result], drawn: Sequence[Figure]) -> list[dict[str, Any]]:
     sections = []
     for name, title in SECTIONS.items():
         own = [r for r in rows if r.product == name]
-        figures = [{"drawing": d, "source": d.source} for d in drawings if d.section == name]
+        figures = [one for one in drawn if one.section == name]
         if own or figures:
             sections.append({"title": title, "rows": own, "figures": figures})
     return sections
@@ -428,9 +435,10 @@ def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
     """Write results, figures, products, provenance and report.html; the same file gives the same bytes."""
     folder = Path(folder)
     record = _provenance(check, name_or_file)
-    drawings = draw_datasheet(check)
+    figures = datasheet_figures(check)
     run = Run(check.table, record, dict(check.predictions), title=f"sensor {check.sensor.name}")
-    run.write(folder, datasheet_page(check, drawings, record), {d.file_name: d.content for d in drawings})
+    files = {d.file_name: d.content for d in drawings_of(figures, simulated=False)}
+    run.write(folder, datasheet_page(check, figures, record), files)
 
 
 def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:

@@ -8,22 +8,32 @@ Figures of a study, in the style of the reports: line families, heat maps, torna
 from __future__ import annotations
 
 import re
-import textwrap
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any, Literal
 
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from scipy.interpolate import CubicSpline
 
-from hyperval.report import style
-from hyperval.report.html import common_words, environment
-from hyperval.report.style import Drawing
+from hyperval.figures.spec import (
+    SOURCES,
+    VIRIDIS,
+    Axis,
+    ColourScale,
+    Figure,
+    Mark,
+    Panels,
+    Part,
+    row_names,
+    single,
+    statement,
+    tones,
+)
+from hyperval.report.html import common_words, drawn_words, environment
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
 from hyperval.study.plan import Plan
@@ -231,22 +241,17 @@ def _add_points(rows: ResultTable, study: StudyFile, table: StudyTable) -> None:
 _MOST_LINES = 9
 _BINS = 24
 _SPREAD = (10.0, 90.0)
-_MARKERS = "osD^vP*Xh"
+_MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "plus", "star", "x", "hex")
+_CELL = ("left", "right", "bottom", "top", "value")
 
 
-def draw(study: StudyFile, table: StudyTable, knees: list[CurveKnee]) -> list[Drawing]:
+def stated_figures(study: StudyFile, table: StudyTable, knees: list[CurveKnee]) -> list[Figure]:
     """All figures that a study asks for."""
-    figures = []
-    for number, plot in enumerate(study.plots, 1):
-        name = f"{number:02d}-{plot.kind}-{plot.output}"
-        with style.house_style():
-            if plot.kind == "tornado":
-                figures.append(_tornado(study, table, plot, name))
-            elif plot.kind == "heat":
-                figures.append(_heat(study, table, plot, name))
-            else:
-                figures.append(_lines(study, table, plot, name, knees))
-    return figures
+    kinds: dict[str, Any] = {"tornado": _tornado, "heat": _heat, "lines": partial(_lines, knees=knees)}
+    return [
+        kinds[plot.kind](study, table, plot, f"{number:02d}-{plot.kind}-{plot.output}")
+        for number, plot in enumerate(study.plots, 1)
+    ]
 
 
 def _input_named(study: StudyFile, name: str | None) -> Input:
@@ -263,11 +268,6 @@ def _label(study: StudyFile, name: str) -> str:
     return next(x.label or x.name for x in outputs if x.name == name)
 
 
-def _folded(text: str) -> str:
-    """Text in short lines, for the title of a legend."""
-    return "\n".join(style.plain(line) for line in textwrap.wrap(text, 22))
-
-
 def _kept(study: StudyFile, table: StudyTable, drawn: list[str]) -> tuple[npt.NDArray[np.bool_], dict[str, Any]]:
     """Points that a figure shows: listed inputs that it does not draw stand at the middle one of their values."""
     keep, fixed = np.ones(len(table.values), bool), {}
@@ -280,95 +280,91 @@ def _kept(study: StudyFile, table: StudyTable, drawn: list[str]) -> tuple[npt.ND
     return keep, {k: v.item() if hasattr(v, "item") else v for k, v in fixed.items()}
 
 
-def _lines(study: StudyFile, table: StudyTable, plot: Plot, name: str, knees: list[CurveKnee]) -> Drawing:
+def _lines(study: StudyFile, table: StudyTable, plot: Plot, name: str, knees: list[CurveKnee]) -> Figure:
     item = _input_named(study, plot.x)
     keep, fixed = _kept(study, table, [n for n in (plot.x, plot.family) if n])
     x, y = table.column(item.name)[keep], np.asarray(table.column(plot.output), float)[keep]
     family = table.column(plot.family)[keep] if plot.family else np.zeros(x.size)
     members = _different(family)
     shown = [members[i] for i in _spread_out(len(members))]
-    figure = style.new_figure(
-        8.6, 4.8, plot.title or f"{_label(study, plot.output)} against {item.label or item.name}", False
-    )
-    axes = figure.add_subplot()
-    words, entries = [], []
+    places = _different(x)
+    words = not all(isinstance(v, int | float) for v in places)
+    marks, said, circles = [], [], []
     for k, member in enumerate(shown):
         here = np.array([v == member for v in family]) & np.isfinite(y)
-        colour = _colour(k, len(shown), isinstance(member, float))
         label = _text(member) if plot.family else plot.output
         at, middle, low, high = _summarised(x[here], y[here], plot.scale == "log")
-        line = axes.plot(
-            at, middle, color=colour, marker=_MARKERS[k] if len(at) <= 40 else None, markersize=4, zorder=3
-        )[0]
+        columns = {"x": np.array([places.index(v) for v in at] if words else at, float), "y": middle}
         if low is not None and high is not None:
-            axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
-        for knee in knees:
-            if _is_knee_of(knee, plot, member, fixed) and np.isfinite(knee.point.x):
-                axes.plot(knee.point.x, knee.point.y, marker="o", markersize=10, markerfacecolor="none",
-                          markeredgecolor="#222222", markeredgewidth=1.4, zorder=5)  # fmt: skip
-        entries.append((line, label))
+            columns |= {"low": low, "high": high}
+        colour = _colour(k, len(shown), isinstance(member, float))
+        marker = _MARKERS[k] if len(at) <= 40 else ""
+        marks.append(Mark("line", columns, label if plot.family else "", colour, marker=marker, alpha=0.15))
+        circles += [
+            (f.point.x, f.point.y) for f in knees if _is_knee_of(f, plot, member, fixed) and np.isfinite(f.point.x)
+        ]
         if len(at):
-            words.append(
+            said.append(
                 f"{label}: {_text(float(middle[0]))} at {_text(at[0])}, {_text(float(middle[-1]))} at {_text(at[-1])}"
             )
-    if plot.scale == "log":
-        axes.set_xscale("log")
-        _log_ticks(axes.xaxis, x)
-    axes.set_xlabel(style.plain(item.words))
-    axes.set_ylabel(style.plain(_output_words(study, plot.output)))
-    if y.size and np.nanmin(y) >= 0 and np.nanmax(y) <= 1.0 and _is_probability(study, plot.output):
-        axes.set_ylim(-0.03, 1.03)
-    if plot.family:
-        # The greatest first, as the lines mostly stand above each other.
-        handles, labels = zip(*reversed(entries), strict=True)
-        figure.legend(handles, [style.plain(t) for t in labels], loc="outside right center",
-                      title=_folded(_input_named(study, plot.family).words))  # fmt: skip
     notes = _figure_notes(fixed, len(members), len(shown))
-    if any(item.random for item in study.inputs):
+    if any(one.random for one in study.inputs):
         notes += "; line: median, band: 10 to 90 % of the points"
-    if any(_is_knee_of(f, plot, m, fixed) and np.isfinite(f.point.x) for f in knees for m in shown):
+    if circles:
+        at, height = np.array(circles).T
+        columns = {"x": at, "y": height, "size": np.full(at.size, 10.0)}
+        marks.append(Mark("dots", columns, "", "#222222", marker="circle", hollow=True))
         notes += "; circle: knee"
-    title = (plot.title or f"{_output_words(study, plot.output)} against {item.words}") + notes
-    return style.vector_drawing(figure, name, "study", title, f"Lines. {'; '.join(words)}.")
+    inside = y.size and np.nanmin(y) >= 0 and np.nanmax(y) <= 1.0 and _is_probability(study, plot.output)
+    across = Axis(item.words, "log" if plot.scale == "log" else "linear")
+    if words:
+        across = Axis(item.words, "names", tuple(map(str, places)))
+    # The greatest first, as the lines mostly stand above each other.
+    part = Part(Axis(_output_words(study, plot.output), ends=(-0.03, 1.03) if inside else None), tuple(marks[::-1]))
+    return Figure(
+        name, "study", (plot.title or f"{_output_words(study, plot.output)} against {item.words}") + notes,
+        f"Lines. {'; '.join(said)}.", (Panels(across, (part,)),),
+        head=plot.title or f"{_label(study, plot.output)} against {item.label or item.name}",
+        legend_title=_input_named(study, plot.family).words if plot.family else "", width_in=8.6,
+    )  # fmt: skip
 
 
-def _heat(study: StudyFile, table: StudyTable, plot: Plot, name: str) -> Drawing:
+def _heat(study: StudyFile, table: StudyTable, plot: Plot, name: str) -> Figure:
     across, up = _input_named(study, plot.x), _input_named(study, plot.y)
     keep, fixed = _kept(study, table, [across.name, up.name])
     x, y = (np.asarray(table.column(i.name)[keep], float) for i in (across, up))
     z = np.asarray(table.column(plot.output), float)[keep]
     edges = [_edges(table, i, v) for i, v in ((across, x), (up, y))]
-    cells = np.full((edges[1].size - 1, edges[0].size - 1), np.nan)
     column, row = (
         np.clip(np.searchsorted(e, v, "right") - 1, 0, e.size - 2) for e, v in zip(edges, (x, y), strict=True)
     )
+    cells = []
     for r, c in sorted(set(zip(row.tolist(), column.tolist(), strict=True))):
         inside = z[(row == r) & (column == c)]
-        cells[r, c] = np.nanmedian(inside) if np.isfinite(inside).any() else np.nan
-    figure = style.new_figure(
-        7.6,
-        5.4,
-        plot.title or f"{_label(study, plot.output)} over {across.label or across.name} and {up.label or up.name}",
-        False,
-    )
-    axes = figure.add_subplot()
-    mesh = axes.pcolormesh(edges[0], edges[1], cells, cmap="cividis", rasterized=True, edgecolors="none")
-    figure.colorbar(mesh, ax=axes, label=style.plain(_output_words(study, plot.output)))
-    axes.grid(False)
-    if plot.scale == "log":
-        axes.set_xscale("log")
-        _log_ticks(axes.xaxis, x)
-    axes.set_xlabel(style.plain(across.words))
-    axes.set_ylabel(style.plain(up.words))
-    finite = cells[np.isfinite(cells)]
-    words = f"from {number_text(float(finite.min()))} to {number_text(float(finite.max()))}" if finite.size else "empty"
-    title = (plot.title or f"{_output_words(study, plot.output)} over {across.words} and {up.words}") + _figure_notes(
-        fixed, 0, 0
-    )
-    return style.vector_drawing(figure, name, "study", title, f"Heat map, {words}.")
+        if np.isfinite(inside).any():
+            cells.append((edges[0][c], edges[0][c + 1], edges[1][r], edges[1][r + 1], np.nanmedian(inside)))
+    columns = dict(zip(_CELL, np.array(cells, float).reshape(-1, 5).T, strict=True))
+    value = columns["value"]
+    least, greatest = (float(value.min()), float(value.max())) if value.size else (0.0, 1.0)
+    scale = ColourScale("rising", least, max(greatest, least + 1e-12), _output_words(study, plot.output))
+    words = f"from {number_text(least)} to {number_text(greatest)}" if value.size else "empty"
+    log = plot.scale == "log"
+    ends = [(float(e[0]), float(e[-1])) for e in edges]
+    view = single(
+        Axis(across.words, "log" if log else "linear", ends=ends[0] if not log or ends[0][0] > 0 else None), up.words,
+        [Mark("cells", columns, scale=scale)], ends=ends[1],
+    )  # fmt: skip
+    return Figure(
+        name, "study",
+        (plot.title or f"{_output_words(study, plot.output)} over {across.words} and {up.words}")
+        + _figure_notes(fixed, 0, 0),
+        f"Heat map, {words}.", (view,),
+        head=plot.title or f"{_label(study, plot.output)} over {across.label or across.name} and {up.label or up.name}",
+        width_in=7.6,
+    )  # fmt: skip
 
 
-def _tornado(study: StudyFile, table: StudyTable, plot: Plot, name: str) -> Drawing:
+def _tornado(study: StudyFile, table: StudyTable, plot: Plot, name: str) -> Figure:
     values = np.asarray(table.column(plot.output), float)
     base, bars = values[0], []
     for item in study.inputs:
@@ -377,42 +373,35 @@ def _tornado(study: StudyFile, table: StudyTable, plot: Plot, name: str) -> Draw
         if rows:
             low, high = min(rows, key=lambda i: values[i]), max(rows, key=lambda i: values[i])
             bars.append((item, values[low], column[low], values[high], column[high]))
-    bars.sort(key=lambda b: max(b[1], b[3], base) - min(b[1], b[3], base))
-    figure = style.new_figure(
-        9.0, 1.7 + 0.45 * len(bars), plot.title or f"{_label(study, plot.output)}: each input alone", False
-    )
-    axes = figure.add_subplot()
-    words = []
+    bars.sort(key=lambda b: min(b[1], b[3], base) - max(b[1], b[3], base))
+    # Of two ends on one side the nearer is drawn over the other, its label on the side where nothing stands.
+    ends: dict[tuple[str, bool, str], list[tuple[float, float, float, float, str]]] = {}
+    said = []
     for k, (item, low, at_low, high, at_high) in enumerate(bars):
         inner = low if abs(low - base) < abs(high - base) else high
-        for end, at, colour in sorted(
-            ((low, at_low, "#0072B2"), (high, at_high, "#E69F00")), key=lambda e: e[0] == inner
-        ):
-            if end == base:
-                continue
-            axes.barh(k, end - base, left=base, height=0.62, color=colour)
-            # Where both ends lie on one side the label of the nearer one stands on the other.
-            crowded = end == inner and low != high and (low - base) * (high - base) > 0
-            left = (end < base) != crowded
-            axes.annotate(
-                _text(at),
-                (base if crowded else end, k),
-                xytext=(-4 if left else 4, 0),
-                textcoords="offset points",
-                va="center",
-                ha="right" if left else "left",
-                fontsize=8.5,
-            )
-        words.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
-    axes.axvline(base, color="#222222", linewidth=1.0)
-    axes.margins(x=0.12)
-    axes.set_yticks(range(len(bars)), [style.plain(b[0].words) for b in bars])
-    axes.grid(axis="y", visible=False)
-    axes.set_xlabel(style.plain(_output_words(study, plot.output)))
+        for end, at, colour in ((low, at_low, SOURCES[0]), (high, at_high, SOURCES[1])):
+            if end != base:
+                crowded = end == inner and low != high and (low - base) * (high - base) > 0
+                side = "left" if (end < base) != crowded else "right"
+                bar = (min(end, base), max(end, base), k - 0.31, k + 0.31, _text(at))
+                ends.setdefault((colour, crowded, side), []).append(bar)
+        said.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
+    marks = []
+    for (colour, _, side), own in sorted(ends.items(), key=lambda e: e[0][1]):
+        *numbers, texts = zip(*own, strict=True)
+        columns = dict(zip(_CELL, np.array(numbers, float), strict=False))
+        marks.append(Mark("bars", columns, "", colour, alpha=1.0, words=texts, beside=side))  # type: ignore[arg-type]
+    reach = [v for _, low, _, high, _ in bars for v in (low, high)] + [base]
+    margin = 0.12 * (max(reach) - min(reach)) or 1.0
+    x = Axis(_output_words(study, plot.output), ends=(float(min(reach) - margin), float(max(reach) + margin)))
+    part = Part(row_names([b[0].words for b in bars], 60), tuple(marks), (("x", float(base)),))
     title = plot.title or f"{_output_words(study, plot.output)}: each input alone over its values"
     title += f"; line: as the scenario stands, {number_text(float(base))}; at the ends the input's values, "
     title += "blue where the output is lowest, orange where it is highest"
-    return style.vector_drawing(figure, name, "study", title, f"Tornado. {'; '.join(reversed(words))}.")
+    return Figure(
+        name, "study", title, f"Tornado. {'; '.join(said)}.", (Panels(x, (part,)),),
+        head=plot.title or f"{_label(study, plot.output)}: each input alone", width_in=9.0,
+    )  # fmt: skip
 
 
 def _summarised(
@@ -456,10 +445,8 @@ def _spread_out(count: int) -> list[int]:
     return sorted(set(np.linspace(0, count - 1, min(count, _MOST_LINES)).round().astype(int).tolist()))
 
 
-def _colour(k: int, count: int, ordered: bool) -> Any:
-    if ordered and count > 1:
-        return mpl.colormaps["viridis"](0.88 * k / (count - 1))
-    return style.SOURCE_COLOURS[k % len(style.SOURCE_COLOURS)]
+def _colour(k: int, count: int, ordered: bool) -> str:
+    return tones(VIRIDIS[:16], count)[k] if ordered and count > 1 else SOURCES[k % len(SOURCES)]
 
 
 def _is_probability(study: StudyFile, name: str) -> bool:
@@ -478,21 +465,6 @@ def _figure_notes(fixed: dict[str, Any], members: int, shown: int) -> str:
     return notes + (f"; {shown} of {members} lines are drawn" if shown < members else "")
 
 
-def _log_ticks(axis: Any, x: npt.NDArray[Any]) -> None:
-    """Plain numbers at 1, 2, 5 of each decade where there are few decades; powers of ten where there are many."""
-    if _decades(x) > 2.5:
-        style.log_ticks(axis)
-        return
-    axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    axis.set_minor_locator(NullLocator())
-
-
-def _decades(x: npt.NDArray[Any]) -> float:
-    at = x.astype(float)
-    return float(np.log10(at.max() / at.min())) if at.size and at.min() > 0 else 0.0
-
-
 def _text(value: Any) -> str:
     return number_text(float(value)) if isinstance(value, int | float) else str(value)
 
@@ -505,7 +477,7 @@ _MOST_KNEES = 24
 def study_page(
     plan: Plan,
     table: StudyTable,
-    drawings: Sequence[Drawing],
+    figures: Sequence[Figure],
     record: Mapping[str, Any],
     names: Sequence[str],
     knees: Sequence[CurveKnee],
@@ -523,7 +495,8 @@ def study_page(
             title=study.title or study.name,
             summary=f"{len(table.values):,} points were evaluated; nothing here passes or fails. "
             f"Tables: {', '.join(names)}.",
-            figures=[{"drawing": d, "source": d.source} for d in drawings],
+            figures=figures,
+            **drawn_words({one.name: statement(one) for one in figures}),
             from_words=f"From {names[0]}; study {study.name}, scenario {plan.scenario.name}",
             answers=[_answer(table, f.name, questions[f.name]) for f in table.outputs if f.name in questions],
             knees=[_knee(k) for k in knees[:_MOST_KNEES]],

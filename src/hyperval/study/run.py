@@ -13,12 +13,13 @@ import numpy.typing as npt
 import hyperval
 from hyperval.campaign.provenance import command_without_output, package_versions, provenance
 from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
+from hyperval.figures.print import drawings_of
 from hyperval.predict import Origins
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.progress import track
 from hyperval.run import Run
 from hyperval.storage import partial_folder, whole_folder
-from hyperval.study.page import draw, knees_of, result_rows, study_page
+from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
 from hyperval.study.plan import Plan, answers, plan_study
 from hyperval.study.schema import load_study
 from hyperval.study.tables import Field, PointStore, StudyTable, input_fields, write_tables
@@ -164,7 +165,7 @@ def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | No
         },
         engines={"0": dict(prediction.provenance)},
     )
-    drawings = draw(study, table, knees)
-    page = study_page(plan, table, drawings, record, names, knees)
+    figures = stated_figures(study, table, knees)
+    page = study_page(plan, table, figures, record, names, knees)
     run = Run(rows, record, {"predicted": prediction}, study.title or study.name)
-    run.write(folder, page, {d.file_name: d.content for d in drawings})
+    run.write(folder, page, {d.file_name: d.content for d in drawings_of(figures, simulated=False)})

@@ -14,12 +14,13 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 import hyperval
-from hyperval.report.html import strict_templates
+from hyperval.report.html import LIBRARY, library, script, strict_templates
 from hyperval.web.forms import Node
 from hyperval.web.guard import Session
 
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-_REPORT = ("style.css", "charts.js", "page.js")
+_REPORT = ("style.css", "page.js")
+_LIBRARY = dict(zip(("bokeh.js", "bokeh-api.js"), LIBRARY, strict=True))
 
 
 @lru_cache(maxsize=1)
@@ -86,8 +87,10 @@ def _drawn(macro: str, node: Node, prefix: str, id_: str, begun: str) -> Markup:
 
 @lru_cache(maxsize=16)
 def _static(name: str) -> bytes | None:
-    if name == "bokeh.js":
-        return (resources.files("bokeh") / "server" / "static" / "js" / "bokeh.min.js").read_bytes()
+    if name in _LIBRARY:
+        return library(_LIBRARY[name]).encode("utf-8")
+    if name == "charts.js":
+        return script().encode("utf-8")
     package = ("hyperval.report", "templates") if name in _REPORT else ("hyperval.web", "static")
     file = resources.files(package[0]) / package[1] / name
     return file.read_bytes() if file.is_file() else None

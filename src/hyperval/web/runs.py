@@ -18,7 +18,7 @@ from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Re
 
 from hyperval.config import load_yaml
 from hyperval.errors import HypervalError
-from hyperval.report.html import PICTURES, script_hashes
+from hyperval.report.html import PICTURES, page_hashes
 from hyperval.web.desk import Order
 from hyperval.web.pages import page, session_of
 from hyperval.web.refusal import FieldMistake, Refused
@@ -165,7 +165,7 @@ def file_of(request: Request, run: WebRun, name: str) -> Response:
     headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{run.name}-{path.name}"'}
     if path.suffix == ".html":  # the page of a report has scripts of its own, and these alone
         headers["content-security-policy"] = (
-            f"default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; script-src {script_hashes()}; "
+            f"default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; script-src {page_hashes()}; "
             "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
         )
     return FileResponse(path, media_type=kind, headers=headers)

@@ -235,7 +235,7 @@ class RunStore:
                 self.remove(run.id)
 
 
-_SCRIPTS = (("hyperval.report", "templates", "charts.js"), ("hyperval.web", "static", "map.js"))
+_SCRIPTS = (("hyperval.figures", ".", "charts.js"), ("hyperval.web", "static", "map.js"))
 
 
 def view_name(stem: str) -> str:

@@ -32,6 +32,10 @@ from hyperval.campaign.sides import Inputs
 from hyperval.campaign.starter import StarterSources, starter_campaign
 from hyperval.config import load_model
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.figures.catalogue import first_figures
+from hyperval.figures.detection import densities_figure, exceedance_figure
+from hyperval.figures.spec import Figure, statement
+from hyperval.figures.spectra import spectra_figure
 from hyperval.imagery.rasters import open_raster
 from hyperval.observe.place import open_source
 from hyperval.processing.roc_model import detection_at
@@ -43,9 +47,6 @@ from hyperval.products import (
     SpectralEstimate,
     background_of,
 )
-from hyperval.report.charts import chart_of, draw_charts, scores_chart, spectra_chart
-from hyperval.report.charts_base import Chart
-from hyperval.report.plots_run import exceedance_plots
 from hyperval.report.verdict import verdict
 from hyperval.run import file_stems, read_pair, read_rows
 from hyperval.scenario import Scenario
@@ -122,23 +123,18 @@ def charts_of(sides: Mapping[str, PredictedProducts]) -> list[dict[str, Any]]:
     """Charts of a prediction, and of an earlier one where there are two."""
     now, *earlier = sides.values()
     both = now, earlier[0] if earlier else None
-    labels = ("this run", "earlier run")
-    scores = scores_chart([(label, side) for label, side in zip(labels, both, strict=True) if side is not None])
-    false_alarms = [chart_of(plots) for plots in exceedance_plots((now, None))]
-    charts = (*draw_charts(both, [], labels=labels), scores, *false_alarms)
-    return [plain(chart) for chart in charts if chart is not None]
+    names = ("this run", "earlier run")
+    scores = densities_figure([(name, side) for name, side in zip(names, both, strict=True) if side is not None])
+    figures = (*first_figures(both, names=names), scores, exceedance_figure((now, None)))
+    return [fetched(figure) for figure in figures if figure is not None]
 
 
-def plain(chart: Chart) -> dict[str, Any]:
-    """A chart as a page fetches it."""
+def fetched(figure: Figure) -> dict[str, Any]:
+    """A figure as a page fetches it."""
     return {
-        "name": chart.name,
-        "section": chart.section,
-        "title": chart.title,
-        "alt": chart.alt,
-        "content": chart.content,
-        "subjects": list(chart.subjects),
-    }
+        "name": f"chart-{figure.name}", "section": figure.section, "title": figure.caption, "alt": figure.alt,
+        "content": statement(figure), "subjects": [view.subject for view in figure.views],
+    }  # fmt: skip
 
 
 _PFA = (1e-4, 1e-3, 1e-2)
@@ -381,8 +377,8 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     mine = SpectralEstimate(values, np.zeros((values.size, values.size)))
     sides: dict[str, Any] = {product: dict.fromkeys(getattr(predicted, product), mine)}
     observed = ObservedProducts(cube.axis, **sides)
-    chart = spectra_chart((predicted, observed), product, labels=("predicted", f"pixel ({line}, {sample})"))
-    _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [plain(chart)] if chart else [])
+    figure = spectra_figure((predicted, observed), product, names=("predicted", f"pixel ({line}, {sample})"))
+    _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [fetched(figure)] if figure else [])
 
 
 def _write(path: Path, content: Any) -> None:

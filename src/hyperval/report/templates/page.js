@@ -51,7 +51,7 @@ const slug = (text) => text.replace(/[^A-Za-z0-9]+/g, "-").replace(/^-|-$/g, "")
 // The chart that shows what an anchor such as "e-radiance-grass" is about, its subject chosen.
 function chartOf(id) {
   for (const choice of document.querySelectorAll("select[data-chart]")) {
-    const product = choice.dataset.chart.replace("chart-", "");
+    const product = choice.dataset.chart;
     const at = [...choice.options].findIndex((option) => slug(`e-${product}-${option.text}`) === id);
     if (at < 0) continue;
     choice.selectedIndex = at;

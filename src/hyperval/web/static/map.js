@@ -66,7 +66,7 @@ async function spectrum(line, sample) {
   if (!answer.ok) return;
   for (const chart of content) {
     box.append(figureOf(chart));
-    await draw(JSON.parse(chart.content));
+    await drawFetched(document.getElementById(chart.name), chart.content);
   }
 }
 

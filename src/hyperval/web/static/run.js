@@ -19,18 +19,10 @@ if (progress !== null) setTimeout(watch, 300);
 function figureOf(chart) {
   const figure = document.createElement("figure");
   figure.className = "chart-box";
-  if (chart.subjects.length > 1) {
-    const label = document.createElement("label");
-    const choice = document.createElement("select");
-    choice.dataset.chart = chart.name;
-    for (const subject of chart.subjects) choice.append(new Option(subject));
-    label.append("Subject ", choice);
-    figure.append(label);
-  }
   const place = document.createElement("div");
   place.id = chart.name;
   place.className = "chart";
-  place.setAttribute("role", "img");
+  place.setAttribute("role", "group");
   place.setAttribute("aria-label", chart.alt);
   const caption = document.createElement("figcaption");
   caption.textContent = chart.title;
@@ -49,7 +41,7 @@ async function drawRun() {
   }
   for (const chart of await answer.json()) {
     box.append(figureOf(chart));
-    await draw(JSON.parse(chart.content));
+    await drawFetched(document.getElementById(chart.name), chart.content);
   }
   state.remove();
   box.dataset.ready = "yes";

@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from hyperval.report import style
-from hyperval.report.run import Quicklook, RunReport, ScoreMap
-from hyperval.report.style import Drawing
+from hyperval.figures.sides import Quicklook, ScoreMap
+from hyperval.figures.spec import VIRIDIS, Drawing, shortened, tones
 from hyperval.units import PLAUSIBLE_NM
 
 _MOST_PIXELS = 800  # along the longer side of a picture
@@ -37,10 +36,10 @@ Indices = npt.NDArray[np.uint8]
 Segments = list[tuple[int, npt.NDArray[np.float64]]]
 
 
-def draw_pictures(run: RunReport) -> list[Drawing]:
+def draw_pictures(quicklook: Quicklook | None, maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
     """The scene, and the first score maps with what the model expects in their place."""
-    scene = [] if run.quicklook is None else [quicklook_figure(run.quicklook, simulated=run.simulated)]
-    return scene + score_map_figures(run.score_maps, simulated=run.simulated)
+    scene = [] if quicklook is None else [quicklook_figure(quicklook, simulated=simulated)]
+    return scene + score_map_figures(maps, simulated=simulated)
 
 
 def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
@@ -65,10 +64,7 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
 
 def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
     """The first maps, each a figure: scores as colours, targets outlined; and what the model expects, likewise."""
-    from bokeh.palettes import Viridis256  # a twentieth of a second
-
-    tones = [Viridis256[i] for i in np.linspace(0, 255, _TONES).round().astype(int)]
-    colours = [int(tone[at : at + 2], 16) for tone in tones for at in (1, 3, 5)]
+    colours = [int(tone[at : at + 2], 16) for tone in tones(VIRIDIS, _TONES) for at in (1, 3, 5)]
     drawings = []
     for number, (name, score_map) in enumerate(list(maps.items())[:_MOST_MAPS], start=1):
         scores = np.asarray(score_map.values)
@@ -128,7 +124,7 @@ class _Canvas:
         self._pen = ImageDraw.Draw(self._image)
         words, room = title + (" (simulated collection)" if simulated else ""), self._image.width - 16
         while _font(_TITLE).getlength(words) > room and len(words) > 8:
-            words = style.shortened(words, len(words) - 2)
+            words = shortened(words, len(words) - 2)
         self._pen.text((self._image.width // 2, 6), words, _BLACK, _font(_TITLE), anchor="ma")
         self._axes()
         if limits:
@@ -184,7 +180,7 @@ class _Canvas:
         left, height = self._end[0] + 28, max(self._end[1] - _TOP, 200)
         tones = np.repeat(np.linspace(_TONES - 1, 0, height).round().astype(np.uint8)[:, None], _BAR, axis=1)
         self._image.paste(Image.fromarray(tones), (left, _TOP))
-        self._pen.text((left, _TOP - 8), "score [1]", _BLACK, _font(_LETTER), anchor="lb")
+        self._pen.text((left, _TOP - 8), "score", _BLACK, _font(_LETTER), anchor="lb")
         for part in (0.0, 0.25, 0.5, 0.75, 1.0):
             y = _TOP + (1.0 - part) * height
             sign = {0.0: "< ", 1.0: "> "}.get(part, "")

@@ -1,0 +1,6 @@
+"""Figures: each stated once as data, drawn in a page by ``charts.js`` and on paper by ``print``."""
+
+import lazy_loader
+
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,273 @@
+"""Every figure of a run, in the order of its page; those of the reasons: which input explains the residuals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hyperval.figures.detection import (
+    abundance_figure,
+    exceedance_figure,
+    object_score_figure,
+    roc_difference_figure,
+    roc_figure,
+    score_figure,
+    transform_figure,
+    unmixing_figure,
+)
+from hyperval.figures.sides import EigenvalueSpectrum, Sides, TailCurve
+from hyperval.figures.spec import BETTER, SIDES, WORSE, Axis, ColourScale, Figure, Mark, Panels, Part, row_names
+from hyperval.figures.spectra import (
+    SPECTRA,
+    budget_figure,
+    class_error_figure,
+    eigenvalue_figures,
+    sampled_eigenvalue_figures,
+    spectra_figure,
+    tail_figure,
+)
+from hyperval.results import Result, ResultTable
+
+
+def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:
+    """Spectra and ROC curves; subjects about which more is amiss in ``table`` come first.
+
+    ``names`` : what the two sides are, where they are no prediction and collection
+    """
+    rows = list(table) if table is not None else []
+    made = [*(spectra_figure(sides, product, rows, names) for product in SPECTRA), roc_figure(sides, names)]
+    return [figure for figure in made if figure is not None]
+
+
+def further_figures(
+    sides: Sides,
+    table: ResultTable,
+    eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum],
+    tails: Mapping[str, TailCurve],
+    margin: float | None,
+) -> list[Figure]:
+    """What else the products, the rows and the spread of pixels of a run give, with its margin of P_D [1]."""
+    made = [
+        budget_figure(sides),
+        *(sampled_eigenvalue_figures(eigenvalues) if eigenvalues else eigenvalue_figures(sides)),
+        tail_figure(tails),
+        class_error_figure(sides),
+        score_figure(sides),
+        object_score_figure(sides),
+        transform_figure(sides),
+        exceedance_figure(sides),
+        roc_difference_figure(sides, margin),
+        abundance_figure(sides),
+        unmixing_figure(sides, list(table.where(product="abundance"))),
+        *reason_figures(table),
+    ]
+    return [figure for figure in made if figure is not None]
+
+
+_MOST_INPUTS = 14
+_MOST_GROUPS = 26
+_MOST_QUANTITIES = 26
+_STATED, _UNSTATED = "#0072B2", "#E69F00"
+_BEST, _OTHER = "#C2410C", "#8aa4b8"
+_ALL = "all"
+_LONGEST = 34  # characters of an input's name
+# Twice a log-likelihood of 10.8 has one chance in a thousand by luck, for one direction.
+_TELLING = 10.8
+
+
+def reason_figures(table: ResultTable) -> list[Figure]:
+    """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
+    gains = [r for r in table.where(product="attribution") if r.metric == "likelihood_gain"]
+    whole = sorted((r for r in gains if r.subject == _ALL), key=lambda r: -r.value)
+    single = [r for r in gains if r.subject != _ALL]
+    moves = [r for r in table.where(product="sensitivity") if r.metric.endswith("_change")]
+    outcomes = [r for r in table.where(product="what-if") if r.metric == "reduced_chi_square"]
+    made = (
+        _inputs(whole[:_MOST_INPUTS], table) if whole else None,
+        _by_subject(single) if single else None,
+        _effects(moves) if moves else None,
+        _what_ifs(outcomes) if outcomes else None,
+    )
+    return [figure for figure in made if figure is not None]
+
+
+def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
+    stated, names = _stated(table), [r.method for r in rows]
+    marks = []
+    for colour, label, own in (
+        (_STATED, "uncertainty stated", [i for i, name in enumerate(names) if name in stated]),
+        (_UNSTATED, "none stated: usual step", [i for i, name in enumerate(names) if name not in stated]),
+    ):
+        if own:
+            at, ends = np.array(own, float), np.array([max(rows[i].value, 0.1) for i in own])
+            columns = {"left": np.full(at.size, 0.1), "right": ends, "bottom": at - 0.35, "top": at + 0.35}
+            # An input that explains nothing has nothing to say, however far it moves.
+            words = [rows[i].reason.partition("; ")[0].partition(": ")[2] if rows[i].value >= 1.0 else "" for i in own]
+            words = [text.replace("-", "−") for text in words]
+            marks.append(Mark("bars", columns, label, colour, words=tuple(words), beside="right", alpha=0.85))
+    best = rows[0]
+    alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
+    alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
+    legend = "dotted: one chance in a thousand by luck"
+    legend += "; a number in brackets is one of several independent shapes of an error" if _numbered(names) else ""
+    x = Axis("likelihood gained, 2 Δ ln L", "log", ends=(0.1, max(max(r.value for r in rows) * 30.0, 30.0)))
+    return Figure(
+        "attribution-inputs",
+        "attribution",
+        "Which input, were it less well known, would explain the differences",
+        alt,
+        (Panels(x, (Part(row_names(names, _LONGEST), tuple(marks), (("x", _TELLING),)),)),),
+        legend,
+    )
+
+
+def _by_subject(rows: Sequence[Result]) -> Figure | None:
+    """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
+    by = {(r.subject, r.method): r.value for r in rows}
+    # A gain below 1 explains nothing; subjects without any greater one have nothing to explain.
+    telling = {r.subject for r in rows if r.value >= 1.0}
+    every = [s for s in dict.fromkeys(r.subject for r in rows) if s in telling]
+    if not every:
+        return None
+    subjects = every[:_MOST_GROUPS]
+    best: dict[str, float] = {}
+    for r in rows:
+        best[r.method] = max(best.get(r.method, 0.0), r.value)
+    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS] or list(best)[:1]
+    dots: dict[bool, list[tuple[float, float, float, str]]] = {False: [], True: []}
+    for i, subject in enumerate(subjects):
+        top = max((by.get((subject, n), 0.0) for n in inputs), default=0.0)
+        for j, name in enumerate(inputs):
+            gain = by.get((subject, name), 0.0)
+            if gain > 0.0 and top > 0.0:
+                size = 14.0 * math.sqrt(gain / top)
+                dots[gain >= 0.999 * top].append((j, i, size, _short(gain)))
+    marks = []
+    for first, label, colour in (
+        (False, "part of it", _OTHER),
+        (True, "greatest gain of a subject, 2 Δ ln L", _BEST),
+    ):
+        if dots[first]:
+            x, y, sizes, words = zip(*dots[first], strict=True)
+            columns = {"x": np.array(x, float), "y": np.array(y, float), "size": np.array(sizes)}
+            side: Any = "right" if first else ""
+            marks.append(Mark("dots", columns, label, colour, marker="circle", words=words, beside=side))
+    tops = {s: max(inputs, key=lambda n: by.get((s, n), 0.0)) for s in subjects}
+    legend = "the area of a dot is the gain as a part of the greatest of its subject"
+    quiet = len({r.subject for r in rows}) - len(every)
+    if quiet:
+        legend += f"; {quiet} subjects have nothing to explain"
+    if len(every) > len(subjects):
+        legend += f"; {len(subjects)} of {len(every)} are drawn, all are in results.csv"
+    return Figure(
+        "attribution-subjects",
+        "attribution",
+        "The same for each subject by itself",
+        "For each subject the input that gains most: " + "; ".join(f"{s}: {n}" for s, n in tops.items()) + ".",
+        (Panels(row_names(inputs, _LONGEST), (Part(row_names(subjects, _LONGEST), tuple(marks)),)),),
+        legend,
+    )
+
+
+def _effects(rows: Sequence[Result]) -> Figure:
+    """Change of each number of the comparison per unit of each input, as a matrix of colours."""
+
+    def label(r: Result) -> str:
+        what = r.metric.removesuffix("_change").replace("roc_pd@", "P_D ").removesuffix("_ratio_windows")
+        way = r.method.partition(" / ")[2].removesuffix("/pixel")
+        return f"{r.subject}, {what}" + (f" {way}" if way else "")
+
+    every = list(dict.fromkeys(label(r) for r in rows))
+    gaps = {label(r): _gap(r) for r in rows}
+    shown = sorted(every, key=lambda q: -gaps[q])[:_MOST_QUANTITIES]
+    by = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
+    names = list(dict.fromkeys(r.method.partition(" / ")[0] for r in rows))
+    names = sorted(names, key=lambda n: -max(abs(by.get((q, n), 0.0)) for q in shown))[:_MOST_INPUTS]
+    y, x = (place.ravel().astype(float) for place in np.mgrid[: len(shown), : len(names)])
+    values = np.array([by.get((q, n), math.nan) for q in shown for n in names])
+    words = tuple(_change(value) for value in values)
+    # Colours end where nearly all values lie: one that is far out takes them from all others.
+    finite = np.abs(values[np.isfinite(values)])
+    reach = max(float(np.percentile(finite, 97)) if finite.size else 0.0, 1e-6)
+    columns = {"left": x - 0.5, "right": x + 0.5, "bottom": y - 0.5, "top": y + 0.5, "value": values}
+    scale = ColourScale("signed", -reach, reach, "change per unit")
+    cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
+    largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
+    alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
+    alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
+    legend = "one unit: the stated standard uncertainty of an input, or a usual step where none is stated; "
+    legend += "gap: predicted less measured; spectra as a part of the collected mean, P_D as it stands; "
+    legend += "the largest gaps are shown"
+    quantities = [f"{q} (gap {gaps[q]:.2g})" for q in shown]
+    return Figure(
+        "attribution-effects",
+        "sensitivity",
+        "What one unit of each input moves",
+        alt,
+        (Panels(row_names(names, _LONGEST), (Part(row_names(quantities, 56), (cells,)),)),),
+        legend,
+    )
+
+
+def _what_ifs(rows: Sequence[Result]) -> Figure:
+    before = np.array([_leading_number(r.reason) for r in rows])
+    after, at = np.array([r.value for r in rows]), np.arange(float(len(rows)))
+    marks = [Mark("dots", {"x": before, "y": at}, "as the campaign has it", marker="circle", hollow=True)]
+    for own, label, colour, marker in (
+        (after < before, "after, closer", BETTER, "left"), (~(after < before), "after, farther", WORSE, "right")
+    ):  # fmt: skip
+        if own.any():
+            ends = {"low": np.minimum(before, after)[own], "high": np.maximum(before, after)[own]}
+            words = tuple(f"{value:.3g}" for value in after[own])
+            marks.append(Mark("dots", {"x": after[own], "y": at[own], **ends}, label, colour, marker=marker,
+                              along="x", words=words, beside="right"))  # fmt: skip
+    both = [v for v in (*before, *after) if v > 0]
+    scattered = bool(both) and max(both) > 20.0 * min(both)
+    x = Axis(
+        "reduced chi-square of all residuals",
+        "log" if scattered else "linear",
+    )
+    each = (f"{r.method} from {b:.3g} to {r.value:.3g}" for r, b in zip(rows, before, strict=True))
+    return Figure(
+        "what-ifs",
+        "what-if",
+        "What-ifs: the gap before and after",
+        "Reduced chi-square of all residuals before and after each what-if: " + "; ".join(each) + ".",
+        (Panels(x, (Part(row_names([r.method for r in rows]), tuple(marks), (("x", 1.0),)),)),),
+        "dotted: 1, which the uncertainties allow",
+    )
+
+
+def _change(value: float) -> str:
+    if not abs(value) >= 0.0005:
+        return ""
+    return f"{value:+.2g}" if abs(value) >= 0.001 else f"{value:+.1g}"
+
+
+def _short(gain: float) -> str:
+    """Two digits, without a power of ten."""
+    return f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}"
+
+
+def _numbered(names: Sequence[str]) -> bool:
+    return any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
+
+
+def _stated(table: ResultTable) -> set[str]:
+    rows = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
+    return {r.method for r in rows if "none is stated" not in r.reason}
+
+
+def _leading_number(text: str) -> float:
+    try:
+        return float(text.split()[0].rstrip(",;"))
+    except (IndexError, ValueError):
+        return math.nan
+
+
+def _gap(row: Result) -> float:
+    """The gap that the row's reason tells, as a size."""
+    return abs(_leading_number(row.reason.partition("gap ")[2]))

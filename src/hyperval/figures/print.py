@@ -1,0 +1,288 @@
+"""Stated figures on paper: matplotlib draws what ``charts.js`` draws in a page; the same bytes for the same figure."""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure as Canvas
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
+
+from hyperval.figures.spec import (
+    GREY,
+    MAX_PANELS,
+    PALETTES,
+    WAVELENGTH,
+    Axis,
+    ColourScale,
+    Drawing,
+    Figure,
+    Mark,
+    Panels,
+    Part,
+    left_out,
+    shortened,
+)
+from hyperval.spectra.axis import ABSORPTION_BANDS_NM
+
+_LINES: dict[str, Any] = {"solid": "-", "dashed": "--", "dotted": ":", "dashdot": "-."}
+_MARKERS = {
+    "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "plus": "P", "star": "*",
+    "x": "X", "hex": "h", "tick": "|", "left": "<", "right": ">",
+}  # fmt: skip
+_ABSORPTION = "#e9e9e9"
+_ROW_IN = 0.3  # [in] of a named row
+_MOST_PAGES = 2
+_FEW_DECADES = 2.5  # below which an axis has plain numbers at 1, 2 and 5
+_RC: dict[str, Any] = {
+    "font.family": "DejaVu Sans", "font.size": 9.0, "axes.titlesize": 9.5, "axes.labelsize": 9.0,
+    "axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
+    "grid.color": "#dddddd", "grid.linewidth": 0.6, "legend.frameon": False, "legend.fontsize": 9.0,
+    "lines.linewidth": 1.4, "figure.facecolor": "white", "savefig.facecolor": "white",
+    "text.hinting": "none",  # hinted letters are measured narrower than they are drawn, which cuts long labels
+    "svg.hashsalt": "hyperval", "svg.fonttype": "path", "path.simplify": True,
+}  # fmt: skip
+_JOURNAL: dict[str, Any] = {
+    "font.family": "DejaVu Serif", "font.size": 7.0, "axes.titlesize": 7.0, "axes.labelsize": 7.0,
+    "xtick.labelsize": 6.5, "ytick.labelsize": 6.5, "legend.fontsize": 7.0, "lines.linewidth": 1.0,
+    "axes.grid": False, "pdf.fonttype": 42,
+}  # fmt: skip
+_JOURNAL_SCALE = 0.72  # of 10 in: 183 mm, two columns
+_METADATA: dict[str, dict[str, Any]] = {
+    "svg": {"Date": None, "Creator": None}, "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Print:
+    """How figures are drawn for print.
+
+    Attributes
+    ----------
+    format : of the files
+    journal : as wide as two columns of a journal, in its letters, without a title: the caption has it
+    """
+
+    format: Literal["svg", "pdf", "png"] = "svg"
+    journal: bool = False
+
+
+@contextmanager
+def house_style(journal: bool = False) -> Iterator[None]:
+    """The settings of this module, whatever the user's own matplotlib settings are."""
+    sheets: list[str | dict[str, Any]] = ["default", _RC, *([_JOURNAL] if journal else [])]
+    with matplotlib.style.context(sheets), warnings.catch_warnings():
+        # A subject may be named in a script that the font lacks; the figure is still of use.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        yield
+
+
+def drawings_of(figures: Sequence[Figure], *, simulated: bool, print_as: Print | None = None) -> list[Drawing]:
+    """The files of figures; one with more subjects than have room makes several."""
+    print_as = print_as or Print()
+    out = []
+    with house_style(print_as.journal):
+        for figure in figures:
+            shown = figure.views[: MAX_PANELS * _MOST_PAGES]
+            pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
+            title = figure.title
+            if len(shown) < len(figure.views):
+                title += left_out(len(shown), len(figure.views))
+            for number, views in enumerate(pages, start=1):
+                name = figure.name if len(pages) == 1 else f"{figure.name}-{number}"
+                content = _content(canvas_of(figure, views, simulated=simulated, journal=print_as.journal), print_as)
+                out.append(
+                    Drawing(name, figure.section, title, figure.alt, content, print_as.format, legend=figure.legend)
+                )
+    return out
+
+
+def _content(canvas: Canvas, print_as: Print) -> bytes:
+    out = io.BytesIO()
+    canvas.savefig(out, format=print_as.format, metadata=_METADATA[print_as.format], dpi=300.0)
+    return out.getvalue()
+
+
+def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journal: bool = False) -> Canvas:
+    """Panels of some views, named at the left and at the foot alone, with one legend."""
+    columns = 1 if len(views) == 1 else 2 if len(views) <= 4 else 3
+    rows, parts = math.ceil(len(views) / columns), max(len(view.parts) for view in views)
+    scale = _JOURNAL_SCALE if journal else 1.0
+    canvas = Canvas(
+        figsize=(scale * figure.width_in, scale * (1.0 + rows * _height_in(views[0]))), layout="constrained"
+    )
+    FigureCanvasAgg(canvas)
+    if not journal:
+        canvas.suptitle(
+            plain(figure.head or figure.title) + (" (simulated collection)" if simulated else ""), fontsize=10.5
+        )
+    grid = canvas.add_gridspec(parts * rows, columns, height_ratios=[2, 1] * rows if parts == 2 else None)
+    for at, view in enumerate(views):
+        row, column = divmod(at, columns)
+        above: Axes | None = None
+        for number, part in enumerate(view.parts):
+            axes = canvas.add_subplot(grid[parts * row + number, column], sharex=None if part.x else above)
+            if above is None:
+                name = [", ".join(word for word in (view.subject, view.tab) if word), view.note]
+                axes.set_title("\n".join(plain(shortened(line, 44)) for line in name if line), loc="left")
+            draw_part(axes, view, part)
+            last = number == len(view.parts) - 1
+            axes.set_ylabel(plain(part.y.label).replace(" [", "\n[") if column == 0 else "")
+            axes.set_xlabel(plain((part.x or view.x).label) if part.x or (last and at + columns >= len(views)) else "")
+            if not last and not part.x:
+                axes.tick_params(labelbottom=False)
+            above = axes
+    _legend(canvas, figure, views)
+    return canvas
+
+
+def _height_in(view: Panels) -> float:
+    """Height of a row of panels [in]."""
+    rows = len(view.parts[0].y.names)
+    if not rows:
+        return 1.3 + 1.2 * len(view.parts)
+    return 0.5 + _ROW_IN * rows + (1.0 if view.x.scale == "names" else 0.0)
+
+
+def _legend(canvas: Canvas, figure: Figure, views: Sequence[Panels]) -> None:
+    beside: dict[str, Any] = {"loc": "outside right center", "title": plain(figure.legend_title)}
+    handles, labels = legend_of(*views)
+    if labels:
+        canvas.legend(
+            handles, labels, **(beside if figure.legend_title else {"loc": "outside lower center", "ncols": 4})
+        )
+
+
+def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:
+    """Handles and labels of the legend of views."""
+    marks = [mark for view in views for part in view.parts for mark in part.marks]
+    entries: dict[str, Any] = {}
+    for mark in marks:
+        if mark.label:
+            entries.setdefault(mark.label, _handle(mark))
+    if any(mark.kind in ("line", "steps") and {"low", "half"} & set(mark.columns) for mark in marks):
+        entries["95 % interval"] = Patch(color=GREY, alpha=0.3, linewidth=0)
+    if views[0].x.label == WAVELENGTH:
+        entries["absorption band"] = Patch(color=_ABSORPTION)
+    return list(entries.values()), [plain(label) for label in entries]
+
+
+def draw_part(axes: Axes, view: Panels, part: Part) -> None:
+    """One plot into axes."""
+    x = part.x or view.x
+    for way, axis in (("x", x), ("y", part.y)):
+        _scale(axes, way, axis, view.ends(way, part))  # type: ignore[arg-type]
+    if x.label == WAVELENGTH:
+        low, high = view.ends("x", part)
+        for start, end, _ in ABSORPTION_BANDS_NM:
+            if end > low and start < high:
+                axes.axvspan(max(start, low), min(end, high), color=_ABSORPTION, linewidth=0, zorder=0)
+    for mark in part.marks:
+        _mark(axes, mark)
+    for way, place in part.rules:
+        (axes.axvline if way == "x" else axes.axhline)(place, color=GREY, linewidth=0.9, linestyle=":")
+    for at, note in enumerate(part.y.notes):
+        axes.annotate(plain(note), (1.0, at), xycoords=("axes fraction", "data"), xytext=(4, 0),
+                      textcoords="offset points", va="center", annotation_clip=False)  # fmt: skip
+
+
+def _scale(axes: Axes, way: str, axis: Axis, ends: tuple[float, float]) -> None:
+    ruler = axes.xaxis if way == "x" else axes.yaxis
+    if axis.scale == "names":
+        turned: dict[str, Any] = {"rotation": 35, "ha": "right"} if way == "x" else {}
+        ruler.set_ticks(range(len(axis.names)), [plain(name) for name in axis.names], **turned)
+        axes.grid(visible=False, axis=way)  # type: ignore[arg-type]
+        ends = ends if way == "x" else ends[::-1]
+    elif axis.scale == "log":
+        (axes.set_xscale if way == "x" else axes.set_yscale)("log")
+        few = math.log10(ends[1] / ends[0]) <= _FEW_DECADES
+        ruler.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)) if few else LogLocator(base=10, numticks=7))
+        ruler.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}") if few else LogFormatterSciNotation(base=10))
+        ruler.set_minor_locator(NullLocator())
+    elif way == "x":
+        ruler.set_major_locator(MaxNLocator(5))
+    (axes.set_xlim if way == "x" else axes.set_ylim)(*ends)
+
+
+def _mark(axes: Axes, mark: Mark) -> None:
+    columns = mark.numbers
+    low, high, x, y = (columns.get(name, np.empty(0)) for name in ("low", "high", "x", "y"))
+    interval, colour = "low" in columns, mark.colour
+    steps: Any = {"step": "post"} if mark.kind == "steps" else {}
+    if mark.kind in ("line", "steps", "area") and interval:
+        axes.fill_between(x, low, high, color=colour, alpha=mark.alpha, linewidth=0, **steps)
+    elif interval:
+        (axes.hlines if mark.along == "x" else axes.vlines)(
+            y if mark.along == "x" else x, low, high, color=colour, linewidth=1.3
+        )
+    if mark.kind in ("line", "steps"):
+        axes.plot(x, y, color=colour, linestyle=_LINES[mark.dash], linewidth=1.2,
+                  drawstyle="steps-post" if steps else "default")  # fmt: skip
+    if mark.marker:
+        ticks = mark.marker == "tick"
+        size = columns.get("size", np.full(x.shape, 9.0 if ticks else 5.0))
+        fill: Any = (
+            {"color": colour} if ticks else {"facecolors": "none" if mark.hollow else colour, "edgecolors": colour}
+        )
+        if mark.scale is not None:
+            fill = {"c": columns["value"], "edgecolors": GREY, **_colours(axes, mark.scale)}
+        shape = "_" if ticks and mark.along == "y" else _MARKERS[mark.marker]
+        axes.scatter(x, y, s=np.square(size), marker=shape, zorder=3, **fill)
+    if mark.kind in ("bars", "cells"):
+        left, right, bottom, top = (columns[name] for name in ("left", "right", "bottom", "top"))
+        fill = {"color": colour, "alpha": mark.alpha}
+        if mark.scale is not None:
+            own = _colours(axes, mark.scale)
+            fill = {"color": own["cmap"](own["norm"](columns["value"]))}
+            axes.grid(visible=False)
+        axes.bar(left, top - bottom, right - left, bottom, align="edge", linewidth=0, **fill)
+        x, y = (left if mark.beside == "left" else right), 0.5 * (bottom + top)
+        x = 0.5 * (left + right) if mark.beside == "centre" else x
+    if mark.beside:
+        _words(axes, mark, x, y)
+
+
+def _words(axes: Axes, mark: Mark, x: Any, y: Any) -> None:
+    away = 9 if "size" in mark.columns else 5
+    shift, side = {"left": (-away, "right"), "right": (away, "left"), "centre": (0, "center")}[mark.beside]
+    shades = mark.shades if mark.scale is not None else ["black"] * len(mark.words)
+    for a, b, words, shade in zip(x, y, mark.words, shades, strict=True):
+        axes.annotate(plain(words), (a, b), xytext=(shift, 0), textcoords="offset points", ha=side, va="center",
+                      fontsize=7.0, color=shade)  # fmt: skip
+
+
+def _colours(axes: Axes, scale: ColourScale) -> dict[str, Any]:
+    """Colours of a scale, with their bar beside the plot."""
+    cmap = LinearSegmentedColormap.from_list(scale.kind, PALETTES[scale.kind])
+    norm = Normalize(scale.low, scale.high)
+    if scale.label:
+        axes.figure.colorbar(ScalarMappable(norm, cmap), ax=axes, label=plain(scale.label), shrink=0.8)
+    return {"cmap": cmap, "norm": norm}
+
+
+def _handle(mark: Mark) -> Any:
+    if mark.kind in ("bars", "area", "cells"):
+        return Patch(color=mark.colour, alpha=mark.alpha)
+    line: Any = _LINES[mark.dash] if mark.kind in ("line", "steps") else ""
+    return Line2D([], [], color=mark.colour, linestyle=line, marker=_MARKERS.get(mark.marker), markersize=5,
+                  markerfacecolor="none" if mark.hollow else mark.colour)  # fmt: skip
+
+
+def plain(text: str) -> str:
+    """Text that matplotlib takes as it stands: no mathematics between dollar signs, no hidden label."""
+    text = " ".join(text.split()).replace("$", r"\$")
+    return f" {text}" if text.startswith("_") else text

@@ -1,0 +1,417 @@
+"""A figure, stated once: axes with units, marks with intervals.
+
+``charts.js`` draws it in a page from :func:`statement`, :mod:`hyperval.figures.print` on paper.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.spectra.axis import ABSORPTION_BANDS_NM
+
+Array = npt.NDArray[np.float64]
+# Predicted and measured differ in colour (Okabe and Ito's palette, distinct under the common colour deficiencies), in
+# line style and in marker, so that a grey print still tells them apart.
+PREDICTED, MEASURED, DIFFERENCE, GREY = "#0072B2", "#C2410C", "#5B3A8C", "#5f646b"
+BETTER, WORSE = "#2e8b57", "#c0392b"
+SOURCES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#777777")
+CURVES = ("#0072B2", "#C2410C", "#009E73", "#B4548F", "#5B3A8C", "#B58900")
+# Of outcomes and ranges in a forest of criteria.
+MET, NOT_MET, INCONCLUSIVE, NOT_RUN, ACCEPTED = "#087f5b", "#c92a2a", "#9a6700", "#8c959f", "#cfe8dc"
+PALETTES = {
+    "signed": ("#2d004b", "#542788", "#8073ac", "#b2abd2", "#d8daeb", "#f7f7f7", "#fee0b6", "#fdb863", "#e08214",
+               "#b35806", "#7f3b08"),
+    "rising": ("#00204c", "#01356e", "#35456c", "#575c6d", "#757575", "#958f78", "#b6a971", "#dac863", "#ffe945"),
+    "falling": ("#33353a", "#4b4d52", "#63666b", "#7b7e83", "#93969b", "#abaeb3", "#c3c6cb", "#dbdee3", "#e6e9ec"),
+}  # fmt: skip
+VIRIDIS = (
+    "#440154", "#471669", "#472A79", "#433C84", "#3C4D8A", "#355D8C", "#2E6C8E", "#287A8E", "#23898D", "#1E978A",
+    "#20A585", "#2EB27C", "#45BF6F", "#64CB5D", "#88D547", "#AFDC2E", "#D7E219", "#FDE724",
+)  # fmt: skip
+MAX_PANELS = 12
+SIDES = ("predicted", "measured")
+COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
+WAVELENGTH = "wavelength [nm]"  # over which the absorption of gases is shaded
+Dash = Literal["solid", "dashed", "dotted", "dashdot"]
+Way = Literal["x", "y"]
+Rules = tuple[tuple[Way, float], ...]
+_TONES = 33  # of a scale in a page
+_REACH = {"x": ("x", "left", "right"), "y": ("y", "low", "high", "bottom", "top")}
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis.
+
+    Attributes
+    ----------
+    label : what it is called, with the unit in brackets where it has one
+    scale : "log", or "names" where the places 0, 1, ... have names (along y from above)
+    names, notes : these; what stands at the other end of each row
+    ends : where it starts and ends; None: as the numbers need
+    """
+
+    label: str = ""
+    scale: Literal["linear", "log", "names"] = "linear"
+    names: tuple[str, ...] = ()
+    ends: tuple[float, float] | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ColourScale:
+    """What the column ``value`` of a mark is as a colour: "signed" about 0, or from light to dark or the reverse."""
+
+    kind: Literal["signed", "rising", "falling"]
+    low: float
+    high: float
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Something drawn.
+
+    Attributes
+    ----------
+    kind : "line" and "steps" (columns x, y), "area" (x, low, high), "dots" (x, y, maybe size [px]), "bars" and
+        "cells" (left, right, bottom, top); the columns low and high, or half on either side of y, are the interval of
+        a line along y, of dots along ``along``; the column value is told by the colours of ``scale``
+    columns : these, arrays of one length
+    label : its name in the legend
+    colour, dash, marker : how it is drawn
+    hollow : whether the marker has the paper's colour inside
+    words, beside : what is said of each point, and at which of its sides it stands; else it is told where the
+        pointer rests
+    linked : whether points that are chosen here stand out in other marks that are linked
+    """
+
+    kind: Literal["line", "steps", "area", "dots", "bars", "cells"]
+    columns: Mapping[str, Any]
+    label: str = ""
+    colour: str = GREY
+    dash: Dash = "solid"
+    marker: str = ""
+    hollow: bool = False
+    along: Way = "y"
+    words: tuple[str, ...] = ()
+    beside: Literal["", "left", "right", "centre"] = ""
+    alpha: float = 0.2
+    scale: ColourScale | None = None
+    linked: bool = False
+
+    @property
+    def numbers(self) -> dict[str, Array]:
+        """The columns, with low and high where half is given."""
+        out = {name: np.atleast_1d(np.asarray(values, float)) for name, values in self.columns.items()}
+        if "half" in out:
+            half = out.pop("half")
+            out |= {"low": out["y"] - half, "high": out["y"] + half}
+        return out
+
+    @property
+    def shades(self) -> list[str]:
+        """Colours of the words in cells, legible on these."""
+        scale = self.scale or ColourScale("rising", 0.0, 1.0)
+        part = (np.asarray(self.columns["value"], float) - scale.low) / (scale.high - scale.low)
+        dark = {"signed": abs(part - 0.5) > 0.3, "rising": part < 0.45, "falling": part < 0.35}[scale.kind]
+        return ["white" if one else "black" for one in np.atleast_1d(dark)]
+
+
+@dataclass(frozen=True)
+class Part:
+    """One plot of those that stand above each other.
+
+    Attributes
+    ----------
+    y : its axis
+    marks : what it holds
+    rules : (axis, place) of dotted lines across it
+    x : its own axis, where it does not share that of the others
+    """
+
+    y: Axis
+    marks: tuple[Mark, ...]
+    rules: Rules = ()
+    x: Axis | None = None
+
+
+@dataclass(frozen=True)
+class Panels:
+    """The plots of one subject, of one of several tabs where the figure has these; ``note``: what it rests on."""
+
+    x: Axis
+    parts: tuple[Part, ...]
+    subject: str = ""
+    tab: str = ""
+    note: str = ""
+
+    def ends(self, way: Way, part: Part | None = None) -> tuple[float, float]:
+        """Ends of the axis of x or of a part: as stated, or with a margin about everything drawn."""
+        own_x = part is not None and part.x is not None
+        axis = (part.x or self.x if part else self.x) if way == "x" else (part or self.parts[0]).y
+        if axis.scale == "names":
+            return -0.6, len(axis.names) - 0.4
+        if axis.ends is not None:
+            return axis.ends
+        parts = self.parts if part is None or (way == "x" and not own_x) else (part,)
+        every = np.concatenate([np.empty(0), *(v for p in parts for m in p.marks for v in _extent(m, way))])
+        every = every[np.isfinite(every) & ((every > 0.0) | (axis.scale != "log"))]
+        if not every.size:
+            return (0.1, 1.0) if axis.scale == "log" else (0.0, 1.0)
+        low, high = float(every.min()), float(every.max())
+        if axis.scale == "log":
+            return low / 1.4, high * 1.4
+        margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+        return low - margin, high + margin
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure: the plots of each subject.
+
+    Attributes
+    ----------
+    name : of its file, and of its place in a page
+    section : the product it belongs to
+    title, alt : caption, and the text for those who cannot see it
+    views : one for each subject; one that needs no name has none
+    legend : what a sign stands for, for the caption
+    head : what stands above it on paper; the title where this is empty
+    legend_title : what the names in the legend are values of
+    together : whether subjects may be drawn over each other ("offered"), or are at first ("first")
+    width_in : on paper [in]
+    """
+
+    name: str
+    section: str
+    title: str
+    alt: str
+    views: tuple[Panels, ...] = ()
+    legend: str = ""
+    head: str = ""
+    legend_title: str = ""
+    together: Literal["", "offered", "first"] = ""
+    width_in: float = 10.0
+
+    @property
+    def caption(self) -> str:
+        """Title and legend."""
+        return self.title + (f". {self.legend[0].upper()}{self.legend[1:]}" if self.legend else "")
+
+    @property
+    def summary(self) -> str:
+        """The first words of its caption, for the line that unfolds it."""
+        return self.title.partition(". ")[0]
+
+    def marks(self) -> Iterator[Mark]:
+        """Every mark of every view."""
+        for view in self.views:
+            for part in view.parts:
+                yield from part.marks
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A finished figure as a file.
+
+    Attributes
+    ----------
+    name : file name without its ending
+    section, title, alt, legend : as of a :class:`Figure`
+    content, kind : the bytes of the file and their format
+    width_px : width at which the text of a PNG has the size of the page's [CSS pixels]; None for SVG
+    """
+
+    name: str
+    section: str
+    title: str
+    alt: str
+    content: bytes
+    kind: Literal["svg", "png", "pdf"]
+    width_px: int | None = None
+    legend: str = ""
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file in ``figures/``."""
+        return f"{self.name}.{self.kind}"
+
+    @property
+    def source(self) -> str:
+        """The figure as a data URI, for a page that holds it."""
+        kind = "svg+xml" if self.kind == "svg" else self.kind
+        return f"data:image/{kind};base64,{base64.b64encode(self.content).decode('ascii')}"
+
+
+@dataclass
+class _Columns:
+    """Columns as little-endian float32 in base64, each once."""
+
+    places: dict[str, int] = field(default_factory=dict)
+
+    def place(self, values: Any) -> int:
+        text = base64.b64encode(np.atleast_1d(np.asarray(values, "<f4")).tobytes()).decode("ascii")
+        return self.places.setdefault(text, len(self.places))
+
+
+def statement(figure: Figure) -> str:
+    """The figure as JSON, which the script of a page draws; nothing in it ends the element that holds it."""
+    columns = _Columns()
+    views = []
+    for view in figure.views:
+        parts = []
+        for part in view.parts:
+            parts.append({
+                "x": _axis(part.x or view.x, view.ends("x", part)), "y": _axis(part.y, view.ends("y", part)),
+                "own": part.x is not None, "rules": part.rules, "marks": [_mark(mark, columns) for mark in part.marks],
+            })  # fmt: skip
+        views.append({"subject": view.subject, "tab": view.tab, "note": view.note, "parts": parts})
+    whole: dict[str, Any] = {
+        "name": figure.name, "section": figure.section, "together": figure.together,
+        "legend_title": figure.legend_title, "views": views, "columns": list(columns.places),
+    }  # fmt: skip
+    if any(view.x.label == WAVELENGTH for view in figure.views):
+        whole["absorption"] = [band[:2] for band in ABSORPTION_BANDS_NM]
+    return json.dumps(whole, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+
+
+def _axis(axis: Axis, ends: tuple[float, float]) -> dict[str, Any]:
+    said: dict[str, Any] = {
+        "label": axis.label,
+        "scale": axis.scale,
+        "ends": ends,
+        "names": axis.names,
+        "notes": axis.notes,
+    }
+    if axis.label == WAVELENGTH:
+        said["absorption"] = True
+    return {name: value for name, value in said.items() if value}
+
+
+def _mark(mark: Mark, columns: _Columns) -> dict[str, Any]:
+    said: dict[str, Any] = {
+        "kind": mark.kind, "columns": {name: columns.place(v) for name, v in mark.columns.items()},
+        "label": mark.label, "colour": mark.colour, "dash": mark.dash, "marker": mark.marker, "hollow": mark.hollow,
+        "along": mark.along, "words": mark.words, "beside": mark.beside, "alpha": mark.alpha, "linked": mark.linked,
+    }  # fmt: skip
+    if mark.scale is not None:
+        own = mark.scale
+        said["scale"] = {
+            "palette": tones(PALETTES[own.kind], _TONES),
+            "low": own.low,
+            "high": own.high,
+            "label": own.label,
+        }
+        if mark.beside == "centre":
+            said["shades"] = mark.shades
+    return {name: value for name, value in said.items() if value}
+
+
+def _extent(mark: Mark, way: Way) -> list[Array]:
+    """The columns of a mark that reach along an axis."""
+    names = set(_REACH[way])
+    if mark.kind == "dots" and mark.along == "x":  # whose interval lies along x
+        names = names | {"low", "high"} if way == "x" else names - {"low", "high"}
+    return [values for name, values in mark.numbers.items() if name in names]
+
+
+def row_names(names: Sequence[str], length: int = 44) -> Axis:
+    """An axis of named rows."""
+    return Axis("", "names", tuple(shortened(name, length) for name in names))
+
+
+def predicted_mark(kind: Any, columns: Mapping[str, Any], label: str = "predicted", **more: Any) -> Mark:
+    """A mark in the look of the predicted side."""
+    return Mark(kind, columns, label, PREDICTED, "dashed", **({"hollow": True} | more))
+
+
+def measured_mark(kind: Any, columns: Mapping[str, Any], label: str = "measured", **more: Any) -> Mark:
+    """A mark in the look of the measured side."""
+    return Mark(kind, columns, label, MEASURED, **more)
+
+
+def single(
+    x: Axis, label: str, marks: Sequence[Mark], *, subject: str = "", ends: tuple[float, float] | None = None,
+    level: float | None = None,
+) -> Panels:  # fmt: skip
+    """A view of one plot, with a line across at ``level``."""
+    return Panels(x, (Part(Axis(label, ends=ends), tuple(marks), () if level is None else (("y", level),)),), subject)
+
+
+def tones(palette: Sequence[str], count: int) -> list[str]:
+    """So many colours along a palette, those between its own mixed evenly.
+
+    Examples
+    --------
+    >>> tones(("#000000", "#ffffff"), 3)
+    ['#000000', '#808080', '#ffffff']
+    """
+    own = np.array([[int(tone[at : at + 2], 16) for at in (1, 3, 5)] for tone in palette], float)
+    parts = np.linspace(0.0, len(palette) - 1.0, count)
+    mixed = np.stack([np.interp(parts, np.arange(len(palette)), own[:, i]) for i in range(3)], axis=-1)
+    return [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in mixed.round().astype(int)]
+
+
+def shortened(text: str, length: int = 34) -> str:
+    """Text for a narrow place, its middle left out when it is too long."""
+    if len(text) <= length:
+        return text
+    head = (length - 1) * 2 // 3
+    return f"{text[:head]}…{text[len(text) - (length - 1 - head) :]}"
+
+
+def left_out(shown: int, every: int, where: str = "products.nc") -> str:
+    """What a caption adds when a figure does not show everything; empty when it does."""
+    return "" if shown == every else f"; {shown} of {every} are drawn, all are in {where}"
+
+
+def count_text(n: int) -> str:
+    """A whole number with its thousands apart."""
+    return f"{n:,}".replace(",", "\u202f")
+
+
+def robust_limits(values: Sequence[Any], *, zero: bool, trim: float = 0.5) -> tuple[float, float] | None:
+    """Limits that hold all but ``trim`` per cent of the values at either end, and 0 if asked; None without any."""
+    stack = np.concatenate([np.asarray(v, dtype=float).ravel() for v in values]) if values else np.empty(0)
+    stack = stack[np.isfinite(stack)]
+    if stack.size == 0:
+        return None
+    low, high = (float(x) for x in np.percentile(stack, [trim, 100.0 - trim]))
+    if zero:
+        low, high = min(low, 0.0), max(high, 0.0)
+    margin = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - (margin if low < 0 or not zero else 0.0), high + margin
+
+
+def row_marks(
+    keys: Sequence[Any], both: Sequence[Mapping[Any, Any]], columns: Callable[[Any], dict[str, Any]],
+    words: Callable[[Any], str],
+) -> tuple[Mark, ...]:  # fmt: skip
+    """Dots of the sides that have any, a row a key, the two sides apart by a part of a row."""
+    marks = []
+    for own, make, marker, shift in zip(
+        both, (predicted_mark, measured_mark), ("circle", "square"), (-0.14, 0.14), strict=True
+    ):
+        rows = [(i + shift, key) for i, key in enumerate(keys) if key in own]
+        if rows:
+            at = {"y": np.array([i for i, _ in rows]), **columns(own)}
+            said = tuple(f"{', '.join(key)}: {words(own[key])}" for _, key in rows)
+            marks.append(make("dots", at, marker=marker, along="x", words=said))
+    return tuple(marks)
+
+
+def in_words(keys: Sequence[Any], both: Sequence[Mapping[Any, Any]], text: Callable[[Any], str]) -> str:
+    """What rows of both sides say, for those who cannot see them."""
+    return "; ".join(
+        f"{', '.join(key)}: "
+        + ", ".join(f"{name} {text(own[key])}" for name, own in zip(SIDES, both, strict=True) if key in own)
+        for key in keys
+    )
