@@ -67,18 +67,17 @@ def ours(path, detectors=("cem",), targets=1):
     """(lines, samples) score by the package, from the path."""
     from hyperval.executors import single_blas_thread
     from hyperval.imagery import open_cube
+    from hyperval.processing import MeasuredPanel, fit_elm
     from hyperval.processing.detectors import pixel_detector, score_cube, whitener_of
-    from hyperval.processing.elm import EmpiricalLine
     from hyperval.processing.filters import PositiveDefinite
-    from hyperval.processing.region_statistics import region_statistics
+    from hyperval.processing.statistics import region_statistics
 
     cube = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=SCALE)
     found = region_statistics(cube)["scene"]
     gain, offset = gain_and_offset()
-    none = np.full((2, BANDS), np.nan)
-    elm = EmpiricalLine(
-        gain, offset, np.zeros((BANDS, 2, 2)), none, none[0], None, np.ones(BANDS, bool), ("black", "white")
-    )
+    exact = np.zeros(BANDS)
+    levels = [MeasuredPanel(str(rho), exact + rho, exact, offset + gain * rho, exact) for rho in (0.0, 1.0)]
+    elm = fit_elm(levels)
     with single_blas_thread():  # as the pipeline does
         mean = elm.reflectance(found.mean)
         inverted = PositiveDefinite(found.covariance / np.outer(gain, gain))

@@ -29,10 +29,9 @@ MODULES = (
 # Functions of these files that are no formula of the source: readers, the reading of curves, classifiers and laws with
 # evidence of their own below tests/.
 BESIDE = {
-    "class_features", "contradiction", "darkest_pixel_panel", "detection_at", "feature_bands", "fit_elm", "fit_gain",
-    "fit_line", "fully_constrained", "library_names", "line_error", "load_sensor", "log10_false_alarm_at",
-    "measured_error", "new_sensor_file", "own_mean_sampling", "predicted_error", "refuse_bad_panels",
-    "whitened", "with_distances",
+    "class_features", "detection_at", "feature_bands", "fully_constrained", "library_names", "load_sensor",
+    "log10_false_alarm_at", "measured_error", "new_sensor_file", "own_mean_sampling", "predicted_error", "whitened",
+    "with_distances",
 }  # fmt: skip
 SOURCE = Path(__file__).parents[2] / "src" / "hyperval"
 FOLDER = Path(__file__).parents[2] / "validation" / "equations"

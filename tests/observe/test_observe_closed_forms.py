@@ -14,7 +14,7 @@ from hyperval.imagery import open_cube
 from hyperval.observe.detection import _ring
 from hyperval.observe.site_spectra import empirical_line
 from hyperval.prediction.inputs import Sources
-from hyperval.processing.region_statistics import region_statistics
+from hyperval.processing.statistics import region_statistics
 from hyperval.products import EstimatedPart
 
 
@@ -38,15 +38,15 @@ def test_errors_of_a_panel_and_of_the_darkest_pixel_by_hand(make_radiance):
     # The panel: 2 % of 0.6 with the stated correlation.  The dark surface: one unknown for all bands, and noise
     # that is each band's own.
     apart = np.abs(AXIS.centre_nm[:, None] - AXIS.centre_nm[None])
-    first, second = found.errors
-    assert np.diag(first.reflectance) == pytest.approx(np.full(BANDS, 0.012**2), rel=1e-9)
-    assert np.all(np.diff(first.reflectance[0][np.argsort(apart[0])]) < 0)
-    assert second.reflectance == pytest.approx(np.full((BANDS, BANDS), 0.01**2), rel=1e-12)
-    assert second.radiance == pytest.approx(0.02**2 * np.eye(BANDS), rel=1e-12)
+    first, second = found.panels
+    assert np.diag(first.reflectance_error) == pytest.approx(np.full(BANDS, 0.012**2), rel=1e-9)
+    assert np.all(np.diff(first.reflectance_error[0][np.argsort(apart[0])]) < 0)
+    assert second.reflectance_error == pytest.approx(np.full((BANDS, BANDS), 0.01**2), rel=1e-12)
+    assert second.radiance_error == pytest.approx(np.full(BANDS, 0.02**2), rel=1e-12)
     # Two points: var k = (sum of var L + k^2 var rho)/(rho_2 - rho_1)^2.
-    k = found.line.gain
+    k = found.gain
     expected = (0.02**2 + k**2 * (0.01**2 + 0.012**2)) / 0.57**2
-    assert found.line.covariance[:, 0, 0] == pytest.approx(expected, rel=1e-6)
+    assert found.covariance[:, 0, 0] == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("length", [None, 1e6])
@@ -63,8 +63,8 @@ def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_
         panel["correlation_nm"] = length
     monkeypatch.setattr(Sources, "spectrum", with_spread)
     found = line_of(made, source)
-    for errors in found.errors:
-        assert np.diag(errors.reflectance) == pytest.approx(np.full(BANDS, 0.01**2), rel=1e-9)
+    for panel in found.panels:
+        assert np.diag(panel.reflectance_error) == pytest.approx(np.full(BANDS, 0.01**2), rel=1e-9)
 
 
 def test_a_panel_with_a_full_pixel_is_refused(make_radiance):

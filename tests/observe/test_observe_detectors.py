@@ -35,7 +35,7 @@ def test_a_halo_scores_background_and_objects_alike(world):
     seen = world.observe()
     scores = seen.detected.score_maps["paint-cem"]
     curve = seen.observation.roc["fill 0.8", "cem", "object"]
-    guarded = ~seen.place.left_out
+    guarded = seen.place.background(["scene"])
     tiles = footprint_maxima(scores, np.ones((3, 3), bool), ~guarded)[0]
     assert curve.n_target == 2
     assert curve.n_background == tiles.size  # two objects of one shape share their placements
@@ -70,7 +70,7 @@ def test_alarms_before_the_first_detection(world):
     world.values[45, 35] = TARGET
     world.write()
     seen = world.observe()
-    scores, guarded = seen.detected.score_maps["paint-cem"], ~seen.place.left_out
+    scores, guarded = seen.detected.score_maps["paint-cem"], seen.place.background(["scene"])
     curves = {s: curve for (s, _, unit), curve in seen.observation.roc.items() if unit == "object"}
     places: dict[str, list[tuple[int, int]]] = {}
     for place, fill in PLANTED.items():
@@ -114,7 +114,7 @@ def test_one_panel_with_the_darkest_pixel(make_radiance):
         "darkest_pixel": {"reflectance": 0.02, "uncertainty": 0.01, "radiance_noise": 0.01},
     }
     line = made.world.observe().elm
-    assert line.panels == ("white", "darkest pixel")
+    assert line.names == ("white", "darkest pixel")
     assert line.reflectance(made.offset + made.gain * dark) == pytest.approx(np.full(BANDS, 0.02), abs=1e-9)
 
 
@@ -201,7 +201,7 @@ def test_a_local_window_moves_the_mean_with_the_pixel(world):
     seen = world.observe()
     assert any("windows of 11 less 3 pixels; 0 pixels without" in note for note in seen.observation.notes)
     target = world.on_bands("library.csv", "paint")
-    keep = ~seen.place.left_out
+    keep = seen.place.background(["scene"])
     covariance = np.cov(world.values[keep].T)
     line, sample = next(iter(PLANTED))
     ring = np.zeros((LINES, SAMPLES), bool)

@@ -53,7 +53,7 @@ def test_a_mask_alone_is_truth_enough_and_finds_what_a_list_of_the_same_pixels_f
     assert [o.name for o in found.place.targets] == [f"mask {i}" for i in range(1, len(PLANTED) + 1)]
     for key in (("paint", "cem", "pixel"), ("paint", "cem", "object")):
         assert np.array_equal(found.observation.roc[key].pd, listed.observation.roc[key].pd)
-    assert np.array_equal(found.place.left_out, listed.place.left_out)
+    assert np.array_equal(found.place.background(["scene"]), listed.place.background(["scene"]))
 
 
 def test_touching_pixels_are_one_object_unless_each_region_is_one(world):

@@ -168,7 +168,7 @@ def test_a_panel_that_contradicts_the_others_shows_in_the_residuals(make_radianc
     made.world.collection["regions"].append({"name": "grey", "rectangle": [36, 6, 8, 8]})
     panels.append({"region": "grey", "spectrum": {"constant": 0.9}})
     line = made.world.observe().elm
-    assert line.panels == ("white", "black", "grey")
+    assert line.names == ("white", "black", "grey")
     assert np.all(line.reduced_chi2 > 100.0)
     assert np.abs(line.leave_one_out[2]) == pytest.approx(
         np.abs(made.reflectance[36:44, 6:14].mean(axis=(0, 1)) - 0.9), abs=0.02

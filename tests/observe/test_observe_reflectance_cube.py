@@ -13,7 +13,7 @@ from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
 from hyperval.observe import reflectance_cube
 from hyperval.observe.reflectance_cube import NO_DATA, SCALE, quantised, write_reflectance
-from hyperval.processing.elm import PanelMeasurement, fit_elm
+from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.spectra.axis import SpectralAxis
 
 LINES, SAMPLES, BANDS = 31, 17, 6
@@ -35,7 +35,7 @@ def scene(tmp_path):
     radiance[7, 8] = 0.0  # fill
     path = write_cube(tmp_path / "rad.img", radiance, data_type=5, axis=AXIS, **PLACE)
     levels = [
-        PanelMeasurement(
+        MeasuredPanel(
             n, np.full(BANDS, r), np.full(BANDS, 0.002), OFFSET + GAIN * r, np.full(BANDS, 1e-4), 9
         )
         for n, r in (("black", 0.05), ("white", 0.6))

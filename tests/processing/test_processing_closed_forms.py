@@ -9,16 +9,11 @@ from scipy.special import logit
 
 from hyperval.compare.spectral import chi_square_full
 from hyperval.errors import UsageError
+from hyperval.processing import MeasuredPanel, darkest_pixel_panel, fit_elm
 from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio
 from hyperval.processing.classification import ClassLaw, measured_error, with_distances
 from hyperval.processing.elm import (
-    PanelErrors,
-    PanelMeasurement,
     darkest_level,
-    darkest_pixel_panel,
-    fit_elm,
-    fit_gain,
-    line_error,
 )
 from hyperval.processing.filters import PositiveDefinite
 from hyperval.processing.laws import fit_tail_dof, left_out_distances, tail_log_likelihood
@@ -51,8 +46,8 @@ from hyperval.products import ClassificationError, EstimatedPart, ExceedanceCurv
 
 
 def one(name, rho, u, radiance, variance):
-    values = (np.atleast_1d(np.asarray(v, float)) for v in (rho, u, radiance, variance))
-    return PanelMeasurement(name, *values, 9)
+    rho, u, radiance, variance = (np.atleast_1d(np.asarray(v, float)) for v in (rho, u, radiance, variance))
+    return MeasuredPanel(name, rho, u**2, radiance, variance, 9)
 
 
 def test_a_gain_is_refused_from_a_fifth_of_itself_on():
@@ -68,9 +63,9 @@ def test_a_gain_is_refused_from_a_fifth_of_itself_on():
 
 def test_errors_of_radiance_keep_their_correlation_between_bands():
     gain, rho = np.array([20.0, 8.0]), (0.1, 0.5)
-    made = [one(str(r), [r, r], [0.0, 0.0], gain * r, [0.04, 0.01]) for r in rho]
     together = np.array([[0.04, 0.012], [0.012, 0.01]])
-    found = line_error(fit_elm, made, [PanelErrors(np.zeros((2, 2)), together)] * 2).covariance(gain * 0.2)
+    made = [MeasuredPanel(str(r), [r, r], [0.0, 0.0], gain * r, together) for r in rho]
+    found = fit_elm(made).error_covariance(gain * 0.2)
     # Weights 3/4 and 1/4 of the panels, over the gains.
     assert found == pytest.approx((0.75**2 + 0.25**2) * together / np.outer(gain, gain), rel=1e-4)
 
@@ -86,16 +81,15 @@ def test_a_line_is_known_by_the_pixels_of_its_panels():
     root, rho = np.linalg.cholesky(true), (0.1, 0.5)
     refused = np.zeros(2)
     for _ in range(400):
-        made, errors = [], []
+        made = []
         for r in rho:
             seen = gain * r + rng.standard_normal((pixels, bands)) @ root.T
             part = EstimatedPart(np.cov(seen.T) / pixels, pixels - 1.0)
-            values = (np.full(bands, r), np.zeros(bands), seen.mean(axis=0), np.diag(part.covariance).copy())
-            made.append(PanelMeasurement(str(r), *values, pixels))
-            errors.append(PanelErrors(np.zeros((bands, bands)), part.covariance, part))
-        fit = line_error(fit_elm, made, errors)
+            values = np.full(bands, r), np.zeros(bands), seen.mean(axis=0), part.covariance
+            made.append(MeasuredPanel(str(r), *values, pixels, part))
+        fit = fit_elm(made)
         level = gain * 0.3
-        difference, error, parts = fit.line.reflectance(level) - 0.3, fit.covariance(level), fit.estimated(level)
+        difference, error, parts = fit.reflectance(level) - 0.3, fit.error_covariance(level), fit.estimated(level)
         np.testing.assert_allclose(sum(p.covariance for p in parts), error, rtol=1e-9)
         refused += [chi_square_full(difference, error, known).p_value < 0.05 for known in (parts, ())]
     assert refused[0] / 400 < 0.083
@@ -105,7 +99,8 @@ def test_a_line_is_known_by_the_pixels_of_its_panels():
 def test_gain_without_offset_is_the_least_of_its_sum_of_squares():
     rho, radiance = np.array([0.1, 0.4, 0.7]), np.array([2.6, 7.4, 14.9])
     u, variance = np.array([0.03, 0.01, 0.02]), np.array([0.01, 0.09, 0.04])
-    line = fit_gain([one(str(i), *v) for i, v in enumerate(zip(rho, u, radiance, variance, strict=True))])
+    made = [one(str(i), *v) for i, v in enumerate(zip(rho, u, radiance, variance, strict=True))]
+    line = fit_elm(made, intercept=False)
 
     def squares(k):
         return float(np.sum((radiance - k * rho) ** 2 / (variance + k**2 * u**2)))
@@ -114,14 +109,14 @@ def test_gain_without_offset_is_the_least_of_its_sum_of_squares():
     assert line.gain[0] == pytest.approx(best.x, rel=1e-6)
     assert line.reduced_chi2[0] == pytest.approx(best.fun / 2, rel=1e-9)
     for i in range(3):
-        others = [one(str(j), rho[j], u[j], radiance[j], variance[j]) for j in range(3) if j != i]
-        assert line.leave_one_out[i, 0] == pytest.approx(radiance[i] / fit_gain(others).gain[0] - rho[i], rel=1e-12)
+        others = fit_elm([made[j] for j in range(3) if j != i], intercept=False)
+        assert line.leave_one_out[i, 0] == pytest.approx(radiance[i] / others.gain[0] - rho[i], rel=1e-12)
     # A black panel alone gives no gain; with a white one it does, and only the white one's own error is unknown.
     black, white = one("black", 0.02, 0.01, 0.5, 0.01), one("white", 0.5, 0.01, 10.0, 0.01)
-    assert np.isnan(fit_gain([black, white]).leave_one_out[:, 0]).tolist() == [False, True]
+    assert np.isnan(fit_elm([black, white], intercept=False).leave_one_out[:, 0]).tolist() == [False, True]
     # Ten panels are ten fits, not one for every order of leaving them out.
     many = [one(str(i), r, 0.01, 20.0 * r, 0.01) for i, r in enumerate(np.linspace(0.1, 0.9, 12))]
-    assert fit_gain(many).leave_one_out == pytest.approx(np.zeros((12, 1)), abs=1e-12)
+    assert fit_elm(many, intercept=False).leave_one_out == pytest.approx(np.zeros((12, 1)), abs=1e-12)
 
 
 def test_a_darkest_pixel_may_lie_below_nought_by_noise_alone():

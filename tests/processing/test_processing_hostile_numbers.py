@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from hyperval.errors import HypervalError, UsageError
 from hyperval.imagery import open_cube
+from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.processing.detectors import pixel_detector, whitener_of
-from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.filters import cem_correlation_weights, matched_filter_weights, spectral_matched_filter
 from hyperval.processing.intervals import clopper_pearson
-from hyperval.processing.region_statistics import region_statistics
 from hyperval.processing.roc import empirical_roc
+from hyperval.processing.statistics import region_statistics
 from hyperval.spectra.readers_record import Record, finished
 
 LINES, SAMPLES, BANDS = 7, 6, 4
@@ -200,9 +200,9 @@ def test_wavelengths_in_any_order_increase_or_are_refused(wavelengths, falling):
     assert set(found.wavelength_nm) <= set(waves)
 
 
-def panel(name: str, reflectance: float, radiance: float, bands: int = 3) -> PanelMeasurement:
+def panel(name: str, reflectance: float, radiance: float, bands: int = 3) -> MeasuredPanel:
     full = np.full(bands, 1.0)
-    return PanelMeasurement(name, reflectance * full, 0.01 * full, radiance * full, (1e-3 * radiance) ** 2 * full, 9)
+    return MeasuredPanel(name, reflectance * full, 1e-4 * full, radiance * full, (1e-3 * radiance) ** 2 * full, 9)
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-6, 1.0, 1e6, 1e30])

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from hyperval.collection import LocalWindowSource
 from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
+from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.processing import detectors as local_scores
 from hyperval.processing.detectors import (
     LOCAL_DETECTORS,
@@ -18,7 +19,6 @@ from hyperval.processing.detectors import (
     score_cube_locally,
     whitener_of,
 )
-from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.spectra.axis import SpectralAxis
 
 LINES, SAMPLES, BANDS = 37, 29, 7
@@ -35,7 +35,7 @@ def scene(tmp_path_factory):
     radiance = offset + gain * rho
     radiance[5, 7] = -9999.0
     levels = [
-        PanelMeasurement(n, np.full(BANDS, r), np.zeros(BANDS), offset + gain * r, np.zeros(BANDS), 9)
+        MeasuredPanel(n, np.full(BANDS, r), np.zeros(BANDS), offset + gain * r, np.zeros(BANDS), 9)
         for n, r in (("black", 0.05), ("white", 0.6))
     ]
     path = tmp_path_factory.mktemp("local") / "c.img"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.compare.spectral import chi_square_full, chi_square_shape, covariance_dof
-from hyperval.processing.elm import PanelErrors, PanelMeasurement, fit_elm, line_error
+from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.processing.sample import (
     components,
     independent_pixels,
@@ -96,7 +96,7 @@ def _panels(bands: int = 6):
     rho = (np.full(bands, 0.1), np.full(bands, 0.6))
     gain, offset = np.linspace(10, 20, bands), np.linspace(1, 2, bands)
     made = [
-        PanelMeasurement(name, r, 0.02 * r, offset + gain * r, (0.01 * gain) ** 2, 100)
+        MeasuredPanel(name, r, np.outer(0.02 * r, 0.02 * r), offset + gain * r, (0.01 * gain) ** 2, 100)
         for name, r in zip(("dark", "bright"), rho, strict=True)
     ]
     return made, gain, offset
@@ -104,13 +104,12 @@ def _panels(bands: int = 6):
 
 def test_line_of_two_panels_has_the_variance_of_the_closed_form_and_the_correlation_of_its_panels():
     panels, gain, offset = _panels()
-    errors = [PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels]
-    found = line_error(fit_elm, panels, errors)
+    found = fit_elm(panels)
     rho = np.full(6, 0.3)
     level = offset + gain * rho
-    c = found.covariance(level)
-    of = found.line.covariance
-    variance = (rho**2 * of[:, 0, 0] + 2.0 * rho * of[:, 0, 1] + of[:, 1, 1]) / found.line.gain**2
+    c = found.error_covariance(level)
+    of = found.covariance
+    variance = (rho**2 * of[:, 0, 0] + 2.0 * rho * of[:, 0, 1] + of[:, 1, 1]) / found.gain**2
     np.testing.assert_allclose(np.diag(c), variance, rtol=1e-4)
     # By hand: weights (0.6 - 0.3) / 0.5 and (0.3 - 0.1) / 0.5 of the two panels' errors.
     systematic = (0.6 * 0.02 * 0.1) ** 2 + (0.4 * 0.02 * 0.6) ** 2
@@ -120,9 +119,8 @@ def test_line_of_two_panels_has_the_variance_of_the_closed_form_and_the_correlat
 
 def test_a_panel_of_the_line_keeps_the_error_of_its_reflectance_alone():
     panels, _, _ = _panels()
-    errors = [PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels]
-    found = line_error(fit_elm, panels, errors)
-    c = found.covariance(panels[1].radiance, own="bright")
+    found = fit_elm(panels)
+    c = found.error_covariance(panels[1].radiance, own="bright")
     np.testing.assert_allclose(c, (0.02 * 0.6) ** 2, rtol=1e-3)
 
 
@@ -133,16 +131,17 @@ def test_line_through_three_panels_against_draws():
     rng = np.random.default_rng(8)
     panels, gain, offset = _panels()
     grey = np.full(6, 0.35)
-    panels.append(PanelMeasurement("grey", grey, 0.02 * grey, offset + gain * grey, (0.01 * gain) ** 2, 100))
-    errors = [PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels]
+    panels.append(
+        MeasuredPanel("grey", grey, np.outer(0.02 * grey, 0.02 * grey), offset + gain * grey, (0.01 * gain) ** 2, 100)
+    )
     level = offset + gain * 0.25
-    stated = line_error(fit_elm, panels, errors).covariance(level)
+    stated = fit_elm(panels).error_covariance(level)
     draws = []
     for _ in range(4000):
         moved = [
-            PanelMeasurement(
-                p.name, p.reflectance * (1 + 0.02 * rng.standard_normal()), p.reflectance_sd,
-                p.radiance + 0.01 * gain * rng.standard_normal(6), p.radiance_variance, p.n,
+            MeasuredPanel(
+                p.name, p.reflectance * (1 + 0.02 * rng.standard_normal()), p.reflectance_error,
+                p.radiance + 0.01 * gain * rng.standard_normal(6), p.radiance_error, p.n,
             )
             for p in panels
         ]  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.elm import PanelMeasurement, fit_elm, fit_line
+from hyperval.processing import MeasuredPanel, fit_elm, fit_line
 
 GAIN, OFFSET = np.array([10.0, 6.0, 2.0]), np.array([1.0, 0.5, 0.1])
 
@@ -12,7 +12,7 @@ GAIN, OFFSET = np.array([10.0, 6.0, 2.0]), np.array([1.0, 0.5, 0.1])
 def panel(name, rho, sd=0.0, variance=0.0, radiance=None):
     rho = np.broadcast_to(np.asarray(rho, float), (3,))
     radiance = OFFSET + GAIN * rho if radiance is None else radiance
-    return PanelMeasurement(name, rho, np.full(3, sd), radiance, np.full(3, variance), 50)
+    return MeasuredPanel(name, rho, np.full(3, sd * abs(sd)), radiance, np.full(3, variance), 50)
 
 
 def test_two_panels_are_exact():
@@ -112,9 +112,8 @@ def test_refusals_give_their_reason(panels, keywords, message):
 
 
 def test_a_panel_with_gaps_is_refused():
-    with pytest.raises(UsageError, match="NaN"):
-        panel("a", [0.1, np.nan, 0.1])
+    for other, message in ((panel("a", [0.1, np.nan, 0.1]), "NaN"), (panel("a", 0.1, -0.1), "negative")):
+        with pytest.raises(UsageError, match=message):
+            fit_elm([other, panel("b", 0.6)])
     with pytest.raises(UsageError, match="shape"):
-        PanelMeasurement("a", np.ones(3), np.ones(2), np.ones(3), np.ones(3), 4)
-    with pytest.raises(UsageError, match="negative"):
-        panel("a", 0.1, -0.1)
+        MeasuredPanel("a", np.ones(3), np.ones(2), np.ones(3), np.ones(3), 4)

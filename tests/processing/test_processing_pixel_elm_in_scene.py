@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.elm import PanelMeasurement, darkest_pixel_panel, fit_elm, fit_gain
+from hyperval.processing import MeasuredPanel, darkest_pixel_panel, fit_elm
 
 
 def panel(name, rho, radiance, u_rho=0.0, variance=0.0):
     rho, radiance = np.atleast_1d(rho).astype(float), np.atleast_1d(radiance).astype(float)
-    return PanelMeasurement(name, rho, np.full(rho.shape, u_rho), radiance, np.full(rho.shape, variance), 25)
+    return MeasuredPanel(name, rho, np.full(rho.shape, u_rho**2), radiance, np.full(rho.shape, variance), 25)
 
 
 def test_one_panel_gives_the_ratio_and_its_variance():
-    line = fit_gain([panel("white", [0.5, 0.6], [10.0, 9.0], 0.01, 0.04)])
+    line = fit_elm([panel("white", [0.5, 0.6], [10.0, 9.0], 0.01, 0.04)], intercept=False)
     assert line.gain == pytest.approx([20.0, 15.0])
     assert not line.offset.any()
     # First order: var k = (var L + k^2 var rho)/rho^2.
@@ -27,7 +27,7 @@ def test_one_panel_gives_the_ratio_and_its_variance():
 
 def test_error_free_panels_give_least_squares():
     rho, radiance = np.array([0.1, 0.3, 0.6]), np.array([2.1, 5.8, 12.3])
-    line = fit_gain([panel(str(i), r, x) for i, (r, x) in enumerate(zip(rho, radiance, strict=True))])
+    line = fit_elm([panel(str(i), r, x) for i, (r, x) in enumerate(zip(rho, radiance, strict=True))], intercept=False)
     assert line.gain[0] == pytest.approx(rho @ radiance / (rho @ rho))
     assert line.leave_one_out.shape == (3, 1)
 
@@ -41,7 +41,7 @@ def test_the_stated_variance_is_that_of_repetition():
         panel(str(i), r + u * rng.normal(size=n), truth * r + s * rng.normal(size=n), u, s**2)
         for i, r in enumerate(rho)
     ]
-    line = fit_gain(seen)
+    line = fit_elm(seen, intercept=False)
     assert line.gain.mean() == pytest.approx(truth, abs=5 * line.gain.std() / np.sqrt(n) + 0.02)
     assert line.gain.std() == pytest.approx(np.sqrt(line.covariance[:, 0, 0]).mean(), rel=0.055)
     assert line.reduced_chi2.mean() == pytest.approx(1.0, abs=5 / np.sqrt(n))
@@ -49,15 +49,15 @@ def test_the_stated_variance_is_that_of_repetition():
 
 def test_panels_that_give_no_gain_are_refused():
     with pytest.raises(UsageError, match="0 panel"):
-        fit_gain([])
+        fit_elm([], intercept=False)
     with pytest.raises(UsageError, match="below 5 times"):
-        fit_gain([panel("black", 0.0, 0.1, 0.01, 0.01)])
+        fit_elm([panel("black", 0.0, 0.1, 0.01, 0.01)], intercept=False)
     with pytest.raises(UsageError, match="saturated"):
-        fit_gain([panel("white", 0.5, 40.0)], saturation=40.0)
+        fit_elm([panel("white", 0.5, 40.0)], intercept=False, saturation=40.0)
     with pytest.raises(UsageError, match="divide percent"):
-        fit_gain([panel("white", 50.0, 40.0)])
+        fit_elm([panel("white", 50.0, 40.0)], intercept=False)
     with pytest.raises(UsageError, match="others have none"):
-        fit_gain([panel("white", 0.5, 10.0), panel("grey", 0.2, 4.0, 0.01)])
+        fit_elm([panel("white", 0.5, 10.0), panel("grey", 0.2, 4.0, 0.01)], intercept=False)
 
 
 def test_the_darkest_pixel_and_one_panel_make_a_line():

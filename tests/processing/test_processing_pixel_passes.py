@@ -9,10 +9,9 @@ import pytest
 
 from hyperval.errors import UsageError
 from hyperval.imagery import envi, open_cube
+from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.processing.detectors import pixel_detector, score_cube, whitener_of
-from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.passes import MAX_THREADS, _segments
-from hyperval.processing.region_statistics import Sums, darkest_values, region_statistics
+from hyperval.processing.statistics import MAX_THREADS, _segments, darkest_values, region_statistics
 
 LINES, SAMPLES, BANDS = 47, 23, 30
 TYPES = {"u1": 1, "i2": 2, "i4": 3, "f4": 4, "f8": 5, "u2": 12}
@@ -232,17 +231,6 @@ def test_the_file_is_opened_once_for_a_pass(tmp_path, monkeypatch):
     assert opens == [cube.source_files[0]]
 
 
-def test_sums_of_nothing_change_nothing():
-    sums = Sums(3, True)
-    sums.add(np.ones((3, 2, 2)), np.zeros((2, 2), bool))
-    assert sums.n == 0
-    assert not sums.second.any()
-    assert not sums.first.any()
-    sums.merge(Sums(3, True))
-    with pytest.raises(UsageError, match="0 pixels have no covariance"):
-        sums.mean_and_covariance()
-
-
 def test_equal_pixels_have_no_variance(tmp_path):
     x = numbers()
     x[3:5] = 0.1 + np.arange(BANDS) / 7.0
@@ -256,7 +244,7 @@ def test_equal_pixels_have_no_variance(tmp_path):
 def line_of(bands):
     def one(name, rho):
         rho = np.full(bands, rho)
-        return PanelMeasurement(name, rho, np.zeros(bands), 2.0 + np.arange(1, bands + 1) * rho, np.zeros(bands), 9)
+        return MeasuredPanel(name, rho, np.zeros(bands), 2.0 + np.arange(1, bands + 1) * rho, np.zeros(bands), 9)
 
     return fit_elm([one("black", 0.05), one("white", 0.6)])
 

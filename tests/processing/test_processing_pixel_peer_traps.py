@@ -10,7 +10,7 @@ import spectral
 
 from hyperval.imagery import open_cube
 from hyperval.processing.intervals import clopper_pearson
-from hyperval.processing.region_statistics import region_statistics
+from hyperval.processing.statistics import region_statistics
 
 LINES, SAMPLES, BANDS = 12, 9, 6
 

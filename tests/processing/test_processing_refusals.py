@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
+from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.processing.classification import (
     ClassLaw,
     feature_bands,
@@ -17,7 +18,6 @@ from hyperval.processing.classification import (
     with_distances,
 )
 from hyperval.processing.detectors import pixel_detector, register_detector
-from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.filters import correlation_filter
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.objects import footprint, with_halo
@@ -30,7 +30,12 @@ EYE = np.eye(3)
 
 def panel(name="white", rho=0.6, sd=0.01, variance=1e-4, n=30, bands=3):
     full = np.full(bands, rho)
-    return PanelMeasurement(name, full, np.full(bands, sd), 10.0 * full, np.full(bands, variance), n)
+    return MeasuredPanel(name, full, np.full(bands, sd**2), 10.0 * full, np.full(bands, variance), n)
+
+
+def line_with(**white):
+    """The line through a black panel and a white one of which something is wrong."""
+    return fit_elm((replace(panel(), **white), panel("black", 0.05)))
 
 
 def curve(pfa=(1e-2, 1e-1)):
@@ -58,10 +63,10 @@ def curve(pfa=(1e-2, 1e-1)):
         (lambda: minimum_noise_fraction(EYE, np.array([1.0, 0.0, 1.0]), 1), "need noise in every band"),
         (lambda: EigenDirections.of(np.zeros((3, 3))), "a covariance without variance has no eigenvalues"),
         (lambda: with_distances(None, [ClassLaw("a", np.zeros(3), EYE)]), "classification needs two classes"),
-        (lambda: panel(sd=-0.01), "panel 'white': an uncertainty is negative"),
-        (lambda: panel(variance=-1.0), "panel 'white': an uncertainty is negative"),
-        (lambda: panel(n=0), "panel 'white' has no pixels"),
-        (lambda: panel(rho=np.nan), "reflectance holds NaN or infinity"),
+        (lambda: line_with(reflectance_error=-np.ones(3)), "panel 'white': a variance is negative"),
+        (lambda: line_with(radiance_error=-np.ones(3)), "panel 'white': a variance is negative"),
+        (lambda: line_with(n=0), "panel 'white' has no pixels"),
+        (lambda: line_with(radiance=np.full(3, np.nan)), "panel 'white' holds NaN or infinity"),
         (lambda: replace(panel(), radiance=np.ones(2)), r"radiance has shape \(2,\), reflectance \(3,\)"),
         (lambda: fit_elm((panel(),)), "1 panel for an empirical line"),
         (lambda: fit_elm((panel(), panel("black", 0.05, bands=2))), "the panels have different numbers of bands"),

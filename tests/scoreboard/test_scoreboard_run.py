@@ -142,7 +142,7 @@ register_detector("of-the-image", make)
 
 def test_a_detector_that_takes_statistics_of_the_image_sees_all_of_it(small, tmp_path, no_drawing, monkeypatch):
     (tmp_path / "own.py").write_text(OF_THE_IMAGE)
-    monkeypatch.setattr("hyperval.processing.detectors.lines_per_block", lambda cube: 7)  # as a long image has
+    monkeypatch.setattr("hyperval.processing.statistics.BLOCK_PIXELS", 300)  # many blocks, as a long image has
     path = small.write()
     assert run(path, "--extend", tmp_path / "own.py", "-o", tmp_path / "out") == 0
     rows = {(r["method"], r["subject"], r["metric"]): r["value"] for r in rows_of(tmp_path / "out")}

@@ -34,7 +34,7 @@ from hyperval.compare import compare_products, objects
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.observe.site_spectra import spectral_estimate
 from hyperval.predict import Origins, predict
-from hyperval.processing.elm import PanelErrors, PanelMeasurement, fit_elm, line_error
+from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.processing.sample import (
     components,
@@ -78,20 +78,18 @@ def observed(c: Collection) -> ObservedProducts:
         "field": spectral_estimate(mean, {"sampling": sampling.covariance}, n=SITE**2, estimated=[sampling]),
         "bright": spectral_estimate(bright, {"sampling": by_pixel}, n=n, estimated=[EstimatedPart(by_pixel, n - 1.0)]),
     }
-    panels, errors = [], []
+    panels = []
     shape = np.exp(-0.5 * (np.subtract.outer(AXIS.centre_nm, AXIS.centre_nm) / ELM_NM) ** 2)
     for name, rho, pixels in (("low", LOW, c.low), ("high", HIGH, c.high)):
         cov = np.cov(pixels.T) / n
         sd = np.full(BANDS, ELM_RELATIVE * rho)
-        panels.append(PanelMeasurement(name, np.full(BANDS, rho), sd, pixels.mean(axis=0), np.diag(cov), n))
-        errors.append(PanelErrors(np.outer(sd, sd) * shape, cov))
+        panels.append(MeasuredPanel(name, np.full(BANDS, rho), np.outer(sd, sd) * shape, pixels.mean(axis=0), cov, n))
     line = fit_elm(panels)
-    error = line_error(fit_elm, panels, errors, line)
     k = np.outer(line.gain, line.gain)
     reflectance = {
         "field": spectral_estimate(
             line.reflectance(mean),
-            {"sampling": sampling.covariance / k, "empirical line": error.covariance(mean)},
+            {"sampling": sampling.covariance / k, "empirical line": line.error_covariance(mean)},
             n=SITE**2,
             estimated=[sampling.of_each(lambda covariance: covariance / k)],
         )

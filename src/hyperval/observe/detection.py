@@ -46,8 +46,8 @@ from hyperval.processing.detectors import (
     score_cube_locally,
     whitener_of,
 )
-from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.filters import PositiveDefinite, fully_constrained, own_mean_sampling, whitened
+from hyperval.processing.line import EmpiricalLine
 from hyperval.processing.objects import (
     Placed,
     footprint,

@@ -34,11 +34,11 @@ from hyperval.observe.site_spectra import (
     wavelength_notes,
 )
 from hyperval.observe.spread import TOGETHER, classification_errors, mean_error, pixel_distances
-from hyperval.processing.elm import EmpiricalLine, LineError
 from hyperval.processing.laws import LEAST_DOF
-from hyperval.processing.region_statistics import PackedMasks, region_statistics
+from hyperval.processing.line import EmpiricalLine
 from hyperval.processing.sample import SCENE, SampleStatistics, nth_pixels
 from hyperval.processing.snr import snr_decorrelated
+from hyperval.processing.statistics import Labels, region_statistics
 from hyperval.products import EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scene.statistics import ClassStatistics
@@ -61,13 +61,13 @@ class Surfaces:
     Attributes
     ----------
     place : the opened collection, None where there is no cube
-    line : the empirical line with the errors of its panels, None without panels
+    line : the empirical line, None without panels
     masks, sampling, distribution : subject -> its pixels, the error of their mean in the cube's values, their tails
     """
 
     place: Place | None = None
-    line: LineError | None = None
-    masks: PackedMasks = attribute(default_factory=PackedMasks)
+    line: EmpiricalLine | None = None
+    masks: Labels = attribute(default_factory=lambda: Labels.of((0, 0)))
     sampling: Mapping[str, EstimatedPart] = attribute(default_factory=dict)
     distribution: Mapping[str, PixelDistribution] = attribute(default_factory=dict)
 
@@ -100,7 +100,7 @@ class Observed:
     @property
     def elm(self) -> EmpiricalLine | None:
         """The empirical line, None without panels."""
-        return None if self.surfaces.line is None else self.surfaces.line.line
+        return self.surfaces.line
 
 
 def observe(
@@ -133,25 +133,25 @@ def observe(
     before = before or Surfaces()
     place = before.place or open_place(collection, resolve, show_progress=show_progress)
     cube = place.cube
-    masks = PackedMasks(_counted_pixels(place))
-    populations: Mapping[str, Mask] = {}
+    # All pixels of a region count where none would be left.
+    members = {n: place.counted(n) if place.counted(n).any() else own for n, own in place.regions.members.items()}
+    members[SCENE] = place.in_scene
+    populations: dict[str, Mask] = {}
     if detection is not None:
-        masks.add(BACKGROUND, place.background(detection.background))
-        populations = PackedMasks(_target_pixels(place, detection, taken=set(masks)))
-        for item in populations.items():
-            masks.add(*item)
-    known = before.masks.same(masks)
+        members[BACKGROUND] = place.background_labels(detection.background)
+        populations = dict(_target_pixels(place, detection, taken=set(members)))
+    masks = Labels(place.labels.number, members).with_masks(populations.items())
+    known = {n for n in before.masks if n in masks and np.array_equal(before.masks[n], masks[n])}
     refuse_saturated(collection.empirical_line, masks, cube)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
-    measured = region_statistics(cube, masks, place.left_out, watch=watch)
+    measured = region_statistics(cube, masks, watch=watch)
     regions = {name: measured[name] for name in place.regions}
     subjects = regions | {name: measured[name] for name in populations}
     sampling = {
         name: before.sampling[name] if name in known else _with_rounding(place, s, mean_error(place, masks[name], s))
         for name, s in track(list(subjects.items()), "sampling", show=show_progress)
     }
-    line = before.line or empirical_line(collection.empirical_line, measured, sampling, cube, resolve)
-    elm = None if line is None else line.line
+    elm = before.line or empirical_line(collection.empirical_line, measured, sampling, cube, resolve)
 
     rounding = cube.gain**2 / 12.0 if cube.dtype.kind in "iu" else 0.0
     radiance: dict[str, SpectralEstimate] = {}
@@ -161,8 +161,8 @@ def observe(
             n: _sampled(s, sampling[n], _calibration(s.mean, collection, cube.axis, resolve), rounding)
             for n, s in subjects.items()
         }
-        if line is not None:
-            reflectance = {n: _reflectance(n, s, sampling[n], line, rounding) for n, s in subjects.items()}
+        if elm is not None:
+            reflectance = {n: _reflectance(n, s, sampling[n], elm, rounding) for n, s in subjects.items()}
     else:
         reflectance = {n: _sampled(s, sampling[n], {}, rounding) for n, s in subjects.items()}
     snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
@@ -215,15 +215,8 @@ def observe(
     if detection is not None and detected is not None and detected.shrinkage > 0.0:
         shrunk = {n: _shrunk(s, detected.shrinkage) for n, s in regions.items() if n in detection.background}
     classes = _classes(regions | shrunk, cube.axis, elm, cube.quantity, tails)
-    surfaces = Surfaces(place, line, masks, sampling, distribution)
+    surfaces = Surfaces(place, elm, masks, sampling, distribution)
     return Observed(observation, classes, surfaces, detected, unmixed)
-
-
-def _counted_pixels(place: Place) -> Iterator[tuple[str, Mask]]:
-    """The pixels of each region that count; all of them where none would be left."""
-    for name in place.regions:
-        counted = place.pixels_of(name)
-        yield name, counted if counted.any() else place.region(name)
 
 
 def _with_rounding(place: Place, sample: SampleStatistics, sampling: EstimatedPart) -> EstimatedPart:
@@ -285,23 +278,23 @@ def _sampling_part(
 
 
 def _reflectance(
-    name: str, sample: SampleStatistics, sampling: EstimatedPart, error: LineError, rounding: Array | float
+    name: str, sample: SampleStatistics, sampling: EstimatedPart, line: EmpiricalLine, rounding: Array | float
 ) -> SpectralEstimate:
     """After the empirical line, whose error is common to all pixels and hangs together between bands.
 
     A panel of the line is no evidence for it: its reflectance is that of the line through the other panels.  Where
     they fix none, the line goes through the panel whatever it reflects.
     """
-    others = error.without(name) if name in error.line.panels else error
-    elm = (others or error).line
+    others = line.without(name) if name in line.names else line
+    elm = others or line
     mean, covariance = in_reflectance(sample, elm)
     spread, rounding = covariance if sample.n > 1 else None, rounding / elm.gain**2
     if others is None:
-        own = {"empirical line": error.covariance(sample.mean, own=name)}
+        own = {"empirical line": line.error_covariance(sample.mean, own=name)}
         return spectral_estimate(mean, own, pixel_covariance=spread, n=sample.n, circular=CIRCULAR, rounding=rounding)
     gains = np.outer(elm.gain, elm.gain)
     parts, estimated = _sampling_part(sample, sampling.of_each(lambda c: c / gains))
-    parts["empirical line"] = others.covariance(sample.mean)
+    parts["empirical line"] = others.error_covariance(sample.mean)
     estimated += others.estimated(sample.mean)
     return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, estimated=estimated, rounding=rounding)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from glob import escape
@@ -27,8 +27,8 @@ from hyperval.collection_files import (
     VectorSource,
 )
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery import Cube, open_cube
 from hyperval.imagery.acquisition import acquisition_notes
-from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.envi import pixel_sides_m
 from hyperval.imagery.placing import LookupTable, location_table, open_lookup_table, table_of
 from hyperval.imagery.rasters import open_raster
@@ -45,7 +45,7 @@ from hyperval.imagery.regions import (
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.observe.truth_images import abundance_targets, finer_targets, material_regions
-from hyperval.processing.region_statistics import PackedMasks
+from hyperval.processing.statistics import Labels
 from hyperval.progress import track
 from hyperval.units import RADIANCE_UNIT
 
@@ -221,6 +221,7 @@ def _between(targets: Sequence[TargetObject]) -> str:
 
 SCENE = "scene"
 IMAGE = "image"
+_NEAR = "\0targets with their guard"  # among the labels: a name that no region has
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,13 +231,11 @@ class Place:
     Attributes
     ----------
     cube : the image
-    regions : name -> mask, as drawn; each is handed out as an array of its own
+    labels : regions as drawn, and the target pixels with their guard ring, as one label image
     targets : the target objects of the truth
-    near_targets : target pixels with their guard ring
-    left_out : pixels that count as neither background nor false alarm (targets with guard, named regions)
     pixel_area_m2 : ground area of a pixel, None when the cube is not georeferenced
-    by_rule : names of the regions that a rule on the spectra found
     target_pixels : which pixels of an object are scored: "touched" or "centre"
+    by_rule : names of the regions that a rule on the spectra found
     notes : what was assumed or found on opening
     table : geographic lookup table of a cube in scanner geometry, None without
     leave_out : names of the regions that are left out
@@ -244,10 +243,8 @@ class Place:
     """
 
     cube: Cube
-    regions: Mapping[str, Mask]
+    labels: Labels
     targets: Sequence[TargetObject] = ()
-    near_targets: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
-    left_out: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
     pixel_area_m2: float | None = None
     target_pixels: str = "touched"
     by_rule: frozenset[str] = frozenset()
@@ -257,47 +254,72 @@ class Place:
     by_number: bool = False
 
     @cached_property
+    def regions(self) -> Labels:
+        """The regions as drawn; a mask is handed out as an array of its own."""
+        return replace(self.labels, members={n: own for n, own in self.labels.members.items() if n != _NEAR})
+
+    @cached_property
     def classes(self) -> npt.NDArray[np.int32]:
         """(lines, samples) number of the class of each pixel: pixels that lie in the same regions are of one."""
-        label = np.zeros(self.cube.shape, np.int32)
-        for name in self.regions:
-            label = 2 * label + self.region(name)
-            label = (np.cumsum(np.bincount(label.ravel()) > 0) - 1).astype(np.int32)[label]
-        return label
+        if not self.regions:
+            return np.zeros(self.cube.shape, np.int32)
+        inside = np.stack(list(self.regions.members.values()), axis=1)
+        _, number = np.unique(inside, axis=0, return_inverse=True)
+        return np.asarray(number.reshape(-1).astype(np.int32)[self.labels.number])
+
+    @property
+    def near_targets(self) -> Mask:
+        """(lines, samples) target pixels with their guard ring."""
+        return self.labels[_NEAR]
+
+    @property
+    def in_scene(self) -> Mask:
+        """(K,) labels of the scene: neither targets with their guard nor regions that are left out."""
+        return self._free(self.leave_out)
+
+    def _free(self, leave_out: Iterable[str]) -> Mask:
+        taken = [self.labels.members[name] for name in (_NEAR, *leave_out)]
+        return np.asarray(~np.any(taken, axis=0))
 
     @property
     def source_files(self) -> tuple[Path, ...]:
         """The files of the cube and of its lookup table."""
         return self.cube.source_files + (self.table.raster.source_files if self.table is not None else ())
 
-    def background(self, names: Sequence[str]) -> Mask:
-        """Pixels of the union of regions, or of the whole scene, that are not left out.
+    def background_labels(self, names: Sequence[str]) -> Mask:
+        """(K,) labels of the union of regions, or of the whole scene, that are not left out.
 
         "image" is every pixel, the targets too: what a detector does that is told nothing of them.
         """
         if IMAGE in names:
-            return np.ones(self.cube.shape, bool)
+            return np.ones_like(self.in_scene)
         if SCENE in names:
-            return ~self.left_out
-        out = np.zeros(self.cube.shape, bool)
-        for name in names:
-            out |= self.pixels_of(name)
-        return out
+            return self.in_scene
+        return np.asarray(np.any([self.counted(name) for name in names], axis=0))
+
+    def background(self, names: Sequence[str]) -> Mask:
+        """(lines, samples) pixels of :meth:`background_labels`."""
+        return self.labels.mask(self.background_labels(names))
+
+    def counted(self, name: str) -> Mask:
+        """(K,) labels of a region that count: without targets, their guard and other regions that are left out."""
+        self._known(name)
+        return self.regions.members[name] & self._free(() if name in self.leave_out else self.leave_out)
 
     def pixels_of(self, name: str) -> Mask:
-        """Pixels of a region that count: without targets, their guard and other regions that are left out."""
-        mask = self.region(name) & ~self.near_targets if self.targets else self.region(name)
-        for other in () if name in self.leave_out else self.leave_out:
-            mask = mask & ~self.region(other)
-        return mask
+        """(lines, samples) pixels of :meth:`counted`."""
+        return self.labels.mask(self.counted(name))
 
     def region(self, name: str) -> Mask:
         """The mask of a region; raises UsageError for a name that no region has."""
+        self._known(name)
+        return self.regions[name]
+
+    def _known(self, name: str) -> None:
         if name not in self.regions:
             raise UsageError(
                 f"no region {name!r}", expected="one of " + ", ".join(self.regions) if self.regions else "a region"
             )
-        return self.regions[name]
 
 
 def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress: bool | None = None) -> Place:
@@ -318,11 +340,9 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
     near = all_pixels(targets, cube.shape)
     if targets and collection.targets and collection.targets.guard_pixels:
         near = guard(near, collection.targets.guard_pixels)
-    left_out = near
     for name in collection.leave_out:
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
-        left_out = left_out | regions[name].mask
     notes = [*cube.notes, *source_of, *header_notes(cube)]
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
@@ -332,10 +352,8 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
     notes += target_overlaps(regions.values(), targets, near)
     return Place(
         cube,
-        PackedMasks((name, region.mask) for name, region in regions.items()),
+        Labels.of(cube.shape, {name: region.mask for name, region in regions.items()} | {_NEAR: near}),
         targets,
-        near,
-        left_out,
         area_m2,
         collection.targets.pixels if collection.targets else "touched",
         by_rule,

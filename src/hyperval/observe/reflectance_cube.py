@@ -17,7 +17,7 @@ from rasterio.windows import Window
 
 from hyperval.errors import UsageError
 from hyperval.imagery import Cube, EnviRaster, envi_writer
-from hyperval.processing.elm import EmpiricalLine
+from hyperval.processing.line import EmpiricalLine
 from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file
@@ -68,7 +68,7 @@ def write_reflectance(
             mend="add collection.empirical_line with two panels",
         )
     axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & elm.usable)
-    what = f"reflectance by the empirical line through {', '.join(elm.panels)}; stored value = {SCALE} x reflectance"
+    what = f"reflectance by the empirical line through {', '.join(elm.names)}; stored value = {SCALE} x reflectance"
     path = folder / f"{name}.{'img' if form == 'envi' else 'tif'}"
     watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines, show=show_progress)
     outside = 0

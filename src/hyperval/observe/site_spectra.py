@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -26,23 +25,13 @@ from hyperval.collection import (
 )
 from hyperval.collection_files import BandTableFile, RadCalNetSource
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery.cube import Cube
+from hyperval.imagery import Cube
 from hyperval.paths import checked_file
 from hyperval.predict import Origins, predict
 from hyperval.prediction.inputs import Sources, band_error_covariance, correlation
-from hyperval.processing.elm import (
-    EmpiricalLine,
-    LineError,
-    PanelErrors,
-    PanelMeasurement,
-    contradiction,
-    darkest_pixel_panel,
-    fit_elm,
-    fit_gain,
-    line_error,
-)
-from hyperval.processing.region_statistics import darkest_values
+from hyperval.processing.line import EmpiricalLine, MeasuredPanel, darkest_pixel_panel, fit_elm
 from hyperval.processing.sample import SampleStatistics
+from hyperval.processing.statistics import darkest_values
 from hyperval.processing.wavelength_check import Shift, wavelength_shifts
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
 from hyperval.scenario import SpectrumSource, Surface, Uncertainty, load_scenario
@@ -213,7 +202,7 @@ def empirical_line(
     sampling: Mapping[str, EstimatedPart],
     cube: Cube,
     resolve: Callable[[str], Path],
-) -> LineError | None:
+) -> EmpiricalLine | None:
     """The line through the panels that a collection names; None without any.
 
     Parameters
@@ -226,26 +215,19 @@ def empirical_line(
     """
     if source is None:
         return None
-    panels, errors = [], []
+    panels = []
     for panel in source.panels:
-        if panel.region not in measured:
-            raise UsageError(f"empirical line: no region {panel.region!r}", expected="one of " + ", ".join(measured))
+        name = panel.region
+        if name not in measured:
+            raise UsageError(f"empirical line: no region {name!r}", expected="one of " + ", ".join(measured))
         mean, covariance = field_reflectance(panel, cube.axis, resolve)
-        sample = measured[panel.region]
-        part = sampling[panel.region]
-        error = part.covariance
-        sd = np.sqrt(np.diag(covariance))
-        panels.append(PanelMeasurement(panel.region, mean, sd, sample.mean, np.diag(error).copy(), sample.n))
-        errors.append(PanelErrors(covariance, error, part if sample.n > 1 else None))
-    if source.darkest_pixel is not None:
-        dark = source.darkest_pixel
+        sample, part = measured[name], sampling[name]
+        known_by = part if sample.n > 1 else None
+        panels.append(MeasuredPanel(name, mean, covariance, sample.mean, part.covariance, sample.n, known_by))
+    if (dark := source.darkest_pixel) is not None:
         noise = np.full(len(cube.axis), dark.radiance_noise**2)
-        darkest = darkest_pixel_panel(darkest_values(cube), noise, dark.reflectance, dark.uncertainty)
-        panels.append(darkest)
-        # What the darkest surface truly reflects is one unknown for all bands; its noise is each band's own.
-        u = darkest.reflectance_sd
-        errors.append(PanelErrors(np.outer(u, u), np.diag(darkest.radiance_variance)))
-    return line_error(fit_elm if source.intercept else fit_gain, panels, errors)
+        panels.append(darkest_pixel_panel(darkest_values(cube), noise, dark.reflectance, dark.uncertainty))
+    return fit_elm(panels, intercept=source.intercept)
 
 
 def refuse_saturated(source: EmpiricalLineSource | None, masks: Mapping[str, Mask], cube: Cube) -> None:
@@ -285,7 +267,7 @@ def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     usable = int((elm.usable & axis.good).sum())
     if usable < FEWEST_USABLE * good:
         out.append(f"the empirical line can be used in {usable} of {good} good bands only")
-    if (chi2 := contradiction(elm)) > 1.0:
+    if (chi2 := elm.contradiction) > 1.0:
         out.append(
             "the panels of the empirical line do not lie on one line within their stated errors: reduced "
             f"chi-square {chi2:.3g} (median over bands), by which the line's variance is widened"
@@ -304,12 +286,12 @@ def _left_out(elm: EmpiricalLine, axis: SpectralAxis) -> dict[str, Array]:
     if elm.leave_one_out is None:
         return {}
     errors = elm.leave_one_out[:, elm.usable & axis.good]
-    return {name: error[np.isfinite(error)] for name, error in zip(elm.panels, errors, strict=True)}
+    return {name: error[np.isfinite(error)] for name, error in zip(elm.names, errors, strict=True)}
 
 
 def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     """What is to be said of a line: its panels, the bands it cannot be used in, how well its panels agree."""
-    notes = [f"empirical line through {', '.join(elm.panels)}: usable in {int(elm.usable.sum())} bands"]
+    notes = [f"empirical line through {', '.join(elm.names)}: usable in {int(elm.usable.sum())} bands"]
     if not elm.usable.all():
         lost = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
         notes[0] += f"; no gain at {lost} nm"
@@ -494,25 +476,6 @@ class Site:
     line: str | None
 
 
-@dataclass(frozen=True)
-class _Panel:
-    """A point of a line: reflectance (B,) and radiance (B,), each with its error covariance (B, B)."""
-
-    name: str
-    reflectance: Array
-    reflectance_error: Array
-    radiance: Array
-    radiance_error: Array
-    n: int = 1
-
-    def measurement(self, use: Mask) -> tuple[PanelMeasurement, PanelErrors]:
-        """The panel in some bands."""
-        at = np.ix_(use, use)
-        errors = PanelErrors(self.reflectance_error[at], self.radiance_error[at])
-        sd, variance = np.sqrt(np.diag(errors.reflectance)), np.diag(errors.radiance).copy()
-        return PanelMeasurement(self.name, self.reflectance[use], sd, self.radiance[use], variance, self.n), errors
-
-
 def site_reflectance(
     source: EmpiricalLineSource, sites: Mapping[str, Site], axis: SpectralAxis, resolve: Resolve
 ) -> tuple[dict[str, SpectralEstimate], list[str]]:
@@ -535,7 +498,7 @@ def site_reflectance(
                 where="collection.empirical_line",
                 expected="one of " + ", ".join(sorted(repr(line) for line in lines)),
             )
-    panels: dict[str, _Panel] = {}
+    panels: dict[str, MeasuredPanel] = {}
     for panel in source.panels:
         name = panel.region
         if name not in sites:
@@ -545,7 +508,7 @@ def site_reflectance(
                 expected="one of " + ", ".join(sites),
             )
         site = sites[name]
-        panels[name] = _Panel(name, *field_reflectance(panel, axis, resolve), site.mean, site.own, site.n or 1)
+        panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), site.mean, site.own, site.n or 1)
     out: dict[str, SpectralEstimate] = {}
     notes: list[str] = []
     for name, site in sites.items():
@@ -568,18 +531,16 @@ def site_reflectance(
     return out, notes
 
 
-def _black(stated: PathRadiance, site: Site, axis: SpectralAxis, resolve: Resolve) -> _Panel:
+def _black(stated: PathRadiance, site: Site, axis: SpectralAxis, resolve: Resolve) -> MeasuredPanel:
     """The path radiance as a panel that reflects nothing."""
-    # Here, not above: few observations need the model, and it takes memory.
-
     black, zero = path_estimate(stated, axis, resolve), np.zeros(len(axis))
     # A common error of the calibration moves all sites and not the path: as if the path alone had moved.
     error = black.error_covariance + site.relative * np.outer(black.mean, black.mean)
-    return _Panel("the path radiance of the engine", zero, np.zeros_like(error), black.mean, error)
+    return MeasuredPanel("the path radiance of the engine", zero, zero, black.mean, error)
 
 
 def _by_line(
-    intercept: bool, site: Site, panels: Sequence[_Panel], axis: SpectralAxis
+    intercept: bool, site: Site, panels: Sequence[MeasuredPanel], axis: SpectralAxis
 ) -> tuple[SpectralEstimate, list[str]]:
     """Reflectance of a site by the line through panels, and notes, of which the first names the line.
 
@@ -587,12 +548,10 @@ def _by_line(
     ------
     UsageError : panels that fix no line.
     """
-    fit = partial(fit_elm, minimum_contrast=LEAST_CONTRAST) if intercept else fit_gain
     known = np.all([np.isfinite(p.reflectance) for p in panels], axis=0)
-    measured, errors = zip(*(p.measurement(known) for p in panels), strict=True)
-    by_line = line_error(fit, measured, errors)
-    line, level, at = by_line.line, site.mean[known], np.ix_(known, known)
-    parts = {"empirical line": by_line.covariance(level)}
+    line = fit_elm([p.bands(known) for p in panels], intercept=intercept, minimum_contrast=LEAST_CONTRAST)
+    level, at = site.mean[known], np.ix_(known, known)
+    parts = {"empirical line": line.error_covariance(level)}
     if np.any(site.own):
         parts["detector noise"] = site.own[at] / np.outer(line.gain, line.gain)
     mean = np.full(known.size, np.nan)
@@ -600,7 +559,7 @@ def _by_line(
     whole = {name: np.full((known.size, known.size), np.nan) for name in parts}
     for name, part in parts.items():
         whole[name][at] = part
-    words = f"{' and '.join(line.panels)}, usable in {int(line.usable.sum())} of {known.size} bands"
+    words = f"{' and '.join(line.names)}, usable in {int(line.usable.sum())} of {known.size} bands"
     return spectral_estimate(mean, whole, n=site.n), [words, *line_warnings(line, axis.select(known))]
 
 

@@ -22,8 +22,7 @@ from scipy.special import ndtri
 
 from hyperval.collection_files import AbundanceTruth, BandRange, FinerTruth, RegionSource
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery import Raster, open_raster, raster_of_size
-from hyperval.imagery.cube import Cube
+from hyperval.imagery import Cube, Raster, open_raster, raster_of_size
 from hyperval.imagery.drawing import outside_error
 from hyperval.imagery.regions import Region, patches
 from hyperval.imagery.truth import TargetObject, cut_out

@@ -35,22 +35,18 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, PositiveDefinite, design_filter
-from hyperval.processing.passes import (
-    StoredCube,
-    Workspace,
-    as_columns,
-    by_segments,
-    lines_per_block,
-    runs,
-)
+from hyperval.processing.line import EmpiricalLine
+from hyperval.processing.statistics import StoredBlock, Watch, by_segments, stream
+
+if TYPE_CHECKING:
+    from hyperval.imagery import Cube
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -107,7 +103,7 @@ class Whitener:
 
 
 def score_cube(
-    cube: StoredCube,
+    cube: Cube,
     detectors: Mapping[str, PixelDetector],
     elm: EmpiricalLine | None = None,
     bands: Mask | None = None,
@@ -116,7 +112,7 @@ def score_cube(
     needed: Mask | None = None,
     threads: int | None = None,
     block_lines: int | None = None,
-    watch: Callable[[Iterator[Any]], Iterator[Any]] = iter,
+    watch: Watch = iter,
 ) -> dict[str, Array]:
     """Score map (lines, samples) of every detector; no reflectance is written or kept.
 
@@ -141,42 +137,31 @@ def score_cube(
     must = used if needed is None else used | needed
     slope, level = stored_to_spectra(cube, elm, used)
     rows, constants, at = _stack(detectors, whitener, slope, level)
-    with_length = any(d.quadratic == "length" for d in detectors.values())
-    step = block_lines or lines_per_block(cube)
-    stretches, workspace = runs(used), Workspace()
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
     kept = _kept_whole(cube, detectors)  # NaN where there is no data
 
-    def segment(firsts: range) -> None:
-        for first in firsts:
-            count = min(step, cube.lines - first)
-            buffer = workspace.flat("stored", cube.bands * count * cube.samples, cube.dtype)
-            stored, usable = cube.read_stored(first, count, must, buffer)
-            pixels = workspace.columns("pixels", stored, slope.size, np.float64)
-            for source, target in stretches:
-                np.copyto(pixels[target], stored[source])
-            columns = as_columns(pixels)
+    def segment(blocks: Iterator[StoredBlock]) -> None:
+        for lines, stored, usable in blocks:
             with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-                y = rows @ columns
+                y = rows @ stored
                 y += constants[:, None]
-                distance = np.einsum("ij,ij->j", y[at[-1] :], y[at[-1] :]) if at[-1] < len(y) else None
-                length = None
-                if with_length:
-                    spectra = columns * slope[:, None] + level[:, None]
-                    length = np.einsum("ij,ij->j", spectra, spectra)
+                squares: dict[Quadratic | None, Array | None] = {None: None}
+                if at[-1] < len(y):
+                    squares["distance"] = _dot(y[at[-1] :], y[at[-1] :])
+                if any(d.quadratic == "length" for d in detectors.values()):
+                    spectra = stored * slope[:, None] + level[:, None]
+                    squares["length"] = _dot(spectra, spectra)
                 for (name, detector), a, b in zip(detectors.items(), at, at[1:], strict=False):
-                    value = {None: None, "distance": distance, "length": length}[detector.quadratic]
+                    value = squares[detector.quadratic]
                     if name in kept:
-                        here = y[a:b] if value is None else np.vstack([y[a:b], value])
-                        kept[name][:, first : first + count] = np.where(usable.ravel(), here, np.nan).reshape(
-                            -1, count, cube.samples
-                        )
-                        continue
-                    score = y[a] if detector.combine is None else detector.combine(y[a:b], value)
-                    score = np.where(usable.ravel() & np.isfinite(score), score, np.nan)
-                    maps[name][first : first + count] = score.reshape(count, cube.samples)
+                        score = y[a:b] if value is None else np.vstack([y[a:b], value])
+                    else:
+                        score = y[a] if detector.combine is None else detector.combine(y[a:b], value)
+                        score = np.where(np.isfinite(score), score, np.nan)
+                    score = np.where(usable.ravel(), score, np.nan)
+                    kept.get(name, maps[name])[..., lines, :] = score.reshape(*score.shape[:-1], *usable.shape)
 
-    for _ in watch(by_segments(cube, step, segment, threads=threads)):
+    for _ in stream(cube, segment, used, must, threads=threads, block_lines=block_lines, watch=watch):
         pass
     for name, values in kept.items():
         known = np.isfinite(values).all(axis=0)
@@ -189,7 +174,7 @@ def score_cube(
     return maps
 
 
-def _kept_whole(cube: StoredCube, detectors: Mapping[str, PixelDetector]) -> dict[str, Array]:
+def _kept_whole(cube: Cube, detectors: Mapping[str, PixelDetector]) -> dict[str, Array]:
     """Room (K, lines, samples) for what each detector that sees the whole image makes of the pixels."""
     whole = {name: d for name, d in detectors.items() if d.combine is not None and not d.by_pixel}
     rows = {name: len(d.weights) + (d.quadratic is not None) for name, d in whole.items()}
@@ -204,7 +189,7 @@ def _kept_whole(cube: StoredCube, detectors: Mapping[str, PixelDetector]) -> dic
     return {name: np.full((k, cube.lines, cube.samples), np.nan) for name, k in rows.items()}
 
 
-def stored_to_spectra(cube: StoredCube, elm: EmpiricalLine | None, used: Mask) -> tuple[Array, Array]:
+def stored_to_spectra(cube: Cube, elm: EmpiricalLine | None, used: Mask) -> tuple[Array, Array]:
     """(F,) slope and level that make the detectors' spectra out of stored numbers s: slope s + level."""
     gain, offset = cube.gain[used], cube.offset[used]
     if elm is None:
@@ -258,7 +243,7 @@ class LocalWindow(NamedTuple):
 
 
 def score_cube_locally(
-    cube: StoredCube,
+    cube: Cube,
     detectors: Mapping[str, tuple[str, npt.ArrayLike | None]],
     whitener: Whitener,
     window: LocalWindow,
@@ -268,7 +253,7 @@ def score_cube_locally(
     *,
     needed: Mask | None = None,
     threads: int | None = None,
-    watch: Callable[[Iterator[Any]], Iterator[Any]] = iter,
+    watch: Watch = iter,
 ) -> tuple[dict[str, Array], int]:
     """Score map of every detector with the mean of each pixel's surroundings; how many pixels had the global mean.
 
@@ -337,7 +322,7 @@ def score_cube_locally(
                     maps[name][line, start:stop] = np.where(has & np.isfinite(score), score, np.nan)
         return lonely
 
-    return maps, sum(count for _, count in watch(by_segments(cube, _LINES_AT_ONCE, segment, threads=threads)))
+    return maps, sum(by_segments(cube, _LINES_AT_ONCE, segment, threads=threads, watch=watch))
 
 
 def moving_means(

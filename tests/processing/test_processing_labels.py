@@ -1,25 +1,25 @@
-"""Masks at one bit a pixel, and pixels of a mask by their number."""
+"""Masks as one label image, and pixels of a mask by their number."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hyperval.processing.region_statistics import MaskBits, PackedMasks
 from hyperval.processing.sample import drawn_pixels, neighbour_shares, nth_pixels
+from hyperval.processing.statistics import Labels
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (3, 8), (7, 13), (40, 257)])
-def test_packed_masks_come_back_whole_and_by_lines(shape: tuple[int, int]):
-    mask = np.random.default_rng(1).random(shape) < 0.3
-    bits = MaskBits.of(mask)
-    np.testing.assert_array_equal(bits[:], mask)
-    np.testing.assert_array_equal(bits[1:3], mask[1:3])
-    assert bits.bits.nbytes == shape[0] * -(-shape[1] // 8)
-    masks = PackedMasks({"a": mask, "b": ~mask}.items())
-    masks.add("b", mask)
-    assert list(masks) == ["a", "b"]
-    assert all(np.array_equal(masks[name], mask) for name in masks)
+@pytest.mark.parametrize("shape", [(1, 1), (3, 8), (7, 13), (600, 25)])
+def test_masks_come_back_whole_from_their_labels(shape: tuple[int, int]):
+    rng = np.random.default_rng(1)
+    masks = {str(i): rng.random(shape) < 0.3 for i in range(9)}
+    labels = Labels.of(shape, masks).with_masks([("none", np.zeros(shape, bool))])
+    assert list(labels) == [*masks, "none"]
+    assert all(np.array_equal(labels[name], mask) for name, mask in masks.items())
+    assert not labels["none"].any()
+    # As many labels as there are different sets of regions, and each is some pixel's.
+    sets = np.unique(np.stack([m.ravel() for m in masks.values()], axis=1), axis=0)
+    assert np.array_equal(np.unique(labels.number), np.arange(len(sets)))
 
 
 def test_numbers_of_pixels_are_those_of_nonzero():

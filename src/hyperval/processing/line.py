@@ -1,0 +1,413 @@
+"""Empirical line method on measured panels: radiance to reflectance with its uncertainty.
+
+A straight line with errors in both coordinates, for many bands at once, with an offset or through the origin; the
+darkest pixel as the dark panel.  A material of known spectrum that lies in the scene (a colour standard) is a panel
+like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from hyperval.errors import UsageError
+from hyperval.products import EstimatedPart
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+MINIMUM_CONTRAST = 0.1  # reflectance between the darkest and the brightest panel
+MINIMUM_GAIN_SNR = 5.0  # gain over its standard uncertainty
+PERCENT_LIMIT = 1.5  # no panel reflects more; above it the numbers are percent
+_ITERATIONS = 100
+_TOLERANCE = 1e-13
+_STEP = 1e-4  # of the reflectance of a panel, and of its radiance
+
+
+@dataclass(frozen=True)
+class LineFit:
+    """y = intercept + slope x for each of B problems of P points.
+
+    ``slope``, ``intercept``, ``reduced_chi2`` are (B,), ``covariance`` of (slope, intercept) is (B, 2, 2),
+    ``residuals`` y - intercept - slope x are (P, B).
+    """
+
+    slope: Array
+    intercept: Array
+    covariance: Array
+    residuals: Array
+    reduced_chi2: Array
+
+
+def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, intercept: bool = True) -> LineFit:
+    """Best line through points whose x and y both carry independent errors.
+
+    York's iteration in the form of York, Evensen, Lopez Martinez & De Basabe Delgado, Am. J. Phys. 72,
+    367-375, 2004 (their section III, r_i = 0); first given by York, Earth Planet. Sci. Lett. 5, 320-324, 1968.
+    Through the origin it is the same about 0 in place of the weighted means, and the zero of dS/dk for the least
+    S = sum (y - k x)^2/(var y + k^2 var x).
+
+    Parameters
+    ----------
+    x, y, x_variance, y_variance : (P, B); in a band either all points have an error or none has, and a band
+        without errors is fitted with equal weights and a covariance of zero
+    intercept : False: the line goes through the origin
+
+    Raises
+    ------
+    UsageError : some points of a band have an error and others none.
+    """
+    exact = (x_variance == 0) & (y_variance == 0)
+    none = exact.all(axis=0)
+    if np.any(exact.any(axis=0) & ~none):
+        raise UsageError(
+            "some panels have an error and others have none",
+            mend="give every panel an uncertainty in reflectance or radiance, or none of them",
+        )
+    # Error-free bands: unit weights make the same iteration ordinary least squares.
+    vx, vy = np.where(none, 0.0, x_variance), np.where(none, 1.0, y_variance)
+
+    def mean(values: Array, weight: Array) -> Array:
+        return np.sum(weight * values, axis=0) / np.sum(weight, axis=0) if intercept else np.zeros(x.shape[1])
+
+    def step(slope: Array) -> tuple[Array, Array, Array, Array]:
+        w = 1.0 / (vy + slope**2 * vx)  # York et al. 2004, weights W_i with r_i = 0
+        dx, dy = x - mean(x, w), y - mean(y, w)
+        return w, w * (dx * vy + slope * dy * vx), dx, dy  # beta_i
+
+    dx, dy = x - mean(x, np.ones_like(x)), y - mean(y, np.ones_like(y))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.sum(dx * dy, axis=0) / np.sum(dx * dx, axis=0)
+        for _ in range(_ITERATIONS):
+            before = slope
+            w, beta, dx, dy = step(slope)
+            slope = np.sum(w * beta * dy, axis=0) / np.sum(w * beta * dx, axis=0)
+            if not np.any(np.abs(slope - before) > _TOLERANCE * np.abs(slope)):
+                break
+        w, beta, _, _ = step(slope)
+        adjusted = mean(x, w) + beta
+        centre = mean(adjusted, w)
+        variance = 1.0 / np.sum(w * (adjusted - centre) ** 2, axis=0)
+    covariance = np.zeros((x.shape[1], 2, 2))
+    covariance[:, 0, 0] = variance
+    covariance[:, 0, 1] = covariance[:, 1, 0] = -centre * variance
+    covariance[:, 1, 1] = (1.0 / np.sum(w, axis=0) if intercept else 0.0) + centre**2 * variance
+    covariance[none] = 0.0
+    level = mean(y, w) - slope * mean(x, w)
+    residuals = y - level - slope * x
+    free = len(x) - 1 - intercept
+    reduced = np.where(none | (free == 0), np.nan, np.sum(w * residuals**2, axis=0) / max(free, 1))
+    return LineFit(slope, level, covariance, residuals, reduced)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPanel:
+    """A point of an empirical line: a panel, or a site, seen in the field and in the image.
+
+    Attributes
+    ----------
+    name : of the panel
+    reflectance : (B,) in the field [1]
+    reflectance_error : (B, B) covariance of its error, or (B,) variances where bands err alone
+    radiance : (B,) mean of its pixels [uW cm-2 sr-1 nm-1]
+    radiance_error : of that mean, likewise
+    n : pixels behind the mean
+    sampled : ``radiance_error`` with what it is known by, where it was estimated from the panel's pixels
+    """
+
+    name: str
+    reflectance: Array
+    reflectance_error: Array
+    radiance: Array
+    radiance_error: Array
+    n: int = 1
+    sampled: EstimatedPart | None = None
+
+    def __post_init__(self) -> None:
+        bands = np.shape(self.reflectance)
+        for name in ("reflectance", "reflectance_error", "radiance", "radiance_error"):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if len(bands) != 1 or value.shape not in ((bands, 2 * bands) if name.endswith("error") else (bands,)):
+                raise UsageError(f"panel {self.name!r}: {name} has shape {value.shape}, reflectance {bands}")
+            object.__setattr__(self, name, value)
+
+    def bands(self, use: Mask) -> MeasuredPanel:
+        """The panel in some of the bands."""
+
+        def cut(values: Array) -> Array:
+            return values[np.ix_(*values.ndim * [use])]
+
+        sampled = None if self.sampled is None else self.sampled.bands(use)
+        return MeasuredPanel(
+            self.name, cut(self.reflectance), cut(self.reflectance_error), cut(self.radiance), cut(self.radiance_error),
+            self.n, sampled,
+        )  # fmt: skip
+
+
+def variance_of(error: Array) -> Array:
+    """(B,) variances of errors given by those, or by their covariance (B, B)."""
+    return np.diag(error) if error.ndim == 2 else error
+
+
+@dataclass(frozen=True, eq=False)
+class EmpiricalLine:
+    """The line L = offset + gain rho of each band, and how the reflectance by it depends on its panels.
+
+    Attributes
+    ----------
+    gain, offset : (B,) [uW cm-2 sr-1 nm-1]; NaN in bands that are not ``usable``
+    covariance : (B, 2, 2) of (gain, offset) in that order
+    residuals : (P, B) collected less fitted radiance by panel
+    reduced_chi2 : (B,) chi-square over P - 2 (P - 1 through the origin); NaN where any line fits
+    leave_one_out : (P, B) reflectance error of each panel under the line of the others, an extrapolation for
+        the darkest and the brightest; None where the others fix no line
+    usable : (B,) False where the panels do not differ enough, or are too noisy, to fix a gain
+    panels : in the order of the residuals
+    intercept : False: the line goes through the origin
+    limits : least contrast of the panels, and gain over its standard uncertainty, of a band that is usable
+    """
+
+    gain: Array
+    offset: Array
+    covariance: Array
+    residuals: Array
+    reduced_chi2: Array
+    leave_one_out: Array | None
+    usable: Mask
+    panels: tuple[MeasuredPanel, ...]
+    intercept: bool = True
+    limits: tuple[float, float] = (MINIMUM_CONTRAST, MINIMUM_GAIN_SNR)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the panels."""
+        return tuple(p.name for p in self.panels)
+
+    def reflectance(self, radiance: npt.ArrayLike) -> Array:
+        """(..., B) reflectance (L - b)/k of a radiance (..., B)."""
+        return (np.asarray(radiance, dtype=float) - self.offset) / self.gain
+
+    def radiance(self, reflectance: npt.ArrayLike) -> Array:
+        """(..., B) radiance b + k rho of a reflectance (..., B)."""
+        return np.asarray(self.offset + self.gain * np.asarray(reflectance, dtype=float))
+
+    def without(self, name: str) -> EmpiricalLine | None:
+        """The line through the other panels; None where they fix no line."""
+        try:
+            return fit_elm(
+                [p for p in self.panels if p.name != name], intercept=self.intercept,
+                minimum_contrast=self.limits[0], minimum_gain_snr=self.limits[1],
+            )  # fmt: skip
+        except UsageError:
+            return None
+
+    @property
+    def contradiction(self) -> float:
+        """Factor by which the panels' errors are greater than stated: 1 where they lie on one line within these.
+
+        Else the reduced chi-square, median over bands, where chance exceeds it in one line of a hundred.  Source:
+        Birge, Phys. Rev. 40, 207-227, 1932; York et al., Am. J. Phys. 72, 367-375, 2004.
+        """
+        chi2 = self.reduced_chi2[np.isfinite(self.reduced_chi2)]
+        freedom = len(self.panels) - 1 - self.intercept
+        if not chi2.size or freedom < 1:
+            return 1.0
+        median = float(np.median(chi2))
+        return median if median > 2.0 * special.gammaincinv(freedom / 2.0, 0.99) / freedom else 1.0
+
+    def error_covariance(self, radiance: npt.ArrayLike, own: str = "") -> Array:
+        """(B, B) error covariance, by its panels, of the reflectance of a mean radiance (B,).
+
+        sum over panels of D C_rho D + E C_L E with D, E = diag of the derivatives of the reflectance.  ``own``
+        names the panel whose mean radiance it is: the same pixels then are on both sides, and 1/gain comes on top
+        of E, so that a line through two panels gives their reflectances back whatever their radiances.  Panels
+        that contradict each other have greater errors than is stated: :attr:`contradiction` widens them.
+        """
+        total = np.zeros((self.gain.size, self.gain.size))
+        for panel, d, e in zip(self.panels, *self._slopes(radiance), strict=True):
+            if panel.name == own:
+                e = e + 1.0 / self.gain
+            for error, slope in ((panel.reflectance_error, d), (panel.radiance_error, e)):
+                total += np.diag(error * slope**2) if error.ndim == 1 else error * np.outer(slope, slope)
+        return total * self.contradiction
+
+    def estimated(self, radiance: npt.ArrayLike) -> tuple[EstimatedPart, ...]:
+        """The parts of :meth:`error_covariance` that were estimated from the panels' pixels; others count as known."""
+        widened = self.contradiction
+        return tuple(
+            panel.sampled.of_each(partial(np.multiply, widened * np.outer(e, e)))
+            for panel, e in zip(self.panels, self._slopes(radiance)[1], strict=True)
+            if panel.sampled is not None
+        )
+
+    def _slopes(self, radiance: npt.ArrayLike) -> Array:
+        """(2, P, B) derivatives of the reflectance of a radiance (B,) by the panels' reflectance and radiance."""
+        gain, offset, step = self._moved
+        moved = (np.asarray(radiance, dtype=float) - offset) / gain
+        return np.asarray((moved[:, :, 0] - moved[:, :, 1]) / (2.0 * step))
+
+    @cached_property
+    def _moved(self) -> tuple[Array, Array, Array]:
+        """(2, P, 2, B) gains and offsets with a panel's reflectance, or radiance, a step up and down; (2, P, B) steps.
+
+        Central differences: the law of propagation (JCGM 100:2008, 5.2).
+        """
+        x, y, vx, vy = (part[:, self.usable] for part in _points(self.panels))
+        count, steps = len(x), _STEP * np.stack([np.maximum(x, 0.01), np.maximum(np.abs(y), 1e-12)])
+        columns = []
+        for kind, panel, sign in np.ndindex(2, count, 2):
+            columns.append((x.copy(), y.copy()))
+            columns[-1][kind][panel] += (1 - 2 * sign) * steps[kind, panel]
+        moved = (np.concatenate(part, axis=1) for part in zip(*columns, strict=True))
+        fit = fit_line(*moved, *(np.tile(v, len(columns)) for v in (vx, vy)), intercept=self.intercept)
+        parts = (part.reshape(2, count, 2, -1) for part in (fit.slope, fit.intercept))
+        gain, offset, steps = (_spread(part, self.usable) for part in (*parts, steps))
+        return gain, offset, steps
+
+
+def _spread(values: Array, usable: Mask) -> Array:
+    """Values (..., U) of the usable bands among all (..., B), NaN in the others."""
+    full = np.full((*values.shape[:-1], usable.size), np.nan)
+    full[..., usable] = values
+    return full
+
+
+def _points(panels: Sequence[MeasuredPanel]) -> tuple[Array, Array, Array, Array]:
+    """(P, B) reflectance, radiance, and the variances of their errors."""
+    return (
+        np.stack([p.reflectance for p in panels]), np.stack([p.radiance for p in panels]),
+        np.stack([variance_of(p.reflectance_error) for p in panels]),
+        np.stack([variance_of(p.radiance_error) for p in panels]),
+    )  # fmt: skip
+
+
+def fit_elm(
+    panels: Sequence[MeasuredPanel],
+    *,
+    intercept: bool = True,
+    saturation: npt.ArrayLike | None = None,
+    minimum_contrast: float = MINIMUM_CONTRAST,
+    minimum_gain_snr: float = MINIMUM_GAIN_SNR,
+) -> EmpiricalLine:
+    """Line through all panels, band by band, with errors in reflectance and in radiance.
+
+    Exact for two panels; more are weighted by York's method (:func:`fit_line`).  A band whose panels differ by less
+    than ``minimum_contrast`` or whose gain is below ``minimum_gain_snr`` times its uncertainty gets NaN; where that
+    is more than half of the bands the panels are refused.
+
+    Parameters
+    ----------
+    intercept : False: L = gain rho, for radiance whose path part is removed or small, for which one panel is enough.
+        The offset and its covariances are 0: that it is none is the assumption
+    saturation : scalar or (B,) radiance at which the detector is full; a panel that reaches it is refused
+
+    Raises
+    ------
+    UsageError : too few panels, reflectance in percent, saturated panels, equal panels (two bright ones fit
+        anything), or panels too noisy or too dark to fix a line.
+    """
+    panels = tuple(panels)
+    _refuse_bad_panels(panels, saturation, least=1 + intercept)
+    points = _points(panels)
+
+    def contrast(rows: Mask) -> Array:
+        return np.ptp(points[0][rows], axis=0) if intercept else np.full(points[0].shape[1], np.inf)
+
+    def fitted(rows: Mask, bands: Mask) -> tuple[LineFit, Mask]:
+        """The line through some panels in some bands, and in which of these it has no gain."""
+        fit = fit_line(*(part[np.ix_(rows, bands)] for part in points), intercept=intercept)
+        return fit, ~(fit.slope > minimum_gain_snr * np.sqrt(fit.covariance[:, 0, 0]))
+
+    every = np.ones(len(panels), bool)
+    flat = contrast(every) < minimum_contrast
+    if np.mean(flat) > 0.5:
+        raise UsageError(
+            f"the panels {', '.join(p.name for p in panels)} differ by {np.median(contrast(every)):.3g} in reflectance "
+            "(median over bands)",
+            expected=f"at least {minimum_contrast:g}",
+            mend="add a darker or brighter panel",
+        )
+    fit, noisy = fitted(every, ~flat)
+    if np.mean(noisy) > 0.5:
+        raise UsageError(
+            f"the gain is below {minimum_gain_snr:g} times its uncertainty in {int(noisy.sum())} of {noisy.size} bands",
+            expected="panels whose radiances differ clearly, the brighter one being the more reflective",
+            mend="use larger regions, check which panel is which, or give the panel errors as they are",
+        )
+    usable = ~flat
+    usable[usable] = ~noisy
+    left_out = np.full(points[0].shape, np.nan)
+    for i in range(len(panels)) if len(panels) > 1 + intercept else ():
+        rest = np.arange(len(panels)) != i
+        # Without panel i the others may fix no line in a band, which then has no leave-one-out error.
+        clear = usable & (contrast(rest) >= minimum_contrast)
+        part, lost = fitted(rest, clear)
+        error = (points[1][i, clear] - part.intercept) / part.slope - points[0][i, clear]
+        left_out[i, clear] = np.where(lost, np.nan, error)
+    parts = (fit.slope, fit.intercept, fit.covariance.T, fit.residuals, fit.reduced_chi2)
+    gain, offset, covariance, residuals, chi2 = (_spread(part[..., ~noisy], usable) for part in parts)
+    return EmpiricalLine(
+        gain, offset, covariance.T, residuals, chi2, left_out if len(panels) > 1 + intercept else None, usable, panels,
+        intercept, (minimum_contrast, minimum_gain_snr),
+    )  # fmt: skip
+
+
+def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], saturation: npt.ArrayLike | None, least: int) -> None:
+    """Raise UsageError for fewer panels than ``least``, reflectances that are none, and saturated panels."""
+    if len(panels) < least:
+        raise UsageError(
+            f"{len(panels)} panel for an empirical line", expected="two or more" if least == 2 else "one or more"
+        )
+    if len({p.reflectance.size for p in panels}) > 1:
+        raise UsageError("the panels have different numbers of bands")
+    for p in panels:
+        errors = variance_of(p.reflectance_error), variance_of(p.radiance_error)
+        if not all(np.all(np.isfinite(values)) for values in (p.reflectance, p.radiance, *errors)):
+            raise UsageError(f"panel {p.name!r} holds NaN or infinity", mend="leave those bands out")
+        if np.any(np.stack(errors) < 0):
+            raise UsageError(f"panel {p.name!r}: a variance is negative")
+        if p.n < 1:
+            raise UsageError(f"panel {p.name!r} has no pixels")
+        if np.any(p.reflectance > PERCENT_LIMIT):
+            raise UsageError(
+                f"panel {p.name!r} has a reflectance of {p.reflectance.max():.4g}",
+                expected="a fraction, 0 to 1",
+                mend="divide percent by 100",
+            )
+        if np.any(p.reflectance < -0.05):
+            raise UsageError(f"panel {p.name!r} has a reflectance of {p.reflectance.min():.3g}")
+        full = p.radiance >= (np.inf if saturation is None else np.asarray(saturation, dtype=float))
+        if np.any(full):
+            raise UsageError(
+                f"panel {p.name!r} is saturated in {int(full.sum())} bands (first: band {int(full.argmax()) + 1})",
+                mend="leave the panel or those bands out",
+            )
+
+
+def darkest_pixel_panel(
+    darkest: npt.ArrayLike, noise_variance: npt.ArrayLike, reflectance: float = 0.0, reflectance_sd: float = 0.01
+) -> MeasuredPanel:
+    """The darkest radiance of the scene in each band (B,) as a panel of low, assumed reflectance.
+
+    The least of many noisy pixels lies below the darkest surface by some standard deviations of the noise; the
+    variance of the panel is therefore that of one pixel's noise, which is each band's own.  What the darkest surface
+    truly reflects is one unknown for all bands.  The darkest pixels of different bands may be different ones.
+
+    Raises
+    ------
+    UsageError : a darkest radiance that is not finite or negative beyond three standard deviations of noise.
+    """
+    least, noise = np.asarray(darkest, dtype=float), np.asarray(noise_variance, dtype=float)
+    lost = ~(least >= -3.0 * np.sqrt(noise)) | ~np.isfinite(least)
+    if np.any(lost):
+        raise UsageError(
+            f"the darkest radiance of the scene is negative or unknown in {int(np.sum(lost))} bands",
+            mend="state the ignore value of the cube, or leave those bands out",
+        )
+    each = np.ones(least.size)
+    return MeasuredPanel("darkest pixel", reflectance * each, reflectance_sd**2 * np.outer(each, each), least, noise)
