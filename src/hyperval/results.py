@@ -25,6 +25,12 @@ class Outcome(StrEnum):
     NONE = "none"
 
 
+# The outcome that counts where several rows or criteria are one entry: the first of these that one of them has.
+WORST_FIRST = (
+    Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.AGREES, Outcome.NONE,
+)  # fmt: skip
+
+
 class Role(StrEnum):
     """Whether a row decides, or informs."""
 
@@ -222,3 +228,86 @@ class ResultTable:
         if strict and outcomes & {Outcome.UNDECIDED, Outcome.SKIPPED}:
             return 1
         return 0 if Outcome.AGREES in outcomes else 5
+
+
+def row_name(row: Result) -> str:
+    """Subject, method, metric and band in one line."""
+    parts = [row.subject, row.method, row.metric]
+    if math.isfinite(row.band_nm):
+        parts.append(f"{row.band_nm:g} nm")
+    return " ".join(part for part in parts if part)
+
+
+_LEAST_WIDTH = 1e-3  # half width of an interval, as a part of the value
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The same comparison in two runs; None where one has it not."""
+
+    a: Result | None
+    b: Result | None
+
+    @property
+    def either(self) -> Result:
+        """The row of one of them, for its names."""
+        row = self.a or self.b
+        assert row is not None  # noqa: S101 - a pair is made from at least one row
+        return row
+
+    @property
+    def name(self) -> str:
+        """What is compared."""
+        return f"{self.either.product} {row_name(self.either)}"
+
+    @property
+    def gates(self) -> bool:
+        """Whether the row decides something in either run."""
+        return any(r is not None and r.gates for r in (self.a, self.b))
+
+    @property
+    def difference(self) -> float:
+        """B minus A; NaN where one has no value."""
+        return self.b.value - self.a.value if self.a and self.b else math.nan
+
+    @property
+    def verdict_changed(self) -> bool:
+        """Whether the outcome differs; a gating row that one run lacks has changed too."""
+        if self.a and self.b:
+            return self.a.outcome != self.b.outcome
+        return self.gates
+
+    @property
+    def size(self) -> float:
+        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal.
+
+        An interval of next to no width counts as a thousandth of the value: rounding is no news.
+        """
+        if not self.a or not self.b or not self.difference:
+            return 0.0
+        halves = [(r.upper - r.lower) / 2 for r in (self.a, self.b)]
+        value = max(abs(self.a.value), abs(self.b.value))
+        scale = max((max(h, _LEAST_WIDTH * value) for h in halves if h > 0), default=value)
+        return abs(self.difference) / scale if scale > 0 else 0.0
+
+
+def paired(a: ResultTable, b: ResultTable) -> list[Pair]:
+    """Rows of two tables by what they compare, in the order of the first; of rows alike the n-th meets the n-th.
+
+    Two single campaigns are compared whatever their names; folders of several by campaign.
+    """
+    single = all(len({row.campaign for row in table}) <= 1 for table in (a, b))
+    first, second = _keyed(a, single), _keyed(b, single)
+    return [Pair(first.get(key), second.get(key)) for key in dict.fromkeys([*first, *second])]
+
+
+def _keyed(table: ResultTable, single: bool) -> dict[tuple[Any, ...], Result]:
+    out: dict[tuple[Any, ...], Result] = {}
+    for row in table:
+        band = None if math.isnan(row.band_nm) else round(row.band_nm, 3)
+        key = ("" if single else row.campaign, row.product, row.subject, row.method, row.metric, band)
+        count = 0
+        while (*key, count) in out:
+            count += 1
+        out[(*key, count)] = row
+    return out

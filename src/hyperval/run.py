@@ -62,7 +62,7 @@ from hyperval.products import (
     RocCurve,
     SpectralEstimate,
 )
-from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role
+from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role, row_name
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import write_text
 
@@ -394,14 +394,6 @@ def _why(row: Result) -> str:
 
 def _attribute(text: str) -> str:
     return quoteattr(_NOT_XML.sub("\ufffd", text), {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
-
-
-def row_name(row: Result) -> str:
-    """Subject, method, metric and band in one line."""
-    parts = [row.subject, row.method, row.metric]
-    if math.isfinite(row.band_nm):
-        parts.append(f"{row.band_nm:g} nm")
-    return " ".join(part for part in parts if part)
 
 
 def json_value(value: Any) -> Any:

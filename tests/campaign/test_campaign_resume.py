@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -206,14 +207,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         ran.append(job.campaign.name)
         row = Result(job.campaign.name, "radiance", "grass", "predicted", "mean", 1.0)
         provenance = {"inputs": log.entries(), "warnings": []}
-        return RunReport(
-            job.campaign.name,
-            job.campaign.title,
-            "",
-            job.campaign.simulated,
-            ResultTable([row]),
-            provenance=provenance,
-        )
+        own = job.campaign
+        return RunReport(own.name, own.title, "", own.simulated, ResultTable([row]), provenance=provenance)
 
     def write(run, folder):
         write_table(run.table, folder)
@@ -260,6 +255,21 @@ def test_a_campaign_more_does_not_make_the_others_run_again(make_small, quick, t
         command(count, *more)
         assert sorted(quick) == ran, (count, more)
     assert {"first", "second", "third", "fourth"} < {p.name for p in (tmp_path / "out").iterdir()}
+
+
+def test_a_flight_line_more_does_not_make_the_others_run_again(make_small, quick, tmp_path):
+    """The file of several runs gets another one, whose image and header lie beside theirs."""
+    small = make_small("lines")
+    cube = small.folder / small.data["collection"]["cube"]["path"]
+    small.data |= {"name": "line-{line}"}
+    small.data["collection"]["cube"]["path"] = str(cube.with_name("line-{line}.img").relative_to(small.folder))
+    for count, ran in ((3, ["line-1", "line-2", "line-3"]), (4, ["line-4"])):
+        quick.clear()
+        small.data["runs"] = [{"line": str(i + 1)} for i in range(count)]
+        for line, end in product(range(1, count + 1), (".img", ".hdr")):
+            shutil.copy(cube.with_suffix(end), cube.with_name(f"line-{line}{end}"))
+        validate([small.write()], tmp_path / "out")
+        assert sorted(quick) == ran
 
 
 def test_a_run_into_a_folder_whose_name_begins_alike_takes_nothing_away(make_small, quick, tmp_path, monkeypatch):

@@ -18,18 +18,17 @@ from hyperval.baseline.accepted import (
     SENSORS,
     Accepted,
     Baseline,
-    Measured,
     accepted_of,
     campaign_metrics,
     load_baseline,
     sensor_metrics,
 )
-from hyperval.baseline.check import Difference, compare
+from hyperval.baseline.check import compare
 from hyperval.campaign.job import Job
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.schema import load_campaign
 from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, matched_filter_weights, solved_filter
-from hyperval.results import Outcome
+from hyperval.results import Outcome, Result
 from hyperval.scene.fill import fixed_fill
 from hyperval.sensor.specification import library_names, load_sensor
 from small_campaign import SmallCampaign, stand_in_atmosphere
@@ -39,7 +38,7 @@ SENSOR = "prospectir-vs"
 Patch = pytest.MonkeyPatch
 
 
-def campaign_numbers(small: SmallCampaign) -> dict[str, Measured]:
+def campaign_numbers(small: SmallCampaign) -> dict[str, Result]:
     """Numbers of the small campaign, whose fills vary from pixel to pixel."""
     for subject in small.scenario["scene"]["targets"][0]["subjects"]:
         mean = subject["fill"].get("fixed", subject["fill"].get("mean"))
@@ -48,7 +47,7 @@ def campaign_numbers(small: SmallCampaign) -> dict[str, Measured]:
     return campaign_metrics(run_campaign(Job(load_campaign(path), path), show_progress=False).table)
 
 
-def sensor_numbers() -> dict[str, Measured]:
+def sensor_numbers() -> dict[str, Result]:
     return sensor_metrics(load_sensor(SENSOR), stand_in_atmosphere)
 
 
@@ -66,7 +65,7 @@ def sound_campaign(small_collection: Path, tmp_path_factory: pytest.TempPathFact
         return accepted_of(campaign_numbers(SmallCampaign(folder)), {})
 
 
-def wrong(accepted: Mapping[str, Accepted], now: Mapping[str, Measured]) -> list[Difference]:
+def wrong(accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:
     return [d for d in compare("it", accepted, now) if d.outcome is Outcome.DISAGREES]
 
 
@@ -183,11 +182,10 @@ def test_a_defect_moves_a_number_of_the_sensor(defect, metric, sound_sensor, mon
     assert_moved(wrong(sound_sensor, sensor_numbers()), metric)
 
 
-def assert_moved(found: list[Difference], metric: str) -> None:
-    named = [d for d in found if d.key.endswith(f" | {metric}")]
-    assert named, f"only {[d.key for d in found]}"
-    assert all(d.words.startswith(f"{metric} moved from ") for d in named), named[0].words
-    assert all("tolerance" in d.words for d in named)
+def assert_moved(found: list[Result], metric: str) -> None:
+    named = [row for row in found if row.metric == metric]
+    assert named, f"only {found}"
+    assert all(row.reason.startswith(f"{metric} moved from ") and "tolerance" in row.reason for row in named)
 
 
 def test_without_a_defect_nothing_moves(small, sound_campaign, sound_sensor):

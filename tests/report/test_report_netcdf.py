@@ -108,9 +108,10 @@ def _same(one, other, at=""):
         for field in dataclasses.fields(one):
             _same(getattr(one, field.name), getattr(other, field.name), f"{at}.{field.name}")
     elif isinstance(one, dict | tuple):
-        assert len(one) == len(other), at
-        for key in one if isinstance(one, dict) else range(len(one)):
-            _same(one[key], other[key], f"{at}[{key}]")
+        items, others = (x if isinstance(x, dict) else dict(enumerate(x)) for x in (one, other))
+        assert items.keys() == others.keys(), at
+        for key in items:
+            _same(items[key], others[key], f"{at}[{key}]")
     elif isinstance(one, np.ndarray):
         np.testing.assert_allclose(other, one, rtol=1e-7 if "covariance" in at else 0.0, err_msg=at)
     else:

@@ -26,6 +26,7 @@ def folders(tmp_path_factory):
     run = make_run()
     changed = []
     for row in run.table:
+        row = dataclasses.replace(row, campaign="another")  # two single campaigns, whatever their names
         if row.outcome is Outcome.AGREES:
             row = dataclasses.replace(row, outcome=Outcome.DISAGREES, value=row.value + 1.0, upper=row.upper + 1.0)
         changed.append(row)

@@ -16,7 +16,7 @@ import math
 import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from importlib import metadata
@@ -33,7 +33,7 @@ from hyperval.errors import HypervalError, UsageError, reader
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.predict import Origins, predict
 from hyperval.processing.roc_model import detection_at
-from hyperval.results import Outcome, Result
+from hyperval.results import WORST_FIRST, Outcome, Result, Role
 from hyperval.scenario import builtin_scenarios, load_scenario
 from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
 from hyperval.sensor.specification import Sensor
@@ -125,9 +125,9 @@ class Baseline(Model):
         return self
 
 
-def key_of(product: str, subject: str, method: str, metric: str) -> str:
+def key_of(row: Result) -> str:
     """The name of a number in a baseline."""
-    return SEPARATOR.join((product, subject, method, metric))
+    return SEPARATOR.join((row.product, row.subject, row.method, row.metric))
 
 
 def split_key(key: str) -> tuple[str, str, str, str]:
@@ -162,21 +162,9 @@ BEHIND: Mapping[str, tuple[str, ...]] = {
     "roc": ("pd_predicted@*", "pd_measured@*"),
     "abundance": ("area_predicted", "area_observed", "area_ratio"),
 }
-_ORDER = (Outcome.ERROR, Outcome.DISAGREES, Outcome.SKIPPED, Outcome.UNDECIDED, Outcome.AGREES, Outcome.NONE)
 
 
-@dataclass(frozen=True)
-class Measured:
-    """One number of a run: its value (NaN without one), half its 95 % interval, its outcome, and a reason."""
-
-    value: float
-    half_width: float | None = None
-    outcome: Outcome = Outcome.NONE
-    unit: str = "1"
-    reason: str = ""
-
-
-def campaign_metrics(rows: Iterable[Result]) -> dict[str, Measured]:
+def campaign_metrics(rows: Iterable[Result]) -> dict[str, Result]:
     """The numbers of one campaign that a baseline keeps, sorted by name.
 
     Every planned row that is not about a single band, whether it gates or informs, and for the subjects and
@@ -197,12 +185,10 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Measured]:
             for product, subject, method in subjects
         )
     ]
-    metrics: dict[str, Measured] = {}
+    metrics: dict[str, Result] = {}
     for row in [*planned, *behind]:
-        key = key_of(row.product, row.subject, row.method, row.metric)
-        new = _measured(row)
-        old = metrics.get(key)
-        metrics[key] = new if old is None else replace(old, outcome=min(old.outcome, new.outcome, key=_ORDER.index))
+        old = metrics.setdefault(key_of(row), row)
+        metrics[key_of(row)] = replace(old, outcome=min(old.outcome, row.outcome, key=WORST_FIRST.index))
     return dict(sorted(metrics.items()))
 
 
@@ -214,12 +200,6 @@ def skipped_reason(rows: Iterable[Result]) -> str | None:
     return None
 
 
-def _measured(row: Result) -> Measured:
-    half = (row.upper - row.lower) / 2.0
-    known = math.isfinite(half) and half > 0
-    return Measured(row.value, half if known else None, row.outcome, row.unit, row.reason)
-
-
 Array = npt.NDArray[np.float64]
 METHOD = "sensor"
 # Lines of the sun (CH, Mg, H alpha) and of oxygen: a response of another width sees them deeper or less deep.
@@ -228,7 +208,7 @@ LINES_NM = (430.0, 517.0, 656.0, 762.0)
 BIT_ERROR_RATE = 1e-9
 
 
-def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Measured]:
+def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Result]:
     """Every number of a sensor, sorted by name.
 
     Median SNR (without C_R) at the reference radiances, G, each noise term as a radiance, by spectral region; the
@@ -240,15 +220,15 @@ def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Me
     engine : stands in for the atmosphere engine
     """
     axis, noise = sensor.axis, sensor.noise()
-    metrics = dict(_bands(axis)) | dict(_noise(axis, noise)) | dict(_scenarios(sensor, engine))
-    return dict(sorted(metrics.items()))
+    rows = [*_bands(axis), *_noise(axis, noise), *_scenarios(sensor, engine)]
+    return {key_of(row): row for row in sorted(rows, key=key_of)}
 
 
-def _item(product: str, subject: str, metric: str, value: float, unit: str = "1") -> tuple[str, Measured]:
-    return key_of(product, subject, METHOD, metric), Measured(float(value), unit=unit)
+def _item(product: str, subject: str, metric: str, value: float, unit: str = "1") -> Result:
+    return Result("", product, subject, METHOD, metric, float(value), unit)
 
 
-def _bands(axis: SpectralAxis) -> Iterator[tuple[str, Measured]]:
+def _bands(axis: SpectralAxis) -> Iterator[Result]:
     yield _item("bands", "all", "band_count", len(axis))
     yield _item("bands", "good", "band_count", int(axis.good.sum()))
     level = sunlit_radiance(axis, MIDDLE)
@@ -264,7 +244,7 @@ def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
     return at if abs(axis.centre_nm[at] - wavelength_nm) <= axis.fwhm_nm[at] else None
 
 
-def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[tuple[str, Measured]]:
+def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[Result]:
     for region, here in summary_regions(axis).items():
         gain = np.median(noise.electrons_per_radiance[here])  # (3.13)
         yield _item("noise", region, "median_electrons_per_radiance", gain, "electrons per uW cm-2 sr-1 nm-1")
@@ -289,14 +269,13 @@ def _terms(parts: NoiseBreakdown) -> list[str]:
     return [f.name for f in fields(parts) if np.any(np.abs(getattr(parts, f.name)) > floor)]
 
 
-def _scenarios(sensor: Sensor, engine: Engine | None) -> Iterator[tuple[str, Measured]]:
+def _scenarios(sensor: Sensor, engine: Engine | None) -> Iterator[Result]:
     oxygen = _band_at(sensor.axis, LINES_NM[-1])
     for name in builtin_scenarios():
         try:
             prediction = predict(load_scenario(name), Origins(sensor=sensor, engine=engine, show_progress=False))
         except HypervalError as error:
-            key = key_of("scenario", name, METHOD, "runs")
-            yield key, Measured(np.nan, outcome=Outcome.SKIPPED, reason=str(error))
+            yield replace(_item("scenario", name, "runs", np.nan), outcome=Outcome.SKIPPED, reason=str(error))
             continue
         for (subject, detector, unit), curve in prediction.roc.items():
             if unit == "pixel":
@@ -342,16 +321,29 @@ def stored(folder: Path, kind: Kind, name: str) -> Baseline | None:
     return baseline
 
 
-def accepted_of(measured: Mapping[str, Measured], before: Mapping[str, Accepted]) -> dict[str, Accepted]:
+def accepted_rows(owner: str, accepted: Mapping[str, Accepted]) -> list[Result]:
+    """Accepted numbers as the rows of a run: the range that is tolerated as its limits."""
+    return [
+        Result(
+            owner, *split_key(key), math.nan if item.accepted is None else item.accepted,
+            limit_low=(item.accepted or 0.0) - item.width, limit_high=(item.accepted or 0.0) + item.width,
+            role=Role.GATE, outcome=Outcome(item.outcome),
+        )
+        for key, item in accepted.items()
+    ]  # fmt: skip
+
+
+def accepted_of(measured: Mapping[str, Result], before: Mapping[str, Accepted]) -> dict[str, Accepted]:
     """Measured numbers as a baseline keeps them; tolerances that stand in ``before`` are kept, not loosened."""
-    return {key: _accepted(key, new, before.get(key)) for key, new in sorted(measured.items())}
+    return {key: _accepted(new, before.get(key)) for key, new in sorted(measured.items())}
 
 
-def _accepted(key: str, new: Measured, old: Accepted | None) -> Accepted:
-    value, half = rounded(new.value), rounded(new.half_width) if new.half_width else None
-    limit = old.limit if old else default_tolerance(split_key(key)[-1], half)
+def _accepted(new: Result, old: Accepted | None) -> Accepted:
+    width = (new.upper - new.lower) / 2.0
+    value, half = rounded(new.value), rounded(width) if width > 0 else None
+    limit = old.limit if old else default_tolerance(new.metric, half)
     if limit.of == "interval" and half is None:  # the interval is gone: its part of it means nothing any more
-        limit = default_tolerance(split_key(key)[-1])
+        limit = default_tolerance(new.metric)
     return Accepted.model_validate(
         {
             "accepted": value,

@@ -20,116 +20,73 @@ from hyperval.baseline.accepted import (
     DEFAULT_FOLDER,
     Accepted,
     Kind,
-    Measured,
     accepted_of,
+    accepted_rows,
     baseline_path,
     campaign_metrics,
     candidate_path,
-    rounded,
+    key_of,
     sensor_metrics,
     skipped_reason,
-    split_key,
     stored,
     today,
     versions,
     write_baseline,
 )
-from hyperval.campaign.job import AnyJob, jobs_of
+from hyperval.campaign.job import AnyJob, Job, jobs_of
 from hyperval.campaign.provenance import command_without_output, source_revision
 from hyperval.campaign.run import validate
 from hyperval.errors import InputError, UsageError
 from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.verdict import accepted_words
-from hyperval.results import Cause, Outcome, Result, ResultTable, Role
-from hyperval.run import Run, file_stems, is_run, junit_xml
+from hyperval.results import Cause, Outcome, Result, ResultTable, Role, paired
+from hyperval.run import Run, file_stems, is_run, json_value, junit_xml
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.sensor_check.suite import Engine
 from hyperval.storage import scratch_folder, sha256_of, whole_folder, write_text
 
 
-@dataclass(frozen=True)
-class Difference:
-    """One number, accepted and now.
-
-    Attributes
-    ----------
-    owner : campaign, or "sensor NAME"
-    key : name of the number
-    accepted, now : None where that side does not hold it
-    outcome : agrees, disagrees
-    words : what is wrong, empty when nothing is
-    """
-
-    owner: str
-    key: str
-    accepted: Accepted | None
-    now: Measured | None
-    outcome: Outcome
-    words: str = ""
-
-    @property
-    def change(self) -> float:
-        """Now minus accepted; NaN where a side has no value."""
-        if self.accepted is None or self.accepted.accepted is None or self.now is None:
-            return math.nan
-        return self.now.value - self.accepted.accepted
-
-    @property
-    def moved(self) -> bool:
-        """True where the number is not the same to the digits that a baseline keeps."""
-        if self.accepted is None or self.now is None:
-            return True
-        return rounded(self.now.value) != self.accepted.accepted
-
-    def row(self) -> Result:
-        """As a row of results: the value now, the tolerated range as its limits, and in words."""
-        product, subject, method, metric = split_key(self.key)
-        value = self.now.value if self.now else math.nan
-        unit = self.now.unit if self.now else "1"
-        low = high = math.nan
-        if self.accepted is not None and self.accepted.accepted is not None:
-            low, high = (self.accepted.accepted + sign * self.accepted.width for sign in (-1.0, 1.0))
-        return Result(
-            self.owner, product, subject, method, metric, value, unit,
-            limit_low=low, limit_high=high, role=Role.GATE, outcome=self.outcome, reason=self.words,
-        )  # fmt: skip
-
-
-def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Measured]) -> list[Difference]:
-    """One difference for each number of either side, by name.
+def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:
+    """One row for each number of either side, by name: its value now, and as limits the range that is tolerated.
 
     It disagrees: beyond the tolerance, no longer there, not accepted yet, a value where there was none or none
     where there was one, another outcome.  A number that was not accepted fails: until it is, nothing guards it.
     """
-    out = []
-    for key in sorted({*accepted, *now}):
-        words = _objection(key, accepted.get(key), now.get(key))
-        outcome = Outcome.DISAGREES if words else Outcome.AGREES
-        out.append(Difference(owner, key, accepted.get(key), now.get(key), outcome, words))
-    return out
+    rows = []
+    for pair in paired(ResultTable(accepted_rows(owner, accepted)), ResultTable(now.values())):
+        words, named, has_range = _objection(pair.a, pair.b), pair.either, pair.a and not math.isnan(pair.a.value)
+        low, high = (pair.a.limit_low, pair.a.limit_high) if pair.a and has_range else (math.nan, math.nan)
+        value, unit = (pair.b.value, pair.b.unit) if pair.b else (math.nan, "1")
+        rows.append(Result(
+            owner, named.product, named.subject, named.method, named.metric, value, unit, reason=words,
+            limit_low=low, limit_high=high, role=Role.GATE, outcome=Outcome.DISAGREES if words else Outcome.AGREES,
+        ))  # fmt: skip
+    return sorted(rows, key=key_of)
 
 
-def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:
-    if old is None:
-        return f"{split_key(key)[-1]} is not accepted: the baseline does not hold this number"
-    if new is None:
-        return f"{split_key(key)[-1]} is missing: the run does not give this number (accepted {_text(old.accepted)})"
-    reason = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
-    value = new.value if math.isfinite(new.value) else None
-    words = ""
-    if (value is None) != (old.accepted is None):
-        words = f"moved from {_text(old.accepted)} to {_text(value)}"
-    elif value is not None and old.accepted is not None and not abs(value - old.accepted) <= old.width:
-        words = f"moved from {old.accepted:.6g} to {value:.6g}: {value - old.accepted:+.3g}, tolerance {old.width:.3g}"
-    if new.outcome.value != old.outcome:
+def _objection(old: Result | None, new: Result | None) -> str:
+    if old is None or new is None:
+        one = old or new
+        assert one is not None  # noqa: S101 - a pair is made from at least one row
+        if new is not None:
+            return f"{one.metric} is not accepted: the baseline does not hold this number"
+        return f"{one.metric} is missing: the run does not give this number (accepted {_text(one.value)})"
+    words, before, now = "", old.value, new.value if math.isfinite(new.value) else math.nan
+    if math.isnan(before) != math.isnan(now):
+        words = f"moved from {_text(before)} to {_text(now)}"
+    elif not math.isnan(now) and not old.limit_low <= now <= old.limit_high:
+        width = (old.limit_high - old.limit_low) / 2.0
+        words = f"moved from {before:.6g} to {now:.6g}: {now - before:+.3g}, tolerance {width:.3g}"
+    if new.outcome is not old.outcome:
+        reason = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
         verdict = f"the outcome changed from {old.outcome} to {new.outcome}{reason}"
         words = f"{words}; {verdict}" if words else verdict
-    return f"{split_key(key)[-1]} {words}" if words else ""
+    return f"{new.metric} {words}" if words else ""
 
 
-def _text(value: float | None) -> str:
-    return "no value" if value is None else f"{value:.6g}"
+def _text(value: float) -> str:
+    return "no value" if math.isnan(value) else f"{value:.6g}"
 
 
 ALL = "all"
@@ -152,7 +109,7 @@ class RunNumbers:
     kind: Kind
     name: str
     title: str
-    metrics: Mapping[str, Measured] = field(default_factory=dict)
+    metrics: Mapping[str, Result] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     skipped: str | None = None
     simulated: bool = False
@@ -264,10 +221,14 @@ def _stale(job: AnyJob, provenance: Mapping[str, Any]) -> str | None:
     then, now = provenance.get("source_revision"), source_revision()
     if then and now and then.get("commit") != now["commit"]:
         return f"was made by commit {str(then.get('commit'))[:12]}, the source is at {now['commit'][:12]}"
+    several = isinstance(job, Job) and bool(job.campaign.run)  # runs in one file, of which another may have changed
+    said = (provenance.get("configuration") or {}).get("campaign")
+    if isinstance(job, Job) and several and said != json_value(job.campaign.model_dump(mode="json", by_alias=True)):
+        return f"was made with another {job.path.name}"
     for item in provenance.get("inputs", ()):
         reference = str(item.get("reference"))
         path = job.path.parent / reference
-        if ":" in reference or not path.is_file():  # of a data set, or simulated
+        if ":" in reference or (several and path == job.path) or not path.is_file():  # of a data set, or simulated
             continue
         if sha256_of(path) != item.get("sha256"):
             return f"was made with another {reference}"
@@ -284,16 +245,16 @@ class Checked:
     Attributes
     ----------
     run : its numbers
-    differences : one for each number of either side; empty without a baseline or without a run
-    rows : the same as rows of results, or one row that says why there are none
+    rows : one for each number of either side, or one that says why there are none
+    is_compared : whether there was a run, and a baseline
     baseline, candidate : the file it was compared with, and the one that was left where there is none
     """
 
     run: RunNumbers
-    differences: list[Difference]
     rows: ResultTable
     baseline: Path
     candidate: Path | None = None
+    is_compared: bool = False
 
 
 @dataclass(frozen=True)
@@ -354,26 +315,23 @@ def check(
 def _against(run: RunNumbers, folder: Path) -> Checked:
     path = baseline_path(folder, run.kind, run.name)
     if run.skipped is not None:
-        return Checked(run, [], ResultTable([_one(run, Outcome.SKIPPED, run.skipped)]), path)
+        return Checked(run, _one(run, Outcome.SKIPPED, run.skipped), path)
     baseline = stored(folder, run.kind, run.name)
     if baseline is not None:
-        differences = compare(run.owner, baseline.metrics, run.metrics)
-        return Checked(run, differences, ResultTable(d.row() for d in differences), path)
+        return Checked(run, ResultTable(compare(run.owner, baseline.metrics, run.metrics)), path, is_compared=True)
     if run.broken:
         words = f"no baseline ({path}), and this run cannot become one: {run.broken[0]}"
-        return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path)
+        return Checked(run, _one(run, Outcome.DISAGREES, words), path)
     candidate = candidate_path(folder, run.kind, run.name)
     write_baseline(candidate, run.kind, run.name, "", run.versions, accepted_of(run.metrics, {}), candidate=True)
     words = f"no baseline ({path}); the numbers of this run are in {candidate}; {run.acceptance(folder)} makes them one"
-    return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path, candidate)
+    return Checked(run, _one(run, Outcome.DISAGREES, words), path, candidate)
 
 
-def _one(run: RunNumbers, outcome: Outcome, reason: str) -> Result:
+def _one(run: RunNumbers, outcome: Outcome, reason: str) -> ResultTable:
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.NONE
-    return Result(
-        run.owner, "baseline", run.name, run.kind, "baseline", role=Role.GATE, outcome=outcome, cause=cause,
-        reason=reason,
-    )  # fmt: skip
+    names = (run.owner, "baseline", run.name, run.kind, "baseline")
+    return ResultTable([Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=reason)])
 
 
 def _write(outcome: Checks, folder: Path) -> None:
@@ -385,7 +343,7 @@ def _write(outcome: Checks, folder: Path) -> None:
             description="Each number of this run beside the one that was accepted; it fails beyond its tolerance.",
             simulated=item.run.simulated,
             kind="Accepted numbers of",
-            sentence=accepted_words(item.rows) if item.differences else next(row.reason for row in item.rows),
+            sentence=accepted_words(item.rows) if item.is_compared else next(row.reason for row in item.rows),
             table=item.rows,
             provenance={
                 "command": command_without_output(),
@@ -409,14 +367,7 @@ def _inputs(path: Path) -> list[dict[str, str | None]]:
     return [{"reference": path.name, "sha256": sha256_of(path), "licence": None, "citation": None}]
 
 
-@dataclass(frozen=True)
-class Change:
-    """One number before and after; None where it was not or is no more."""
-
-    owner: str
-    key: str
-    old: Accepted | None
-    new: Accepted | None
+Change = tuple[str, str, Accepted | None, Accepted | None]  # owner, name, before and after: None where there is none
 
 
 @dataclass(frozen=True)
@@ -497,4 +448,4 @@ def accept(
 
 def _changes(owner: str, old: Mapping[str, Accepted], new: Mapping[str, Accepted]) -> list[Change]:
     keys = sorted({*old, *new})
-    return [Change(owner, k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)]
+    return [(owner, k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)]

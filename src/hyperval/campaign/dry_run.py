@@ -455,7 +455,7 @@ def _never_met(name: str, text: Text) -> list[Item]:
     from hyperval.campaign.one import never_met, outcomes
     from hyperval.campaign.sides import collected, predicted_side
     from hyperval.predict import predict
-    from hyperval.run import row_name
+    from hyperval.results import row_name
 
     with collected(Job(campaign, text.path, text.named.files), show_progress=False) as side:
         prediction = predicted_side(side, [predict(s, side.origins(s, False)) for s in side.scenarios])

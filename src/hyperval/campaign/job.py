@@ -5,7 +5,7 @@ Which files a campaign and its scenarios name, found without checking or reading
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,22 +17,10 @@ from hyperval.datasets import PREFIX, describe, resolve, set_on_request
 from hyperval.errors import HypervalError, UsageError, reader
 from hyperval.scenario import builtin_scenarios
 
-FILE_KEYS = frozenset(
-    {
-        "path",
-        "header",
-        "file",
-        "csv",
-        "simulate",
-        "size_classes",
-        "library",
-        "table",
-        "glt",
-        "image",
-        "replicates",
-        "radcalnet",
-    }
-)
+FILE_KEYS = frozenset({
+    "path", "header", "file", "csv", "simulate", "size_classes", "library", "table", "glt", "image", "replicates",
+    "radcalnet",
+})  # fmt: skip
 SIMULATED = "simulated:"
 
 
@@ -158,6 +146,7 @@ class Job:
     campaign: Campaign
     path: Path
     files: tuple[Reference, ...] = ()
+    of_others: tuple[Reference, ...] = ()  # named by other runs of the file alone
 
     @property
     def folder(self) -> Path:
@@ -240,6 +229,14 @@ def job_of(path: Path) -> Job:
     return Job(load_campaign(path), path, read_texts(path)[0].named.files)
 
 
+def _apart(texts: Sequence[Text]) -> Iterator[tuple[Text, tuple[Reference, ...]]]:
+    """Each run of a campaign file, and the files that other runs of it name alone."""
+    every = dict.fromkeys(file for text in texts for file in text.named.files)
+    for text in texts:
+        named = set(text.named.files)
+        yield text, tuple(file for file in every if file not in named)
+
+
 def jobs_of(*paths: Path, compares: bool = True) -> list[AnyJob]:
     """The campaigns of files, one for each of their runs.
 
@@ -255,12 +252,12 @@ def jobs_of(*paths: Path, compares: bool = True) -> list[AnyJob]:
         could run, or two campaigns of one name.
     """
     out: list[AnyJob] = []
-    for text in (text for path in paths for text in read_texts(path)):
+    for text, of_others in (pair for path in paths for pair in _apart(read_texts(path))):
         check_names(text.path, text.named.files)
         if compares:
             text.check_two_sides()
         if not text.named.to_fill_in:
-            out.append(Job(text.campaign(), text.path, text.named.files))
+            out.append(Job(text.campaign(), text.path, text.named.files, of_others))
             continue
         absent = text.absent()
         if absent is None:

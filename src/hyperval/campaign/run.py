@@ -16,7 +16,7 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -36,7 +36,7 @@ from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.run import accepted_table
 from hyperval.results import Outcome, ResultTable, judged_or_whole
 from hyperval.run import read_rows
-from hyperval.storage import RECORD, partial_folder, sha256_of, whole_folder, write_text
+from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, whole_folder, write_text
 
 if TYPE_CHECKING:
     from hyperval.observe import Observed
@@ -88,31 +88,26 @@ def write_record(job: Job, run: RunReport, folder: Path) -> None:
     """Write into a campaign's folder what it was made of; not where something was skipped or went wrong."""
     if any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
         return
-    files = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
-    try:
-        beside = _beside(job, files)
-    except (OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
-        return
-    record = {
-        "identity": identity(job),
-        "files": files,
-        "beside": beside,
-        "outputs": {name: sha256_of(folder / name) for name in _written(folder)},
-    }
-    write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
+    read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
+    files = {name: digest for name, digest in read.items() if not name.startswith(SIMULATED)}
+    with suppress(OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
+        record = {
+            "made_of": made_of(job, files),
+            "files": list(files),
+            "outputs": {
+                p.relative_to(folder).as_posix(): sha256_of(p) for p in files_within(folder) if p.name != RECORD
+            },
+        }
+        write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
 
 
 def as_before(job: Job, folder: Path) -> RunReport | None:
     """The report that stands whole in ``folder``, without its arrays, where it would come out the same."""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
-        record = json.loads((folder / RECORD).read_bytes())
-        if (
-            record["identity"] == identity(job)
-            and _unchanged(job, record["files"])
-            and record["beside"] == _beside(job, record["files"])
-            and record["outputs"]
-            and all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
-        ):
+        record, log = json.loads((folder / RECORD).read_bytes()), InputLog(job.folder)
+        files = {name: sha256_of(log.resolve(name)) for name in record["files"]}
+        is_whole = all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
+        if record["outputs"] and is_whole and record["made_of"] == made_of(job, files):
             return report_of(job.campaign, judged_or_whole(read_rows(folder)))
     return None
 
@@ -135,13 +130,25 @@ def taken_over(job: Job, source: Path, target: Path) -> RunReport | None:
     return run
 
 
-def identity(job: Job) -> str:
-    """A digest of everything that a campaign's results follow from, but for the files that it reads.
+def made_of(job: Job, files: Mapping[str, str]) -> str:
+    """A digest of everything that a campaign's results follow from.
 
-    What else stood on the command line is none of it: a campaign more does not make the others run again.
+    What else stood on the command line is none of it, nor what the campaign's file says of other runs: a campaign or
+    a flight line more does not make the others run again.
+
+    Parameters
+    ----------
+    files : SHA-256 by the name of each file that it reads; those that are simulated follow from the others
     """
+    log = InputLog(job.folder)
+    digests = {log.resolve(name): digest for name, digest in files.items()}
+    if job.campaign.run:  # one of several runs: what the file says of this one is below
+        digests.pop(job.path.resolve(), None)
     inner: dict[str, Any] = {
         "campaign": job.campaign.model_dump(mode="json", by_alias=True),
+        "words": dict(job.campaign.run),
+        "files": sorted(digests.values()),
+        "beside": _beside(job, list(digests)),
         "program": _program(),
         "revision": source_revision(),
         "packages": package_versions(),
@@ -155,29 +162,21 @@ def identity(job: Job) -> str:
 def _program() -> str:
     """A digest of the package's own files: a checkout may change under one version."""
     digest, root = hashlib.sha256(), Path(hyperval.__file__).parent
-    for path in sorted(p for p in root.rglob("*") if p.is_file() and p.suffix != ".pyc"):
+    for path in (p for p in files_within(root) if p.suffix != ".pyc"):
         digest.update(f"{path.relative_to(root).as_posix()} {sha256_of(path)}\n".encode())
     return digest.hexdigest()
 
 
-def _unchanged(job: Job, files: dict[str, str]) -> bool:
-    """Whether every file that was read is the same; simulated ones follow from the others."""
-    log = InputLog(job.folder)
-    read = {name: digest for name, digest in files.items() if not name.startswith(SIMULATED)}
-    return all(sha256_of(log.resolve(name)) == digest for name, digest in read.items())
+def _beside(job: Job, read: Sequence[Path]) -> list[list[str]]:
+    """The names of the files in the folders that were read from: a header or a grid may come later.
 
-
-def _beside(job: Job, files: dict[str, str]) -> str:
-    """A digest of the names of all files in the folders that were read from: a header or a grid may come later."""
-    log = InputLog(job.folder)
-    folders = {log.resolve(name).parent for name in files if not name.startswith(SIMULATED)}
-    names = sorted(sorted(e.name for e in os.scandir(folder) if e.is_file()) for folder in folders)
-    return hashlib.sha256(json.dumps(names).encode()).hexdigest()
-
-
-def _written(folder: Path) -> list[str]:
-    """The files below a campaign's folder, but for the record."""
-    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file() and p.name != RECORD)
+    Left out are the files that other runs of the campaign's file name, and those named after them.
+    """
+    own = tuple(path.stem for path in read)
+    others = tuple(path.stem for one in job.of_others if (path := one.path) is not None)
+    folders = {path.parent for path in (*read, job.path.resolve())}
+    names = [[e.name for e in os.scandir(folder) if e.is_file()] for folder in folders]
+    return sorted(sorted(n for n in some if n.startswith(own) or not n.startswith(others)) for some in names)
 
 
 INTERNAL_ERROR = 4

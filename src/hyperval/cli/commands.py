@@ -40,7 +40,8 @@ from hyperval.cli.shared import (
 from hyperval.errors import UsageError
 
 if TYPE_CHECKING:
-    from hyperval.baseline.check import Checked, Difference
+    from hyperval.baseline.check import Checked
+    from hyperval.results import Result
 
 
 Campaigns = Annotated[list[Path] | None, typer.Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
@@ -83,14 +84,10 @@ def check(
         show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
-    shown = [d for item in outcome.checked for d in item.differences if everything or d.words]
-    lonely = [
-        (r.campaign, r.metric, "", "", "", "", str(r.outcome))
-        for c in outcome.checked
-        if not c.differences
-        for r in c.rows
-    ]
-    print_table(header, [*map(_cells, shown), *lonely])
+    compared = [row for item in outcome.checked if item.is_compared for row in item.rows if everything or row.reason]
+    others = [row for item in outcome.checked if not item.is_compared for row in item.rows]
+    lonely = [(row.campaign, row.metric, "", "", "", "", str(row.outcome)) for row in others]
+    print_table(header, [*map(_cells, compared), *lonely])
     skipped: dict[str, list[str]] = {}
     for item in outcome.checked:
         _tell(item, baselines or DEFAULT_FOLDER)
@@ -103,17 +100,12 @@ def check(
     return outcome.exit_code
 
 
-def _cells(d: Difference) -> tuple[str, ...]:
-    known = d.accepted is not None and d.accepted.accepted is not None
-    return (
-        d.owner,
-        d.key,
-        f"{d.accepted.accepted:.6g}" if d.accepted and d.accepted.accepted is not None else "-",
-        f"{d.now.value:.6g}" if d.now and d.now.value == d.now.value else "-",
-        f"{d.change:+.3g}" if d.change == d.change else "-",
-        f"{d.accepted.width:.3g}" if d.accepted and known else "-",
-        str(d.outcome),
-    )
+def _cells(row: Result) -> tuple[str, ...]:
+    from hyperval.baseline.accepted import key_of
+
+    accepted, width = (row.limit_high + row.limit_low) / 2.0, (row.limit_high - row.limit_low) / 2.0
+    numbers = (f"{accepted:.6g}", f"{row.value:.6g}", f"{row.value - accepted:+.3g}", f"{width:.3g}")
+    return (row.campaign, key_of(row), *("-" if "nan" in text else text for text in numbers), str(row.outcome))
 
 
 def _tell(item: Checked, baselines: Path) -> None:
@@ -123,10 +115,10 @@ def _tell(item: Checked, baselines: Path) -> None:
     wrong = [row for row in item.rows if row.outcome is Outcome.DISAGREES]
     for row in wrong:
         print(f"{row.campaign}: {row.product} {row.subject} {row.method}: {row.reason}", file=sys.stderr)
-    if item.differences and not wrong:
-        note(f"{item.run.owner}: {len(item.differences)} numbers as accepted")
-    elif item.differences:
-        note(f"{item.run.owner}: {len(wrong)} of {len(item.differences)} numbers are not as accepted")
+    if item.is_compared and not wrong:
+        note(f"{item.run.owner}: {len(item.rows)} numbers as accepted")
+    elif item.is_compared:
+        note(f"{item.run.owner}: {len(wrong)} of {len(item.rows)} numbers are not as accepted")
         causes = _likely_causes(item)
         note(f"  likely cause: {causes}")
         note(f"  if the change is meant: {item.run.acceptance(baselines)}")
@@ -173,7 +165,7 @@ def baseline_accept(
         show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted before", "accepted now")
-    print_table(header, [(c.owner, c.key, _in_words(c.old), _in_words(c.new)) for c in done.changes])
+    print_table(header, [(owner, key, _in_words(old), _in_words(new)) for owner, key, old, new in done.changes])
     for name in done.unchanged:
         note(f"{name}: nothing changed")
     for name, why in done.skipped.items():

@@ -32,8 +32,8 @@ from hyperval.products import ObservedProducts, PredictedProducts, background_of
 from hyperval.report import verdict as v
 from hyperval.report.run import WARNING, RunReport
 from hyperval.report.verdict import outcome_words, worst
-from hyperval.results import Outcome, Result, ResultTable
-from hyperval.run import Run, is_run, is_simulated, read_pair, row_name
+from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, row_name
+from hyperval.run import Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
 
 if TYPE_CHECKING:
@@ -434,7 +434,7 @@ def _generated() -> str | None:
 
 
 def _severity(row: Result) -> tuple[int, str]:
-    return v.WORST_FIRST.index(row.outcome), row.subject
+    return WORST_FIRST.index(row.outcome), row.subject
 
 
 def _undone(rows: Sequence[Result]) -> list[tuple[Outcome, str, str, list[str]]]:
@@ -469,7 +469,7 @@ def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figur
     def rank(chart: Figure) -> tuple[int, ...]:
         made = (row for row in rows if row.planned and row.outcome is not Outcome.SKIPPED)
         planned = [row for row in made if row.product == chart.section]
-        return tuple(v.WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
+        return tuple(WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
 
     return sorted(charts, key=rank)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,71 +16,14 @@ from hyperval.figures.spec import Figure, statement
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
 from hyperval.report.html import common_words, drawn_words, environment
-from hyperval.results import Cause, Outcome, Result, ResultTable
-from hyperval.run import Run, row_name
+from hyperval.results import WORST_FIRST, Cause, Outcome, Pair, Result, ResultTable, paired
+from hyperval.run import Run
 from hyperval.storage import whole_folder
 
 _FIGURE_BYTES = 4_200_000
 _MOST_MOVED = 60
-_LEAST_WIDTH = 1e-3  # half width of an interval, as a part of the value
 _MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
-_RANK = {o: i for i, o in enumerate(v.WORST_FIRST)}
-
-
-@dataclass(frozen=True)
-class Pair:
-    """The same comparison in two runs; None where one has it not."""
-
-    a: Result | None
-    b: Result | None
-
-    @property
-    def either(self) -> Result:
-        """The row of one of them, for its names."""
-        row = self.a or self.b
-        assert row is not None  # noqa: S101 - a pair is made from at least one row
-        return row
-
-    @property
-    def name(self) -> str:
-        """What is compared."""
-        return f"{self.either.product} {row_name(self.either)}"
-
-    @property
-    def gates(self) -> bool:
-        """Whether the row decides something in either run."""
-        return any(r is not None and r.gates for r in (self.a, self.b))
-
-    @property
-    def difference(self) -> float:
-        """B minus A; NaN where one has no value."""
-        return self.b.value - self.a.value if self.a and self.b else math.nan
-
-    @property
-    def verdict_changed(self) -> bool:
-        """Whether the outcome differs; a gating row that one run lacks has changed too."""
-        if self.a and self.b:
-            return self.a.outcome != self.b.outcome
-        return self.gates
-
-    @property
-    def size(self) -> float:
-        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal.
-
-        An interval of next to no width counts as a thousandth of the value: rounding is no news.
-        """
-        if not self.a or not self.b or not self.difference:
-            return 0.0
-        halves = [(r.upper - r.lower) / 2 for r in (self.a, self.b)]
-        value = max(abs(self.a.value), abs(self.b.value))
-        scale = max((max(h, _LEAST_WIDTH * value) for h in halves if h > 0), default=value)
-        return abs(self.difference) / scale if scale > 0 else 0.0
-
-
-def paired(a: ResultTable, b: ResultTable) -> list[Pair]:
-    """Rows of two tables by what they compare, in the order of the first; of rows alike the n-th meets the n-th."""
-    first, second = _keyed(a), _keyed(b)
-    return [Pair(first.get(key), second.get(key)) for key in dict.fromkeys([*first, *second])]
+_RANK = {o: i for i, o in enumerate(WORST_FIRST)}
 
 
 def compare_runs(one: Path, other: Path, output: Path) -> int:
@@ -96,7 +38,9 @@ def compare_runs(one: Path, other: Path, output: Path) -> int:
     pairs = paired(a.table, b.table)
     if not any(p.a and p.b for p in pairs):
         raise UsageError(
-            "the two runs compare nothing in common", where=f"{one}, {other}", expected="runs of one campaign"
+            "the two runs compare nothing in common",
+            where=f"{one}, {other}",
+            expected="runs with the same products and subjects",
         )
     with whole_folder(output) as folder:
         Run(difference_table(pairs)).write(folder, side_by_side_page(a, b, pairs))
@@ -220,16 +164,4 @@ def _figures(a: Run, b: Run) -> list[dict[str, Any]]:
             room -= len(source)
             sources.append({"source": source if room > 0 else "", "there": path is not None})
         out.append({"name": name.rsplit(".", 1)[0], "sides": sources})
-    return out
-
-
-def _keyed(table: ResultTable) -> dict[tuple[Any, ...], Result]:
-    out: dict[tuple[Any, ...], Result] = {}
-    for row in table:
-        band = None if math.isnan(row.band_nm) else round(row.band_nm, 3)
-        key = (row.campaign, row.product, row.subject, row.method, row.metric, band)
-        count = 0
-        while (*key, count) in out:
-            count += 1
-        out[(*key, count)] = row
     return out

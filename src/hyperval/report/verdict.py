@@ -7,14 +7,11 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import Cause, Outcome, Result
+from hyperval.results import WORST_FIRST, Cause, Outcome, Result
 
 _MOST_NAMED = 9
 _MOST_KINDS = 5
 _LONGEST_NAME = 70
-WORST_FIRST = (
-    Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.AGREES, Outcome.NONE,
-)  # fmt: skip
 _KINDS = {
     Evidence.MODEL: ("acceptance criterion", "acceptance criteria"),
     Evidence.PIPELINE: ("check of the pipeline", "checks of the pipeline"),
