@@ -17,7 +17,7 @@ from hyperval.processing.filters import cem_correlation_weights, matched_filter_
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.roc import empirical_roc
 from hyperval.processing.statistics import region_statistics
-from hyperval.spectra.readers_record import Record, finished
+from hyperval.spectra.readers_record import Asked, Record, finished
 
 LINES, SAMPLES, BANDS = 7, 6, 4
 SCALES = st.integers(-30, 30).map(lambda k: 10.0**k)
@@ -192,7 +192,7 @@ def test_wavelengths_in_any_order_increase_or_are_refused(wavelengths, falling):
     waves = np.sort(wavelengths)[::-1] if falling else np.array(wavelengths)
     record = Record("a", waves, np.arange(waves.size) / 99.0, "a.txt", wavelength_unit="nm")
     try:
-        found = finished(record, quantity="other", wavelength_unit=None, reflectance_unit=None)
+        found = finished(record, Asked("other"))
     except HypervalError:
         assert np.any(np.diff(waves) >= 0) or waves.size < 2 or np.unique(waves).size < waves.size
         return

@@ -15,12 +15,13 @@ stored to two decimals, and so has small negative eigenvalues; these are left ou
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,11 +35,13 @@ Array = npt.NDArray[np.float64]
 
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 MAX_WAVELENGTHS, MAX_SERIES = 5000, 2000
-_NAMES = (
-    "wavelength", "reflectance", "std_reflectance", "u_rel_random_reflectance", "u_rel_systematic_reflectance",
-    "err_corr_systematic_reflectance", "viewing_zenith_angle", "viewing_azimuth_angle", "solar_zenith_angle",
-    "solar_azimuth_angle", "acquisition_time", "quality_flag", "n_valid_scans",
-)  # fmt: skip
+# Variables and their dimensions: wavelength and series.
+_SHAPES = {
+    "wavelength": "w", "reflectance": "ws", "std_reflectance": "ws", "u_rel_random_reflectance": "ws",
+    "u_rel_systematic_reflectance": "ws", "err_corr_systematic_reflectance": "ww", "viewing_zenith_angle": "s",
+    "viewing_azimuth_angle": "s", "solar_zenith_angle": "s", "solar_azimuth_angle": "s", "acquisition_time": "s",
+    "quality_flag": "s", "n_valid_scans": "s",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,56 +131,50 @@ def read_hypernets(path: Path | str) -> HypernetsSequence:
 
     path = checked_file(path, what="HYPERNETS file", most=MAX_BYTES)
     check_hdf5(path)
+    whole = {"where": str(path), "expected": "a HYPERNETS file of level L2A"}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the dimension that stands twice
             with xr.open_dataset(path, engine="h5netcdf") as data:
-                lacking = [name for name in _NAMES if name not in data.variables]
-                if lacking:
-                    raise InputError(
-                        f"holds no {lacking[0]}", where=str(path), expected="a HYPERNETS file of level L2A"
-                    )
-                count = {name: data[name].size for name in ("wavelength", "acquisition_time")}
-                if count["wavelength"] > MAX_WAVELENGTHS or count["acquisition_time"] > MAX_SERIES:
+                if lacking := [name for name in _SHAPES if name not in data.variables]:
+                    raise InputError(f"holds no {lacking[0]}", **whole)
+                sizes = {"w": data["wavelength"].size, "s": data["acquisition_time"].size}
+                if sizes["w"] > MAX_WAVELENGTHS or sizes["s"] > MAX_SERIES:
                     raise InputError("too many wavelengths or series", where=str(path), expected="one sequence")
-                values = {name: np.asarray(data[name].values, dtype=float) for name in _NAMES}
+                values = {name: np.asarray(data[name].values, dtype=float) for name in _SHAPES}
                 about = {k: data.attrs.get(k) for k in ("site_id", "site_latitude", "site_longitude")}
     except (InputError, UsageError):
         raise
     except Exception as error:  # whatever a damaged file makes of the libraries
-        raise InputError(
-            f"cannot be read: {error}", where=str(path), expected="a HYPERNETS file of level L2A"
-        ) from error
-    return _checked(values, about, str(path))
-
-
-def _checked(values: dict[str, Array], about: dict[str, object], where: str) -> HypernetsSequence:
-    nm, rho = values["wavelength"], values["reflectance"].T
-    size = nm.size
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_NAMES[1:5], (size, rho.shape[0]))
-    shapes |= dict.fromkeys(_NAMES[6:], (rho.shape[0],)) | {"err_corr_systematic_reflectance": (size, size)}
-    for name, shape in shapes.items():
-        if values[name].shape != shape:
-            raise InputError(f"{name} has shape {values[name].shape}", where=where, expected=str(shape))
-    if size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0):
-        raise InputError("wavelengths do not increase within 200 to 3000 nm", where=where)
-    matrix = values["err_corr_systematic_reflectance"]
-    if not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01):
-        raise InputError("a correlation beyond -1 to 1, or other than 1 with itself", where=where)
-    relative = {kind: 0.01 * values[f"u_rel_{kind}_reflectance"].T for kind in ("random", "systematic")}
-    if any(np.any(u < 0.0) for u in relative.values()):
-        raise InputError("uncertainties below 0", where=where)
+        raise InputError(f"cannot be read: {error}", **whole) from error
+    for name, axes in _SHAPES.items():
+        if values[name].shape != (shape := tuple(sizes[axis] for axis in axes)):
+            raise InputError(f"{name} has shape {values[name].shape}", where=str(path), expected=str(shape))
+    nm, rho, matrix = values["wavelength"], values["reflectance"].T, values["err_corr_systematic_reflectance"]
+    random, systematic = (0.01 * values[f"u_rel_{kind}_reflectance"].T for kind in ("random", "systematic"))
+    for wrong, what in (
+        (
+            nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0),
+            "wavelengths do not increase within 200 to 3000 nm",
+        ),
+        (
+            not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01),
+            "a correlation beyond -1 to 1, or other than 1 with itself",
+        ),
+        (np.any(random < 0.0) or np.any(systematic < 0.0), "uncertainties below 0"),
+    ):
+        if wrong:
+            raise InputError(what, where=str(path))
     flags, scans = (np.nan_to_num(values[name]).astype(np.int64) for name in ("quality_flag", "n_valid_scans"))
     try:
         latitude, longitude = float(str(about["site_latitude"])), float(str(about["site_longitude"]))
         times = tuple(datetime.fromtimestamp(t, UTC) for t in values["acquisition_time"])
     except (ValueError, OverflowError, OSError) as error:
-        raise InputError(f"place or time is missing: {error}", where=where, expected="a whole L2A file") from error
-    random, systematic = (relative[kind] * np.abs(rho) for kind in ("random", "systematic"))
+        raise InputError(f"place or time is missing: {error}", **whole) from error
     return HypernetsSequence(
-        str(about["site_id"]), latitude, longitude, nm, rho, values["std_reflectance"].T, random, systematic,
-        matrix, values["viewing_zenith_angle"], values["viewing_azimuth_angle"], values["solar_zenith_angle"],
-        values["solar_azimuth_angle"], times, flags, scans, where,
+        str(about["site_id"]), latitude, longitude, nm, rho, values["std_reflectance"].T, random * np.abs(rho),
+        systematic * np.abs(rho), matrix, values["viewing_zenith_angle"], values["viewing_azimuth_angle"],
+        values["solar_zenith_angle"], values["solar_azimuth_angle"], times, flags, scans, str(path),
     )  # fmt: skip
 
 
@@ -189,6 +186,8 @@ STATE = {
 SURFACE, TOP = "reflectance", "top-of-atmosphere reflectance"
 _KINDS = {".input": SURFACE, ".output": TOP}
 _DOBSON_PER_ATM_CM = 1000.0
+# First words of the lines, but for those of the spectra, behind the types and at the end.
+_KEYS = ("Site", "Lat", "Lon", "Alt", "Year", "DOY(U)", "UTC", "DOY(L)", "Local", *STATE, "Type", *STATE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,21 +287,26 @@ def day_of(text: str, path: Path) -> RadCalNetDay:
             "the text of RadCalNet's files does not say whether the surface or the top of the atmosphere is meant",
             where=str(path), expected="a name that ends in .input (surface) or .output (top of the atmosphere)",
         )  # fmt: skip
-    rows = _Rows(text, path)
-    site = rows.words("Site")[0]
-    latitude, longitude, altitude = (float(rows.numbers(key, 1)[0]) for key in ("Lat", "Lon", "Alt"))
-    year = rows.numbers("Year")
-    count = year.size
-    days, clock = rows.numbers("DOY(U)", count), rows.words("UTC", count)
-    times = tuple(_time(y, d, c, rows.here) for y, d, c in zip(year, days, clock, strict=True))
+    lines = [(f"{path}:{i}", line.split("\t")) for i, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    rows = [_Row(where, words[0].strip(), [w.strip() for w in words[1:] if w.strip()]) for where, words in lines]
+    keyed = [row for row in rows if row.key.endswith(":")][: len(_KEYS)]
+    end = _Row(rows[-1].where if rows else str(path), "the end of the file", [])
+    for key, row in zip(_KEYS, [*keyed, *[end] * len(_KEYS)], strict=False):
+        if row.key != f"{key}:":
+            raise InputError(f"{row.key[:40]!r} where {key!r} belongs", where=row.where, expected=f"{key}: and values")
+    site, *place, year, days, clock = keyed[:7]
+    count = len(year.words)
+    latitude, longitude, altitude = (float(row.numbers(1)[0]) for row in place)
+    times = tuple(map(clock.time, year.numbers(count), days.numbers(count), clock.cells(count)))
     if any(b <= a for a, b in pairwise(times)):
-        raise InputError("the half hours do not follow each other", where=rows.here, expected="increasing UTC")
-    rows.skip("DOY(L)", "Local")
-    state = {name: rows.numbers(key, count) for key, name in STATE.items()}
-    rows.skip("Type")
-    nm, values = rows.spectra(count)
-    doubt = {name: rows.numbers(key, count) for key, name in STATE.items()}
-    u_nm, uncertainty = rows.spectra(count)
+        raise InputError("the half hours do not follow each other", where=clock.where, expected="increasing UTC")
+    # The state and the spectra, and after them the uncertainties of all of it.
+    half = rows.index(keyed[-len(STATE)])
+    (nm, values), (u_nm, uncertainty) = (_spectra(part, count, str(path)) for part in (rows[:half], rows[half:]))
+    state, doubt = (
+        {name: row.numbers(count) for name, row in zip(STATE.values(), keyed[at:], strict=False)}
+        for at in (_KEYS.index("P"), -len(STATE))
+    )
     if not np.array_equal(nm, u_nm):
         raise InputError("uncertainties at other wavelengths than the values", where=str(path))
     if np.nanmin(uncertainty, initial=0.0) < 0 or any(np.nanmin(u, initial=0.0) < 0 for u in doubt.values()):
@@ -314,80 +318,53 @@ def day_of(text: str, path: Path) -> RadCalNetDay:
             where=str(path), expected=f"a fraction, or {NO_VALUE:g} to 9999 where there is none",
         )  # fmt: skip
     return RadCalNetDay(
-        site, latitude, longitude, altitude, quantity, times, state, doubt, nm, values, uncertainty, str(path)
-    )
+        site.cells(1)[0], latitude, longitude, altitude, quantity, times, state, doubt, nm, values, uncertainty,
+        str(path),
+    )  # fmt: skip
 
 
-class _Rows:
-    """The lines of a file, taken in order."""
+class _Row(NamedTuple):
+    """A line of a file: where it stands, its first word and the others."""
 
-    def __init__(self, text: str, path: Path) -> None:
-        self.path = path
-        self.lines = [
-            (i, [w.strip() for w in line.split("\t")])
-            for i, line in enumerate(text.splitlines(), start=1)
-            if line.strip()
-        ]
-        self.next = 0
+    where: str
+    key: str
+    words: list[str]
 
-    @property
-    def here(self) -> str:
-        """``file:line`` of the line that was taken last."""
-        return f"{self.path}:{self.lines[min(max(self.next - 1, 0), len(self.lines) - 1)][0]}"
+    def cells(self, count: int) -> list[str]:
+        """The words behind the key, as many as there have to be."""
+        if len(self.words) != count or not count:
+            what = f"{len(self.words)} values" + (f" of {self.key[:-1]}" if self.key.endswith(":") else "")
+            raise InputError(what, where=self.where, expected=f"{count or 1} values, one a half hour")
+        return self.words
 
-    def words(self, key: str, count: int | None = None) -> list[str]:
-        """What follows ``key:`` in the next line."""
-        line = self.lines[self.next][1] if self.next < len(self.lines) else ["the end of the file"]
-        self.next += 1
-        if line[0] != f"{key}:":
-            raise InputError(f"{line[0][:40]!r} where {key!r} belongs", where=self.here, expected=f"{key}: and values")
-        cells = [w for w in line[1:] if w]
-        if not cells or (count is not None and len(cells) != count):
-            wanted = "values" if count is None else f"{count} values"
-            raise InputError(f"{len(cells)} values of {key}", where=self.here, expected=wanted)
-        return cells
-
-    def numbers(self, key: str, count: int | None = None) -> Array:
+    def numbers(self, count: int) -> Array:
         """The same as numbers, NaN where there is no value."""
-        return _numbers(self.words(key, count), self.here)
+        try:
+            values = np.array([float(w) for w in self.cells(count)])
+        except ValueError as error:
+            expected = "numbers separated by tabulators"
+            raise InputError("not a row of numbers", where=self.where, expected=expected) from error
+        if not np.all(np.isfinite(values)):
+            expected = f"{NO_VALUE:g} to 9999 where there is none"
+            raise InputError("a number is missing", where=self.where, expected=expected)
+        return np.where(values >= NO_VALUE, np.nan, values)
 
-    def skip(self, *keys: str) -> None:
-        """Pass over lines that say nothing new."""
-        for key in keys:
-            self.words(key)
-
-    def spectra(self, count: int) -> tuple[Array, Array]:
-        """(W,) wavelengths and (count, W) values of the lines that begin with a number."""
-        at, rows = [], []
-        while self.next < len(self.lines) and not self.lines[self.next][1][0].endswith(":"):
-            words = [w for w in self.lines[self.next][1] if w]
-            self.next += 1
-            if len(words) != count + 1:
-                raise InputError(f"{len(words) - 1} values", where=self.here, expected=f"{count}, one a half hour")
-            row = _numbers(words, self.here, marks=False)
-            at.append(row[0])
-            rows.append(np.where(row[1:] >= NO_VALUE, np.nan, row[1:]))
-        nm = np.array(at)
-        if nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 300 and nm[-1] < 3000):
-            raise InputError("no increasing wavelengths in nm", where=self.here, expected="400 to 2500 nm")
-        return nm, np.array(rows).T
+    def time(self, year: float, day: float, clock: str) -> datetime:
+        """Year, day of the year and time of the day as one."""
+        try:
+            start = datetime.strptime(f"{int(year):04d} {clock}", "%Y %H:%M").replace(tzinfo=UTC)
+        except ValueError as error:
+            raise InputError(f"not a time: {clock!r}", where=self.where, expected="UTC as HH:MM") from error
+        if not 1 <= day <= 366:
+            raise InputError(f"day {day:g} of the year", where=self.where, expected="1 to 366")
+        return start + timedelta(days=int(day) - 1)
 
 
-def _numbers(words: Sequence[str], where: str, marks: bool = True) -> Array:
-    try:
-        values = np.array([float(w) for w in words])
-    except ValueError as error:
-        raise InputError("not a row of numbers", where=where, expected="numbers separated by tabulators") from error
-    if not np.all(np.isfinite(values)):
-        raise InputError("a number is missing", where=where, expected=f"{NO_VALUE:g} to 9999 where there is none")
-    return np.where(values >= NO_VALUE, np.nan, values) if marks else values
-
-
-def _time(year: float, day: float, clock: str, where: str) -> datetime:
-    try:
-        start = datetime.strptime(f"{int(year):04d} {clock}", "%Y %H:%M").replace(tzinfo=UTC)
-    except ValueError as error:
-        raise InputError(f"not a time: {clock!r}", where=where, expected="UTC as HH:MM") from error
-    if not 1 <= day <= 366:
-        raise InputError(f"day {day:g} of the year", where=where, expected="1 to 366")
-    return start + timedelta(days=int(day) - 1)
+def _spectra(rows: list[_Row], count: int, path: str) -> tuple[Array, Array]:
+    """(W,) wavelengths and (count, W) values of the lines that begin with a number."""
+    numbers = [row for row in rows if not row.key.endswith(":")]
+    values = np.array([row.numbers(count) for row in numbers]).reshape(-1, count)
+    nm = np.array([_Row(row.where, "", [row.key]).numbers(1)[0] for row in numbers])
+    if nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 300 and nm[-1] < 3000):
+        raise InputError("no increasing wavelengths in nm", where=path, expected="400 to 2500 nm")
+    return nm, values.T

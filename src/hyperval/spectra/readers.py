@@ -19,7 +19,7 @@ from hyperval.spectra import networks, readers_asd, readers_library
 from hyperval.spectra import text as readers_instruments
 from hyperval.spectra import text as readers_rows
 from hyperval.spectra import text as readers_text
-from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
+from hyperval.spectra.readers_record import MAX_BYTES, Asked, FieldSpectrum, Record, finished, mean_of
 from hyperval.storage import decoded
 
 # Printable characters of any 8-bit code, tabulators, ends of lines and pages.
@@ -85,14 +85,7 @@ def read_spectrum(
         chosen = readers_text.column_record(decoded(_read(path)), path, decoded(_read(grid)), grid)
         if beside is not None:
             chosen = replace(chosen, notes=(*chosen.notes, f"wavelengths from {beside.name}, which lies beside it"))
-    return finished(
-        chosen,
-        quantity=quantity,
-        wavelength_unit=wavelength_unit,
-        reflectance_unit=reflectance_unit,
-        unit=unit,
-        unit_if_unstated=unit_if_unstated,
-    )
+    return finished(chosen, Asked(quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated))
 
 
 @reader
@@ -121,12 +114,8 @@ def read_records(
         listed = _records(path, None, root, quantity)
     else:
         listed = readers_library.records_at_hand(path)
-    return [
-        finished(
-            record, quantity=quantity, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit, unit=unit
-        )
-        for record in _wanted(listed, records, listed[0].where if listed else "library")
-    ]
+    asked = Asked(quantity, wavelength_unit, reflectance_unit, unit)
+    return [finished(record, asked) for record in _wanted(listed, records, listed[0].where if listed else "library")]
 
 
 def _wavelengths_beside(path: Path) -> Path | None:

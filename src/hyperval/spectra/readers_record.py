@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -109,30 +109,37 @@ class Record:
 
 def reflectance_factor(unit: str) -> float:
     """What multiplies a reflectance in ``unit`` ("fraction", "percent", "scaled:F") to give a fraction."""
-    if unit in ("fraction", "1"):
-        return 1.0
-    if unit in ("percent", "%"):
-        return 0.01
     head, _, tail = unit.partition(":")
     try:
-        scale = float(tail)
+        scale = {"fraction": 1.0, "1": 1.0, "percent": 100.0, "%": 100.0}.get(unit) or float(tail)
     except ValueError:
-        scale = float("nan")
-    if head.strip() != "scaled" or not (np.isfinite(scale) and scale > 0):
+        scale = np.nan
+    if (tail and head.strip() != "scaled") or not (np.isfinite(scale) and scale > 0):
         raise UsageError(f"unknown reflectance unit {unit!r}", expected="fraction, percent or scaled:10000")
     return 1.0 / scale
 
 
-def finished(
-    record: Record,
-    *,
-    quantity: str,
-    wavelength_unit: str | None,
-    reflectance_unit: str | None,
-    unit: str | None = None,
-    unit_if_unstated: str | None = None,
-) -> FieldSpectrum:
+@dataclass(frozen=True)
+class Asked:
+    """What the caller says of a spectrum: the quantity that is wanted, and units that the file may leave open.
+
+    Attributes
+    ----------
+    quantity : "reflectance", "radiance", "irradiance" or "other"
+    wavelength_unit, reflectance_unit, unit : must agree with the file where it states them
+    unit_if_unstated : of a radiance or irradiance, where neither the file nor ``unit`` states one
+    """
+
+    quantity: str = "reflectance"
+    wavelength_unit: str | None = None
+    reflectance_unit: str | None = None
+    unit: str | None = None
+    unit_if_unstated: str | None = None
+
+
+def finished(record: Record, asked: Asked) -> FieldSpectrum:
     """Convert units, put wavelengths in order, and refuse what cannot be true."""
+    quantity = asked.quantity
     if quantity not in ("reflectance", "radiance", "irradiance", "other"):
         raise UsageError(f"unknown quantity {quantity!r}", expected="reflectance, radiance, irradiance or other")
     if record.quantity is not None and quantity not in ("other", record.quantity):
@@ -140,28 +147,59 @@ def finished(
         if quantity == "reflectance" and record.quantity in ("radiance", "irradiance"):
             mend = "give the reflectance: the spectrum over that of a white panel under the same light"
         raise InputError(f"the file holds {record.quantity}, not {quantity}", where=record.where, mend=mend)
-    record = in_nm(record, wavelength_unit)
-    record = ordered(without_gaps(record))
+    record = ordered(without_gaps(in_nm(record, asked.wavelength_unit)))
     factor = 1.0
     if quantity in ("radiance", "irradiance"):
-        factor = _power_factor(record, quantity, unit, unit_if_unstated)
+        to_internal = radiance_to_internal if quantity == "radiance" else irradiance_to_internal
+        unit = _agreed(record.unit, asked.unit, to_internal, quantity, record.where) or asked.unit_if_unstated
+        if unit is None:
+            raise UsageError(f"the unit of the {quantity} is not stated", where=record.where, mend="state unit:")
+        factor = to_internal(unit)
     elif quantity == "reflectance":
-        factor = _reflectance(record, reflectance_unit)
+        given = asked.reflectance_unit
+        if record.doubt is not None and given is None:
+            raise UsageError(
+                record.doubt, where=record.where, expected="values in the unit that the file states",
+                mend="state reflectance_unit: fraction (or percent)",
+            )  # fmt: skip
+        unit = _agreed(record.reflectance_unit, given, reflectance_factor, quantity, record.where)
+        factor = reflectance_factor(unit or "fraction")
+        _check_reflectance(record, factor)
     spread = record.standard_deviation
     if spread is not None and np.any(spread < 0):
         raise InputError("standard deviations below 0", where=record.where)
-    notes = record.notes if factor == 1.0 else (*record.notes, f"values x {factor:g}")
     return FieldSpectrum(
-        record.name,
-        record.wavelength,
-        record.values * factor,
-        None if spread is None else spread * factor,
-        record.n,
-        record.where,
-        quantity,
-        notes,
+        record.name, record.wavelength, record.values * factor, None if spread is None else spread * factor, record.n,
+        record.where, quantity, record.notes if factor == 1.0 else (*record.notes, f"values x {factor:g}"),
         None if record.errors is None else record.errors.times(factor),
-    )
+    )  # fmt: skip
+
+
+def _agreed(stated: str | None, given: str | None, factor: Callable[[str], float], what: str, where: str) -> str | None:
+    """The unit that a file states or its caller gives; UsageError where they are not the same."""
+    if stated is not None and given is not None and factor(stated) != factor(given):
+        mend = None if what == "wavelengths" else "leave the caller's out"
+        raise UsageError(f"the file states {what} in {stated}, the caller in {given}", where=where, mend=mend)
+    return stated or given
+
+
+def _check_reflectance(record: Record, factor: float) -> None:
+    """Refuse marks of missing values, and what is no fraction."""
+    marks = np.isin(record.values, FILLS)
+    if marks.any():
+        raise InputError(
+            f"{int(marks.sum())} channels hold {record.values[marks][0]:g}, which marks a missing value and is no "
+            "reflectance", where=record.where, mend="delete these channels, or write NaN in their place",
+        )  # fmt: skip
+    middle = float(np.median(record.values)) * factor
+    if middle > PLAUSIBLE_REFLECTANCE:
+        name = "scaled:10000" if middle > 150.0 else "percent"
+        raise InputError(
+            f"half of the reflectances exceed {middle:.4g}: the spectrum looks like {name}",
+            where=record.where,
+            expected="reflectance as a fraction",
+            mend=f"state reflectance_unit: {name}",
+        )
 
 
 def in_nm(record: Record, given: str | None) -> Record:
@@ -171,27 +209,23 @@ def in_nm(record: Record, given: str | None) -> Record:
     ------
     UsageError : the unit is not stated and not plain from the numbers, or cannot be true.
     """
-    values = record.wavelength
-    only = only_wavelength_unit(values) if record.wavelength_unit is None and given is None else None
-    if only is not None:
-        record, given = replace(record, notes=(*record.notes, wavelength_unit_note(values, only))), only
-    if record.wavelength_unit is None and given is None:
+    values, where = record.wavelength, record.where
+    unit = _agreed(record.wavelength_unit, given, wavelength_to_nm, "wavelengths", where)
+    if unit is None and (unit := only_wavelength_unit(values)) is not None:
+        record = replace(record, notes=(*record.notes, wavelength_unit_note(values, unit)))
+    if unit is None:
         raise UsageError(
             f"the file does not say whether its wavelengths ({values.min():g} to {values.max():g}) are in nm or um",
-            where=record.where,
+            where=where,
             expected=f"nm, or um (then they are {values.min() * 1e3:g} to {values.max() * 1e3:g} nm)",
             mend="state wavelength_unit",
         )
-    unit = record.wavelength_unit or given or ""
-    factor = wavelength_to_nm(unit)
-    if given is not None and wavelength_to_nm(given) != factor:
-        raise UsageError(f"the file states wavelengths in {unit}, the caller in {given}", where=record.where)
-    nm = values * factor
+    nm = values * wavelength_to_nm(unit)
     low, high = PLAUSIBLE_NM
     if not np.all(np.isfinite(nm)) or nm.min() < low or nm.max() > high:
         raise UsageError(
             f"wavelengths from {values.min():g} to {values.max():g} cannot be in {unit}",
-            where=record.where,
+            where=where,
             expected=f"{low:g} to {high:g} nm",
             mend="correct wavelength_unit (nm or um)",
         )
@@ -229,29 +263,23 @@ def ordered(record: Record) -> Record:
         return record
     if np.all(step < 0):
         return _kept(record, np.arange(w.size)[::-1], "wavelengths fall in the file: turned round")
-    starts = [0, *(np.flatnonzero(step <= 0) + 1).tolist(), w.size]
-    parts = [np.arange(a, b) for a, b in pairwise(starts)]
-    if len(parts) - 1 > MAX_JOINS:
+    starts = np.flatnonzero(step <= 0) + 1
+    parts, cuts = np.split(np.arange(w.size), starts), list[float]()
+    if starts.size > MAX_JOINS:
         raise InputError(
-            f"wavelengths jump back {len(parts) - 1} times, first to {w[starts[1]]:g} nm",
+            f"wavelengths jump back {starts.size} times, first to {w[starts[0]]:g} nm",
             where=record.where,
             expected="increasing wavelengths, or up to five detectors one after the other",
         )
-    cuts = []
-    for i in range(len(parts) - 1):
-        before, after = parts[i], parts[i + 1]
+    for i in range(starts.size):
+        before, after = parts[i : i + 2]
         if not (w[before[0]] < w[after[0]] <= w[before[-1]] < w[after[-1]]):
-            raise InputError(
-                f"wavelengths jump back from {w[before[-1]]:g} to {w[after[0]]:g} nm, but no detectors overlap",
-                where=record.where,
-            )
-        cut = 0.5 * (w[before[-1]] + w[after[0]])
-        cuts.append(cut)
-        parts[i] = before[w[before] <= cut]
-        parts[i + 1] = after[w[after] > cut]
-    index = np.concatenate(parts)
+            what = f"wavelengths jump back from {w[before[-1]]:g} to {w[after[0]]:g} nm, but no detectors overlap"
+            raise InputError(what, where=record.where)
+        cuts.append(0.5 * (w[before[-1]] + w[after[0]]))
+        parts[i], parts[i + 1] = before[w[before] <= cuts[i]], after[w[after] > cuts[i]]
     joined = ", ".join(f"{c:.1f}" for c in cuts)
-    return _kept(record, index, f"overlapping detectors joined at {joined} nm")
+    return _kept(record, np.concatenate(parts), f"overlapping detectors joined at {joined} nm")
 
 
 def mean_of(records: list[Record]) -> Record:
@@ -268,54 +296,6 @@ def mean_of(records: list[Record]) -> Record:
         n=len(records),
         errors=None,
     )
-
-
-def _power_factor(record: Record, quantity: str, given: str | None, otherwise: str | None) -> float:
-    """What turns the radiance or irradiance of a file into the internal unit; a stated unit must be the file's."""
-    to_internal = radiance_to_internal if quantity == "radiance" else irradiance_to_internal
-    unit = record.unit or given or otherwise
-    if unit is None:
-        raise UsageError(f"the unit of the {quantity} is not stated", where=record.where, mend="state unit:")
-    factor = to_internal(unit)
-    if record.unit is not None and given is not None and to_internal(given) != factor:
-        raise UsageError(
-            f"the file states {quantity} in {record.unit}, the caller in {given}",
-            where=record.where,
-            mend="leave unit out",
-        )
-    return factor
-
-
-def _reflectance(record: Record, given: str | None) -> float:
-    stated = record.reflectance_unit
-    if stated is not None and given is not None and reflectance_factor(stated) != reflectance_factor(given):
-        raise UsageError(f"the file states reflectance in {stated}, the caller in {given}", where=record.where)
-    if record.doubt is not None and given is None:
-        raise UsageError(
-            record.doubt,
-            where=record.where,
-            expected="values in the unit that the file states",
-            mend="state reflectance_unit: fraction (or percent)",
-        )
-    factor = reflectance_factor(stated or given or "fraction")
-    marks = np.isin(record.values, FILLS)
-    if marks.any():
-        raise InputError(
-            f"{int(marks.sum())} channels hold {record.values[marks][0]:g}, which marks a missing value and is no "
-            "reflectance",
-            where=record.where,
-            mend="delete these channels, or write NaN in their place",
-        )
-    middle = float(np.median(record.values)) * factor
-    if middle > PLAUSIBLE_REFLECTANCE:
-        name = "scaled:10000" if middle > 150.0 else "percent"
-        raise InputError(
-            f"half of the reflectances exceed {middle:.4g}: the spectrum looks like {name}",
-            where=record.where,
-            expected="reflectance as a fraction",
-            mend=f"state reflectance_unit: {name}",
-        )
-    return factor
 
 
 def _kept(record: Record, index: npt.NDArray[np.intp], note: str) -> Record:

@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 2000
 MAX_TITLE = 1000
+_CUT = "copy the file again: it is damaged or cut short"
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
 # No part of a pattern may begin in more than one place of what the part before it takes: a line of a million digits
@@ -55,10 +56,7 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     wavelengths is left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
     """
     header, table, first_line = number_table(text, path)
-    titles = _titles(header, table.shape[1])
-    where = str(path)
-    if columns is None and _is_index(table, titles):
-        table, titles = table[:, 1:], titles[1:]
+    titles, where, spread = _titles(header, table.shape[1]), str(path), dict[int, int]()
     if columns is not None:
         picked = [_column(c, titles, where) for c in columns]
         if len(picked) not in (2, 3):
@@ -66,11 +64,11 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         table, titles = table[:, picked], [titles[i] for i in picked]
         spread = {1: 2} if len(picked) == 3 else {}
     else:
-        spread = {}
+        if _is_index(table, titles):
+            table, titles = table[:, 1:], titles[1:]
         for i in range(2, len(titles)):
             if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
                 spread[i - 1] = i
-    unmeasured = {i for i in spread.values() if not table[:, i].any()}
     if table.shape[1] < 2:
         raise InputError(
             "a single column",
@@ -78,40 +76,37 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
             expected="a wavelength and a value in every row",
             mend="where the wavelengths have a file of their own, name it (wavelengths)",
         )
-    whole = "\n".join(header)
-    unit = wavelength_unit_in(titles[0], whole, where)
-    count = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole)
-    wavelength = table[:, 0]
+    whole, wavelength = "\n".join(header), table[:, 0]
     ends = [float(e) for key in ("First", "Last") if _NUMBER.match(e := _entry(whole, f"{key} X Value") or "")]
-    count_stated = _entry(whole, "Number of X Values")
+    count_stated, count = _entry(whole, "Number of X Values"), re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole)
     check_stated(wavelength, where, count=count_stated, ends=(ends[0], ends[1]) if len(ends) == 2 else None)
-    records = []
+    y_units, name = _entry(whole, "Y Units?"), _entry(whole, "Name")
+    unit, records = wavelength_unit_in(titles[0], whole, where), []
     for i in range(1, table.shape[1]):
         if i in spread.values() or (i > 1 and np.array_equal(table[:, i], wavelength)):
             continue
-        y_units, name = _entry(whole, "Y Units?"), _entry(whole, "Name")
+        beside = table[:, spread[i]] if i in spread else None
+        unmeasured = beside is not None and not beside.any()
+        record = _of_column(y_units or titles[i], titles[i] or name or "", wavelength, table[:, i], where, unit)
+        if columns is None and _SPREAD.search(titles[i]):
+            record = replace(record, quantity="a standard deviation")
         records.append(
-            Record(
-                name=titles[i] or (name or ""),
-                wavelength=wavelength,
-                values=table[:, i],
-                where=where,
-                standard_deviation=table[:, spread[i]] if spread.get(i, i) not in {i, *unmeasured} else None,
-                notes=("a standard deviation of 0 everywhere is none",) if spread.get(i) in unmeasured else (),
-                n=int(count.group(1)) if count else None,
-                wavelength_unit=unit,
-                reflectance_unit=reflectance_unit_in(y_units or titles[i]),
-                quantity="a standard deviation"
-                if columns is None and _SPREAD.search(titles[i])
-                else quantity_in(y_units or titles[i]),
-                unit=power_unit_in(y_units or titles[i]),
+            replace(
+                record, standard_deviation=None if unmeasured else beside, n=int(count.group(1)) if count else None,
+                notes=("a standard deviation of 0 everywhere is none",) if unmeasured else (),
             )
-        )
+        )  # fmt: skip
     if len(records) == 1:
-        only = records[0]
-        records[0] = Record(**{**only.__dict__, "name": path.stem if only.name in ("", *titles) else only.name})
-        return records
-    return [Record(**{**r.__dict__, "name": r.name or f"column {k + 1}"}) for k, r in enumerate(records)]
+        return [replace(r, name=path.stem if r.name in ("", *titles) else r.name) for r in records]
+    return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
+
+
+def _of_column(says: str, name: str, wavelength: Array, values: Array, where: str, unit: str | None) -> Record:
+    """A column of numbers with the quantity and the units that a text says it has."""
+    return Record(
+        name, wavelength, values, where, wavelength_unit=unit, reflectance_unit=reflectance_unit_in(says),
+        quantity=quantity_in(says), unit=power_unit_in(says),
+    )  # fmt: skip
 
 
 def column_record(text: str, path: Path, grid_text: str, grid: Path) -> Record:
@@ -119,19 +114,15 @@ def column_record(text: str, path: Path, grid_text: str, grid: Path) -> Record:
     header, values, _ = number_table(text, path)
     grid_header, wavelength, _ = number_table(grid_text, grid)
     if values.shape[1] != 1 or wavelength.shape != values.shape:
-        raise InputError(
-            f"{values.shape[0]} rows of {values.shape[1]} columns",
-            where=str(path),
-            expected=f"one column of {len(wavelength)} rows, as in {grid}",
+        what, expected = (
+            "{} rows of {} columns".format(*values.shape),
+            f"one column of {len(wavelength)} rows, as in {grid}",
         )
+        raise InputError(what, where=str(path), expected=expected)
     name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
-    return Record(
-        name=name.group(1).strip() if name else path.stem,
-        wavelength=wavelength[:, 0],
-        values=values[:, 0],
-        where=str(path),
-        wavelength_unit=wavelength_unit_in(" ".join(grid_header), "", str(grid)),
-    )
+    unit = wavelength_unit_in(" ".join(grid_header), "", str(grid))
+    title = name.group(1).strip() if name else path.stem
+    return Record(title, wavelength[:, 0], values[:, 0], str(path), wavelength_unit=unit)
 
 
 def usgs_rows(text: str) -> int | None:
@@ -146,25 +137,13 @@ def usgs_rows(text: str) -> int | None:
 def plot_records(text: str, path: Path) -> list[Record]:
     """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
     header, table, _ = number_table(text, path)
-    titles = {}
-    for line in header:
-        match = re.match(r"^Column ([0-9]{1,6}):\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE])
-        if match:
-            titles[int(match.group(1)) - 1] = match.group(2)
+    matches = [re.match(r"^Column ([0-9]{1,6}):\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE]) for line in header]
+    titles = {int(m.group(1)) - 1: m.group(2) for m in matches if m}
     if sorted(titles) != list(range(table.shape[1])) or table.shape[1] < 2:
         raise InputError(f"{len(titles)} titles for {table.shape[1]} columns", where=str(path))
-    return [
-        Record(
-            name=titles[i],
-            wavelength=table[:, 0],
-            values=table[:, i],
-            where=str(path),
-            wavelength_unit=wavelength_unit_in(titles[0], "", str(path)),
-            reflectance_unit=reflectance_unit_in(titles[i]),
-            quantity=quantity_in(titles[i]),
-        )
-        for i in range(1, table.shape[1])
-    ]
+    unit = wavelength_unit_in(titles[0], "", str(path))
+    columns = list(enumerate(table.T))
+    return [_of_column(titles[i], titles[i], table[:, 0], values, str(path), unit) for i, values in columns[1:]]
 
 
 def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Array, int]:
@@ -230,20 +209,16 @@ def check_stated(wavelength: Array, where: str, *, count: str | None, ends: tupl
     ------
     InputError : another number of rows or other ends.
     """
-    mend = "copy the file again: it is damaged or cut short"
+    what = ""
     if count is not None and not (count.strip().isdecimal() and int(count[:9]) == wavelength.size):
-        raise InputError(
-            f"{wavelength.size} rows", where=where, expected=f"{count.strip()[:20]}, as it states", mend=mend
-        )
-    if ends is not None:
-        stated, ends_nm = np.array(sorted(ends)), np.array([wavelength.min(), wavelength.max()])
-        if not np.all(np.abs(ends_nm - stated) <= _ENDS * np.abs(stated)):
-            raise InputError(
-                f"wavelengths from {ends_nm[0]:g} to {ends_nm[1]:g}",
-                where=where,
-                expected=f"{stated[0]:g} to {stated[1]:g}, as it states",
-                mend=mend,
-            )
+        what, expected = f"{wavelength.size} rows", count.strip()[:20]
+    elif ends is not None:
+        stated, found = np.array(sorted(ends)), np.array([wavelength.min(), wavelength.max()])
+        if not np.all(np.abs(found - stated) <= _ENDS * np.abs(stated)):
+            what = "wavelengths from {:g} to {:g}".format(*found)
+            expected = "{:g} to {:g}".format(*stated)
+    if what:
+        raise InputError(what, where=where, expected=f"{expected}, as it states", mend=_CUT)
 
 
 def check_last_line(text: str, where: str) -> None:
@@ -253,11 +228,7 @@ def check_last_line(text: str, where: str) -> None:
     above, last = (line.split() for line in text.splitlines()[-2:])
     digits = [len(cells[-1].partition(".")[2]) for cells in (above, last) if cells]
     if len(above) != len(last) or digits[-1] < digits[0]:
-        raise InputError(
-            f"the last line is cut: {' '.join(last)[:60]!r}",
-            where=where,
-            mend="copy the file again: it is cut short",
-        )
+        raise InputError(f"the last line is cut: {' '.join(last)[:60]!r}", where=where, mend=_CUT)
 
 
 def reflectance_unit_in(title: str) -> str | None:
@@ -288,13 +259,8 @@ def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     ------
     InputError : they say wavenumbers.
     """
-    lines = [title] + [
-        line
-        for line in header.splitlines()
-        if re.match(
-            r"^\W*(X Units?|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)", line, re.IGNORECASE
-        )
-    ]
+    states = r"^\W*(X Units?|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
+    lines = [title, *(line for line in header.splitlines() if re.match(states, line, re.IGNORECASE))]
     for line in lines:
         nm, um = bool(_NM.search(line)), bool(_UM.search(line))
         if nm != um:
@@ -553,31 +519,20 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     InputError : not such a file, or a target in counts where radiance is asked for.
     """
     entries, table = _signature(text, path, (4,), "wavelength, reference, target, reflectance in percent")
-    name = entries.get("name", "").removesuffix(".sig") or path.stem
     units = entries.get("units", "").split(",")[-1].strip().lower()
     if quantity in SVC_UNITS:
         if units not in SVC_UNITS:
             raise InputError(f"the target is in {units or 'an unknown unit'}, not in {quantity}", where=str(path))
-        return Record(
-            name, table[:, 0], SVC_SCALE * table[:, 2], str(path),
-            wavelength_unit="nm", quantity=units, unit=SVC_UNITS[units],
-            notes=(f"{units} taken as {SVC_SCALE:g} {SVC_UNITS[units]}, the maker's unit",),
-        )  # fmt: skip
+        notes = (f"{units} taken as {SVC_SCALE:g} {SVC_UNITS[units]}, the maker's unit",)
+        power = _reflectance_of(entries, path, table, SVC_SCALE * table[:, 2])
+        return replace(power, reflectance_unit=None, quantity=units, unit=SVC_UNITS[units], notes=notes)
     if not table[:, 3].any():
         raise InputError(
             f"no reflectance: a single scan of {units or 'an unknown quantity'}",
             where=str(path),
             expected="target over white reference in the fourth column",
         )
-    return Record(
-        name=name,
-        wavelength=table[:, 0],
-        values=table[:, 3],
-        where=str(path),
-        wavelength_unit="nm",
-        reflectance_unit="percent",
-        quantity="reflectance",
-    )
+    return _reflectance_of(entries, path, table, table[:, 3])
 
 
 def ger_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
@@ -596,15 +551,17 @@ def ger_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
             mend="convert the target's column to a table of wavelength and value, and state its unit",
         )
     entries, table = _signature(text, path, (3, 4), "wavelength, target, reference, perhaps reflectance in percent")
-    target, reference = table[:, 1], table[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(reference > 0, target / reference, np.nan)
-    values = table[:, 3] if table.shape[1] == 4 else ratio
+        percent = np.where(table[:, 2] > 0, 100.0 * (table[:, 1] / table[:, 2]), np.nan)
+    return _reflectance_of(entries, path, table, table[:, 3] if table.shape[1] == 4 else percent)
+
+
+def _reflectance_of(entries: dict[str, str], path: Path, table: Array, values: Array) -> Record:
+    """The spectrum of a .sig file, in percent."""
+    name = entries.get("name", "").removesuffix(".sig") or path.stem
     return Record(
-        entries.get("name", "").removesuffix(".sig") or path.stem, table[:, 0], values, str(path),
-        wavelength_unit="nm", reflectance_unit="percent" if table.shape[1] == 4 else "fraction",
-        quantity="reflectance",
-    )  # fmt: skip
+        name, table[:, 0], values, str(path), wavelength_unit="nm", reflectance_unit="percent", quantity="reflectance"
+    )
 
 
 def _signature(text: str, path: Path, columns: tuple[int, ...], expected: str) -> tuple[dict[str, str], Array]:
@@ -633,46 +590,34 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %", "Reflect. [1.0]" or "Tgt./Ref. %".
 
     ``quantity`` "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
-    in the line ``Units:``.
+    in the line ``Units:``.  It has as many rows and columns as it says, over the range that it says.
     """
-    lines = text.splitlines()
+    lines, where = text.splitlines(), str(path)
     begin = next((i for i, line in enumerate(lines) if line.strip().lower() == "data:"), None)
     if begin is None or begin + 1 >= len(lines):
-        raise InputError("no 'Data:' line", where=str(path))
+        raise InputError("no 'Data:' line", where=where)
     titles = [t.strip() for t in lines[begin + 1].split("\t")]
-    power = quantity in ("radiance", "irradiance")
+    stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
+    power = quantity in SVC_UNITS
     wanted = quantity if power else "reflectance"
     pattern, forms = _SED_COLUMNS[wanted]
     columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
     if len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
-        raise InputError(
-            f"no {wanted} column: " + ", ".join(titles),
-            where=f"{path}:{begin + 2}",
-            expected=f"Wvl and one column {forms}",
-        )
+        what, expected = f"no {wanted} column: " + ", ".join(titles), f"Wvl and one column {forms}"
+        raise InputError(what, where=f"{path}:{begin + 2}", expected=expected)
     unit = None if power else reflectance_unit_in(titles[columns[0]])
     if unit is None and not power:
         raise InputError(f"the unit of {titles[columns[0]]!r} is not known", where=f"{path}:{begin + 2}")
-    stated = next((x.partition(":")[2] for x in lines[:begin] if x.lower().startswith("units:")), "")
-    table = _sed_table(text, lines, begin, len(titles), path)
-    return Record(
-        path.stem, table[:, 0], table[:, columns[0]], str(path), wavelength_unit="nm", reflectance_unit=unit,
-        quantity=wanted, unit=power_unit_in(stated) if power else None,
-    )  # fmt: skip
-
-
-def _sed_table(text: str, lines: list[str], begin: int, columns: int, path: Path) -> Array:
-    """The numbers below the titles, as many rows and columns as the file says and over the range that it says."""
     header, table, start = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
-    stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
-    named = next((int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))), columns)
-    if header or table.shape[1] != columns or named != columns:
-        what = f"{table.shape[1]} columns under {columns} titles"
-        raise InputError(what, where=f"{path}:{start}", expected=f"{named} of both, as it states")
+    named = [int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))] or [len(titles)]
+    if header or not table.shape[1] == len(titles) == named[0]:
+        what = f"{table.shape[1]} columns under {len(titles)} titles"
+        raise InputError(what, where=f"{path}:{start}", expected=f"{named[0]} of both, as it states")
     ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
-    check_stated(
-        table[:, 0], str(path), count=stated.get("channels"),
-        ends=(float(ends[1]), float(ends[2])) if ends else None,
+    ends_nm = (float(ends[1]), float(ends[2])) if ends else None
+    check_stated(table[:, 0], where, count=stated.get("channels"), ends=ends_nm)
+    check_last_line(text, where)
+    return Record(
+        path.stem, table[:, 0], table[:, columns[0]], where, wavelength_unit="nm", reflectance_unit=unit,
+        quantity=wanted, unit=power_unit_in(stated.get("units", "")) if power else None,
     )  # fmt: skip
-    check_last_line(text, str(path))
-    return table
