@@ -16,8 +16,8 @@ from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
 from hyperval.report.run import ScoreMap
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.binary import library_to_spy, library_to_xarray
 from hyperval.spectra.readers import read_records
-from hyperval.spectra.readers_library import library_to_spy, library_to_xarray
 
 
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])

@@ -191,7 +191,7 @@ def test_real_files(data_dir):
 @pytest.mark.data
 def test_counts_calibrated_as_another_reader_calibrates_them(data_dir, monkeypatch):
     """Radiance of a version 7 file by pyASDReader 1.2.3 [W m-2 sr-1 nm-1]; it steps at 1800 nm there too."""
-    monkeypatch.setattr("hyperval.spectra.readers_asd.MAX_STEP", np.inf)
+    monkeypatch.setattr("hyperval.spectra.binary.MAX_STEP", np.inf)
     found = read_spectrum(data_dir("spectra/asd/v7sample00000.asd"), quantity="radiance")
     at = np.searchsorted(found.wavelength_nm, [450, 1050, 1799, 1801, 1850])
     want = [0.008198067382416185, 0.2938367126044839, 0.09511210086517422, 0.24821675621412348, 0.1777754349768502]

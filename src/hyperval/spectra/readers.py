@@ -15,10 +15,7 @@ from typing import Any
 from hyperval.envi_header import EnviHeader, header_beside, read_header
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.paths import checked_file
-from hyperval.spectra import networks, readers_asd, readers_library
-from hyperval.spectra import text as readers_instruments
-from hyperval.spectra import text as readers_rows
-from hyperval.spectra import text as readers_text
+from hyperval.spectra import binary, networks, text
 from hyperval.spectra.readers_record import MAX_BYTES, Asked, FieldSpectrum, Record, finished, mean_of
 from hyperval.storage import decoded
 
@@ -82,7 +79,7 @@ def read_spectrum(
         chosen = _chosen(_records(path, columns, root, quantity), record, str(path))
     else:
         grid = checked_file(beside or str(wavelengths), root=root, what="wavelength file")
-        chosen = readers_text.column_record(decoded(_read(path)), path, decoded(_read(grid)), grid)
+        chosen = text.column_record(decoded(_read(path)), path, decoded(_read(grid)), grid)
         if beside is not None:
             chosen = replace(chosen, notes=(*chosen.notes, f"wavelengths from {beside.name}, which lies beside it"))
     return finished(chosen, Asked(quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated))
@@ -113,7 +110,7 @@ def read_records(
         path = checked_file(path, root=root, what="spectrum file")
         listed = _records(path, None, root, quantity)
     else:
-        listed = readers_library.records_at_hand(path)
+        listed = binary.records_at_hand(path)
     asked = Asked(quantity, wavelength_unit, reflectance_unit, unit)
     return [finished(record, asked) for record in _wanted(listed, records, listed[0].where if listed else "library")]
 
@@ -122,7 +119,7 @@ def _wavelengths_beside(path: Path) -> Path | None:
     """The file of wavelengths of a USGS spectrum of one column, in its folder or the one above."""
     if path.suffix.lower() != ".txt" or path.stat().st_size > MAX_BYTES:
         return None
-    rows = readers_text.usgs_rows(decoded(path.read_bytes()))
+    rows = text.usgs_rows(decoded(path.read_bytes()))
     if rows is None:
         return None
     fits = []
@@ -131,7 +128,7 @@ def _wavelengths_beside(path: Path) -> Path | None:
         fits += [
             p
             for p in named[:MAX_WAVELENGTH_FILES]
-            if p.stat().st_size <= MAX_BYTES and readers_text.usgs_rows(decoded(p.read_bytes())) == rows
+            if p.stat().st_size <= MAX_BYTES and text.usgs_rows(decoded(p.read_bytes())) == rows
         ]
     return fits[0] if len(fits) == 1 else None
 
@@ -161,7 +158,7 @@ class _File:
     def mark(self) -> bytes:
         """The first bytes of a file of any size."""
         with open(self.path, "rb") as stream:
-            return stream.read(len(readers_library.MARK))
+            return stream.read(len(binary.MARK))
 
     @cached_property
     def raw(self) -> bytes:
@@ -218,27 +215,27 @@ def _refused(file: _File) -> list[Record]:
 
 # The first that knows a file reads it: marks before tables, and text that anything can be at the end.
 FORMATS = (
-    Format("SPECPR", lambda f: readers_library.is_specpr(f.mark), lambda f: readers_library.specpr_records(f.path)),
-    Format("ASD", lambda f: readers_asd.is_asd(f.raw), lambda f: [readers_asd.asd_record(f.raw, f.path, f.quantity)]),
+    Format("SPECPR", lambda f: binary.is_specpr(f.mark), lambda f: binary.specpr_records(f.path)),
+    Format("ASD", lambda f: binary.is_asd(f.raw), lambda f: [binary.asd_record(f.raw, f.path, f.quantity)]),
     Format(
         "ENVI ASCII plot",
         lambda f: f.head.startswith(b"ENVI ASCII Plot File"),
-        lambda f: readers_text.plot_records(f.text, f.path),
+        lambda f: text.plot_records(f.text, f.path),
     ),
     Format(
         "header of an ENVI spectral library",
         lambda f: f.head.startswith(b"ENVI") and f.head[4:5] in (b"\r", b"\n", b" "),
-        lambda f: readers_library.library_records(f.path, None, f.root),
+        lambda f: binary.library_records(f.path, None, f.root),
     ),
     Format(
         "SVC .sig",
         lambda f: f.head.startswith(b"/*** Spectra Vista"),
-        lambda f: [readers_instruments.svc_record(f.text, f.path, f.quantity)],
+        lambda f: [text.svc_record(f.text, f.path, f.quantity)],
     ),
     Format(
         "GER .sig",
         lambda f: f.head.startswith(b"///GER"),
-        lambda f: [readers_instruments.ger_record(f.text, f.path, f.quantity)],
+        lambda f: [text.ger_record(f.text, f.path, f.quantity)],
     ),
     Format("", lambda f: f.not_read is not None, _refused),
     Format("HYPERNETS", lambda f: networks.is_hypernets(f.raw), lambda f: networks.hypernets_records(f.path)),
@@ -246,26 +243,26 @@ FORMATS = (
     Format(
         "Spectral Evolution .sed",
         lambda f: b"Instrument:" in f.head and b"Columns [" in f.head,
-        lambda f: [readers_instruments.sed_record(f.text, f.path, f.quantity)],
+        lambda f: [text.sed_record(f.text, f.path, f.quantity)],
     ),
     Format(
         "ENVI spectral library with its header",
         lambda f: f.header is not None,
-        lambda f: readers_library.library_records(f.path, f.header, f.root),
+        lambda f: binary.library_records(f.path, f.header, f.root),
     ),
     Format(
         "text, a spectrum a row",
-        lambda f: f.columns is None and readers_rows.is_row_table(f.text),
-        lambda f: readers_rows.row_records(f.text, f.path),
+        lambda f: f.columns is None and text.is_row_table(f.text),
+        lambda f: text.row_records(f.text, f.path),
     ),
-    Format("text, a spectrum a column", lambda f: True, lambda f: readers_text.text_records(f.text, f.path, f.columns)),
+    Format("text, a spectrum a column", lambda f: True, lambda f: text.text_records(f.text, f.path, f.columns)),
 )
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:
     file = _File(path, columns, root, quantity)
     records = next(form for form in FORMATS if form.knows(file)).records(file)
-    if readers_text.quantity_in(path.stem) != "radiance":
+    if text.quantity_in(path.stem) != "radiance":
         return records
     # ..._rdn_... as the producers of images name what they cut out of them: it counts where the file says nothing.
     return [replace(r, quantity=r.quantity or "radiance") for r in records]
