@@ -21,7 +21,9 @@ class CubeSource(Model):
     variable: str | None = Field(None, description="which array is the image, where a file holds several")
     engine: str | None = Field(None, description="engine of xarray that opens the file; None: as its content says")
     header: str | None = Field(None, description="ENVI header that describes it, when it is not beside the cube")
-    quantity: Literal["radiance", "reflectance"]
+    quantity: Literal["radiance", "reflectance", "counts"] = Field(
+        description="counts: numbers of which nobody knows the unit"
+    )
     unit: RadianceUnit | None = Field(
         None, description="of the scaled radiance; None: the product's own, or that of a simulation"
     )
@@ -30,7 +32,7 @@ class CubeSource(Model):
     sort_bands: bool = Field(False, description="sort bands whose wavelengths fall, as where detectors overlap")
     by_number: bool = Field(
         False,
-        description="bands of a reflectance go by number, as no wavelength is known; for observe alone",
+        description="bands go by number, as no wavelength is known: what needs wavelengths is left out",
     )
     glt: str | None = Field(
         None, description="lookup table (GLT) or places of pixels (IGM); None: the product's own, or one beside it"
@@ -38,8 +40,8 @@ class CubeSource(Model):
 
     @model_validator(mode="after")
     def _known_bands(self) -> CubeSource:
-        if self.by_number and (self.quantity != "reflectance" or self.wavelength_unit or self.sort_bands):
-            raise ValueError("by_number is for a reflectance of which no wavelength is known")
+        if self.by_number and (self.quantity == "radiance" or self.wavelength_unit or self.sort_bands):
+            raise ValueError("by_number is for reflectance or counts of which no wavelength is known")
         return self
 
     @property

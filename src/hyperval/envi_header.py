@@ -121,18 +121,15 @@ class EnviHeader:
             parts = tuple(parts[0].split())
         if parts[-1] == "" and len(parts) > 1:  # a comma before the closing brace
             parts = parts[:-1]
-        out = np.empty(len(parts))
-        for i, part in enumerate(parts):
-            try:
-                out[i] = _number(part)
-            except ValueError:
-                raise InputError(
-                    f"item {i + 1} of {key!r} is not a number: {part[:40]!r}",
-                    where=self.where(key),
-                    expected="numbers with a decimal point, divided by commas",
-                ) from None
-            if not np.isfinite(out[i]):
-                raise InputError(f"item {i + 1} of {key!r} is not finite: {part}", where=self.where(key))
+        out = np.array([_number(part) for part in parts])
+        if not np.isfinite(out).all():
+            i = int(np.flatnonzero(~np.isfinite(out))[0])
+            what = "finite" if np.isinf(out[i]) or "nan" in parts[i].lower() else "a number"
+            raise InputError(
+                f"item {i + 1} of {key!r} is not {what}: {parts[i][:40]!r}",
+                where=self.where(key),
+                expected="numbers with a decimal point, divided by commas",
+            )
         if count is not None and out.size != count:
             raise InputError(
                 f"{key!r} has {out.size} values for {count} bands",
@@ -147,14 +144,14 @@ class EnviHeader:
         value = self.text(key)
         if value is None:
             return None
-        try:
-            return _number(value.split(";")[0].strip())
-        except ValueError:
+        number = _number(_bare(value))
+        if np.isnan(number) and "nan" not in value.lower():
             raise InputError(
                 f"{key!r} is not a number: {value[:40]!r}",
                 where=self.where(key),
                 mend="correct it, or delete the entry",
-            ) from None
+            )
+        return number
 
 
 def header_beside(data: Path) -> Path | None:
@@ -375,6 +372,8 @@ def _bare(value: str) -> str:
 
 
 def _number(text: str) -> float:
-    if "_" in text:  # Python's digit grouping is no number elsewhere
-        raise ValueError(text)
-    return float(text)
+    """The number of a text, NaN where it is none; Python's digit grouping is no number elsewhere."""
+    try:
+        return float(text) if "_" not in text else np.nan
+    except ValueError:
+        return np.nan

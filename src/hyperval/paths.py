@@ -158,12 +158,10 @@ def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list
     line holds no comma.  The ``known`` columns may be written in any case.
     """
     text = read_text(path)
-    first = text.split("\n", 1)[0]
-    divider = next((d for d in ",;\t" if d in first), ",")
+    divider = next((d for d in ",;\t" if d in text.split("\n", 1)[0]), ",")
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=divider, skipinitialspace=divider != "\t")
     try:
-        fields = [f.strip() for f in next(reader, [])]
-        fields = [f.lower() if f.lower() in known else f for f in fields]
+        fields = [f.lower() if f.lower() in known else f for f in map(str.strip, next(reader, []))]
         if len(set(fields)) < len(fields):
             raise InputError("two columns have the same name", where=f"{path}:1")
         rows = []

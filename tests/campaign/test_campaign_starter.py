@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from hyperval import cli
-from hyperval.campaign.dry_run import WRONG, dry_run, summary
+from hyperval.campaign.dry_run import TO_FILL_IN, WRONG, dry_run, summary
 from hyperval.campaign.schema import load_campaign
 from hyperval.campaign.starter import Spectrum, matching_spectrum
 from hyperval.config import FILL_IN
@@ -195,17 +195,23 @@ def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("missing", "said"),
-    [
-        ([], "the files do not say the unit of the radiance"),
-        (["--unit", UNIT], "no sensor of the library has the 16 bands of the image"),
-    ],
+    ("missing", "option"),
+    [([], "cube.unit.*--unit"), (["--unit", UNIT], "sensor.*these 16 bands.*--sensor")],
 )
-def test_what_no_file_says_is_asked_for(small, sources, missing, said, capsys):
+def test_what_no_file_says_is_left_to_be_filled_in_with_its_option(small, sources, missing, option):
     folder = small.folder / "none"
-    assert cli.run([*sources, *missing, "-o", str(folder)]) in (2, 3)
-    assert said in capsys.readouterr().err
-    assert not (folder / "campaign.yaml").exists()
+    assert cli.run([*sources, *missing, "-o", str(folder)]) == 0
+    to_fill = [str(item) for item in dry_run([folder / "campaign.yaml"]) if item.state == TO_FILL_IN]
+    assert any(re.search(option, item) for item in to_fill)
+
+
+def test_a_cube_alone_becomes_a_draft_without_a_prediction(small):
+    cube = small.collection / "small_rad.hdr"
+    for extra in ([], ["--unit", UNIT]):
+        folder = small.folder / f"alone{len(extra)}"
+        assert cli.run(["init", "--cube", str(cube), *extra, "-o", str(folder)]) == 0
+        assert [i for i in dry_run([folder / "campaign.yaml"]) if i.state == WRONG] == []
+    assert "--spectra" in (folder / "campaign.yaml").read_text()
 
 
 def test_a_campaign_that_is_there_is_not_replaced(small, sources, capsys):

@@ -79,7 +79,7 @@ def test_a_hand_built_header_is_read_through_the_parser():
     notes = acquisition_notes(parse_header(text, Path("x.hdr")).extras, AXIS, 2, 4)
     assert [n.split(" found")[0] for n in notes] == [
         "warning: header: CO2 shift 3.65 nm",
-        "header: binning 4, 2 (integration times without a unit; milliseconds are usual)",
+        "header: binning 4, 2 (integration times have no unit; milliseconds are usual)",
         "header: 2 detectors, bands 1-2 and 3-4 (from 1)",
     ]
 

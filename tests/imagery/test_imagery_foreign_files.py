@@ -11,7 +11,6 @@ import pytest
 import rasterio
 import rasterio.shutil
 from rasterio.errors import NotGeoreferencedWarning
-from scipy.io import savemat
 
 from hyperval.errors import InputError
 from hyperval.imagery import open_cube, open_raster, tiff, write_cube
@@ -157,10 +156,9 @@ def test_percent_is_named_with_the_scale_that_mends_it(tmp_path: Path, axis, val
     assert read == pytest.approx(values.reshape(-1, 4), rel=1e-6)
 
 
-def test_files_of_arrays_are_called_what_they_are(tmp_path: Path, values):
-    savemat(tmp_path / "scene.mat", {"cube": values})
-    np.save(tmp_path / "scene.npy", values)
-    for name, kind in (("scene.mat", "MATLAB"), ("scene.npy", "NumPy")):
-        with pytest.raises(InputError, match=f"{kind}.*not read as a cube") as caught:
-            open_raster(tmp_path / name)
-        assert "docs/formats.md, Cubes" in str(caught.value.mend)
+def test_a_container_that_is_not_read_is_called_what_it_is(tmp_path: Path):
+    path = tmp_path / "scene.hdf"
+    path.write_bytes(b"\x0e\x03\x13\x01" + bytes(600))
+    with pytest.raises(InputError, match=r"HDF4.*not read as a cube") as caught:
+        open_raster(path)
+    assert "docs/formats.md, Cubes" in str(caught.value.mend)

@@ -130,7 +130,8 @@ def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> Collect
     if campaign.classification is not None:
         lookup.known(("classification", "classes"), campaign.classification.classes, regions, "region")
     if campaign.detection is not None:
-        _detection(campaign.detection, offered, lookup, find)
+        by_number = collection.cube is not None and collection.cube.by_number
+        _detection(campaign.detection, offered, lookup, find, by_number)
     return offered
 
 
@@ -270,12 +271,14 @@ def _simulated(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) 
     return None
 
 
-def _detection(detection: Detection, offered: CollectionNames, lookup: Lookup, find: Callable[[str], Path]) -> None:
+def _detection(
+    detection: Detection, offered: CollectionNames, lookup: Lookup, find: Callable[[str], Path], by_number: bool
+) -> None:
     regions = offered.regions
     for key in ("background", "false_alarms"):
         lookup.known(("detection", key), getattr(detection, key), (SCENE, IMAGE, *regions), "region")
     lookup.known(("detection", "undesired"), detection.undesired, regions, "region")
-    for i, target in enumerate(detection.targets):
+    for i, target in enumerate(() if by_number else detection.targets):  # those are read on the bands alone
         at = ("detection", "targets", i, "spectrum")
         _spectrum(lookup, at, target.spectrum, target.name, offered.axis, find, ())
     if offered.subjects:
@@ -517,7 +520,7 @@ def _mistakes(text: Text, scenarios: Sequence[tuple[Scenario, str, Mapping[Locat
     own = Lookup(str(text.path), text.lines)
     offered = campaign_mistakes(campaign, own, base)
     collection = campaign.collection
-    reflects = collection.cube is not None and collection.cube.quantity == "reflectance"
+    reflects = collection.cube is not None and collection.cube.quantity != "radiance"
     subjects: list[str] = []
     others: list[Mistake] = []
     for scenario, file, lines, at in scenarios:

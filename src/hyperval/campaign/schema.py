@@ -261,11 +261,9 @@ class Campaign(Outline):
             raise ValueError("a campaign with a simulated collection says 'simulated: true'")
         if self.detection and not self.collection.cube:
             raise ValueError("detection needs a cube")
-        if self.collection.cube and self.collection.cube.by_number:
-            if self.scenarios:
-                raise ValueError("a prediction needs wavelengths: by_number is for a campaign without scenarios")
-            if self.classification or (self.detection and self.detection.bands == "windows"):
-                raise ValueError("by_number knows no windows of the atmosphere: detection.bands is good or all")
+        by_number = self.collection.cube is not None and self.collection.cube.by_number
+        if by_number and (self.classification or (self.detection and self.detection.bands == "windows")):
+            raise ValueError("by_number knows no windows of the atmosphere: detection.bands is good or all")
         if self.classification and not self.collection.cube:
             raise ValueError("classification needs a cube")
         return self

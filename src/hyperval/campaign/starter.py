@@ -28,7 +28,7 @@ from hyperval.campaign.sides import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.imagery import Raster, open_raster
+from hyperval.imagery import Raster, objects, open_cube, open_raster, read_regions
 from hyperval.imagery.regions import guard
 from hyperval.imagery.truth import TargetObject
 from hyperval.observe.place import Place, open_place
@@ -36,6 +36,7 @@ from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra.axis import SpectralAxis, in_window
 from hyperval.spectra.readers import read_records
+from hyperval.storage import write_text
 from hyperval.units import radiance_to_internal
 
 # A test asks whether the stated errors explain the difference, and a draft has none that anybody stated.
@@ -99,6 +100,7 @@ class StarterSources:
     ----------
     cube, regions, targets, spectra : files; a folder of spectra stands for its files
     header, quantity, unit, sensor, time_utc, altitude_km, pixel_size_m : where the files do not say it
+    key : which array is the image, where a file holds several
     """
 
     cube: Path
@@ -112,6 +114,7 @@ class StarterSources:
     time_utc: str | None = None
     altitude_km: float | None = None
     pixel_size_m: float | None = None
+    key: str | None = None
 
 
 @dataclass
@@ -286,15 +289,13 @@ def scenario(
     draft: Draft,
 ) -> dict[str, Any]:
     """Classes, panels, atmosphere and sensor of the model; UsageError where nothing has a reflectance."""
-    ground = [region for region in place.regions if region not in panels]
+    ground = [region for region in place.regions if region not in panels and place.pixels_of(region).any()]
     measured = quantity == "reflectance" or "empirical_line" in draft.content["collection"]
     classes = [region for region in ground if measured or region in matched]
     if not classes:
         raise UsageError(
             "no region of the ground has a reflectance: the model has nothing to predict from",
-            where=str(sources.cube),
-            expected=f"spectra named as {', '.join(ground) or 'regions'}",
-            mend="name the files of field spectra with --spectra, or two panels for an empirical line",
+            expected=f"--spectra: files of field spectra named as {', '.join(ground) or 'regions'}, or two panels",
         )
     pixels = np.array([place.pixels_of(region).sum() for region in classes], float)
     shares = np.round(pixels / pixels.sum(), 4)
@@ -346,22 +347,20 @@ def _flight(sources: StarterSources, place: Place, draft: Draft) -> dict[str, An
     else:
         state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
     state["time_utc"] = sources.time_utc or f"{FILL_IN}: time of the line, such as 2012-09-20T16:31:00Z"
-    sensor = sources.sensor or _library_sensor(place.cube.axis, draft, sources.cube)
-    return {"atmosphere": state, "sensor": draft.reference(Path(sensor)) if Path(sensor).is_file() else sensor}
+    sensor = sources.sensor or _library_sensor(place.cube.axis, draft)
+    named = sources.sensor is not None and Path(sensor).is_file()
+    return {"atmosphere": state, "sensor": draft.reference(Path(sensor)) if named else sensor}
 
 
-def _library_sensor(axis: SpectralAxis, draft: Draft, cube: Path) -> str:
+def _library_sensor(axis: SpectralAxis, draft: Draft) -> str:
     """The sensor of the library with these bands."""
     for name in library_names():
         own = load_sensor(name).axis
         if len(own) == len(axis) and np.all(np.abs(own.centre_nm - axis.centre_nm) < own.fwhm_nm):
             draft.guess("scenarios", "sensor", because=f"{name}, whose bands these are")
             return name
-    raise UsageError(
-        f"no sensor of the library has the {len(axis)} bands of the image",
-        where=str(cube),
-        expected="one of: hyperval sensor list",
-        mend="name a sensor file with --sensor; hyperval sensor new writes one to be filled in",
+    return (
+        f"{FILL_IN}: no sensor of the library has these {len(axis)} bands; --sensor names a file (hyperval sensor new)"
     )
 
 
@@ -372,7 +371,11 @@ def materials(place: Place) -> list[str]:
 
 def add_targets(place: Place, spectra: Sequence[Spectrum], scenario: dict[str, Any], draft: Draft) -> None:
     """Detection in the image, and the targets of the model."""
-    known = {m: match for m in materials(place) if (match := matching_spectrum(m, spectra))}
+    listed = materials(place)
+    known = {m: match for m in listed if (match := matching_spectrum(m, spectra))}
+    if not known and len(listed) == len(spectra) == 1:
+        known = {listed[0]: spectra[0]}
+        draft.guess("detection", because=f"{spectra[0].name!r} is the spectrum of {listed[0]!r}: each is the only one")
     if not known:
         return
     collection = draft.content["collection"]
@@ -480,32 +483,52 @@ _SCALES = (0.01, 0.001, 0.0001)  # percent, and reflectance times 1000 or 10000
 def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[str, list[str]]:
     """The text of a campaign file for ``folder``, and its guesses in words.
 
+    What the files do not say is left to be filled in, each with the option that gives it.  Of an image without
+    wavelengths the objects of its map and their spectrum are written into files in ``folder``.
+
     Raises
     ------
     InputError : files that are missing or corrupt, regions outside the image.
-    UsageError : a quantity, unit or sensor that neither the files nor the user say, or nothing to predict from.
     """
     draft = Draft(folder)
-    raster = open_raster(sources.cube, header=sources.header)
+    raster = open_raster(sources.cube, header=sources.header, variable=sources.key)
+    if raster.description.listed() is None:
+        _by_number(sources, raster, draft, name)
+    else:
+        _by_wavelength(sources, raster, draft, name)
+    guesses = [f"{'.'.join(at)}: {because}" for at, because in draft.guesses.items()]
+    draft.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
+    return draft_text(draft), guesses
+
+
+def _outline(sources: StarterSources, name: str, quantity: str, size: Sequence[int]) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "name": name,
+        "title": f"{name}: {quantity} of {sources.cube.name}",
+        "description": f"{quantity.capitalize()} image of {size[0]} lines, {size[1]} samples "
+        f"and {size[2]} bands; written from its files, not yet looked over.",
+        "assumptions": [],
+    }
+
+
+def _by_wavelength(sources: StarterSources, raster: Raster, draft: Draft, name: str) -> None:
+    """The content of a campaign of an image with wavelengths."""
     quantity = sources.quantity or stated_quantity(raster)
     collection: dict[str, Any] = {"cube": _cube(sources, raster, quantity, draft)}
-    collection["regions"] = [{"file": draft.reference(path)} for path in sources.regions] or [
-        {"name": "whole image", "whole_image": True}
-    ]
+    collection["regions"] = [{"file": draft.reference(path)} for path in sources.regions] or [_WHOLE]
+    draft.content = _outline(sources, name, quantity or "unknown", raster.size) | {"collection": collection}
+    if any(str(value).startswith(FILL_IN) for value in collection["cube"].values()):
+        draft.guess("scenarios", because="left out until it is known what the image holds")
+        return
     _scale(collection, raster, draft)
     for entry in collection["regions"] if sources.regions else ():
         _coordinates(collection, entry, draft)
     place = _place(sources, collection, draft)
+    if not any(place.pixels_of(region).any() for region in place.regions):  # of targets alone
+        collection["regions"].append(_WHOLE)
+        place = _place(sources, collection, draft)
     spectra = field_spectra(sources.spectra)
-    draft.content = {
-        "schema": 1,
-        "name": name,
-        "title": f"{name}: {quantity} of {sources.cube.name}",
-        "description": f"{quantity.capitalize()} image of {place.cube.lines} lines, {place.cube.samples} samples "
-        f"and {place.cube.bands} bands; written from its files, not yet looked over.",
-        "assumptions": [],
-        "collection": collection,
-    }
     matched = {region: match for region in place.regions if (match := matching_spectrum(region, spectra))}
     panels = panels_among(place.regions, matched)
     if quantity == "radiance":
@@ -513,29 +536,118 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     if panels:
         collection["leave_out"] = panels
         collection["snr_regions"] = panels
-    model = scenario(sources, place, quantity, panels, matched, draft)
-    add_targets(place, spectra, model, draft)
-    draft.content["scenarios"] = [model]
-    draft.content["comparisons"] = usual_comparisons(draft.content)
-    if not draft.content["comparisons"]:
-        raise UsageError(
-            "nothing to compare: no region and no target goes with a spectrum by name",
-            where=str(sources.cube),
-            expected=f"spectra named as {', '.join([*place.regions, *materials(place)])}",
-            mend="name the files of field spectra with --spectra, or the records as the regions",
-        )
-    guesses = [f"{'.'.join(at)}: {because}" for at, because in draft.guesses.items()]
-    draft.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
-    return draft_text(draft), guesses
+    try:
+        model = scenario(sources, place, str(quantity), panels, matched, draft)
+        add_targets(place, spectra, model, draft)
+        draft.content["scenarios"] = [model]
+        draft.content["comparisons"] = usual_comparisons(draft.content)
+        if not draft.content["comparisons"]:
+            names = ", ".join([*place.regions, *materials(place)])
+            raise UsageError("nothing to compare", expected=f"--spectra: files or records named as {names}")
+    except UsageError as error:
+        for key in ("scenarios", "comparisons", "detection"):
+            draft.content.pop(key, None)
+        draft.guesses = {at: why for at, why in draft.guesses.items() if at[0] == "collection"}
+        draft.guess("scenarios", because=f"no prediction: {error.what}; {error.expected}")
 
 
-def stated_quantity(raster: Raster) -> str:
-    """Whether an image holds radiance or reflectance, by its metadata, else by its name.
+_WHOLE = {"name": "whole image", "whole_image": True}
+_KNOWN, _SCORED = "known objects", "scored object"
+_FEW = 5  # pixels that tell no spread
 
-    Raises
-    ------
-    UsageError : they do not say, or say both.
+
+def _by_number(sources: StarterSources, raster: Raster, draft: Draft, name: str) -> None:
+    """The content of a campaign of an image without wavelengths: a map of objects, and what they stand before.
+
+    Every other object, in order of size, gives the spectrum that the others are looked for with.
     """
+    quantity = sources.quantity or "counts"
+    cube: dict[str, Any] = {"path": draft.reference(sources.cube), "quantity": quantity, "by_number": True}
+    cube |= {"variable": sources.key} if sources.key else {}
+    cube |= {"header": draft.reference(sources.header)} if sources.header else {}
+    collection: dict[str, Any] = {"cube": cube, "regions": [_WHOLE]}
+    draft.content = _outline(sources, name, quantity, raster.size) | {"collection": collection}
+    draft.guess(
+        "collection", "cube", because="the file lists no wavelengths: what needs them is left out (collection.bands)"
+    )
+    detection: dict[str, Any] = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good"}
+    draft.content["detection"] = detection
+    masks = _object_masks(sources, raster)
+    if len(masks) < 2:
+        detection["detectors"] = ["rx"]
+        draft.guess("detection", because="anomalies alone: no map of two objects is there (--targets)")
+        return
+    known, scored = masks[1::2], masks[::2]
+    rows = ["region,line,sample"]
+    for label, mask in [
+        (_KNOWN, np.logical_or.reduce(known)),
+        *((f"{_SCORED} {i}", m) for i, m in enumerate(scored, 1)),
+    ]:
+        rows += [f"{label},{line},{sample}" for line, sample in np.argwhere(mask)]
+    draft.folder.mkdir(parents=True, exist_ok=True)
+    write_text(draft.folder / "objects.csv", "\n".join(rows) + "\n")
+    opened = open_cube(sources.cube, quantity=quantity, axis="numbers", variable=sources.key, header=sources.header)  # type: ignore[arg-type]
+    mean = opened.spectra(np.logical_or.reduce(known)).mean(axis=0)
+    write_text(
+        draft.folder / "target.txt",
+        "# mean of the known objects, one row a band\n" + "\n".join(map(repr, mean.tolist())) + "\n",
+    )
+    collection["regions"] = [_WHOLE, {"name": _KNOWN, "file": "objects.csv"}]
+    collection["targets"] = {
+        "guard_pixels": 2,
+        "regions": [{"material": "target", "file": "objects.csv", "regions": [f"{_SCORED} *"]}],
+    }
+    collection["leave_out"] = [_KNOWN]
+    detection |= {
+        "detectors": ["cem", "ace"],
+        "group": "{material}",
+        "targets": [{"name": "target", "material": "target", "spectrum": {"file": "target.txt"}}],
+    }
+    pixels = int(np.sum(known))
+    draft.guess(
+        "collection",
+        "targets",
+        because=f"{len(scored)} of {len(masks)} touching groups of the map; the others ({pixels} pixels) give the "
+        "spectrum that they are looked for with",
+    )
+    whole = str(_WHOLE["name"])
+    target: dict[str, Any] = {"name": "target", "spectrum": {"measured": _KNOWN}, "covariance": {"measured": _KNOWN}}
+    if pixels < _FEW:
+        target["covariance"] = {"relative_sd": 0.05}
+    scene: dict[str, Any] = {
+        "classes": [{"name": whole, "fraction": 1.0, "spectrum": {"measured": whole}, "tail_dof": "measured"}],
+        "adjacency": {"effective_neighbours": None},
+        "targets": [target | {"host": whole, "fill": {"fixed": 1.0}}],
+    }
+    processing = {"elm": "none", "detectors": ["cem", "ace"], "bands": {"drop_bad": True}}
+    draft.content["scenarios"] = [{"schema": 1, "name": name, "scene": scene, "processing": processing}]
+    draft.guess(
+        "scenarios",
+        "scene",
+        "targets",
+        because="each marked pixel is filled; pixels spread as those of the known objects",
+    )
+    draft.content["comparisons"] = usual_comparisons(draft.content)
+
+
+def _object_masks(sources: StarterSources, raster: Raster) -> list[Mask]:
+    """Touching groups of pixels that the map of objects marks, the largest first."""
+    own = "MATLAB" in raster.description.product  # in the file of the image itself
+    if sources.targets is None and not own:
+        return []
+    try:
+        regions = read_regions(sources.targets or sources.cube, raster.size[:2])
+    except HypervalError:
+        if sources.targets is not None:
+            raise
+        return []
+    labels, count = objects(np.logical_or.reduce([region.mask for region in regions.values()]))
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    return [labels == 1 + i for i in np.argsort(-sizes, kind="stable")]
+
+
+def stated_quantity(raster: Raster) -> str | None:
+    """Whether an image holds radiance or reflectance, by its metadata, else by its name; None: nothing says."""
     about = raster.description
     if about.quantity is not None:
         return about.quantity
@@ -551,18 +663,17 @@ def stated_quantity(raster: Raster) -> str:
             return named[0]
         if not named and _stated_unit(raster) is not None:
             return "radiance"
-    raise UsageError(
-        "the files do not say whether the image holds radiance or reflectance",
-        where=str(raster.path),
-        mend="add --quantity radiance or --quantity reflectance",
-    )
+    return None
 
 
-def _cube(sources: StarterSources, raster: Raster, quantity: str, draft: Draft) -> dict[str, Any]:
-    entry: dict[str, Any] = {"path": draft.reference(sources.cube), "quantity": quantity}
+def _cube(sources: StarterSources, raster: Raster, quantity: str | None, draft: Draft) -> dict[str, Any]:
+    entry: dict[str, Any] = {"path": draft.reference(sources.cube)}
+    entry["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
     if sources.header is not None:
         entry["header"] = draft.reference(sources.header)
-    if sources.quantity is None and raster.description.quantity is None:
+    if sources.key is not None:
+        entry["variable"] = sources.key
+    if quantity and sources.quantity is None and raster.description.quantity is None:
         draft.guess(
             "collection", "cube", "quantity", because=f"{quantity}, by the words of the header or the file name"
         )
@@ -571,11 +682,7 @@ def _cube(sources: StarterSources, raster: Raster, quantity: str, draft: Draft) 
         if unit is not None:
             entry["unit"] = unit
         elif raster.description.unit is None:
-            raise UsageError(
-                "the files do not say the unit of the radiance",
-                where=str(raster.path),
-                mend="add --unit, such as --unit 'uW cm-2 sr-1 nm-1'",
-            )
+            entry["unit"] = f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
     return entry
 
 

@@ -338,7 +338,7 @@ def metrics(
 
 @app.command()
 def init(
-    cube: Annotated[Path, typer.Option(help="The image: data file, ENVI header, GeoTIFF, NetCDF or HDF5 product.")],
+    cube: Annotated[Path, typer.Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for campaign.yaml; made where it is not.")],
     regions: Annotated[list[Path] | None, typer.Option(help="Files of regions of interest.")] = None,
     targets: Annotated[Path | None, typer.Option(help="Regions, mask or list (CSV) of the targets.")] = None,
@@ -347,13 +347,15 @@ def init(
     ] = None,
     header: Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")] = None,
     quantity: Annotated[
-        Literal["radiance", "reflectance"] | None, typer.Option(help="What the image holds, where it does not say.")
+        Literal["radiance", "reflectance", "counts"] | None,
+        typer.Option(help="What the image holds, where it does not say."),
     ] = None,
     unit: Annotated[str | None, typer.Option(help="Unit of the radiance, where the image does not say.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Sensor of the library, or a sensor file.")] = None,
     time: Annotated[str | None, typer.Option(help="Time of the line, UTC: 2012-09-20T16:31:00Z.")] = None,
     altitude_km: Annotated[float | None, typer.Option(help="Sensor above sea level [km].")] = None,
     pixel_size_m: Annotated[float | None, typer.Option(help="Ground size of a pixel, without a map position.")] = None,
+    key: Annotated[str | None, typer.Option(help="Which array of the file is the image, if there are several.")] = None,
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default: that of the folder.")] = None,
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
@@ -366,9 +368,8 @@ def init(
     if path.exists():
         raise UsageError("is there already", where=str(path), mend="name another folder with --output (-o)")
     own = name or re.sub(r"[^a-z0-9]+", "-", output.resolve().name.lower()).strip("-") or "campaign"
-    sources = StarterSources(
-        cube, regions or (), targets, spectra or (), header, quantity, unit, sensor, time, altitude_km, pixel_size_m
-    )
+    given = cube, regions or (), targets, spectra or (), header, quantity, unit
+    sources = StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key)
     text, guesses = starter_campaign(sources, output, own)
     output.mkdir(parents=True, exist_ok=True)
     write_text(path, text)

@@ -16,6 +16,14 @@ from hyperval.spectra.axis import SpectralAxis
 _CO2_NM = 2010.0  # the carbon dioxide bands that a shift is fitted to lie at about 2000-2070 nm
 MINUTES_APART = 10.0  # the sun moves 2.5 degrees in ten minutes
 _TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
+# Entries of a header and what is said of them; None: where the level and a spectral shift are told.
+_SAID: dict[str | None, str] = {
+    r"^(sensor|instrument)( (type|name|id|model|serial number))?$|^(sensor|instrument)id$": "{}",
+    None: "",
+    r"(gain|calibration|\bcal\b|dark|flat).*\bfiles?\b|\bcal(ibration)? file": "calibration from {}",
+    _TIMES: "acquired {}; the times of the scenario should agree",
+    r"^fps$|^frame ?rate$|^tint[0-9]*$|^binning[0-9]*$": "{} (integration times have no unit; milliseconds are usual)",
+}
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
@@ -36,24 +44,13 @@ def acquisition_notes(
     samples, stored_bands, lines : size of the image, against which detector windows, times and frame rate are held
     quantity : what the campaign takes the cube for, against which the processing level is held
     """
-    notes: list[str] = []
-    sensor = _listed(entries, r"^(sensor|instrument)( (type|name|id|model|serial number))?$|^(sensor|instrument)id$")
-    if sensor:
-        notes.append(f"header: {sensor}")
-    notes += _level(entries, quantity)
-    notes += _spectral_shift(entries, axis)
-    files = _listed(entries, r"(gain|calibration|\bcal\b|dark|flat).*\bfiles?\b|\bcal(ibration)? file")
-    if files:
-        notes.append(f"header: calibration from {files}")
-    times = _listed(entries, _TIMES)
-    if times:
-        notes.append(f"header: acquired {times}; the times of the scenario should agree")
-    settings = _listed(entries, r"^fps$|^frame ?rate$|^tint[0-9]*$|^binning[0-9]*$")
-    if settings:
-        notes.append(f"header: {settings} (integration times without a unit; milliseconds are usual)")
-    notes += _frames(entries, lines)
-    notes += _windows(entries, samples, stored_bands)
-    return tuple(notes)
+    notes = []
+    for pattern, words in _SAID.items():
+        if pattern is None:
+            notes += _level(entries, quantity) + _spectral_shift(entries, axis)
+        elif listed := ", ".join(f"{key} {_short(text)}" for key, text in _matching(entries, pattern) if text):
+            notes.append("header: " + words.format(listed))
+    return (*notes, *_frames(entries, lines), *_windows(entries, samples, stored_bands))
 
 
 def _level(entries: Mapping[str, str], quantity: str | None) -> list[str]:
@@ -78,15 +75,15 @@ def _frames(entries: Mapping[str, str], lines: int | None) -> list[str]:
     notes = []
     frame_ms = 1000.0 / rate
     for key, text in _matching(entries, r"^tint[0-9]*$"):
-        value = _first(text)
-        if value is not None and value > 1.01 * frame_ms:
+        if (_first(text) or 0.0) > 1.01 * frame_ms:
             notes.append(
-                f"warning: header: {key} {value:g} is longer than a frame at {rate:g} frames per second "
+                f"warning: header: {key} {_first(text):g} is longer than a frame at {rate:g} frames per second "
                 f"({frame_ms:.4g} ms): it is not in ms, or one of them is wrong"
             )
-    clock = [_clock(t) for end in ("start", "stop|end") for _, t in _matching(entries, rf"^gps ({end}) time$")[:1]]
-    if len(clock) == 2 and None not in clock and lines is not None:
-        seconds = (clock[1] - clock[0]) % 86400.0  # type: ignore[operator]
+    ends = [_clock(t) for end in ("start", "stop|end") for _, t in _matching(entries, rf"^gps ({end}) time$")[:1]]
+    clock = [seconds for seconds in ends if seconds is not None]
+    if len(clock) == 2 and lines is not None:
+        seconds = (clock[1] - clock[0]) % 86400.0
         if seconds > 0 and abs(lines / rate / seconds - 1.0) > 0.1:
             notes.append(
                 f"header: {lines} lines at {rate:g} frames per second take {lines / rate:.4g} s, the GPS times are "
@@ -189,10 +186,6 @@ def _windows(entries: Mapping[str, str], samples: int, stored_bands: int) -> lis
 
 def _matching(entries: Mapping[str, str], pattern: str) -> list[tuple[str, str]]:
     return [(key, " ".join(text.split())) for key, text in entries.items() if re.search(pattern, key)]
-
-
-def _listed(entries: Mapping[str, str], pattern: str) -> str:
-    return ", ".join(f"{key} {_short(text)}" for key, text in _matching(entries, pattern) if text)
 
 
 def _short(text: str) -> str:

@@ -15,12 +15,14 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
+import scipy
 from affine import Affine
 from rasterio.crs import CRS
 
@@ -38,6 +40,8 @@ MAX_CHUNK_BYTES = 256 << 20
 SMALL_BYTES = 1 << 20
 CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 MB, though each is asked for once
 SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored in blocks
+MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
+MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
 _WAVE = re.compile(r"wave|wvl|lambda|band_?cent", re.IGNORECASE)
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
@@ -45,21 +49,6 @@ _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
 _FRACTIONS = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}
-
-
-class Store(Protocol):
-    """A file of named arrays."""
-
-    path: Path
-
-    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
-        """A part of an array."""
-
-    def chunks(self, name: str) -> tuple[int, ...] | None:
-        """Size of the blocks that an array is stored in, None when it is stored as one."""
-
-    def kept_open(self) -> Any:
-        """Inside, the file is opened once for all reads."""
 
 
 class OpenedFile:
@@ -78,6 +67,14 @@ class OpenedFile:
     def open(self) -> Any:
         """The opened file."""
         raise NotImplementedError
+
+    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
+        """A part of a named array."""
+        raise NotImplementedError
+
+    def chunks(self, name: str) -> tuple[int, ...] | None:
+        """Size of the blocks that an array is stored in, None when it is stored as one."""
+        return None
 
     @contextmanager
     def kept_open(self) -> Iterator[Any]:
@@ -192,11 +189,15 @@ def options(engine: str | None) -> dict[str, Any]:
     return plain | {"phony_dims": "sort"} if engine == "h5netcdf" else plain
 
 
-class MemoryStore:
+class MemoryStore(OpenedFile):
     """An array that is at hand, such as one of xarray or SPy; it is read by parts as well."""
 
     def __init__(self, array: Any, path: Path) -> None:
         self.array, self.path = array, path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """With its array."""
+        return type(self), (self.array, self.path)
 
     @contextmanager
     def kept_open(self) -> Iterator[Any]:
@@ -207,9 +208,23 @@ class MemoryStore:
         """A part of the array."""
         return np.asarray(self.array[selection])
 
-    def chunks(self, name: str) -> tuple[int, ...] | None:
-        """None: it is stored as one."""
-        return None
+
+class MatrixStore(MemoryStore):
+    """An array of a MATLAB 5 file, read whole when it is first asked for, or of a NumPy file, which is mapped."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.path, self.name = path, name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process reads it for itself."""
+        return type(self), (self.path, self.name)
+
+    @cached_property
+    def array(self) -> Any:
+        """The whole array."""
+        if _matrix_kind(self.path) == "NumPy":
+            return np.load(self.path, mmap_mode="r", allow_pickle=False)
+        return scipy.io.loadmat(self.path, variable_names=[self.name])[self.name]
 
 
 def page_array(shape: tuple[int, ...], dtype: np.dtype) -> npt.NDArray[Any]:
@@ -309,7 +324,7 @@ class ArrayRaster(Raster):
     zero_for : a value that is handed out as 0, as the fill of a lookup table is
     """
 
-    store: Store = field(kw_only=True)
+    store: OpenedFile = field(kw_only=True)
     pieces: tuple[Piece, ...] = field(kw_only=True)
     zero_for: float | None = None
     _slabs: threading.local = field(default_factory=threading.local, repr=False)
@@ -465,7 +480,7 @@ class ArrayRaster(Raster):
 
 def array_raster(
     path: Path,
-    store: Store,
+    store: OpenedFile,
     pieces: tuple[Piece, ...],
     description: Description = Description(),  # noqa: B008 - cannot be changed
     position: tuple[Affine | None, CRS | None] = (None, None),
@@ -627,7 +642,7 @@ def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: s
     return cubes[0]
 
 
-def _labelled_raster(chosen: CandidateArray, store: Store, path: Path) -> ArrayRaster:
+def _labelled_raster(chosen: CandidateArray, store: OpenedFile, path: Path) -> ArrayRaster:
     array, data, wave = chosen.array, chosen.data, chosen.wave
     assert wave is not None  # noqa: S101 - chosen by it
     axes = _axes(array, str(wave.dims[0]))
@@ -707,3 +722,86 @@ def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tupl
         steps[letter] = (at[0], (at[-1] - at[0]) / (at.size - 1))
     (y, dy), (x, dx) = steps["l"], steps["s"]
     return Affine(dx, 0.0, x - 0.5 * dx, 0.0, dy, y - 0.5 * dy), crs
+
+
+MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
+
+
+def _matrix_kind(path: Path) -> str | None:
+    with open(path, "rb") as stream:
+        head = stream.read(16)
+    return next((kind for mark, kind in MATRICES.items() if head.startswith(mark)), None)
+
+
+def _matrices(path: Path) -> dict[str, tuple[int, ...]]:
+    """The numeric arrays of a MATLAB or NumPy file and their shapes, without their values."""
+    kind = _matrix_kind(path)
+    if kind == "MATLAB 7.3":
+        check_own_values(path)
+        with Hdf5Store(path).kept_open() as file:
+            return {n: d.shape[::-1] for n, d in file.items() if isinstance(d, h5py.Dataset) and d.dtype.kind in "iuf"}
+    if kind == "NumPy":
+        return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False).shape}
+    return {
+        name: shape for name, shape, what in scipy.io.whosmat(path) if re.match("u?int|single|double|logical", what)
+    }
+
+
+@reader
+def open_matrix(path: Path, variable: str | None = None, plane: tuple[int, int] | None = None) -> ArrayRaster:
+    """The image (lines, samples, bands) of a MATLAB (5 or 7.3) or NumPy file, or its map of the shape ``plane``.
+
+    Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.
+
+    Raises
+    ------
+    InputError : none that fits, one that is too large to be read whole, or a damaged file.
+    UsageError : several that could be meant, or ``variable`` is none of them.
+    """
+    shapes, where = _matrices(path), str(path)
+    listed = ", ".join(f"{name} {' x '.join(map(str, shape))}" for name, shape in shapes.items()) or "no numbers"
+    fits = [n for n, s in shapes.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
+    fits = [n for n in fits if variable in (None, n)]
+    wanted = f"an array of {plane[0]} lines and {plane[1]} samples" if plane else "an array of lines, samples and bands"
+    if not fits:
+        raise InputError(
+            f"the file has {listed}", where=where, expected=f"{wanted}{f' named {variable}' * bool(variable)}"
+        )
+    if len(fits) > 1:
+        raise UsageError(
+            f"{len(fits)} arrays could be meant: {', '.join(fits)}",
+            where=where,
+            mend="state name_field: which is the map" if plane else "state variable: (init: --key) which is the image",
+        )
+    name, kind = fits[0], _matrix_kind(path)
+    size = 8 * int(np.prod(shapes[name]))
+    if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
+        raise InputError(
+            f"{name!r} would need {size >> 20} MiB in memory at once",
+            where=where,
+            mend="save it with '-v7.3', which is read by parts, or as an ENVI cube",
+        )
+    tree = kind == "MATLAB 7.3"
+    store: OpenedFile = Hdf5Store(path) if tree else MatrixStore(path, name)
+    axes, shape = ("bsl" if tree else "lsb"), shapes[name][:: -1 if tree else 1]
+    selection = tuple(slice(0, 1) for _ in shape)
+    dtype = store.read(name, selection).dtype
+    if dtype.kind not in "iufb":
+        raise InputError(f"{name!r} holds {dtype}", where=where, expected="whole or real numbers")
+    piece = Piece((Term(name),), axes.replace("b", "") if plane else axes, shape, dtype.newbyteorder("="))
+    about = Description(f"array {name!r} of a {kind} file", _named_wavelengths(path, shapes, piece.size("b")))
+    return array_raster(path, store, (piece,), about)
+
+
+def _named_wavelengths(path: Path, shapes: Mapping[str, tuple[int, ...]], bands: int) -> ListedBands | None:
+    """The wavelengths that stand beside the image in its file, under a name that says so."""
+    lists: dict[re.Pattern[str], npt.NDArray[np.float64]] = {}
+    for pattern in (_WAVE, _WIDTH):
+        fits = [n for n, s in shapes.items() if pattern.search(n) and max(s) == bands == int(np.prod(s))]
+        if len(fits) != 1 or bands < 2:
+            return None if pattern is _WAVE else ListedBands(lists[_WAVE])
+        tree = _matrix_kind(path) == "MATLAB 7.3"
+        store: OpenedFile = Hdf5Store(path) if tree else MatrixStore(path, fits[0])
+        whole = tuple(slice(0, n) for n in shapes[fits[0]][:: -1 if tree else 1])
+        lists[pattern] = store.read(fits[0], whole).astype(float).ravel()
+    return ListedBands(lists[_WAVE], lists[_WIDTH])

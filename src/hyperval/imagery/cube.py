@@ -29,7 +29,7 @@ from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Quantity = Literal["radiance", "reflectance", "other"]
+Quantity = Literal["radiance", "reflectance", "counts", "other"]
 Where = Mask | tuple[npt.ArrayLike, npt.ArrayLike]
 
 BLOCK_BYTES = 8 << 20
@@ -66,7 +66,7 @@ class Cube:
     ----------
     raster : the stored numbers
     axis : bands in increasing wavelength; ``axis.good`` is the bad-band list
-    quantity : "radiance" [uW cm-2 sr-1 nm-1], "reflectance" [1] or "other"
+    quantity : "radiance" [uW cm-2 sr-1 nm-1], "reflectance" [1], "counts" or "other"
     unit : unit of the values handed out
     scaling : gain and offset, applied once
     stored_band : (B,) number of the stored band behind each band of ``axis``
@@ -289,7 +289,7 @@ def open_cube(
     Parameters
     ----------
     path : data file, ENVI header, GeoTIFF or its METADATA.XML; or an image of SPy, or an array of xarray
-    quantity : what the values are; "other" is handed out as stored
+    quantity : what the values are; "counts" and "other" are handed out as stored
     unit : unit of the (scaled) values; required for a radiance whose file states none
     scale : multiplies the stored values and replaces the header's scale factors; None takes those
     wavelength_unit : nm or um, where the header states none
@@ -318,6 +318,8 @@ def open_cube(
         table = about.band_table(wavelength_unit, where, sort_bands=sort_bands)
     scaling = about.scaling(quantity, unit, scale, raster.bands, where)
     notes = about.all_notes + table.notes + ((scaling.source,) if scaling.source else ())
+    if quantity == "counts":
+        notes += ("warning: counts, of which nobody states the unit: what is called a reflectance is in them",)
     if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     cube = Cube(

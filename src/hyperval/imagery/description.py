@@ -213,7 +213,7 @@ class Description:
         InputError : the files hold another quantity, scale the values twice or by 0.
         UsageError : another unit than the file's, one that nobody states or that is unknown, a scale that is none.
         """
-        if self.quantity is not None and quantity not in ("other", self.quantity):
+        if self.quantity is not None and quantity not in ("counts", "other", self.quantity):
             raise InputError(
                 f"the product holds {self.quantity}, the campaign says {quantity}",
                 where=where,
@@ -494,9 +494,9 @@ def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
         if unit is not None and unit not in _REFLECTANCE_UNITS:
             raise UsageError(f"unknown reflectance unit {unit!r}", expected="fraction or percent")
         return _REFLECTANCE_UNITS[unit or "fraction"], "1"
-    if quantity == "other":
-        return 1.0, unit or ""
-    raise UsageError(f"unknown quantity {quantity!r}", expected="radiance, reflectance or other")
+    if quantity in ("counts", "other"):
+        return 1.0, unit or quantity.replace("other", "")
+    raise UsageError(f"unknown quantity {quantity!r}", expected="radiance, reflectance, counts or other")
 
 
 def gain_file_beside(image: Path) -> Path | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hyperval.envi_header import header_beside
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery.arrays import check_own_values, open_labelled
+from hyperval.imagery.arrays import MATRICES, check_own_values, open_labelled, open_matrix
 from hyperval.imagery.description import Raster
 from hyperval.imagery.envi import open_envi
 from hyperval.imagery.products import open_product
@@ -14,15 +14,16 @@ from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, image_of, open_tiff
 from hyperval.paths import checked_file, checked_folder
 
 _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
-_MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | {
-    b"MATLAB 7.3": "MATLAB 7.3 (HDF5)",
-    b"MATLAB": "MATLAB",
-    b"\x89HDF\r\n\x1a\n": _HDF5,
-    b"CDF\x01": _NETCDF3,
-    b"CDF\x02": _NETCDF3,
-    b"\x0e\x03\x13\x01": "HDF4",
-    b"\x93NUMPY": "NumPy",
-}
+_MARKS = (
+    dict.fromkeys(TIFF_MARKS, _TIFF)
+    | MATRICES
+    | {
+        b"\x89HDF\r\n\x1a\n": _HDF5,
+        b"CDF\x01": _NETCDF3,
+        b"CDF\x02": _NETCDF3,
+        b"\x0e\x03\x13\x01": "HDF4",
+    }
+)
 _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
 
 
@@ -38,8 +39,9 @@ def open_raster(
     """Open an ENVI file (data file or header may be named), a GeoTIFF, or the image of a file of arrays.
 
     A GeoTIFF may have an ENVI header, METADATA.XML or an item of STAC beside it; the METADATA.XML may be named in
-    its place.  HDF5 and NetCDF-4 are read by the layout of their product, else, as whatever an engine of xarray
-    opens, by the one array that has wavelengths, or by ``variable``; ``engine`` is one of xarray's.
+    its place.  MATLAB and NumPy files hold an image (lines, samples, bands).  HDF5 and NetCDF-4 are read by the
+    layout of their product, else, as whatever an engine of xarray opens, by the one array that has wavelengths, or
+    by ``variable``; ``engine`` is one of xarray's.
 
     Raises
     ------
@@ -70,6 +72,8 @@ def open_raster(
     beside = Path(header) if header is not None else header_beside(data)
     if beside is not None:
         return open_envi(data, beside, root)
+    if kind in MATRICES.values():
+        return open_matrix(data, variable)
     if kind is not None:
         raise InputError(
             f"a {kind} file, which is not read as a cube",
@@ -94,7 +98,12 @@ def kind_of(path: Path) -> str | None:
 
 def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
-    return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in (_TIFF, _HDF5, _NETCDF3)
+    return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in (
+        _TIFF,
+        _HDF5,
+        _NETCDF3,
+        *MATRICES.values(),
+    )
 
 
 def _data_beside(header: Path) -> Path:
@@ -107,9 +116,14 @@ def _data_beside(header: Path) -> Path:
     return candidates[0]
 
 
-def raster_of_size(path: Path, shape: tuple[int, int], root: Path | None = None) -> Raster:
-    """Open a raster of a cube's size (lines, samples); InputError for one of another."""
-    raster = open_raster(path, root=root)
+def raster_of_size(path: Path, shape: tuple[int, int], root: Path | None = None, variable: str | None = None) -> Raster:
+    """Open a raster of a cube's size (lines, samples); InputError for one of another.
+
+    ``variable`` : which map of a MATLAB or NumPy file, where it holds several
+    """
+    path = checked_file(path, root=root, what="image file")
+    matrix = kind_of(path) in MATRICES.values() and header_beside(path) is None
+    raster = open_matrix(path, variable, shape) if matrix else open_raster(path, root=root)
     if raster.size[:2] != shape:
         raise InputError(
             f"the raster has {raster.lines} lines and {raster.samples} samples",

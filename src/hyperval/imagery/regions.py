@@ -25,6 +25,7 @@ from skimage.measure import label
 
 from hyperval.envi_header import header_beside
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.imagery.arrays import MATRICES
 from hyperval.imagery.description import crs_of_wkt, equals
 from hyperval.imagery.drawing import WARNING, ImageGrid, Placing, Position, RegionDrawing, named_crs
 from hyperval.imagery.rasters import raster_of_size
@@ -280,7 +281,12 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
 
 
 def raster_masks(
-    path: Path, shape: tuple[int, int], *, by_value: bool = False, root: Path | None = None
+    path: Path,
+    shape: tuple[int, int],
+    *,
+    by_value: bool = False,
+    root: Path | None = None,
+    variable: str | None = None,
 ) -> dict[str | int, Mask]:
     """Masks of the classes of a raster of one band, or of the bands of a raster of several.
 
@@ -288,7 +294,7 @@ def raster_masks(
     header, else under the file's name (a single class) or ``name-value``; under the number itself with
     ``by_value``.  Several bands: a mask of what is not 0, nor NaN, nor the ignore value, under the band name.
     """
-    raster = raster_of_size(path, shape, root=root)
+    raster = raster_of_size(path, shape, root, variable)
     stored, about = raster.read_lines(0, raster.lines), raster.description
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
@@ -624,8 +630,8 @@ def read_regions(
         drawn = vector_drawings(path, grid, root)
     elif stripped.startswith(b"{"):
         drawn = geojson_drawings(path, grid)
-    elif path.suffix.lower() == ".hdr" or header_beside(path) is not None:
-        drawn = raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
+    elif path.suffix.lower() == ".hdr" or head.startswith(tuple(MATRICES)) or header_beside(path) is not None:
+        drawn = raster_masks(path, cube_shape, by_value=_by_value(names), root=root, variable=name_field)
     elif path.suffix.lower() in (".csv", ".txt"):
         drawn = csv_drawings(path, cube_shape)
     else:

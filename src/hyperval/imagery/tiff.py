@@ -178,7 +178,7 @@ def _bands_in_tags(dataset: Any, path: Path) -> ListedBands | None:
     centre, rounded = _numbers(texts, "wavelength", path), _numbers(texts, "central_wavelength_um", path)
     width, rounded_width = _numbers(texts, "fwhm", path), _numbers(texts, "fwhm_um", path)
     units = set(texts.get("wavelength units", ())) - {""}
-    if len(units) > 1:
+    if len(units) > 1 and any(_to_nm(unit) is not None for unit in units):  # others are no units at all
         centre = width = None
     unit, notes = units.pop() if len(units) == 1 else None, []
     to_nm = _to_nm(unit)

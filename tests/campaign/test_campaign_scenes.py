@@ -1,0 +1,147 @@
+"""Detection scenes in the containers of their community become campaigns that run: MATLAB 5, MATLAB 7.3, NumPy."""
+
+from __future__ import annotations
+
+import csv
+from contextlib import suppress
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from hyperval import cli
+from hyperval.errors import HypervalError, InputError, UsageError
+from hyperval.imagery import arrays, open_cube, open_raster, read_regions
+
+LINES, SAMPLES, BANDS = 40, 36, 8
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[np.ndarray, np.ndarray]:
+    """Counts (lines, samples, bands) of one background, and a map of four objects of 9, 6, 4 and 2 pixels."""
+    rng = np.random.default_rng(5)
+    mean = np.linspace(900.0, 1500.0, BANDS)
+    data = rng.multivariate_normal(mean, 400.0 * (0.6 + 0.4 * np.eye(BANDS)), (LINES, SAMPLES))
+    marked = np.zeros((LINES, SAMPLES), np.uint8)
+    for top, left, height, width in ((4, 4, 3, 3), (12, 20, 2, 3), (25, 6, 2, 2), (33, 28, 1, 2)):
+        marked[top : top + height, left : left + width] = 1
+    data[marked == 1] += np.linspace(400.0, -200.0, BANDS)
+    return data.round().astype(np.uint16), marked
+
+
+def written(path: Path, data: np.ndarray, **others: np.ndarray) -> Path:
+    """The arrays in the container that the end of the name says; ``.v73.mat`` is MATLAB 7.3."""
+    if path.suffix == ".npy":
+        np.save(path, data)
+    elif path.name.endswith(".v73.mat"):
+        with h5py.File(path, "w", userblock_size=512) as file:
+            for name, array in {"data": data, **others}.items():
+                file.create_dataset(name, data=array.T, chunks=True, compression="gzip")
+        with open(path, "r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
+    else:
+        scipy.io.savemat(path, {"data": data, **others}, do_compression=True)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a.npy"])
+def test_the_values_are_those_of_the_array(tmp_path, scene, name):
+    data, marked = scene
+    more = {} if name.endswith("npy") else {"map": marked}
+    cube = open_cube(written(tmp_path / name, data, **more), quantity="counts", axis="numbers")
+    assert cube.shape == (LINES, SAMPLES)
+    assert np.array_equal(np.concatenate([b.values for b in cube.blocks(7)]), data)
+    rows, cols = np.array([3, 3, 39]), np.array([0, 35, 7])
+    assert np.array_equal(cube.pixels((rows, cols)), data[rows, cols])
+    assert np.array_equal(cube.read_some_bands(5, 4, [6, 2]), data[5:9][:, :, [6, 2]])
+    assert (cube.unit, cube.dtype) == ("counts", np.uint16)
+    if more:
+        found = read_regions(tmp_path / name, (LINES, SAMPLES))
+        assert [np.array_equal(r.mask, marked == 1) for r in found.values()] == [True]
+
+
+@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat"])
+def test_wavelengths_that_stand_beside_the_image_are_its_own(tmp_path, scene, name):
+    centre = np.linspace(450.0, 900.0, BANDS)
+    path = written(tmp_path / name, scene[0], wavelengths=centre[None, :], fwhm=np.full((1, BANDS), 9.5))
+    axis = open_cube(path, quantity="counts").axis
+    assert axis.centre_nm == pytest.approx(centre)
+    assert axis.fwhm_nm == pytest.approx(9.5)
+
+
+def test_several_arrays_are_named_and_one_is_chosen(tmp_path, scene):
+    path = written(tmp_path / "a.mat", scene[0], other=scene[0][:, :, :3].astype(float))
+    with pytest.raises(UsageError, match=r"2 arrays could be meant: data, other(?s:.*)--key"):
+        open_raster(path)
+    assert open_raster(path, variable="other").bands == 3
+    with pytest.raises(InputError, match=r"the file has data 40 x 36 x 8(?s:.*)named nothing"):
+        open_raster(path, variable="nothing")
+
+
+def test_what_would_not_fit_into_memory_is_refused_before_it_is_read(tmp_path, scene, monkeypatch):
+    monkeypatch.setattr(arrays, "MAX_MATRIX_BYTES", 1000)
+    with pytest.raises(InputError, match=r"in memory at once(?s:.*)-v7.3"):
+        open_raster(written(tmp_path / "a.mat", scene[0]))
+    assert open_raster(written(tmp_path / "a.v73.mat", scene[0])).bands == BANDS
+
+
+@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a.npy"])
+def test_a_damaged_container_is_an_error_of_the_file(tmp_path, scene, name):
+    path = written(tmp_path / name, scene[0])
+    raw, rng = path.read_bytes(), np.random.default_rng(7)
+    for part in (0.1, 0.5, 0.9):
+        path.write_bytes(raw[: int(part * len(raw))])
+        with pytest.raises(HypervalError):
+            open_cube(path, quantity="counts", axis="numbers").spectra(np.ones((LINES, SAMPLES), bool))
+    for _ in range(30):
+        spoilt = bytearray(raw)
+        for at in rng.integers(len(raw), size=8):
+            spoilt[at] = rng.integers(256)
+        path.write_bytes(spoilt)
+        with suppress(HypervalError):  # anything else is an error of the reader
+            assert open_cube(path, quantity="counts", axis="numbers").read(0, 1).values.size > 0
+
+
+def drafted(cube: Path, folder: Path, *extra: str) -> dict[tuple[str, str], str]:
+    """Outcomes by product and metric of a scene that ``init`` and ``validate`` alone take to a report."""
+    assert cli.run(["init", "--cube", str(cube), *extra, "-o", str(folder)]) == 0
+    path = folder / "campaign.yaml"
+    assert cli.run(["validate", "--dry-run", str(path)]) == 0
+    assert cli.run(["validate", str(path), "-o", str(folder / "out")]) in (0, 5)  # met, or inconclusive
+    assert (folder / "out" / "report.html").exists()
+    with open(folder / "out" / "results.csv", encoding="utf-8", newline="") as file:
+        return {
+            (row["product"], row["metric"]): row["outcome"] for row in csv.DictReader(file) if row["role"] == "gate"
+        }
+
+
+def test_a_scene_goes_from_its_file_to_a_report(tmp_path, scene):
+    data, marked = scene
+    outcomes = drafted(written(tmp_path / "scene.mat", data, map=marked), tmp_path / "new")
+    assert outcomes["roc", "pd_difference@1e-2"] in ("agrees", "undecided")
+    assert outcomes["scores", "pfa_ratio@1e-2"] in ("agrees", "undecided")
+    # Of objects of 9, 6, 4 and 2 pixels the second and fourth give the spectrum, the first and third are scored.
+    regions = read_regions(tmp_path / "new" / "objects.csv", (LINES, SAMPLES))
+    assert {name: region.n for name, region in regions.items()} == {
+        "known objects": 8, "scored object 1": 9, "scored object 2": 4,
+    }  # fmt: skip
+    spectrum = np.loadtxt(tmp_path / "new" / "target.txt")
+    assert spectrum == pytest.approx(data[regions["known objects"].mask].mean(axis=0))
+
+
+def test_without_a_map_anomalies_are_looked_for(tmp_path, scene):
+    cube, folder = written(tmp_path / "scene.npy", scene[0]), tmp_path / "new"
+    assert cli.run(["init", "--cube", str(cube), "-o", str(folder)]) == 0
+    assert "detectors: [rx]" in (folder / "campaign.yaml").read_text()
+    assert cli.run(["observe", str(folder / "campaign.yaml"), "-o", str(folder / "out")]) == 0
+    assert (folder / "out" / "report.html").exists()
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["abu-airport-1", "sandiego", "hydice"])
+def test_the_public_scenes_go_from_their_file_to_a_report(data_dir, tmp_path, name):
+    outcomes = drafted(data_dir(f"scenes/{name}.mat"), tmp_path / name)
+    assert outcomes["roc", "pd_difference@1e-2"] in ("agrees", "undecided")
+    assert outcomes["scores", "pfa_ratio@1e-2"] in ("agrees", "undecided")
