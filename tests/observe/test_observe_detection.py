@@ -10,7 +10,7 @@ from hyperval.collection import Detection
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
 from hyperval.observe.detection import usable_bands
-from hyperval.processing.roc import pd_at_pfa
+from hyperval.processing.roc import empirical_roc
 from hyperval.processing.sample import SampleStatistics
 from hyperval.products import background_of
 from hyperval.spectra.axis import SpectralAxis
@@ -109,7 +109,7 @@ def test_bands_of_the_detectors(world, choice, used):
     world.write(axis=type(AXIS)(AXIS.centre_nm, AXIS.fwhm_nm, bad))
     world.detection["bands"] = choice
     seen = world.observe()
-    assert np.flatnonzero(seen.detected.bands).tolist() == used
+    assert np.flatnonzero(seen.detected.bank.bands).tolist() == used
     assert f"detectors use {len(used)} of {BANDS} bands" in seen.observation.notes
     target = world.on_bands("library.csv", "paint")
     mean, covariance = moments(world.values[~near_targets()])
@@ -121,7 +121,7 @@ def test_bands_that_the_target_spectrum_lacks_are_not_used(world):
     rows = [f"{w},{0.5 - w / 8000}" for w in range(500, 1101)]
     world.text("part.csv", "\n".join(["wavelength_nm,paint", *rows]) + "\n")
     world.detection["targets"][0]["spectrum"] = world.source("part.csv", "part")
-    assert world.observe().detected.bands.tolist() == [False] + [True] * 6 + [False]
+    assert world.observe().detected.bank.bands.tolist() == [False] + [True] * 6 + [False]
 
 
 def asked(**changes):
@@ -168,7 +168,7 @@ def test_a_campaign_leaves_its_noisy_band_out(world):
     world.write(values=values)
     world.detection["least_snr"] = 4
     seen = world.observe().detected
-    assert np.flatnonzero(~seen.bands).tolist() == [4]
+    assert np.flatnonzero(~seen.bank.bands).tolist() == [4]
     assert any("with an SNR below 4 in the background" in note for note in seen.notes)
 
 
@@ -195,7 +195,7 @@ def test_products_of_each_group(world):
         assert (behind.mean, behind.sd) == pytest.approx((noise.mean(), noise.std(ddof=1)), abs=1e-12)
         curve = observation.roc[subject, "cem", "pixel"]
         assert (curve.n_target, curve.n_background) == (pixels.size, noise.size)
-        direct = pd_at_pfa(pixels, noise, curve.pfa)
+        direct = empirical_roc(pixels, noise, curve.pfa)
         assert np.array_equal(curve.pd, direct.pd)
         assert curve.background_area_km2 == pytest.approx(noise.size * 4.0 / 1e6)
     # The fill is the expected score; the background's own scatter is 0.01 to 0.02.

@@ -108,7 +108,7 @@ def test_where_no_size_is_known_no_area_is_compared(world):
     drawn(world, {"file": mask_file(world, "mask.img", planted())})
     world.detection["areas"] = [{"target": "paint", "detector": "cem"}]
     found = world.observe()
-    assert ("paint", "cem") in found.detected.abundance
+    assert ("paint", "cem") in found.observation.abundance
     assert not found.detected.nominal_area_m2
     world.detection["unmixing"] = {"background": "corner", "targets": [{"target": "paint"}]}
     with pytest.raises(UsageError, match="does not say how large the targets of 'paint' are"):

@@ -36,7 +36,7 @@ def test_scores_of_the_field_spectra_equal_plain_numpy(data_dir, campaign):
         update={"targets": targets, "background": ["image"], "pools": [], "areas": [], "unmixing": None}
     )
     seen = observe(campaign.collection, detection, datasets.resolve, show_progress=False)
-    used = seen.detected.bands
+    used = seen.detected.bank.bands
     # The libraries are sampled at the bands of the image: none is lost.
     assert (pixels.shape, int(used.sum())) == ((86 * 123, 135), 135)
     x = pixels[:, used]

@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 from scipy.stats import norm
 
-from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import AlarmBlocks
+from hyperval.processing.intervals import mid_p_limits
 from hyperval.processing.roc import (
     AREAS,
     WHOLE,
@@ -14,7 +14,7 @@ from hyperval.processing.roc import (
     area_variance,
     clustered_variance,
     counts_of,
-    pd_at_pfa,
+    empirical_roc,
 )
 
 
@@ -91,11 +91,11 @@ def test_pd_holds_the_truth_where_the_background_comes_in_clusters(side, targets
         scores = clustered(rng, side, 7, 0.9)
         t = rng.normal(separation, 1.0, targets)
         blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
-        known = pd_at_pfa(t, blocks.scores, pfa, blocks=blocks)
-        unknown = pd_at_pfa(t, blocks.scores, pfa)
-        covered += known.lower[0] <= truth <= known.upper[0]
-        independent += unknown.lower[0] <= truth <= unknown.upper[0]
-        assert known.lower[0] <= unknown.lower[0] <= unknown.upper[0] <= known.upper[0]
+        known = empirical_roc(t, blocks, pfa)
+        unknown = empirical_roc(t, blocks.scores, pfa)
+        covered += known.pd_lower[0] <= truth <= known.pd_upper[0]
+        independent += unknown.pd_lower[0] <= truth <= unknown.pd_upper[0]
+        assert known.pd_lower[0] <= unknown.pd_lower[0] <= unknown.pd_upper[0] <= known.pd_upper[0]
     assert covered >= 134
     assert independent < 130
 
@@ -111,8 +111,9 @@ def test_the_layout_of_classes_leaves_detection_its_interval():
         t = rng.normal(norm.isf(2e-3) + 2.5, 1.0, 100)
         for classes, widths in ((upper, with_classes), (None, without)):
             blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool), classes=classes)
-            rate = pd_at_pfa(t, blocks.scores, 1e-3, blocks=blocks)
-            widths.append(((rate.upper - rate.lower) / (rate.binomial_upper - rate.binomial_lower))[0])
+            rate = empirical_roc(t, blocks, 1e-3)
+            low, high = mid_p_limits(round(100 * rate.pd[0]), 100)
+            widths.append((rate.pd_upper - rate.pd_lower)[0] / (high - low))
     assert np.median(with_classes) < 1.3
     assert np.median(without) > 1.6
 
@@ -135,15 +136,9 @@ def test_independent_pixels_keep_their_interval():
     for _ in range(40):
         scores, t = rng.standard_normal((105, 105)), rng.normal(2.0, 1.0, 100)
         blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
-        known, unknown = pd_at_pfa(t, blocks.scores, 1e-2, blocks=blocks), pd_at_pfa(t, blocks.scores, 1e-2)
-        ratio.append((known.upper - known.lower)[0] / (unknown.upper - unknown.lower)[0])
+        known, unknown = empirical_roc(t, blocks, 1e-2), empirical_roc(t, blocks.scores, 1e-2)
+        ratio.append((known.pd_upper - known.pd_lower)[0] / (unknown.pd_upper - unknown.pd_lower)[0])
     assert 1.0 <= np.median(ratio) < 1.1
-
-
-def test_places_of_other_scores_are_refused():
-    blocks = AlarmBlocks.of_map(np.zeros((4, 4)), np.ones((4, 4), bool))
-    with pytest.raises(UsageError, match="16 places for 3"):
-        pd_at_pfa([1.0], [0.0, 0.1, 0.2], 0.5, blocks=blocks)
 
 
 @pytest.mark.simulation
@@ -201,7 +196,7 @@ def test_ranks_of_a_threshold_are_those_whose_interval_holds_the_probability():
 
 def test_a_threshold_that_no_background_score_bounds_from_below_leaves_every_target_open():
     """At 0.9 of ten scores the true threshold may lie below them all, and below targets that lie there too."""
-    rate = pd_at_pfa([-5.0, -5.0, -5.0], np.arange(10.0), [0.5, 0.9])
+    rate = empirical_roc([-5.0, -5.0, -5.0], np.arange(10.0), [0.5, 0.9])
     assert rate.pd.tolist() == [0.0, 0.0]
-    assert rate.upper[1] == 1.0
-    assert rate.upper[0] == rate.binomial_upper[0] < 1.0
+    assert rate.pd_upper[1] == 1.0
+    assert rate.pd_upper[0] == mid_p_limits(0, 3)[1] < 1.0

@@ -27,7 +27,6 @@ from hyperval.processing.roc import (
     empirical_roc,
     interval_of_mean,
     logit_interval,
-    pd_at_pfa,
     pooled_roc,
     with_summary,
 )
@@ -171,8 +170,8 @@ def test_one_score_on_a_side_has_the_bound_of_birnbaum_and_klose():
 
 
 def test_everything_is_declared_at_a_false_alarm_probability_of_one():
-    found = pd_at_pfa([0.0, 1.0, 2.0], [0.5, 1.5], 1.0)
-    assert (found.pd[0], found.lower[0], found.upper[0]) == (1.0, 1.0, 1.0)
+    found = empirical_roc([0.0, 1.0, 2.0], [0.5, 1.5], 1.0)
+    assert (found.pd[0], found.pd_lower[0], found.pd_upper[0]) == (1.0, 1.0, 1.0)
 
 
 def test_limits_of_a_curve_never_fall_though_those_at_single_points_may():
@@ -181,10 +180,11 @@ def test_limits_of_a_curve_never_fall_though_those_at_single_points_may():
         rng = np.random.default_rng(seed)
         t, b = rng.normal(1.0, 1.0, 9), rng.normal(size=60)
         grid = np.linspace(0.02, 1.0, 50)
-        alone, curve = pd_at_pfa(t, b, grid), empirical_roc(t, b, grid)
-        fell += np.any(np.diff(alone.lower) < 0) or np.any(np.diff(alone.upper) < 0)
-        assert curve.pd_lower == pytest.approx([alone.lower[i:].min() for i in range(50)], abs=0)
-        assert curve.pd_upper == pytest.approx([alone.upper[: i + 1].max() for i in range(50)], abs=0)
+        curve, alone = empirical_roc(t, b, grid), [empirical_roc(t, b, p) for p in grid]
+        lower, upper = (np.concatenate([getattr(one, side) for one in alone]) for side in ("pd_lower", "pd_upper"))
+        fell += np.any(np.diff(lower) < 0) or np.any(np.diff(upper) < 0)
+        assert curve.pd_lower == pytest.approx([lower[i:].min() for i in range(50)], abs=0)
+        assert curve.pd_upper == pytest.approx([upper[: i + 1].max() for i in range(50)], abs=0)
     assert fell  # else this says nothing
 
 

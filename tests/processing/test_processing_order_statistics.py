@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.processing.roc import OrderStatistics, pd_at_pfa
+from hyperval.processing.roc import OrderStatistics, empirical_roc
 
 KINDS = {
     "normal": lambda rng, n: rng.normal(size=n),
@@ -38,7 +38,7 @@ def test_the_curve_of_a_large_background_is_that_of_its_sort(kind):
     rng = np.random.default_rng(7)
     b, t = KINDS[kind](rng, 25_000), KINDS[kind](rng, 40)
     pfa = np.array([1e-5, 4e-5, 1e-3, 0.02, 0.3, 0.999, 1.0])
-    found = pd_at_pfa(t, b, pfa)
+    found = empirical_roc(t, b, pfa)
     down = np.sort(b)[::-1]
     for p, threshold, pd, alarms in zip(pfa, found.threshold, found.pd, found.alarms, strict=True):
         if p == 1.0:

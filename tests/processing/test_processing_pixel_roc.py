@@ -17,7 +17,7 @@ from hyperval.processing.objects import (
     values_on,
     with_halo,
 )
-from hyperval.processing.roc import empirical_roc, pd_at_pfa, preset_thresholds
+from hyperval.processing.roc import empirical_roc, preset_thresholds
 
 few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
 
@@ -33,7 +33,7 @@ def test_every_corner_by_brute_force_with_ties_and_infinities(target, background
 
 @given(few_values, few_values, st.sampled_from([0.01, 0.1, 0.29, 0.3, 0.5, 1.0]))
 def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
-    found = pd_at_pfa(target, background, pfa)
+    found = empirical_roc(target, background, pfa)
     allowed = [
         np.mean([t > s for t in target])
         for s in {*target, *background}
@@ -42,8 +42,9 @@ def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
     best = 1.0 if pfa == 1.0 else max(allowed)
     assert found.pd[0] == pytest.approx(best, abs=1e-15)
     assert found.alarms[0] <= pfa * len(background) + 1e-9
-    assert found.lower[0] <= found.binomial_lower[0] or pfa == 1.0
-    assert found.lower[0] <= found.pd[0] <= found.upper[0]
+    low = mid_p_limits(round(found.pd[0] * len(target)), len(target))[0]
+    assert found.pd_lower[0] <= low or pfa == 1.0
+    assert found.pd_lower[0] <= found.pd[0] <= found.pd_upper[0]
 
 
 @given(few_values, few_values)
@@ -72,8 +73,8 @@ def test_interval_of_pd_covers_with_the_threshold_estimated(pfa, m, n):
     truth = stats.norm.sf(stats.norm.isf(pfa) - d)
     covered = 0
     for _ in range(600):
-        found = pd_at_pfa(rng.normal(d, 1, m), rng.normal(0, 1, n), pfa)
-        covered += found.lower[0] <= truth <= found.upper[0]
+        found = empirical_roc(rng.normal(d, 1, m), rng.normal(0, 1, n), pfa)
+        covered += found.pd_lower[0] <= truth <= found.pd_upper[0]
     assert 0.92 < covered / 600 < 0.999
 
 
@@ -81,7 +82,7 @@ def test_interval_of_pd_covers_with_the_threshold_estimated(pfa, m, n):
 def test_interval_against_the_definition_rank_by_rank(n, pfa):
     # Background 0 to n - 1 and one target above each: the count of targets above a score gives its rank.
     background, target = np.arange(float(n)), np.arange(float(n)) + 0.5
-    found = pd_at_pfa(target, background, pfa)
+    found = empirical_roc(target, background, pfa)
     # The greatest rank r with P(fewer than r scores above the threshold) <= 2.5 %, the least s with
     # P(s or more above it) <= 2.5 %: searched from the definition.
     r = max(k for k in range(n) if stats.binom.cdf(k - 1, n, pfa) <= 0.025)
@@ -90,16 +91,15 @@ def test_interval_against_the_definition_rank_by_rank(n, pfa):
     pd = (int(n * pfa) + 1) / n
     low, high = mid_p_limits(int(n * pfa) + 1, n)
     assert found.pd[0] == pd
-    assert found.lower[0] == pytest.approx(pd - np.hypot(pd - low, pd - r / n), rel=1e-12)
-    assert found.upper[0] == pytest.approx(pd + np.hypot(high - pd, s / n - pd), rel=1e-12)
+    assert found.pd_lower[0] == pytest.approx(pd - np.hypot(pd - low, pd - r / n), rel=1e-12)
+    assert found.pd_upper[0] == pytest.approx(pd + np.hypot(high - pd, s / n - pd), rel=1e-12)
 
 
 def test_a_background_too_small_gives_no_lower_limit():
-    found = pd_at_pfa(np.full(50, 10.0), np.arange(100.0) / 100, [1e-3, 1e-1])
+    found = empirical_roc(np.full(50, 10.0), np.arange(100.0) / 100, [1e-3, 1e-1])
     assert found.pd.tolist() == [1.0, 1.0]
-    assert found.lower[0] == 0.0
-    assert found.lower[1] > 0.9
-    assert found.binomial_lower[0] == pytest.approx(float(mid_p_limits(50, 50)[0]))
+    assert found.pd_lower[0] == 0.0
+    assert found.pd_lower[1] > 0.9
 
 
 @given(st.integers(0, 2**31))
@@ -135,23 +135,22 @@ def test_curve_carries_its_counts_and_rises():
 
 
 def test_perfect_inverted_and_constant_scores():
-    assert pd_at_pfa([5, 6], [1, 2, 3], 0.01).pd[0] == 1.0
-    assert pd_at_pfa([0, 0], [1, 2, 3], 0.34).pd[0] == 0.0
-    constant = pd_at_pfa([1, 1, 1], [1, 1], [0.5, 1.0])
+    assert empirical_roc([5, 6], [1, 2, 3], 0.01).pd[0] == 1.0
+    assert empirical_roc([0, 0], [1, 2, 3], 0.34).pd[0] == 0.0
+    constant = empirical_roc([1, 1, 1], [1, 1], [0.5, 1.0])
     assert constant.pd.tolist() == [0.0, 1.0]  # all tied: nothing can be declared without everything
     assert auc([1, 1, 1], [1, 1]) == 0.5
 
 
-def test_missing_scores_are_refused_or_left_out_by_name():
+def test_missing_scores_are_refused_by_name():
     with pytest.raises(UsageError, match="1 of 3 target scores are NaN"):
         empirical_roc([1, np.nan, 2], [0, 1])
-    assert empirical_roc([1, np.nan, 2], [0, np.nan, 1], nan="omit").n_target == 2
     with pytest.raises(UsageError, match="no target scores"):
         empirical_roc([], [0.0])
     with pytest.raises(UsageError, match="no background scores"):
-        empirical_roc([1.0], [np.nan], nan="omit")
+        empirical_roc([1.0], [])
     with pytest.raises(UsageError, match="must lie in"):
-        pd_at_pfa([1.0], [0.0], 0.0)
+        empirical_roc([1.0], [0.0], 0.0)
 
 
 def test_objects_score_their_greatest_pixel_with_a_halo():

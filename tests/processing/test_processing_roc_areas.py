@@ -23,7 +23,6 @@ from hyperval.processing.roc import (
     bootstrap_areas,
     counts_of,
     empirical_roc,
-    pd_at_pfa,
     pooled_roc,
     roc_area,
     with_summary,
@@ -156,13 +155,13 @@ def test_a_percentile_bootstrap_covers_too_little_near_one_and_these_intervals_d
         threshold = np.partition(background, n - 100, axis=1)[:, n - 100]  # 100 of 2,000 reach it
         resampled = np.mean(targets >= threshold[:, None], axis=1)
         low, high = np.percentile(resampled, [2.5, 97.5])
-        if draw == 0:  # the way of pd_at_pfa, save for what lies between the scores of the background
-            exact = [pd_at_pfa(*pair, pfa).pd[0] for pair in zip(targets, background, strict=True)]
+        if draw == 0:  # the way of empirical_roc, save for what lies between the scores of the background
+            exact = [empirical_roc(*pair, pfa).pd[0] for pair in zip(targets, background, strict=True)]
             assert np.mean(resampled) == pytest.approx(np.mean(exact), abs=0.2 / m)
             assert (low, high) == pytest.approx(np.percentile(exact, [2.5, 97.5]), abs=1.01 / m)
         hits["percentile P_D"] += low <= 0.97 <= high
-        ours = pd_at_pfa(t, b, pfa)
-        hits["P_D"] += ours.lower[0] <= 0.97 <= ours.upper[0]
+        ours = empirical_roc(t, b, pfa)
+        hits["P_D"] += ours.pd_lower[0] <= 0.97 <= ours.pd_upper[0]
         counts = counts_of(t, b)
         low, high = np.percentile(bootstrap_areas(counts, [WHOLE], 400, rng), [2.5, 97.5])
         hits["percentile AUC"] += low <= auc <= high

@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.roc import AREAS, alarms_at_detection, counts_of, pd_at_pfa, roc_area
+from hyperval.processing.roc import AREAS, alarms_at_detection, counts_of, empirical_roc, roc_area
 from hyperval.scoreboard.ranks import (
     LOG_AREA,
     MEASURES,
@@ -70,8 +70,8 @@ def test_metrics_are_those_of_the_roc(scores, name):
     expected = {
         "auc": lambda: roc_area(counts),
         LOG_AREA: lambda: roc_area(counts, AREAS[LOG_AREA]),
-        "pd@1e-2": lambda: pd_at_pfa(targets, background, 1e-2).pd[0],
-        "pd@1e-3": lambda: pd_at_pfa(targets, background, 1e-3).pd[0],
+        "pd@1e-2": lambda: empirical_roc(targets, background, 1e-2).pd[0],
+        "pd@1e-3": lambda: empirical_roc(targets, background, 1e-3).pd[0],
         "far@pd0.5": lambda: next(a.pfa for a in alarms_at_detection(counts) if a.pd == 0.5),
     }[name]()
     assert value == pytest.approx(expected, abs=1e-12)

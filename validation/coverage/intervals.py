@@ -19,7 +19,7 @@ from hyperval.compare.objects import judged_together
 from hyperval.imagery import TargetObject, all_pixels
 from hyperval.observe.detection import target_areas
 from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve
-from hyperval.processing.roc import AREAS, area_estimates, counts_of, pd_at_pfa
+from hyperval.processing.roc import AREAS, area_estimates, counts_of, empirical_roc
 from hyperval.processing.sample import EigenDirections, SamplingBand, noise_part, sampling_band
 from hyperval.products import ObjectScores
 from hyperval.scene.builtin import builtin_class
@@ -59,9 +59,9 @@ def detection(rng: np.random.Generator, clustered: bool) -> Intervals:
     true_pd, true_areas = stats.norm.sf(stats.norm.isf(levels) - separation), _true_areas(separation)
     for count in TARGETS:
         target = rng.normal(separation, 1.0, count)
-        rate = pd_at_pfa(target, blocks.scores, levels, blocks=blocks)
-        for level, low, high, true in zip(LEVELS, rate.lower, rate.upper, true_pd, strict=True):
-            yield f"P_D at {level:g}, {count} targets", bool(low <= true <= high)
+        for level, true in zip(LEVELS, true_pd, strict=True):
+            rate = empirical_roc(target, blocks, level)
+            yield f"P_D at {level:g}, {count} targets", bool(rate.pd_lower[0] <= true <= rate.pd_upper[0])
         counts = counts_of(target, blocks.scores)
         unit = "object" if count < 50 else "pixel"
         estimates = area_estimates(counts, AREAS, unit, 200, rng, blocks)
@@ -167,8 +167,8 @@ def layouts(rng: np.random.Generator, clustered: bool) -> Intervals:
                 inside = curve.lower[at] <= true(float(curve.threshold[at])) <= curve.upper[at]
                 yield f"P_FA near {level:g}, {name}", bool(inside)
             threshold = optimize.brentq(lambda x, level=level: true(x) - level, -9.0, 30.0)
-            rate = pd_at_pfa(rng.normal(threshold, 1.0, 100), blocks.scores, level, blocks=blocks)
-            yield f"P_D at {level:g}, {name}", bool(rate.lower[0] <= 0.5 <= rate.upper[0])
+            rate = empirical_roc(rng.normal(threshold, 1.0, 100), blocks, level)
+            yield f"P_D at {level:g}, {name}", bool(rate.pd_lower[0] <= 0.5 <= rate.pd_upper[0])
 
 
 KINDS: tuple[Callable[[np.random.Generator, bool], Intervals], ...] = (

@@ -16,7 +16,6 @@ from hyperval.compare.objects import compare_abundance, compare_area_errors, com
 from hyperval.compare.roc import (
     ALWAYS,
     IF_BACKGROUND_ALLOWS,
-    LEAST_EXPECTED_ALARMS,
     area_rows,
     compare_roc,
     far_at_detection_rows,
@@ -28,7 +27,7 @@ from hyperval.compare.rows import RowMaker, scientific
 from hyperval.compare.scores import compare_classification, compare_exceedance, compare_scores
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import UsageError
-from hyperval.processing.alarm_blocks import ANOMALY_LEVELS
+from hyperval.processing.alarm_blocks import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
 from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, PredictedProducts, Products, RocCurve
 from hyperval.results import Outcome, Result
 

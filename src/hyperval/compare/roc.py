@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from hyperval.compare.rows import RowMaker, difference_interval, scientific
 from hyperval.errors import UsageError
+from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS
 from hyperval.processing.intervals import clopper_pearson, joint_region, zero_count_upper_limit
 from hyperval.processing.roc import AREAS, RocArea
 from hyperval.processing.roc_model import detection_at
@@ -324,8 +325,6 @@ def _why_not(observed: RocCurve, area: RocArea, span: str) -> tuple[Cause, str]:
 ALWAYS = (1e-1, 1e-2, 1e-3)
 IF_BACKGROUND_ALLOWS = (1e-4, 1e-5, 1e-6)
 LEAST_END = 0.5  # a curve that stops below this P_FA has no area to speak of
-# Below this many expected alarms the background sample does not fix the threshold.
-LEAST_EXPECTED_ALARMS = 10.0
 # A measured interval wider than this accepts nearly any prediction: one target alone gives 0.975 or more.
 WIDEST_INTERVAL = 0.9
 METRICS = (

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from hyperval.collection import AreaCheck, Bootstrap, Detection, DetectionTarget, UnmixedTarget, Unmixing
+from hyperval.collection import Bootstrap, Detection, DetectionTarget, UnmixedTarget, Unmixing
 from hyperval.errors import InputError, UsageError
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects
@@ -182,14 +182,20 @@ def _complete(pixels: Array) -> Array:
     return pixels[np.isfinite(pixels).all(axis=1)]
 
 
-def spectrum_by_number(path: Path, count: int) -> Array:
-    """(B,) values of a text file with one row for each of ``count`` bands; the last number of a row counts.
+def _by_number(target: DetectionTarget, bands: int, resolve: Callable[[str], Path]) -> Array:
+    """(B,) spectrum of a target where bands go by number: a text file with a row for each; its last number counts.
 
     Raises
     ------
+    UsageError : a spectrum that is no file.
     InputError : a row without a number, or another number of rows.
     """
-    values = []
+    if target.spectrum.file is None:
+        raise UsageError(
+            f"the spectrum of {target.name!r} goes by wavelength, the bands of the cube by number",
+            expected="a text file with one row for each band",
+        )
+    path, values = resolve(target.spectrum.file), []
     for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), start=1):
         words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
         try:
@@ -198,8 +204,8 @@ def spectrum_by_number(path: Path, count: int) -> Array:
             raise InputError(
                 "not a row of numbers", where=f"{path}:{number}", expected="a number; a heading begins with #"
             ) from error
-    if len(values) != count or not np.all(np.isfinite(values)):
-        raise InputError(f"{len(values)} values for {count} bands", where=str(path), expected="one row a band")
+    if len(values) != bands or not np.all(np.isfinite(values)):
+        raise InputError(f"{len(values)} values for {bands} bands", where=str(path), expected="one row a band")
     return np.array(values)
 
 
@@ -222,16 +228,21 @@ def usable_bands(
     UsageError : no band is left.
     """
     left, parts = np.ones(len(axis), bool), []
-    for reason, keep in _rules(detection, axis, spectra, elm):
-        parts += _words(left & ~keep, axis, reason)
-        left &= keep
-    if detection.least_snr is not None and np.count_nonzero(left) >= 3:
-        at = np.flatnonzero(left)
-        snr = snr_from_moments(background.mean[at], background.covariance[np.ix_(at, at)])
-        noisy = np.zeros_like(left)
-        noisy[at] = ~(snr >= detection.least_snr)
-        parts += _words(noisy, axis, f"with an SNR below {detection.least_snr:g} in the background")
-        left &= ~noisy
+    rules = {
+        "bad in the band list": axis.good if detection.bands in ("good", "windows") else left,
+        "in absorption bands": in_window(axis.centre_nm) if detection.bands == "windows" else left,
+        "not in the target spectra": np.isfinite(spectra).all(axis=0) if len(spectra) else left,
+        "without a gain of the empirical line": left if elm is None else elm.usable,
+        f"with an SNR below {detection.least_snr or 0:g} in the background": None,
+    }
+    for reason, keep in rules.items():
+        if keep is None:  # of the bands that are left
+            keep = _clear(left, background, detection.least_snr)
+        lost, left = np.flatnonzero(left & ~keep), left & keep
+        if lost.size:
+            runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
+            ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
+            parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)")
     if not left.any():
         raise UsageError(
             f"no band is left for the detectors: {'; '.join(parts)}",
@@ -240,27 +251,12 @@ def usable_bands(
     return left, [f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else []
 
 
-def _rules(
-    detection: Detection, axis: SpectralAxis, spectra: Sequence[Array], elm: EmpiricalLine | None
-) -> Iterator[tuple[str, Mask]]:
-    """Why bands may be left out, and which (B,) each rule keeps."""
-    if detection.bands in ("good", "windows"):
-        yield "bad in the band list", axis.good
-    if detection.bands == "windows":
-        yield "in absorption bands", np.asarray(in_window(axis.centre_nm))
-    if len(spectra):
-        yield "not in the target spectra", np.asarray(np.isfinite(spectra).all(axis=0))
-    if elm is not None:
-        yield "without a gain of the empirical line", elm.usable
-
-
-def _words(lost: Mask, axis: SpectralAxis, reason: str) -> list[str]:
-    at = np.flatnonzero(lost)
-    if not at.size:
-        return []
-    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
-    ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
-    return [f"{at.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)"]
+def _clear(left: Mask, background: SampleStatistics, least_snr: float | None) -> Mask:
+    """(B,) where the SNR of the background, by the bands that are left, reaches what is asked for."""
+    at, keep = np.flatnonzero(left), np.ones_like(left)
+    if least_snr is not None and at.size >= 3:
+        keep[at] = snr_from_moments(background.mean[at], background.covariance[np.ix_(at, at)]) >= least_snr
+    return keep
 
 
 # Names in braces are replaced as they stand: str.format would take widths that fill the memory.
@@ -354,11 +350,11 @@ def object_curve(
     elif halo:
         blocks, pixels = _placements(scores, objects, alarms, classes, halo)
     if by_pixel or halo:
-        thresholds = preset_thresholds(blocks.scores, blocks=blocks)
+        thresholds = preset_thresholds(blocks)
     area = None if pixel_area_m2 is None else pixels * pixel_area_m2 / 1e6
     curve = empirical_roc(best, thresholds, unit="object", background_area_km2=area)
     rng = np.random.default_rng(bootstrap.seed)
-    return with_summary(curve, best, blocks.scores, draws=bootstrap.draws, rng=rng, blocks=blocks)
+    return with_summary(curve, best, blocks, draws=bootstrap.draws, rng=rng)
 
 
 def _placements(
@@ -392,54 +388,51 @@ def _placements(
 
 
 def target_areas(place: Place, detection: Detection, maps: Mapping[str, Array]) -> tuple[Areas, Nominal]:
-    """Areas of every check that is asked for, and those that the truth states [m2], by subject and detector."""
+    """Sum of scores over each object times the pixel area, and the area that the truth states [m2].
+
+    By subject and detector, for every check that is asked for.  The uncertainty is the spread of the same sum over
+    background that has the object's footprint.  Both are means over the objects of a subject.
+    """
     areas: Areas = {}
     nominal: Nominal = {}
     for check in detection.areas:
-        _add_areas(place, detection, check, maps, areas, nominal)
+        if place.pixel_area_m2 is None:
+            raise UsageError("areas need the ground area of a pixel; the cube is not georeferenced")
+        target = next((t for t in detection.targets if t.name == check.target), None)
+        if target is None or check.detector not in detection.detectors:
+            raise UsageError(f"areas: no score map of target {check.target!r} with detector {check.detector!r}")
+        sums = _FootprintSums(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
+        for subject, members in target_groups(place.targets, target, detection.group).items():
+            total, pixels, variance = (sum(part) for part in zip(*(sums.of(o) for o in members), strict=True))
+            each = place.pixel_area_m2 / len(members)
+            areas[subject, check.detector] = Abundance(total * each, float(np.sqrt(variance)) * each, int(pixels))
+            stated = float(np.mean([o.area_m2 for o in members]))
+            if np.isfinite(stated):  # a truth may say where the objects are and not how large
+                nominal[subject, check.detector] = stated
     return areas, nominal
 
 
-def _add_areas(
-    place: Place, detection: Detection, check: AreaCheck, maps: Mapping[str, Array], areas: Areas, nominal: Nominal
-) -> None:
-    """Sum of scores over each object times the pixel area, and the area that the truth states.
+class _FootprintSums:
+    """Sums of one score map over the footprints of objects, and over the background."""
 
-    The uncertainty is the spread of the same sum over background that has the object's footprint.  Both are
-    means over the objects of a subject.
-    """
-    if place.pixel_area_m2 is None:
-        raise UsageError("areas need the ground area of a pixel; the cube is not georeferenced")
-    target = next((t for t in detection.targets if t.name == check.target), None)
-    if target is None or check.detector not in detection.detectors:
-        raise UsageError(f"areas: no score map of target {check.target!r} with detector {check.detector!r}")
-    scores = maps[f"{check.target}-{check.detector}"]
-    everything = all_pixels(place.targets, place.cube.shape)
-    # A background of "image" holds the targets too; their sums say nothing of the error.
-    counted = place.background(detection.background) & ~place.near_targets
-    spread: dict[tuple[tuple[int, ...], bytes], float] = {}  # variance of the sum, by shape of the footprint
-    for subject, members in target_groups(place.targets, target, detection.group).items():
-        total = 0.0
-        pixels = 0
-        variance = 0.0
-        for item in members:
-            corner, grown = placed_with_halo(item.placed, check.margin_pixels, scores.shape)
-            summed = grown & (~_window(everything, corner, grown) | _window(item.mask, corner, grown))
-            total += float(np.nansum(_window(scores, corner, grown)[summed]))
-            pixels += int(summed.sum())
-            shape = footprint(summed)
-            key = shape.shape, shape.tobytes()
-            if key not in spread:
-                elsewhere = footprint_sums(scores, shape, ~counted)
-                spread[key] = float(np.var(elsewhere, ddof=1)) if elsewhere.size > 1 else float("nan")
-            variance += spread[key]
-        area = place.pixel_area_m2
-        areas[subject, check.detector] = Abundance(
-            total / len(members) * area, float(np.sqrt(variance)) / len(members) * area, pixels
-        )
-        stated = float(np.mean([o.area_m2 for o in members]))
-        if np.isfinite(stated):  # a truth may say where the objects are and not how large
-            nominal[subject, check.detector] = stated
+    def __init__(self, place: Place, detection: Detection, scores: Array, margin: int) -> None:
+        self._scores, self._margin = scores, margin
+        self._targets = all_pixels(place.targets, place.cube.shape)
+        # A background of "image" holds the targets too; their sums say nothing of the error.
+        self._taken = ~(place.background(detection.background) & ~place.near_targets)
+        self._spread: dict[tuple[tuple[int, ...], bytes], float] = {}  # variance of the sum, by shape of the footprint
+
+    def of(self, item: TargetObject) -> tuple[float, int, float]:
+        """Sum over an object with its margin, without the pixels of others; pixels, and variance of the sum."""
+        corner, grown = placed_with_halo(item.placed, self._margin, self._scores.shape)
+        summed = grown & (~_window(self._targets, corner, grown) | _window(item.mask, corner, grown))
+        shape = footprint(summed)
+        key = shape.shape, shape.tobytes()
+        if key not in self._spread:
+            elsewhere = footprint_sums(self._scores, shape, self._taken)
+            self._spread[key] = float(np.var(elsewhere, ddof=1)) if elsewhere.size > 1 else float("nan")
+        total = float(np.nansum(_window(self._scores, corner, grown)[summed]))
+        return total, int(summed.sum()), self._spread[key]
 
 
 def _window(image: npt.NDArray[Any], corner: tuple[int, int], like: Mask) -> npt.NDArray[Any]:
@@ -637,8 +630,8 @@ def _reflectance(place: Place, parts: list[Pixels], elm: EmpiricalLine | None, b
     flat = [lines * place.cube.samples + samples for lines, samples in parts]
     every, index = np.unique(np.concatenate(flat), return_inverse=True)
     at = np.divmod(every, place.cube.samples)
-    values, usable = place.cube.marked_pixels(at)
-    reflectance = (values if elm is None else elm.reflectance(values))[:, bands]
+    values, usable = place.pixels_at(*at, elm)
+    reflectance = values[:, bands]
     valid = usable & np.isfinite(reflectance).all(axis=1)
     ends = np.cumsum([f.size for f in flat])[:-1]
     return [reflectance[i[valid[i]]] for i in np.split(index, ends)]
@@ -675,28 +668,20 @@ class Detected:
 
     Attributes
     ----------
+    bank : the filters
     score_maps : "TARGET-DETECTOR" -> (lines, samples) score
     outlines : "TARGET-DETECTOR" -> mask of each object that was looked for
-    scores, roc, abundance : products by their keys
-    detectors : by the keys of ``score_maps``
-    bands : (B,) the bands that the filters use
-    nominal_area_m2 : area of the targets as the truth states it, by the keys of ``abundance``
-    object_scores, exceedance : products by their keys
-    shrinkage : of the background's covariance, 0 where there were pixels enough
+    products : scores, roc, abundance, object_scores and exceedance by their keys
+    nominal_area_m2 : area of the targets as the truth states it, by the keys of "abundance"
+    notes : what is to be said of it
     """
 
+    bank: FilterBank
     score_maps: Mapping[str, Array]
     outlines: Mapping[str, Mapping[str, Mask]]
-    scores: Mapping[tuple[str, str], ScoreDistribution]
-    roc: Mapping[tuple[str, str, str], RocCurve]
-    abundance: Mapping[tuple[str, str], Abundance]
-    detectors: Mapping[str, PixelDetector]
-    bands: Mask
+    products: Mapping[str, Mapping[Any, Any]]
     nominal_area_m2: Mapping[tuple[str, str], float]
-    notes: tuple[str, ...] = field(default=())
-    object_scores: Mapping[tuple[str, str], ObjectScores] = field(default_factory=dict)
-    exceedance: Mapping[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
-    shrinkage: float = 0.0
+    notes: tuple[str, ...] = ()
 
 
 def detect(
@@ -727,19 +712,16 @@ def detect(
         spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
     bank = filter_bank(place, detection, measured, elm, spectra)
     maps, remarks = _score_maps(place, detection, bank, elm, show_progress)
-    scored = _Curves(place, detection, maps, bank, elm)
+    found = _Curves(place, detection, maps, bank, elm)
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
-            scored.add(target, detector, groups)
-    if not detection.targets:
-        for name, scores in maps.items():
-            noise = AlarmBlocks.of_map(scores, scored.alarms, classes=place.classes)
-            moments, curves = anomaly_products(name, noise)
-            scored.scores |= moments
-            scored.exceedance |= curves
-            remarks.append(anomaly_note(place, name, scores, scored.alarms))
-    scored.add_pools()
+            found.add(target, detector, groups)
+    for name, scores in maps.items() if not detection.targets else ():
+        noise = found.background(scores, ANOMALIES, name)
+        found.scores[background_of(ANOMALIES), name] = _moments(noise.scores)
+        remarks.append(anomaly_note(place, name, scores, found.alarms))
+    found.add_pools()
     if detection.halo_pixels:
         remarks.append(
             f"curves '{BY_PIXEL}' count every pixel as a false alarm and give an object the best of its halo, as "
@@ -751,30 +733,12 @@ def detect(
             "it favours targets of many pixels or pieces, of which the luckiest stands for all"
         )
     areas, nominal = target_areas(place, detection, maps)
-    return Detected(
-        maps,
-        {key: TargetMasks(list(objects.values())) for key, objects in scored.outlined.items()},
-        scored.scores,
-        scored.roc,
-        areas,
-        bank.detectors,
-        bank.bands,
-        nominal,
-        (*bank.notes, *remarks),
-        scored.of_objects,
-        scored.exceedance,
-        bank.shrinkage,
-    )
-
-
-def _by_number(target: DetectionTarget, bands: int, resolve: Callable[[str], Path]) -> Array:
-    """(B,) spectrum of a target where bands go by number."""
-    if target.spectrum.file is None:
-        raise UsageError(
-            f"the spectrum of {target.name!r} goes by wavelength, the bands of the cube by number",
-            expected="a text file with one row for each band",
-        )
-    return spectrum_by_number(resolve(target.spectrum.file), bands)
+    products: dict[str, Mapping[Any, Any]] = {
+        "scores": found.scores, "roc": found.roc, "abundance": areas, "object_scores": found.of_objects,
+        "exceedance": found.exceedance,
+    }  # fmt: skip
+    outlines = {key: TargetMasks(list(objects.values())) for key, objects in found.outlined.items()}
+    return Detected(bank, maps, outlines, products, nominal, (*bank.notes, *remarks))
 
 
 def _score_maps(
@@ -822,10 +786,8 @@ class _Curves:
         key = map_name(target.name, detector)
         scores = self.maps[key]
         self.outlined.setdefault(key, {}).update({o.name: o for members in groups.values() for o in members})
-        noise = AlarmBlocks.of_map(scores, self.alarms, classes=self.place.classes)
-        if noise.scores.size >= FEWEST_FOR_A_CURVE:
-            self.exceedance[target.name, detector] = exceedance_curve(noise)
-        thresholds = preset_thresholds(noise.scores, blocks=noise)
+        noise = self.background(scores, target.name, detector)
+        thresholds = preset_thresholds(noise)
         error, bias = self._mean_sampling(key, detector, noise.scores.size)
         background = replace(_moments(noise.scores), mean_error=error, mean_bias=bias)
         for subject, members in groups.items():
@@ -838,6 +800,13 @@ class _Curves:
             self.scores[background_of(subject), detector] = background
             self._subject(subject, detector, members, scores, noise, thresholds)
 
+    def background(self, scores: Array, looked_for: str, detector: str) -> AlarmBlocks:
+        """The scores of the background with their places; how often they exceed a threshold is a product."""
+        noise = AlarmBlocks.of_map(scores, self.alarms, classes=self.place.classes)
+        if noise.scores.size >= FEWEST_FOR_A_CURVE:
+            self.exceedance[looked_for, detector] = exceedance_curve(noise)
+        return noise
+
     def _mean_sampling(self, key: str, detector: str, n: int) -> tuple[float, float]:
         """Error and bias of the background's mean score where the filter was made of the same pixels, else NaN."""
         behind, made_of = self.bank.background, self.place.background(self.detection.background)
@@ -848,8 +817,8 @@ class _Curves:
         lines, samples = drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
         at = np.lexsort((samples, lines))
         lines, samples = lines[at], samples[at]
-        values, usable = self.place.cube.marked_pixels((lines, samples))
-        pixels = (values if self.elm is None else self.elm.reflectance(values))[:, self.bank.bands]
+        values, usable = self.place.pixels_at(lines, samples, self.elm)
+        pixels = values[:, self.bank.bands]
         usable &= np.isfinite(pixels).all(axis=1)
         stratum = self.place.classes[lines, samples][usable]
         weights = self.bank.detectors[key].weights[0]
@@ -871,7 +840,7 @@ class _Curves:
             raise InputError(f"no valid pixel on the targets of {subject!r}")
         self.scores[subject, detector] = _moments(pixels)
         by_pixel = empirical_roc(pixels, thresholds, unit="pixel", background_area_km2=self.area_km2)
-        self.roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise.scores, blocks=noise)
+        self.roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise)
         halo = self.detection.halo_pixels
         if not halo:  # the model does not know what a halo may catch
             best = object_scores(scores, objects)
@@ -905,18 +874,6 @@ def _moments(values: Array) -> ScoreDistribution:
     sd = float(np.std(values, ddof=1)) if values.size > 1 else float("nan")
     tail = np.partition(values, values.size - _MOST_SCORES)[-_MOST_SCORES:] if values.size > _MOST_SCORES else values
     return ScoreDistribution(float(np.mean(values)), sd, int(values.size), greatest=np.sort(tail)[::-1])
-
-
-def anomaly_products(
-    detector: str, noise: AlarmBlocks
-) -> tuple[dict[tuple[str, str], ScoreDistribution], dict[tuple[str, str], ExceedanceCurve]]:
-    """Moments of the background's score and how often it lies above a threshold, by their keys of the products."""
-    sd = float(np.std(noise.scores, ddof=1)) if noise.scores.size > 1 else float("nan")
-    moments = ScoreDistribution(float(np.mean(noise.scores)), sd, int(noise.scores.size))
-    curves = {}
-    if noise.scores.size >= FEWEST_FOR_A_CURVE:
-        curves[ANOMALIES, detector] = exceedance_curve(noise)
-    return {(background_of(ANOMALIES), detector): moments}, curves
 
 
 def anomaly_note(place: Place, detector: str, scores: Array, background: Mask) -> str:

@@ -174,7 +174,7 @@ def observe(
         detected = detect(place, detection, measured, elm, resolve, show_progress=show_progress)
     unmixed = None
     if detection is not None and detection.unmixing is not None and detected is not None:
-        unmixed = unmix(place, detection, measured, elm, detected.bands, resolve, show_progress=show_progress)
+        unmixed = unmix(place, detection, measured, elm, detected.bank.bands, resolve, show_progress=show_progress)
     distances = {}
     left = [] if place.by_number else [name for name in place.regions if name not in known]
     for name in track(left, "tails", show=show_progress):
@@ -193,27 +193,26 @@ def observe(
     ]
     if elm is not None:
         notes += line_notes(elm, cube.axis)
+    found = dict(detected.products) if detected else {}
+    if unmixed is not None:
+        found["abundance"] = {**found.get("abundance", {}), **unmixed.areas}
     observation = ObservedProducts(
         axis=cube.axis,
         radiance=radiance,
         snr=snr,
         reflectance=reflectance,
-        scores=detected.scores if detected else {},
-        roc=detected.roc if detected else {},
-        abundance={**(detected.abundance if detected else {}), **(unmixed.areas if unmixed else {})},
-        object_scores=detected.object_scores if detected else {},
-        exceedance=detected.exceedance if detected else {},
         distribution=distribution,
         classification=classification_errors(place, classification) if classification else {},
         notes=(*notes, *(detected.notes if detected else ())),
         provenance={"quantity": cube.quantity, "description": cube.description},
+        **found,
     )
     # Of the surface itself: over all bands noise dilutes what makes false alarms.
     tails = {n: d.leading_tail_dof for n, d in observation.distribution.items() if np.isfinite(d.leading_tail_dof)}
     # The filter of the model is to be made of the covariance that the filter of the image was made of.
     shrunk = {}
-    if detection is not None and detected is not None and detected.shrinkage > 0.0:
-        shrunk = {n: _shrunk(s, detected.shrinkage) for n, s in regions.items() if n in detection.background}
+    if detection is not None and detected is not None and detected.bank.shrinkage > 0.0:
+        shrunk = {n: _shrunk(s, detected.bank.shrinkage) for n, s in regions.items() if n in detection.background}
     classes = _classes(regions | shrunk, cube.axis, elm, cube.quantity, tails)
     surfaces = Surfaces(place, elm, masks, sampling, distribution)
     return Observed(observation, classes, surfaces, detected, unmixed)

@@ -45,6 +45,7 @@ from hyperval.imagery.regions import (
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.observe.truth_images import abundance_targets, finer_targets, material_regions
+from hyperval.processing.line import EmpiricalLine
 from hyperval.processing.statistics import Labels
 from hyperval.progress import track
 from hyperval.units import RADIANCE_UNIT
@@ -309,6 +310,13 @@ class Place:
     def pixels_of(self, name: str) -> Mask:
         """(lines, samples) pixels of :meth:`counted`."""
         return self.labels.mask(self.counted(name))
+
+    def pixels_at(
+        self, lines: npt.NDArray[np.intp], samples: npt.NDArray[np.intp], elm: EmpiricalLine | None = None
+    ) -> tuple[npt.NDArray[np.float64], Mask]:
+        """(n, B) values of pixels (n,), in reflectance with a line, and (n,) which of them hold data."""
+        values, usable = self.cube.marked_pixels((lines, samples))
+        return values if elm is None else elm.reflectance(values), usable
 
     def region(self, name: str) -> Mask:
         """The mask of a region; raises UsageError for a name that no region has."""

@@ -267,12 +267,6 @@ def _bartlett(key: Counts, width: int) -> sparse.csr_array:
     return sparse.csr_array((np.concatenate(weights), where), shape=(m, m))
 
 
-def same_scores(blocks: AlarmBlocks | None, scores: Array) -> None:
-    """Raise UsageError where the places of other scores than ``scores`` are given."""
-    if blocks is not None and blocks.scores.size != scores.size:
-        raise UsageError(f"{blocks.scores.size} places for {scores.size} background scores")
-
-
 _PER_DECADE = 10
 _LEAST_ALARMS = 5
 FEWEST_FOR_A_CURVE = 20

@@ -33,12 +33,13 @@ import numpy.typing as npt
 from scipy import special
 
 from hyperval.errors import UsageError
-from hyperval.processing.alarm_blocks import AlarmBlocks, same_scores
+from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, AlarmBlocks
 from hyperval.processing.intervals import bounded_mean_limits, clopper_pearson, mid_p_limits
 from hyperval.products import AlarmsAtDetection, AreaEstimate, RocCurve
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
+Scores = npt.ArrayLike | AlarmBlocks  # the latter know their places, and come in clusters
 
 _BINS = 16384
 _SAMPLE = 2048
@@ -170,15 +171,20 @@ def rank_counts(target: Array, background: Array) -> RankCounts:
     return RankCounts(value, targets.astype(np.int64), ties.astype(np.int64), between.astype(np.int64))
 
 
-def counts_of(target_scores: npt.ArrayLike, background_scores: npt.ArrayLike) -> RankCounts:
+def counts_of(target_scores: npt.ArrayLike, background_scores: Scores) -> RankCounts:
     """:func:`rank_counts` of scores of any shape; UsageError where a side is empty or holds NaN."""
-    sides = []
-    for name, scores in (("target", target_scores), ("background", background_scores)):
-        values = np.asarray(scores, dtype=float).ravel()
-        if values.size == 0 or np.isnan(values).any():
-            raise UsageError(f"{name} scores are missing or hold NaN", mend="leave invalid pixels out")
-        sides.append(values)
-    return rank_counts(*sides)
+    return rank_counts(valid_scores(target_scores, "target"), valid_scores(background_scores, "background"))
+
+
+def valid_scores(scores: Scores, side: str) -> Array:
+    """(n,) scores of any shape; UsageError where there are none or some are NaN."""
+    values = scores.scores if isinstance(scores, AlarmBlocks) else np.asarray(scores, dtype=float).ravel()
+    missing = int(np.count_nonzero(np.isnan(values)))
+    if missing:
+        raise UsageError(f"{missing} of {values.size} {side} scores are NaN", mend="leave invalid pixels out")
+    if values.size == 0:
+        raise UsageError(f"there are no {side} scores", expected="at least one valid score on each side of a ROC")
+    return values
 
 
 STATED_PD = (0.5, 0.9)
@@ -238,7 +244,7 @@ def alarms_at_detection(
         at = greatest(int(np.ceil(q * m * (1.0 - 1e-12))))
         alarms = int(at_or_above[at])
         fixed = [float(x) for x in clopper_pearson(alarms, n, level)]
-        # As for the background in hyperval.processing.roc.pd_at_pfa, with the sides exchanged.
+        # As for the background in empirical_roc, with the sides exchanged.
         r, s = int(stats.binom.ppf(tail, m, q)), int(stats.binom.isf(tail, m, q)) + 1
         low = float(clopper_pearson(int(above[greatest(r)]), n, each)[0]) if r >= 1 else 0.0
         high = float(clopper_pearson(int(at_or_above[greatest(s)]), n, each)[1]) if s <= m else 1.0
@@ -300,12 +306,10 @@ AREAS = {
     "partial_auc@0..1e-1": RocArea(0.0, 0.1),
     "log_auc@1e-3..1e-1": RocArea(1e-3, 0.1, logarithmic=True),
 }
-# A background that expects fewer alarms at the low end of a range says nothing of it.
-LEAST_EXPECTED_ALARMS = 10.0
 
 
 def areas_within(n: int) -> dict[str, RocArea]:
-    """The areas of :data:`AREAS` whose range ``n`` background scores reach."""
+    """The areas of :data:`AREAS` whose range ``n`` background scores reach: the low end expects alarms enough."""
     return {k: a for k, a in AREAS.items() if not a.logarithmic or a.low * n >= LEAST_EXPECTED_ALARMS}
 
 
@@ -522,7 +526,6 @@ def _shares(counts: RankCounts) -> tuple[Array, Array]:
     return above / n, counts.ties / n
 
 
-Nan = Literal["raise", "omit"]
 POINTS_PER_DECADE = 20
 
 
@@ -542,7 +545,7 @@ class PresetThresholds:
 
     pfa: Array
     threshold: Array
-    alarms: npt.NDArray[np.int64]
+    alarms: Counts
     everything: npt.NDArray[np.bool_]
     greatest: Array
     least: Array
@@ -551,45 +554,20 @@ class PresetThresholds:
     level: float
 
 
-@dataclass(frozen=True)
-class DetectionRate:
-    """Detection probability at preset false-alarm probabilities.
-
-    All arrays are (K,).  ``lower``/``upper`` hold the threshold's sampling error too; ``binomial_lower``/
-    ``binomial_upper`` are mid-P limits for the threshold as it was drawn.
-    """
-
-    pfa: Array
-    pd: Array
-    lower: Array
-    upper: Array
-    binomial_lower: Array
-    binomial_upper: Array
-    threshold: Array
-    alarms: npt.NDArray[np.int64]
-    n_target: int
-    n_background: int
-    level: float
-
-
 def preset_thresholds(
-    background_scores: npt.ArrayLike,
-    pfa: npt.ArrayLike | None = None,
-    *,
-    level: float = 0.95,
-    nan: Nan = "raise",
-    blocks: AlarmBlocks | None = None,
+    background_scores: Scores, pfa: npt.ArrayLike | None = None, *, level: float = 0.95
 ) -> PresetThresholds:
-    """Thresholds of :func:`pd_at_pfa`; one set serves all targets that are looked for in the same scores.
+    """Thresholds of :func:`empirical_roc`; one set serves all targets that are looked for in the same scores.
 
     ``pfa`` defaults to a logarithmic grid from one alarm in the whole background to 1, which holds the decades.
     """
-    b = _valid_scores(background_scores, "background", nan)
+    blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
+    b = valid_scores(background_scores, "background")
     if pfa is None:
         decades = int(np.ceil(np.log10(max(b.size, 10))))
         grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
         pfa = grid[grid * b.size * (1.0 + 1e-12) >= 1.0]
-    p = np.atleast_1d(np.asarray(pfa, dtype=float))
+    p = np.sort(np.atleast_1d(np.asarray(pfa, dtype=float)))
     if not (np.all(p > 0) and np.all(p <= 1)):
         raise UsageError("a preset false-alarm probability must lie in (0, 1]")
     k = np.minimum(np.floor(p * b.size * (1.0 + 1e-12)).astype(np.int64), b.size)
@@ -603,32 +581,25 @@ def preset_thresholds(
         # The least s with P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
         s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
     else:
-        same_scores(blocks, b)
         r, s = blocks.rank_limits(p)
     ordered = OrderStatistics(b, np.concatenate([k + 1, r, s]))
     threshold, everything = ordered.greatest(k + 1), k >= b.size
+    alarms = np.where(everything, b.size, ordered.above(threshold))
+    greatest = np.where(r >= 1, ordered.greatest(np.maximum(r, 1)), np.inf)
     return PresetThresholds(
-        p,
-        threshold,
-        np.where(everything, b.size, ordered.above(threshold)),
-        everything,
-        np.where(r >= 1, ordered.greatest(np.maximum(r, 1)), np.inf),
-        ordered.greatest(s),
-        s > b.size,
-        int(b.size),
-        level,
+        p, threshold, alarms, everything, greatest, ordered.greatest(s), s > b.size, int(b.size), level
     )
 
 
-def pd_at_pfa(
+def empirical_roc(
     target_scores: npt.ArrayLike,
-    background_scores: npt.ArrayLike | PresetThresholds,
+    background_scores: Scores | PresetThresholds,
     pfa: npt.ArrayLike | None = None,
+    unit: Literal["pixel", "object"] = "pixel",
     *,
+    background_area_km2: float | None = None,
     level: float = 0.95,
-    nan: Nan = "raise",
-    blocks: AlarmBlocks | None = None,
-) -> DetectionRate:
+) -> RocCurve:
     """Detection probability at the lowest threshold whose empirical false-alarm rate is at most ``pfa``.
 
     The threshold is the (k+1)-th greatest of the n background scores with k = floor(n pfa), so that at most k
@@ -639,104 +610,62 @@ def pd_at_pfa(
     is void beside the second part anyhow.  (2) The threshold x that truly gives ``pfa`` is known only through the
     background sample: the number of background scores above x is binomial, so x lies between two order
     statistics of the background, at which P_D is read again; where n pfa is too small, no score bounds x from above
-    and the lower limit of P_D is 0.  Where the places of the background are known (``blocks``), alarms that come in
-    clusters widen that range (:meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.rank_limits`).  The distances of
-    both from P_D are added in quadrature on each side (as in Newcombe, Stat. Med. 17, 873-890, 1998).  Simulated
-    coverage at 95 % is 0.95 to 0.99, tables in docs/statistics.md, and 0.92 where 300 targets stand on 44 alarms
-    that come in clusters; with the first part alone it falls below 0.4 for a small background and many targets.
-    Targets must be independent of each other, so count objects, not the pixels of one object.
+    and the lower limit of P_D is 0.  Where the places of the background are known, alarms that come in clusters
+    widen that range (:meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.rank_limits`).  The distances of
+    both from P_D are added in quadrature on each side (as in Newcombe, Stat. Med. 17, 873-890, 1998).  The true P_D
+    rises with P_FA, so limits that do not are widened until they do.  Simulated coverage at 95 % is 0.95 to 0.99,
+    tables in docs/statistics.md, and 0.92 where 300 targets stand on 44 alarms that come in clusters; with the first
+    part alone it falls below 0.4 for a small background and many targets.  Targets must be independent of each
+    other, so count objects, not the pixels of one object.
 
     Parameters
     ----------
-    target_scores, background_scores : any shape; +-inf allowed; NaN raises, or is left out with ``nan="omit"``.
-        The thresholds that :func:`preset_thresholds` took from a background may stand for it and all that follows
-    pfa : preset false-alarm probabilities in (0, 1]
-    blocks : the background scores with their places
+    target_scores, background_scores : any shape; +-inf allowed.  The background may come with its places, or as the
+        thresholds that :func:`preset_thresholds` took from it, with all that follows
+    pfa : preset false-alarm probabilities in (0, 1]; by default the grid of :func:`preset_thresholds`
 
     Raises
     ------
     UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
     """
-    t = _sorted_scores(target_scores, "target", nan)
-    at = (
-        background_scores
-        if isinstance(background_scores, PresetThresholds)
-        else preset_thresholds(background_scores, pfa, level=level, nan=nan, blocks=blocks)
-    )
-    detected = _above(t, at.threshold, at.everything)
+    t = np.sort(valid_scores(target_scores, "target"))
+    at = background_scores
+    if not isinstance(at, PresetThresholds):
+        at = preset_thresholds(at, pfa, level=level)
+
+    def above(threshold: Array, everything: npt.NDArray[np.bool_]) -> Counts:
+        """How many targets lie above the threshold; all of them where ``everything`` is declared, -inf included."""
+        return np.where(everything, t.size, t.size - np.searchsorted(t, threshold, side="right"))
+
+    detected = above(at.threshold, at.everything)
     low, high = mid_p_limits(detected, t.size, at.level)
-    few = t.size - np.searchsorted(t, at.greatest, side="right")
-    many = _above(t, at.least, at.unbounded)
+    few, many = above(at.greatest, np.zeros_like(at.everything)), above(at.least, at.unbounded)
     pd = detected / t.size
     # Never inside the binomial limits: what could lie inside them is rounding.
     wide_low = np.clip(pd - np.hypot(pd - low, pd - few / t.size), 0.0, low)
     wide_high = np.clip(pd + np.hypot(high - pd, many / t.size - pd), high, 1.0)
     # A false-alarm probability of one declares everything, whatever the sample.
-    certain = at.pfa >= 1.0
-    return DetectionRate(
-        pfa=at.pfa,
-        pd=pd,
-        lower=np.where(certain, 1.0, wide_low),
-        upper=wide_high,
-        binomial_lower=low,
-        binomial_upper=high,
-        threshold=at.threshold,
-        alarms=at.alarms,
-        n_target=int(t.size),
-        n_background=at.n_background,
-        level=at.level,
-    )
-
-
-def empirical_roc(
-    target_scores: npt.ArrayLike,
-    background_scores: npt.ArrayLike | PresetThresholds,
-    pfa: npt.ArrayLike | None = None,
-    unit: Literal["pixel", "object"] = "pixel",
-    *,
-    background_area_km2: float | None = None,
-    level: float = 0.95,
-    nan: Nan = "raise",
-    blocks: AlarmBlocks | None = None,
-) -> RocCurve:
-    """Empirical ROC curve at preset false-alarm probabilities, with the interval of :func:`pd_at_pfa`.
-
-    The true P_D rises with P_FA, so limits that do not are widened until they do.  ``pfa`` defaults to the grid of
-    :func:`preset_thresholds`.
-    """
-    rising = None if pfa is None else np.sort(np.asarray(pfa, dtype=float))
-    rates = pd_at_pfa(target_scores, background_scores, rising, level=level, nan=nan, blocks=blocks)
-    lower, upper = _rising(rates.lower, rates.upper)
+    lower, upper = _rising(np.where(at.pfa >= 1.0, 1.0, wide_low), wide_high)
     return RocCurve(
-        pfa=rates.pfa,
-        pd=rates.pd,
-        pd_lower=lower,
-        pd_upper=upper,
-        threshold=rates.threshold,
-        unit=unit,
-        n_target=rates.n_target,
-        n_background=rates.n_background,
-        background_area_km2=background_area_km2,
-        alarms=rates.alarms,
+        at.pfa, pd, lower, upper, at.threshold, unit, int(t.size), at.n_background, background_area_km2, at.alarms
     )
 
 
 def with_summary(
     curve: RocCurve,
     target_scores: npt.ArrayLike,
-    background_scores: npt.ArrayLike,
+    background_scores: Scores,
     *,
     draws: int = 1000,
     rng: np.random.Generator | None = None,
-    blocks: AlarmBlocks | None = None,
 ) -> RocCurve:
-    """The curve of these scores with its areas (:mod:`hyperval.processing.roc`) and alarms at stated P_D.
+    """The curve of these scores with its areas and alarms at stated P_D.
 
     Parameters
     ----------
     draws, rng : of the bootstrap over objects; by default a generator of seed 0
-    blocks : the background scores with their places
     """
+    blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
     counts = counts_of(target_scores, background_scores)
     areas = areas_within(int(curve.n_background or 0))
     estimates = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0), blocks)
@@ -821,28 +750,3 @@ def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
     share = share / share.sum()
     pd, low, high = (share @ np.stack([getattr(c, k) for c in curves]) for k in ("pd", "pd_lower", "pd_upper"))
     return RocCurve(first.pfa, pd, low, high, np.full(first.pfa.shape, np.nan), first.unit)
-
-
-def _sorted_scores(scores: npt.ArrayLike, name: str, nan: Nan) -> Array:
-    return np.sort(_valid_scores(scores, name, nan))
-
-
-def _valid_scores(scores: npt.ArrayLike, name: str, nan: Nan) -> Array:
-    values = np.asarray(scores, dtype=float).ravel()
-    missing = np.isnan(values)
-    if np.any(missing):
-        if nan != "omit":
-            raise UsageError(
-                f"{int(missing.sum())} of {values.size} {name} scores are NaN",
-                mend='leave invalid pixels out, or pass nan="omit" to have them left out here',
-            )
-        values = values[~missing]
-    if values.size == 0:
-        raise UsageError(f"there are no {name} scores", expected="at least one valid score on each side of a ROC")
-    return values
-
-
-def _above(ascending: Array, threshold: Array, everything: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-    """How many scores lie above the threshold; all of them where ``everything`` is declared, -inf included."""
-    count = ascending.size - np.searchsorted(ascending, threshold, side="right")
-    return np.where(everything, ascending.size, count).astype(np.int64)

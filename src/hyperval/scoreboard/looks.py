@@ -246,7 +246,7 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
     place, detected = observed.place, observed.detected
     if detection is None or place is None or detected is None:
         return []
-    cube, bands = place.cube, np.flatnonzero(detected.bands)
+    cube, bands = place.cube, np.flatnonzero(detected.bank.bands)
     if cube.lines * cube.samples * bands.size > MOST_VALUES:
         why = f"SPy holds the image in memory, and it has more than {MOST_VALUES:.0e} values"
         return [RowMaker(PRODUCT, EVERY_OBJECT, PEER).skipped(Cause.REFUSED, why, "auc")]

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from hyperval.processing.alarm_blocks import AlarmBlocks
+from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, AlarmBlocks
 from hyperval.processing.intervals import zero_count_upper_limit
-from hyperval.processing.roc import AREAS, LEAST_EXPECTED_ALARMS, interval_of_mean
+from hyperval.processing.roc import AREAS, interval_of_mean
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
