@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from dataclasses import field as attribute
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -153,69 +154,67 @@ def observe(
     }
     elm = before.line or empirical_line(collection.empirical_line, measured, sampling, cube, resolve)
 
-    rounding = cube.gain**2 / 12.0 if cube.dtype.kind in "iu" else 0.0
-    radiance: dict[str, SpectralEstimate] = {}
-    reflectance: dict[str, SpectralEstimate] = {}
-    if cube.quantity == "radiance":
-        radiance = {
-            n: _sampled(s, sampling[n], _calibration(s.mean, collection, cube.axis, resolve), rounding)
-            for n, s in subjects.items()
-        }
-        if elm is not None:
-            reflectance = {n: _reflectance(n, s, sampling[n], elm, rounding) for n, s in subjects.items()}
-    else:
-        reflectance = {n: _sampled(s, sampling[n], {}, rounding) for n, s in subjects.items()}
-    snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
-
-    detected = None
+    spectra = {name: (sample, sampling[name]) for name, sample in subjects.items()}
+    detected, unmixed = None, None
     if detection is not None:
         if detection.targets:  # anomalies are the same in radiance
             check_line_for_detection(place, collection)
         detected = detect(place, detection, measured, elm, resolve, show_progress=show_progress)
-    unmixed = None
-    if detection is not None and detection.unmixing is not None and detected is not None:
-        unmixed = unmix(place, detection, measured, elm, detected.bank.bands, resolve, show_progress=show_progress)
-    distances = {}
-    left = [] if place.by_number else [name for name in place.regions if name not in known]
-    for name in track(left, "tails", show=show_progress):
-        distances[name] = pixel_distances(place, masks[name], measured[name])
+        if detection.unmixing is not None:
+            bands = detected.bank.bands
+            unmixed = unmix(place, detection, measured, elm, bands, resolve, show_progress=show_progress)
+    products: dict[str, Any] = _spectra(place, collection, spectra, elm, resolve)
+    products |= {kind: dict(found) for kind, found in detected.products.items()} if detected else {}
+    if unmixed is not None:
+        products["abundance"] |= unmixed.areas
+    distances = {
+        name: pixel_distances(place, masks[name], measured[name])
+        for name in track(sorted(set(regions) - known, key=list(regions).index), "tails", show=show_progress)
+        if not place.by_number
+    }
     distribution = {name: d for name, d in before.distribution.items() if name in known}
     distribution |= {name: d.distribution() for name, d in distances.items() if d is not None}
-    reflects = cube.quantity == "reflectance"
-    means = [s.mean for s in regions.values()] or [measured[SCENE].mean]
-    notes = [*place.notes, *([] if place.by_number else wavelength_notes(means, cube.axis, reflectance=reflects))]
+    observation = ObservedProducts(
+        axis=cube.axis,
+        snr={name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions},
+        distribution=distribution,
+        classification=classification_errors(place, classification) if classification else {},
+        notes=_notes(place, detection, detected, measured, masks, elm),
+        provenance={"quantity": cube.quantity, "description": cube.description},
+        **products,
+    )
+    # The filter of the model is to be made of the covariance that the filter of the image was made of.
+    if detection is not None and detected is not None and detected.bank.shrinkage > 0.0:
+        shrinkage = detected.bank.shrinkage
+        regions |= {n: _shrunk(s, shrinkage) for n, s in regions.items() if n in detection.background}
+    # Of the surface itself: over all bands noise dilutes what makes false alarms.
+    tails = {n: d.leading_tail_dof for n, d in distribution.items() if np.isfinite(d.leading_tail_dof)}
+    classes = _classes(regions, cube.axis, elm, cube.quantity, tails)
+    return Observed(observation, classes, Surfaces(place, elm, masks, sampling, distribution), detected, unmixed)
+
+
+def _notes(
+    place: Place,
+    detection: Detection | None,
+    detected: Detected | None,
+    measured: Mapping[str, SampleStatistics],
+    masks: Mapping[str, Mask],
+    elm: EmpiricalLine | None,
+) -> tuple[str, ...]:
+    """What is to be said of an observation."""
+    axis, notes = place.cube.axis, list(place.notes)
+    if not place.by_number:
+        means = [measured[name].mean for name in place.regions or (SCENE,)]
+        notes += wavelength_notes(means, axis, reflectance=place.cube.quantity == "reflectance")
     if detection is not None:
         notes += _population_notes(place, detection, masks)
     notes += [
         f"warning: region {name!r} is a single pixel: how far pixels differ is not known and in no interval"
-        for name, sample in regions.items()
-        if sample.n == 1
+        for name in place.regions
+        if measured[name].n == 1
     ]
-    if elm is not None:
-        notes += line_notes(elm, cube.axis)
-    found = dict(detected.products) if detected else {}
-    if unmixed is not None:
-        found["abundance"] = {**found.get("abundance", {}), **unmixed.areas}
-    observation = ObservedProducts(
-        axis=cube.axis,
-        radiance=radiance,
-        snr=snr,
-        reflectance=reflectance,
-        distribution=distribution,
-        classification=classification_errors(place, classification) if classification else {},
-        notes=(*notes, *(detected.notes if detected else ())),
-        provenance={"quantity": cube.quantity, "description": cube.description},
-        **found,
-    )
-    # Of the surface itself: over all bands noise dilutes what makes false alarms.
-    tails = {n: d.leading_tail_dof for n, d in observation.distribution.items() if np.isfinite(d.leading_tail_dof)}
-    # The filter of the model is to be made of the covariance that the filter of the image was made of.
-    shrunk = {}
-    if detection is not None and detected is not None and detected.bank.shrinkage > 0.0:
-        shrunk = {n: _shrunk(s, detected.bank.shrinkage) for n, s in regions.items() if n in detection.background}
-    classes = _classes(regions | shrunk, cube.axis, elm, cube.quantity, tails)
-    surfaces = Surfaces(place, elm, masks, sampling, distribution)
-    return Observed(observation, classes, surfaces, detected, unmixed)
+    notes += [] if elm is None else line_notes(elm, axis)
+    return (*notes, *(detected.notes if detected else ()))
 
 
 def _with_rounding(place: Place, sample: SampleStatistics, sampling: EstimatedPart) -> EstimatedPart:
@@ -263,17 +262,27 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> Itera
                 yield subject, union
 
 
-def _calibration(mean: Array, collection: CollectionSection, axis: SpectralAxis, resolve: Resolve) -> dict[str, Array]:
-    """The error of the calibration by its name, where the collection states one."""
-    stated = collection.calibration
-    return {} if stated is None else {"calibration": calibration_covariance(mean, axis, stated, resolve)}
-
-
-def _sampling_part(
-    sample: SampleStatistics, sampling: EstimatedPart
-) -> tuple[dict[str, Array], tuple[EstimatedPart, ...]]:
-    """The error of the mean by name, and what it is known by; none where there is a single pixel."""
-    return ({"sampling": sampling.covariance}, (sampling,)) if sample.n > 1 else ({}, ())
+def _spectra(
+    place: Place,
+    collection: CollectionSection,
+    subjects: Mapping[str, tuple[SampleStatistics, EstimatedPart]],
+    elm: EmpiricalLine | None,
+    resolve: Resolve,
+) -> dict[str, Any]:
+    """Radiance and reflectance of every subject by its statistics and the error of their mean."""
+    cube, stated = place.cube, collection.calibration
+    rounding = cube.gain**2 / 12.0 if cube.dtype.kind in "iu" else 0.0
+    if cube.quantity != "radiance":
+        return {"reflectance": {n: _estimate(s, None, sampling, {}, rounding) for n, (s, sampling) in subjects.items()}}
+    radiance, reflectance = {}, {}
+    for name, (sample, sampling) in subjects.items():
+        parts = {}
+        if stated is not None:
+            parts["calibration"] = calibration_covariance(sample.mean, cube.axis, stated, resolve)
+        radiance[name] = _estimate(sample, None, sampling, parts, rounding)
+        if elm is not None:
+            reflectance[name] = _reflectance(name, sample, sampling, elm, rounding)
+    return {"radiance": radiance, "reflectance": reflectance}
 
 
 def _reflectance(
@@ -285,28 +294,30 @@ def _reflectance(
     they fix none, the line goes through the panel whatever it reflects.
     """
     others = line.without(name) if name in line.names else line
-    elm = others or line
-    mean, covariance = in_reflectance(sample, elm)
-    spread, rounding = covariance if sample.n > 1 else None, rounding / elm.gain**2
     if others is None:
         own = {"empirical line": line.error_covariance(sample.mean, own=name)}
-        return spectral_estimate(mean, own, pixel_covariance=spread, n=sample.n, circular=CIRCULAR, rounding=rounding)
-    gains = np.outer(elm.gain, elm.gain)
-    parts, estimated = _sampling_part(sample, sampling.of_each(lambda c: c / gains))
-    parts["empirical line"] = others.error_covariance(sample.mean)
-    estimated += others.estimated(sample.mean)
-    return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, estimated=estimated, rounding=rounding)
+        return _estimate(sample, line, None, own, rounding, circular=CIRCULAR)
+    gains, parts = np.outer(others.gain, others.gain), {"empirical line": others.error_covariance(sample.mean)}
+    scaled = sampling.of_each(lambda c: c / gains)
+    return _estimate(sample, others, scaled, parts, rounding, others.estimated(sample.mean))
 
 
-def _sampled(
-    sample: SampleStatistics, sampling: EstimatedPart, others: Mapping[str, Array], rounding: Array | float
+def _estimate(
+    sample: SampleStatistics,
+    elm: EmpiricalLine | None,
+    sampling: EstimatedPart | None,
+    parts: Mapping[str, Array],
+    rounding: Array | float,
+    estimated: tuple[EstimatedPart, ...] = (),
+    circular: str = "",
 ) -> SpectralEstimate:
-    """A mean in the cube's own values, with the error of its sampling and those that are stated besides."""
-    parts, estimated = _sampling_part(sample, sampling)
-    spread = sample.covariance if sample.n > 1 else None
+    """A mean in the cube's own values, or after a line, with the error of its sampling and the other ``parts``."""
+    mean, spread = in_reflectance(sample, elm)
+    if sampling is not None and sample.n > 1:
+        parts, estimated = {"sampling": sampling.covariance, **parts}, (sampling, *estimated)
     return spectral_estimate(
-        sample.mean, {**parts, **others}, pixel_covariance=spread, n=sample.n, estimated=estimated,
-        rounding=rounding,
+        mean, parts, pixel_covariance=spread if sample.n > 1 else None, n=sample.n, estimated=estimated,
+        circular=circular, rounding=rounding if elm is None else rounding / elm.gain**2,
     )  # fmt: skip
 
 
