@@ -24,7 +24,7 @@ from hyperval.campaign.one import run_campaign
 from hyperval.campaign.run import validate
 from hyperval.config import load_yaml
 from hyperval.imagery import divided, open_cube, write_cube
-from hyperval.processing.intervals import Z95
+from hyperval.processing import Z95
 from hyperval.results import Cause, Outcome
 from hyperval.run import Run
 from hyperval.scene.builtin import builtin_class

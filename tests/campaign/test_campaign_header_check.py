@@ -15,7 +15,7 @@ from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.sides import centre_of, distance_km, header_notes
 from hyperval.imagery import LookupTable, Raster, open_raster, table_of, write_cube
-from hyperval.observe.place import Place
+from hyperval.observe import Place
 
 UTM18 = CRS.from_epsg(32618)
 

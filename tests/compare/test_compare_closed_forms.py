@@ -11,8 +11,7 @@ from hyperval.compare.objects import compare_abundance, compare_area_errors
 from hyperval.compare.roc import compare_roc, far_at_detection_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.compare.spectral import compare_spectra, leading_source
-from hyperval.processing.intervals import Z95
-from hyperval.processing.sample import SamplingBand, Statistics
+from hyperval.processing import Z95, SamplingBand, Statistics
 from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEstimate
 from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis, in_window

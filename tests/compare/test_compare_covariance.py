@@ -10,7 +10,7 @@ import pytest
 from hyperval.compare import Gate, compare_products
 from hyperval.compare.covariance import compare_covariance, compare_distribution, independent_pixels
 from hyperval.compare.scores import compare_classification
-from hyperval.processing.sample import noise_part
+from hyperval.processing import noise_part
 from hyperval.products import (
     Abundance,
     ClassificationError,

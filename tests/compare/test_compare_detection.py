@@ -6,11 +6,11 @@ from scipy import stats
 
 from hyperval.compare import Gate, judged
 from hyperval.compare.products import compare_products
-from hyperval.compare.roc import compare_roc, curve_area, equivalent
+from hyperval.compare.roc import compare_roc, equivalent
 from hyperval.compare.rows import difference_interval, scientific
 from hyperval.compare.scores import compare_scores
 from hyperval.errors import UsageError
-from hyperval.processing.roc import WHOLE, RocArea, counts_of, empirical_roc, roc_area, with_summary
+from hyperval.processing import WHOLE, RocArea, counts_of, curve_area, empirical_roc, roc_area, with_summary
 from hyperval.products import (
     Abundance,
     ObservedProducts,
@@ -79,7 +79,7 @@ def test_overlapping_intervals_are_not_enough():
 
 def test_difference_interval_covers():
     # Two binomial proportions with Clopper-Pearson limits: conservative, 1000 draws, above 93 %.
-    from hyperval.processing.intervals import clopper_pearson
+    from hyperval.processing import clopper_pearson
 
     rng = np.random.default_rng(2)
     hits = 0

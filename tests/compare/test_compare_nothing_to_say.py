@@ -10,7 +10,7 @@ import pytest
 from hyperval.compare.objects import compare_abundance
 from hyperval.compare.roc import predicted_area
 from hyperval.compare.spectral import _detectable, _mean_ratio, chi_square_shape, detectable_tilts
-from hyperval.processing.roc import AREAS
+from hyperval.processing import AREAS
 from hyperval.products import Abundance, RocCurve
 from hyperval.results import Cause, Outcome
 

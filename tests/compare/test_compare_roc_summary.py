@@ -8,10 +8,16 @@ from scipy import stats
 
 from hyperval.compare import Gate, judged
 from hyperval.compare.products import product_rows
-from hyperval.compare.roc import compare_roc, curve_area, joint_rows
+from hyperval.compare.roc import compare_roc, joint_rows
 from hyperval.compare.rows import RowMaker
-from hyperval.processing.intervals import clopper_pearson, zero_count_upper_limit
-from hyperval.processing.roc import RocArea, empirical_roc, with_summary
+from hyperval.processing import (
+    RocArea,
+    clopper_pearson,
+    curve_area,
+    empirical_roc,
+    with_summary,
+    zero_count_upper_limit,
+)
 from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis

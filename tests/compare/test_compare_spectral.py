@@ -22,7 +22,7 @@ from hyperval.compare.spectral import (
     z_scores,
 )
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
+from hyperval.processing import difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
 from hyperval.products import SpectralEstimate
 from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis, in_window

@@ -14,7 +14,7 @@ import xarray as xr
 from hyperval.collection_files import AbundanceTruth
 from hyperval.errors import InputError
 from hyperval.imagery import open_cube, open_raster, read_regions, sun_zenith_deg, write_cube
-from hyperval.observe.truth_images import abundance_targets
+from hyperval.observe import abundance_targets
 
 TRUE = np.linspace(0.05, 0.6, 3 * 4 * 5).reshape(3, 4, 5)
 

@@ -9,9 +9,8 @@ from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, target_rows
 from hyperval.collection import Detection
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
-from hyperval.observe.detection import usable_bands
-from hyperval.processing.roc import empirical_roc
-from hyperval.processing.sample import SampleStatistics
+from hyperval.observe import usable_bands
+from hyperval.processing import SampleStatistics, empirical_roc
 from hyperval.products import background_of
 from hyperval.spectra.axis import SpectralAxis
 

@@ -11,7 +11,7 @@ from hyperval.collection import CollectionSection
 from hyperval.collection_files import TargetTruth
 from hyperval.errors import UsageError
 from hyperval.imagery import write_cube
-from hyperval.observe.place import open_place
+from hyperval.observe import open_place
 
 
 def opened(world):

@@ -15,8 +15,7 @@ from hyperval.campaign.schema import load_campaign
 from hyperval.campaign.sides import with_fills_of_truth
 from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.observe.place import open_place
-from hyperval.observe.truth_images import FinerGrid, fills_of, object_of_fills, registration_shifts, window_fills
+from hyperval.observe import FinerGrid, fills_of, object_of_fills, open_place, registration_shifts, window_fills
 from hyperval.prediction.departure import fill_distribution, fills_of_objects, pixels_of_object
 from hyperval.scenario import Fill, Scenario
 from hyperval.scene.fill import TargetGeometry, pixel_fills

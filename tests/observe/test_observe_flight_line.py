@@ -15,8 +15,7 @@ from pydantic import ValidationError
 
 from hyperval import cli
 from hyperval.collection import CollectionSection, Detection
-from hyperval.observe import observe
-from hyperval.observe.detection import anomaly_note
+from hyperval.observe import anomaly_note, observe
 
 PAGE = Path(__file__).parents[2] / "docs/flight-line.md"
 LINES, SAMPLES, BANDS = 40, 48, 30

@@ -10,9 +10,8 @@ from small_world import AXIS, BANDS, PLANTED, SAMPLES, World
 
 from hyperval.collection import CalibrationUncertainty, CollectionSection
 from hyperval.errors import InputError, UsageError
-from hyperval.observe import observe
-from hyperval.observe.site_spectra import calibration_covariance, detector_covariance, spectral_estimate
-from hyperval.processing.sample import factor_covariance, small_sample_factor
+from hyperval.observe import calibration_covariance, detector_covariance, observe, spectral_estimate
+from hyperval.processing import factor_covariance, small_sample_factor
 from hyperval.sensor.specification import load_sensor
 
 

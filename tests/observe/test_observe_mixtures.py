@@ -7,7 +7,7 @@ import pytest
 from small_world import BANDS, background_spread
 
 from hyperval.errors import UsageError
-from hyperval.observe.mixtures import RegionLaws
+from hyperval.observe import RegionLaws
 from hyperval.scenario import Scenario
 
 AWAY = np.linspace(0.05, -0.08, BANDS)

@@ -7,7 +7,7 @@ import pytest
 from small_world import BANDS
 
 from hyperval.compare.spectral import compare_spectra
-from hyperval.observe.site_spectra import rounding_variance
+from hyperval.observe import rounding_variance
 from hyperval.results import ResultTable
 
 

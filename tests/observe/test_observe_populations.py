@@ -7,8 +7,7 @@ import pytest
 
 from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import UsageError
-from hyperval.observe import pipeline
-from hyperval.observe.place import open_place
+from hyperval.observe import open_place, pipeline
 from hyperval.prediction.inputs import Sources
 from hyperval.scenario import CovarianceSource, SpectrumSource, Surface
 

@@ -18,7 +18,7 @@ from hyperval.campaign.schema import DayScenarios, day_scenarios
 from hyperval.collection_files import RadCalNetSource
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import InputError, UsageError
-from hyperval.observe.site_spectra import observe_radcalnet
+from hyperval.observe import observe_radcalnet
 from hyperval.predict import Origins, predict
 from hyperval.prediction.departure import Departure
 from hyperval.products import SpectralEstimate

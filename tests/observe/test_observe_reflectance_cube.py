@@ -11,8 +11,7 @@ from rasterio.crs import CRS
 from hyperval import cli
 from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
-from hyperval.observe import reflectance_cube
-from hyperval.observe.reflectance_cube import NO_DATA, SCALE, quantised, write_reflectance
+from hyperval.observe import NO_DATA, SCALE, quantised, reflectance_cube, write_reflectance
 from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.spectra.axis import SpectralAxis
 

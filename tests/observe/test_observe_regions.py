@@ -10,7 +10,7 @@ from small_world import LINES, PLANTED, SAMPLES
 
 from hyperval.collection import CollectionSection
 from hyperval.errors import InputError, UsageError
-from hyperval.observe.place import open_place
+from hyperval.observe import open_place
 
 
 def opened(world):

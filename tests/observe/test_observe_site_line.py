@@ -8,7 +8,7 @@ from small_world import AXIS, BACKGROUND, BANDS, TARGET, World
 
 from hyperval.collection import CollectionSection, PathRadiance
 from hyperval.errors import UsageError
-from hyperval.observe.site_spectra import path_estimate
+from hyperval.observe import path_estimate
 from hyperval.prediction.inputs import correlation
 from hyperval.products import SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from hyperval.predict import Origins, predict
 from hyperval.prediction.uncertainty import with_law_limits
-from hyperval.processing.laws import moments_without_each
+from hyperval.processing import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import Scenario
 from hyperval.scene.statistics import ClassStatistics

@@ -10,8 +10,9 @@ from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.predict import Origins
 from hyperval.prediction.departure import true_scenario
-from hyperval.prediction.monte_carlo import _drawn_estimate, auc_of, emulator, quantities, tolerance
+from hyperval.prediction.monte_carlo import _drawn_estimate, emulator, quantities, tolerance
 from hyperval.prediction.uncertainty import drawn_covariance, given_of, inputs_of
+from hyperval.processing import WHOLE, curve_area
 from hyperval.processing.roc_model import detection_at
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import FalseAlarmGrid, Scenario, Uncertainty
@@ -190,8 +191,8 @@ def test_area_of_a_curve_and_tolerance_of_a_limit():
     target, ground = p.scores["tenth", "cem"], p.scores["tenth background", "cem"]
     below = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(ground.grid) * (ground.density[1:] + ground.density[:-1]))])
     share = np.interp(target.grid, ground.grid, below, left=0.0, right=1.0)
-    assert auc_of(curve) == pytest.approx(np.trapezoid(share * target.density, target.grid), abs=2e-3)
-    assert quantities(p)["AUC", *KEY][0] == auc_of(curve)
+    assert curve_area(curve, WHOLE) == pytest.approx(np.trapezoid(share * target.density, target.grid), abs=2e-3)
+    assert quantities(p)["AUC", *KEY][0] == curve_area(curve, WHOLE)
     # u = 0.02: one digit, half a unit of it is 0.005; with infinitely many draws nothing is added.
     np.testing.assert_allclose(tolerance(np.array([0.02, 0.9]), 10**12), [0.005, 0.05], rtol=1e-4)
     # Of 10,000 uniform draws the 250th is a beta number, and so is the probability of a normal one.

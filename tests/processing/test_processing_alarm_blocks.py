@@ -5,16 +5,16 @@ import pytest
 from scipy import stats
 from scipy.stats import norm
 
-from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.intervals import mid_p_limits
-from hyperval.processing.roc import (
+from hyperval.processing import (
     AREAS,
     WHOLE,
+    AlarmBlocks,
     area_estimates,
     area_variance,
     clustered_variance,
     counts_of,
     empirical_roc,
+    mid_p_limits,
 )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from hyperval.processing.roc import alarms_at_detection, counts_of
+from hyperval.processing import alarms_at_detection, counts_of
 
 
 def limit(count, n, tail, side):

@@ -6,7 +6,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from hyperval.errors import UsageError
-from hyperval.processing.alarm_blocks import AlarmBlocks, block_side, exceedance_at, exceedance_curve
+from hyperval.processing import AlarmBlocks, block_side, exceedance_curve
+from hyperval.processing.alarm_blocks import exceedance_at
 
 
 def test_counts_are_those_of_the_pixels():

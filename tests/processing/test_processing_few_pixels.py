@@ -6,7 +6,7 @@ from scipy import stats
 
 from hyperval.compare.spectral import chi_square_full
 from hyperval.errors import UsageError
-from hyperval.processing.sample import factor_covariance
+from hyperval.processing import factor_covariance
 from hyperval.products import EstimatedPart
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis

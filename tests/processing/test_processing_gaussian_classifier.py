@@ -7,7 +7,7 @@ import pytest
 from scipy import special
 
 from hyperval.errors import UsageError
-from hyperval.processing.classification import (
+from hyperval.processing import (
     ClassLaw,
     GaussianClassifier,
     class_features,

@@ -11,12 +11,16 @@ from hypothesis import strategies as st
 
 from hyperval.errors import HypervalError, UsageError
 from hyperval.imagery import open_cube
-from hyperval.processing import MeasuredPanel, fit_elm
-from hyperval.processing.detectors import pixel_detector, whitener_of
+from hyperval.processing import (
+    MeasuredPanel,
+    clopper_pearson,
+    empirical_roc,
+    fit_elm,
+    pixel_detector,
+    region_statistics,
+    whitener_of,
+)
 from hyperval.processing.filters import cem_correlation_weights, matched_filter_weights, spectral_matched_filter
-from hyperval.processing.intervals import clopper_pearson
-from hyperval.processing.roc import empirical_roc
-from hyperval.processing.statistics import region_statistics
 from hyperval.spectra.readers_record import Asked, Record, finished
 
 LINES, SAMPLES, BANDS = 7, 6, 4

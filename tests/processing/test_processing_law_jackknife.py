@@ -7,10 +7,12 @@ import pytest
 from scipy import ndimage
 from scipy.special import ndtri
 
-from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio
-from hyperval.processing.laws import (
+from hyperval.processing import (
+    AlarmBlocks,
     class_mixture,
     compact_parts,
+    exceedance_curve,
+    false_alarm_ratio,
     fit_tail_dof,
     jackknife_directions,
     leading_tail_dof,

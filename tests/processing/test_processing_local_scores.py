@@ -9,16 +9,17 @@ from pydantic import ValidationError
 from hyperval.collection import LocalWindowSource
 from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
-from hyperval.processing import MeasuredPanel, fit_elm
-from hyperval.processing import detectors as local_scores
-from hyperval.processing.detectors import (
+from hyperval.processing import (
     LOCAL_DETECTORS,
     LocalWindow,
+    MeasuredPanel,
+    fit_elm,
     moving_means,
     pixel_detector,
     score_cube_locally,
     whitener_of,
 )
+from hyperval.processing import detectors as local_scores
 from hyperval.spectra.axis import SpectralAxis
 
 LINES, SAMPLES, BANDS = 37, 29, 7

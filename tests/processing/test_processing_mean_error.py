@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from hyperval.compare.spectral import chi_square_full, chi_square_shape, covariance_dof
-from hyperval.processing import MeasuredPanel, fit_elm
-from hyperval.processing.sample import (
+from hyperval.processing import (
+    MeasuredPanel,
     components,
+    fit_elm,
     independent_pixels,
     mean_error_covariance,
     neighbour_shares,

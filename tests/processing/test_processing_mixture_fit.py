@@ -8,14 +8,7 @@ from scipy import stats
 from sklearn.mixture import GaussianMixture
 
 from hyperval.errors import UsageError
-from hyperval.processing.laws import (
-    MixtureFit,
-    chosen_count,
-    chosen_dof,
-    class_mixture,
-    fit_mixture,
-    shrunk_covariances,
-)
+from hyperval.processing import MixtureFit, chosen_count, chosen_dof, class_mixture, fit_mixture, shrunk_covariances
 
 
 def clusters(n: int, seed: int, centres=((-1.5, 0.0), (1.0, 1.5), (0.5, -1.5))):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.classification import principal_components
+from hyperval.processing import principal_components
 from hyperval.processing.elm import two_panel_line
 from hyperval.processing.filters import (
     LINEAR_DETECTORS,

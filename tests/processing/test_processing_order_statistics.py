@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.processing.roc import OrderStatistics, empirical_roc
+from hyperval.processing import OrderStatistics, empirical_roc
 
 KINDS = {
     "normal": lambda rng, n: rng.normal(size=n),

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.observe.site_spectra import wavelength_notes
-from hyperval.processing.wavelength_check import RANGE_NM, oxygen_absorption, oxygen_residual
+from hyperval.observe import wavelength_notes
+from hyperval.processing import RANGE_NM, oxygen_absorption, oxygen_residual
 from hyperval.spectra.axis import SpectralAxis
 
 FINE = np.arange(735.0, 795.0, 0.002)

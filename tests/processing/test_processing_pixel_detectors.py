@@ -7,7 +7,7 @@ import pytest
 import spectral
 
 from hyperval.errors import UsageError
-from hyperval.processing.detectors import DETECTORS, osp_filter, pixel_detector, whitener_of
+from hyperval.processing import DETECTORS, osp_filter, pixel_detector, whitener_of
 
 BANDS = 12
 

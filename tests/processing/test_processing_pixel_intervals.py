@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import (
+from hyperval.processing import (
     beyond_jeffreys_limits,
     clopper_pearson,
     jeffreys_limits,

@@ -9,8 +9,7 @@ import pytest
 import spectral
 
 from hyperval.imagery import open_cube
-from hyperval.processing.intervals import clopper_pearson
-from hyperval.processing.statistics import region_statistics
+from hyperval.processing import clopper_pearson, region_statistics
 
 LINES, SAMPLES, BANDS = 12, 9, 6
 

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import mid_p_limits
-from hyperval.processing.objects import footprint_sums
-from hyperval.processing.roc import empirical_roc, pooled_roc
+from hyperval.processing import empirical_roc, footprint_sums, mid_p_limits, pooled_roc
 
 
 def test_a_pool_counts_the_targets_of_all_curves_at_one_false_alarm_rate():

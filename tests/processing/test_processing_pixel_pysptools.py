@@ -11,7 +11,7 @@ import warnings
 import numpy as np
 import pytest
 
-from hyperval.processing.detectors import osp_filter, pixel_detector, whitener_of
+from hyperval.processing import osp_filter, pixel_detector, whitener_of
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperval.errors import UsageError
-from hyperval.processing.roc import counts_of
+from hyperval.processing import counts_of
 
 SCORES = st.lists(
     st.one_of(st.integers(-3, 3).map(float), st.floats(allow_nan=False), st.sampled_from([1e-310, 1e300, -1e300])),

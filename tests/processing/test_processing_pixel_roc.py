@@ -8,16 +8,17 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import mid_p_limits
-from hyperval.processing.objects import (
+from hyperval.processing import (
+    empirical_roc,
     footprint,
     footprint_maxima,
+    mid_p_limits,
     object_scores,
     placed_with_halo,
+    preset_thresholds,
     values_on,
     with_halo,
 )
-from hyperval.processing.roc import empirical_roc, preset_thresholds
 
 few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
 

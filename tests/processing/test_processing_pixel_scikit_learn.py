@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from exact_forms import roc_points
 
-from hyperval.processing.roc import RocArea, counts_of, roc_area
-from hyperval.processing.sample import statistics_of
+from hyperval.processing import RocArea, counts_of, roc_area, statistics_of
 
 
 def peer(module):

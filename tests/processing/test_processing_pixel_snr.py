@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.snr import snr_decorrelated, snr_from_moments
+from hyperval.processing import snr_decorrelated, snr_from_moments
 
 BANDS = 20
 

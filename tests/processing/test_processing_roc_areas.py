@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scipy import special, stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import bounded_mean_limits, clopper_pearson
-from hyperval.processing.roc import (
+from hyperval.processing import (
     AREAS,
     WHOLE,
     RocArea,
@@ -21,6 +20,8 @@ from hyperval.processing.roc import (
     area_variance,
     areas_within,
     bootstrap_areas,
+    bounded_mean_limits,
+    clopper_pearson,
     counts_of,
     empirical_roc,
     pooled_roc,

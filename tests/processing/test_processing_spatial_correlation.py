@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from hyperval.processing.sample import independent_for_mean, independent_for_variance, lag_correlation, neighbour_shares
+from hyperval.processing import independent_for_mean, independent_for_variance, lag_correlation, neighbour_shares
 
 SIZE, REACH = 64, 12
 

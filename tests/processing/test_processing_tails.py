@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.laws import (
+from hyperval.processing import (
     exceedance_of_distance,
     fit_tail_dof,
     left_out_distances,

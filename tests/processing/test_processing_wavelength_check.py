@@ -9,15 +9,8 @@ import numpy as np
 import pytest
 
 from hyperval.compare.spectral import compare_spectra
-from hyperval.observe.site_spectra import wavelength_notes
-from hyperval.processing.wavelength_check import (
-    FEATURES,
-    RED_EDGE,
-    absorption_centre,
-    centre_uncertainty,
-    red_edge,
-    wavelength_shifts,
-)
+from hyperval.observe import wavelength_notes
+from hyperval.processing import FEATURES, RED_EDGE, absorption_centre, centre_uncertainty, red_edge, wavelength_shifts
 from hyperval.products import SpectralEstimate
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis

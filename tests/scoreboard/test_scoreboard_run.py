@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
-from hyperval.processing import detectors
-from hyperval.processing.detectors import DETECTORS
+from hyperval.processing import DETECTORS, detectors
 from hyperval.scoreboard import one as extend
 
 ROOT = Path(__file__).parents[2]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.roc import AREAS, alarms_at_detection, counts_of, empirical_roc, roc_area
+from hyperval.processing import AREAS, AlarmBlocks, alarms_at_detection, counts_of, empirical_roc, roc_area
 from hyperval.scoreboard.ranks import (
     LOG_AREA,
     MEASURES,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.collection import CalibrationUncertainty
-from hyperval.observe.site_spectra import calibration_covariance, detector_covariance
+from hyperval.observe import calibration_covariance, detector_covariance
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra.axis import SpectralAxis
 

@@ -7,17 +7,12 @@ import pytest
 from scipy import integrate, stats
 
 from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.processing import bhattacharyya_distance, classification_error, feature_covariance, minimum_noise_fraction
 from hyperval.processing.ace_model import (
     ace_exceedance,
     ace_space,
     ace_threshold,
     exceedance_at,
-)
-from hyperval.processing.classification import (
-    bhattacharyya_distance,
-    classification_error,
-    feature_covariance,
-    minimum_noise_fraction,
 )
 from hyperval.processing.elm import darkest_level, retrieved_covariance, two_panel_line
 from hyperval.processing.filters import matched_filter_weights, spectral_matched_filter

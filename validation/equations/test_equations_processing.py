@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from score_classes import classes, log_alarms, printed_procedure, roc_of, thresholds
 
-from hyperval.processing.classification import feature_covariance, features, principal_components
+from hyperval.processing import feature_covariance, features, principal_components
 from hyperval.processing.elm import retrieved_covariance, retrieved_reflectance, two_panel_line
 from hyperval.processing.filters import (
     cem_correlation_weights,

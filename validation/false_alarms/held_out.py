@@ -27,7 +27,7 @@ from scipy import ndimage, stats
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.sides import Inputs
 from hyperval.observe import observe
-from hyperval.processing.laws import class_mixture, fit_mixture
+from hyperval.processing import class_mixture, fit_mixture
 from hyperval.processing.roc_model import ClassScores, log_false_alarm
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml"

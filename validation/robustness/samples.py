@@ -44,8 +44,7 @@ from hyperval.collection_files import AbundanceTruth, BandTableFile, RegionSourc
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header
 from hyperval.imagery import Cube, open_cube, open_lookup_table, read_regions, read_targets
-from hyperval.observe.site_spectra import read_band_table
-from hyperval.observe.truth_images import abundance_targets, material_regions
+from hyperval.observe import abundance_targets, material_regions, read_band_table
 from hyperval.results import Result
 from hyperval.run import read_pair, read_rows, results_json
 from hyperval.scenario import load_scenario

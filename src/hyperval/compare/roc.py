@@ -18,7 +18,7 @@ from hyperval.compare.rows import RowMaker, difference_interval, scientific
 from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS
 from hyperval.processing.intervals import clopper_pearson, joint_region, zero_count_upper_limit
-from hyperval.processing.roc import AREAS, RocArea
+from hyperval.processing.roc import AREAS, RocArea, curve_area
 from hyperval.processing.roc_model import detection_at
 from hyperval.products import AlarmsAtDetection, AreaEstimate, RocCurve
 from hyperval.results import Cause, Result
@@ -210,40 +210,6 @@ def _pfa_at(curve: RocCurve, values: np.ndarray, pd: float) -> float:
 
 
 Array = npt.NDArray[np.float64]
-_POINTS = 4001
-_DECIMALS = 15  # of a P_D; what is below is rounding
-
-
-def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> float:
-    """Mean P_D of a curve over the range of ``area``; NaN where it does not reach the range.
-
-    P_D is interpolated over log P_FA by a monotone cubic.  Every ROC ends at (1, 1), where everything is declared;
-    a curve that stops before is joined to that point.  Below its first point P_D is taken as there, which counts
-    only where the range begins at 0.
-
-    Parameters
-    ----------
-    values : (K,) what stands for P_D, such as a limit of its band
-    """
-    pfa, pd = curve.pfa, curve.pd if values is None else values
-    known = (pfa > 0) & np.isfinite(pd)
-    pfa, pd = pfa[known], pd[known]
-    if pfa.size < 2 or pfa[0] > max(area.low, 1e-2 * area.high):
-        return math.nan
-    if pfa[-1] < 1.0:
-        pfa, pd = np.append(pfa, 1.0), np.append(pd, 1.0)
-    from scipy.interpolate import PchipInterpolator  # a tenth of a second, which spectra alone do not need
-
-    # A rise from 0 to 1e-300 has an inverse slope that overflows in the harmonic means of the cubic; it is no P_D.
-    curve_of = PchipInterpolator(np.log(pfa), np.round(pd, _DECIMALS))
-    low = max(area.low, float(pfa[0]))
-    u = np.linspace(math.log(low), math.log(area.high), _POINTS)
-    if area.logarithmic:
-        return float(np.trapezoid(curve_of(u), u) / (u[-1] - u[0]))
-    x = np.exp(u)
-    # Over P_FA itself: the trapezoids of a P_D of 1 then add up to the range, and no area exceeds it.
-    inside = float(np.trapezoid(curve_of(u), x)) + (low - area.low) * float(pd[0])
-    return inside / (area.high - area.low)
 
 
 def predicted_area(curve: RocCurve, area: RocArea) -> tuple[float, tuple[float, float]]:

@@ -19,6 +19,7 @@ from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, state_value, true_scenario
 from hyperval.prediction.input import UncertainInput, drawn_truths, one_at_a_time
 from hyperval.processing.intervals import Z95
+from hyperval.processing.roc import WHOLE, curve_area
 from hyperval.processing.roc_model import detection_at
 from hyperval.products import PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
@@ -33,13 +34,6 @@ SPECTRA = ("radiance", "reflectance", "snr", "toa_reflectance")
 PROBABILITIES = ("P_D", "AUC")
 
 
-def auc_of(curve: RocCurve) -> float:
-    """Mean P_D over all P_FA of a curve (3.33), by trapezoids; the curve is joined to (0, 0) and (1, 1) [1]."""
-    x = np.concatenate([[0.0], curve.pfa, [1.0]])
-    y = np.concatenate([[0.0], curve.pd, [1.0]])
-    return float(np.trapezoid(y, x))
-
-
 def quantities(p: PredictedProducts) -> dict[Key, Array]:
     """(product, subject, ...) -> (n,) numbers: bands of spectra, P_D at each of FALSE_ALARMS, scores and areas."""
     out: dict[Key, Array] = {}
@@ -51,7 +45,7 @@ def quantities(p: PredictedProducts) -> dict[Key, Array]:
         out["score sd", subject, detector] = np.array([score.sd])
     for (subject, detector, unit), curve in p.roc.items():
         out["P_D", subject, detector, unit] = detection_at(curve, FALSE_ALARMS)
-        out["AUC", subject, detector, unit] = np.array([auc_of(curve)])
+        out["AUC", subject, detector, unit] = np.array([curve_area(curve, WHOLE)])
     return out
 
 

@@ -46,8 +46,8 @@ from hyperval.prediction.departure import (
 from hyperval.prediction.detection import detect
 from hyperval.prediction.filters import Designer
 from hyperval.processing.ace_model import NUMERICAL_DETECTORS
+from hyperval.processing.roc import WHOLE, RocArea, curve_area
 from hyperval.processing.roc_model import detection_at, log10_false_alarm_at
-from hyperval.products import RocCurve
 from hyperval.progress import track
 from hyperval.scenario import Adjacency, Fill, Scenario, TargetSubject
 from hyperval.sensor.noise import NoiseModel
@@ -160,20 +160,10 @@ def _of_curves(batch: Batch, detector: str, output: Output, pfa: Array | None) -
             values[i] = detection_at(curve, at)
         elif output.kind == "log10-pfa":
             values[i] = log10_false_alarm_at(curve, output.pd)
-        elif output.kind == "auc":
-            values[i] = _area(curve)
         else:
-            x = log_range(output)
-            values[i] = np.trapezoid(detection_at(curve, x), np.log(x)) / np.log(x[-1] / x[0])
+            area = WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True)
+            values[i] = curve_area(curve, area)
     return values
-
-
-def _area(curve: RocCurve) -> float:
-    """Area under a curve, read between its points and joined to (1, 1)."""
-    low, high = float(curve.pfa[0]), float(curve.pfa[-1])
-    x = np.concatenate([np.geomspace(low, 0.1, 400, endpoint=False), np.linspace(0.1, high, 901)])
-    y = detection_at(curve, np.clip(x, low, high))
-    return float(np.trapezoid(np.append(y, 1.0), np.append(x, 1.0)))
 
 
 BatchColumns = Mapping[BatchColumn, npt.NDArray[Any]]
