@@ -263,6 +263,9 @@ AtmosphereModel = Literal[
     "us-standard-1962",
 ]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
+# How the sun is stated: by angles and one date, or by place and time.
+_ANGLES, _DATES = ("solar_zenith_deg", "solar_azimuth_deg"), ("day_of_year", "earth_sun_distance_au")
+_PLACE = ("latitude_deg", "longitude_deg", "time_utc")
 
 
 class AerosolMix(Model):
@@ -363,65 +366,39 @@ class AtmosphericState(Model):
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> AtmosphericState:
-        if (self.engine == "table") != (self.table is not None):
-            raise ValueError("engine: table needs the field table, and no other engine takes it")
-        self._check_aerosol()
-        self._check_sun()
-        if not self.sensor_altitude_km > self.ground_altitude_km:
-            raise ValueError(
-                f"sensor_altitude_km ({self.sensor_altitude_km:g}) must lie above "
-                f"ground_altitude_km ({self.ground_altitude_km:g})"
-            )
-        return self
-
-    def _check_aerosol(self) -> None:
-        given = [n for n in ("aot550", "meteorological_range_km") if getattr(self, n) is not None]
-        if self.aerosol == "none":
-            if given:
-                raise ValueError(f"aerosol: none takes no {' or '.join(given)}")
-        elif len(given) != 1:
-            state = "both are" if given else "neither is"
-            raise ValueError(f"give exactly one of aot550 and meteorological_range_km: {state} given")
-
-        if self.angstrom_exponent is not None:
-            if self.aot550 is None:
-                raise ValueError("angstrom_exponent needs aot550, the depth that it starts from")
-            if self.engine != "sixs":
-                raise ValueError("angstrom_exponent: the engine sixs alone takes it")
-        if self.aerosol_share_below is not None:
-            if self.aerosol == "none" or self.in_space:
-                raise ValueError("aerosol_share_below is for a sensor within the air, over aerosol")
-            if self.engine != "sixs":
-                raise ValueError("aerosol_share_below: the engine sixs alone takes it")
-
-    def _check_sun(self) -> None:
-        angles = ("solar_zenith_deg", "solar_azimuth_deg")
-        dates = ("day_of_year", "earth_sun_distance_au")
-        place = ("latitude_deg", "longitude_deg", "time_utc")
-        has = {n for n in (*angles, *dates, *place) if getattr(self, n) is not None}
-        if has & {*angles, *dates}:
-            clash = sorted(has & set(place))
-            if clash:
-                raise ValueError(f"the sun is given both by angles or date and by {', '.join(clash)}")
-            for name in angles:
-                if name not in has:
-                    raise ValueError(f"{name} is missing: the sun needs both angles")
-            if len(has & set(dates)) != 1:
-                raise ValueError("give exactly one of day_of_year and earth_sun_distance_au with the solar angles")
-        else:
-            for name in place:
-                if name not in has:
-                    raise ValueError(
-                        f"{name} is missing: the sun needs latitude_deg, longitude_deg and time_utc, "
-                        "or solar_zenith_deg and solar_azimuth_deg"
-                    )
+        has = {name for name in type(self).model_fields if getattr(self, name) is not None}
+        amounts, dates = sorted(has & {"aot550", "meteorological_range_km"}), has & set(_DATES)
+        by_angles = has & {*_ANGLES, *_DATES}
+        lacking = [name for name in (_ANGLES if by_angles else _PLACE) if name not in has]
+        needs = "both angles" if by_angles else f"{', '.join(_PLACE[:2])} and {_PLACE[2]}, or {' and '.join(_ANGLES)}"
+        clear, clash = self.aerosol == "none", ", ".join(sorted(has & set(_PLACE)))
+        ground, sensor, alone = self.ground_altitude_km, self.sensor_altitude_km, "the engine sixs alone takes it"
+        exponent, share, given = "angstrom_exponent", "aerosol_share_below", "both are" if amounts else "neither is"
+        for wrong, said in (
+            (
+                (self.engine == "table") != ("table" in has),
+                "engine: table needs the field table, and no other engine takes it",
+            ),
+            (clear and amounts, f"aerosol: none takes no {' or '.join(amounts)}"),
+            (not clear and len(amounts) != 1, f"give exactly one of aot550 and meteorological_range_km: {given} given"),
+            (exponent in has and "aot550" not in has, f"{exponent} needs aot550, the depth that it starts from"),
+            (exponent in has and self.engine != "sixs", f"{exponent}: {alone}"),
+            (share in has and (clear or self.in_space), f"{share} is for a sensor within the air, over aerosol"),
+            (share in has and self.engine != "sixs", f"{share}: {alone}"),
+            (by_angles and clash, f"the sun is given both by angles or date and by {clash}"),
+            (lacking, f"{lacking[:1] and lacking[0]} is missing: the sun needs {needs}"),
+            (by_angles and len(dates) != 1, f"give exactly one of {' and '.join(_DATES)} with the solar angles"),
+            (sensor <= ground, f"sensor_altitude_km ({sensor:g}) must lie above ground_altitude_km ({ground:g})"),
+        ):
+            if wrong:
+                raise ValueError(said)
         zenith, _ = self.sun
         if zenith >= MAX_SOLAR_ZENITH_DEG:
-            field = "solar_zenith_deg" if "solar_zenith_deg" in has else "time_utc"
+            field = _ANGLES[0] if by_angles else _PLACE[2]
             where = "below the horizon" if zenith >= 90.0 else "too low for a plane-parallel atmosphere"
-            raise ValueError(
-                f"{field}: the sun is {where} (zenith {zenith:.2f} deg; limit {MAX_SOLAR_ZENITH_DEG:g} deg)"
-            )
+            limit = f"limit {MAX_SOLAR_ZENITH_DEG:g} deg"
+            raise ValueError(f"{field}: the sun is {where} (zenith {zenith:.2f} deg; {limit})")
+        return self
 
     @property
     def sun(self) -> tuple[float, float]:

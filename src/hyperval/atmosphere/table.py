@@ -36,6 +36,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -334,12 +335,14 @@ def _total(values: Mapping[str, Array]) -> Array:
 
 
 def _check_table(table: AtmosphericTable) -> None:
-    shape = (*(nodes.size for nodes in table.axes.values()), table.wavelength_nm.size)
+    nm, shape = table.wavelength_nm, (*(nodes.size for nodes in table.axes.values()), table.wavelength_nm.size)
     for name, nodes in table.axes.items():
         if name not in AXES:
             raise UsageError(f"no axis {name!r}", expected="one of " + ", ".join(AXES))
-        if nodes.ndim != 1 or nodes.size < 2 or np.any(np.diff(nodes) <= 0) or not np.all(np.isfinite(nodes)):
+        if nodes.ndim != 1 or nodes.size < 2 or not np.all(np.diff(nodes) > 0) or not np.all(np.isfinite(nodes)):
             raise UsageError(f"the nodes of {name} are {nodes.tolist()}", expected="two or more, increasing")
+    if nm.size < 2 or np.any(np.diff(nm) <= 0):
+        raise UsageError("the wavelengths do not increase", expected="increasing wavelengths [nm]")
     for name in (*QUANTITIES, *(n for n in OPTIONAL if n in table.quantities)):
         array = table.quantities.get(name)
         if array is None or array.shape != shape:
@@ -349,25 +352,19 @@ def _check_table(table: AtmosphericTable) -> None:
             raise UsageError(f"{name} has values that are negative or not finite", expected="finite values from 0")
     if np.any(table.quantities["spherical_albedo"] >= 1.0):
         raise UsageError("spherical_albedo reaches 1", expected="below 1")
-    if table.wavelength_nm.size < 2 or np.any(np.diff(table.wavelength_nm) <= 0):
-        raise UsageError("the wavelengths do not increase", expected="increasing wavelengths [nm]")
-    widest = table.wavelength_nm
-    for name, array, least, most in (
-        ("wavelength_nm", table.wavelength_nm, *PLAUSIBLE_NM),
-        ("fwhm_nm", table.fwhm_nm, _LEAST_WIDTH_NM, widest),
+    for name, values, least, most in (
+        ("wavelength_nm", nm, *PLAUSIBLE_NM),
+        ("fwhm_nm", table.fwhm_nm, _LEAST_WIDTH_NM, nm),
         ("solar_irradiance", table.solar_irradiance, *_SUN),
     ):
-        if array is None:
+        if values is None:
             continue
-        if array.shape != widest.shape:
-            raise UsageError(f"{name} is of shape {array.shape}", expected=f"shape {widest.shape}")
-        wrong = np.flatnonzero(~((array >= least) & (array <= most)))
-        if wrong.size:
-            at = int(wrong[0])
-            low, high = least, np.broadcast_to(most, array.shape)[at]
-            raise UsageError(
-                f"{name} is {array[at]:g} at {table.wavelength_nm[at]:g} nm", expected=f"{low:g} to {high:g}"
-            )
+        if values.shape != nm.shape:
+            raise UsageError(f"{name} is of shape {values.shape}", expected=f"shape {nm.shape}")
+        wrong, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            raise UsageError(f"{name} is {values[at]:g} at {nm[at]:g} nm", expected=f"{least:g} to {high[at]:g}")
 
 
 _MAX_VALUES = 1 << 27  # 1 GiB of float64
@@ -515,29 +512,26 @@ def _record(attributes: dict[Any, Any], name: str) -> dict[str, Any]:
 def _channel_files(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise InputError("no such folder", where=str(folder))
-    files = sorted(
-        p for p in folder.iterdir() if p.name.removesuffix(".gz").endswith(".chn") and _PART.search(_stem(p))
-    )
+    files = sorted(p for p in folder.iterdir() if p.name != _stem(p) and _PART.search(_stem(p)))
     if len(files) < 2:
-        raise InputError(
-            f"{len(files)} channel files", where=str(folder), expected="names such as AOT550-0.05_H2OSTR-0.75.chn"
-        )
+        expected = "names such as AOT550-0.05_H2OSTR-0.75.chn"
+        raise InputError(f"{len(files)} channel files", where=str(folder), expected=expected)
     return files
 
 
 def _stem(path: Path) -> str:
-    return path.name.removesuffix(".gz").removesuffix(".chn")
+    """The name of a channel file without its ending; that of any other file as it is."""
+    plain = path.name.removesuffix(".gz")
+    return plain.removesuffix(".chn") if plain.endswith(".chn") else path.name
 
 
 def _values_in(path: Path) -> dict[str, float]:
-    values = {}
-    for name, value in _PART.findall(_stem(path)):
-        axis = _FILE_NAMES.get(name, name)
+    values = {_FILE_NAMES.get(name, name): float(value) for name, value in _PART.findall(_stem(path))}
+    for axis in values:
         if axis not in AXES:
             raise InputError(
-                f"{name!r} is no axis", where=str(path), expected="among " + ", ".join([*_FILE_NAMES, *AXES])
+                f"{axis!r} is no axis", where=str(path), expected="among " + ", ".join([*_FILE_NAMES, *AXES])
             )
-        values[axis] = float(value)
     return values
 
 
@@ -549,16 +543,13 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
     if any(set(v) != set(names) for v in values):
         raise InputError("the file names have different parts", where=folder, expected="_".join(names))
     nodes = {name: np.array(sorted({v[name] for v in values})) for name in names}
-    at = {tuple(v[name] for name in names): i for i, v in enumerate(values)}
-    grid = [tuple(c) for c in np.array(np.meshgrid(*nodes.values(), indexing="ij")).reshape(len(names), -1).T]
+    at = {tuple(v[name] for name in names): file for v, file in zip(values, files, strict=True)}
+    grid = list(product(*(n.tolist() for n in nodes.values())))
     absent = [c for c in grid if c not in at]
     if absent or len(at) != len(files):
         lacking = ", ".join(f"{n} {v:g}" for n, v in zip(names, absent[0], strict=True)) if absent else "a node twice"
-        raise InputError(
-            f"the grid is not complete: {lacking}",
-            where=folder,
-            expected=f"one file for each of {len(grid)} states",
-        )
+        expected = f"one file for each of {len(grid)} states"
+        raise InputError(f"the grid is not complete: {lacking}", where=folder, expected=expected)
     stated, albedos = _stated(Path(template[0]))
     slanted = stated.get("view_zenith_deg") != 0.0 or "view_zenith_deg" in names
     if slanted and not {"view_zenith_deg", "relative_azimuth_deg"} <= set(names):
@@ -572,47 +563,43 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
     fixed = {k: v for k, v in stated.items() if k in (*AXES, *NAMED) and k not in axes}
     fixed |= {name: float(n[0]) for name, n in nodes.items() if n.size == 1}
     if "solar_zenith_deg" not in (*axes, *fixed) or "day_of_year" not in stated:
-        raise InputError(
-            "the sun is not stated", where=folder, expected="a run template (.json) with IDAY and the sun's place"
-        )
-    rows = [_row(files[at[c]], albedos) for c in grid]
-    first = rows[0]
-    if any(not np.array_equal(r["wavelength_nm"], first["wavelength_nm"]) for r in rows):
+        expected = "a run template (.json) with IDAY and the sun's place"
+        raise InputError("the sun is not stated", where=folder, expected=expected)
+    rows = [_row(at[c], albedos) for c in grid]
+    if any(not np.array_equal(r["wavelength_nm"], rows[0]["wavelength_nm"]) for r in rows):
         raise InputError("the files have different channels", where=folder)
-    zenith = np.array(
-        [dict(zip(names, c, strict=True)).get("solar_zenith_deg", fixed.get("solar_zenith_deg")) for c in grid]
-    )
-    irradiance = np.array([r["unit"] for r in rows]) * np.pi / np.cos(np.deg2rad(zenith.astype(float)))[:, None]
+    zeniths = [(fixed | dict(zip(names, c, strict=True)))["solar_zenith_deg"] for c in grid]
+    irradiance = np.array([r["unit"] for r in rows]) * np.pi / np.cos(np.deg2rad(zeniths))[:, None]
     if np.any(np.ptp(irradiance, axis=0) > 1e-3 * irradiance.max(axis=0)):
         raise InputError("the runs have different suns", where=folder, expected="one solar spectrum, day and zenith")
-    shape = (*(n.size for n in axes.values()), first["wavelength_nm"].size)
+    source = {
+        "engine": "MODTRAN channel files",
+        "files": {f.name: sha256_of(f) for f in (*files, Path(template[0]))},
+        "terms": "from the runs" if rows[0]["solved"] else "from the printed coefficients",
+    }
+    sun = irradiance[0] * solar.distance_on_day(int(stated["day_of_year"])) ** 2
+    return _assembled(axes, fixed, rows, source, sun)
+
+
+def _assembled(
+    axes: dict[str, Array], fixed: dict[str, Any], rows: list[dict[str, Any]], source: dict[str, Any],
+    solar_irradiance: Array | None = None,
+) -> AtmosphericTable:  # fmt: skip
+    """The table of rows in the order of its grid, with its leave-one-node-out error."""
+    nm, fwhm = rows[0]["wavelength_nm"], rows[0].get("fwhm_nm")
+    shape = (*(n.size for n in axes.values()), nm.size)
     present = [name for name in (*QUANTITIES, *OPTIONAL) if all(r[name] is not None for r in rows)]
-    table = AtmosphericTable(
-        wavelength_nm=first["wavelength_nm"],
-        axes=axes,
-        fixed=fixed,
-        quantities={name: np.stack([r[name] for r in rows]).reshape(shape) for name in present},
-        solar_irradiance=irradiance[0] * solar.distance_on_day(int(stated["day_of_year"])) ** 2,
-        fwhm_nm=first["fwhm_nm"],
-        source={
-            "engine": "MODTRAN channel files",
-            "files": {f.name: sha256_of(f) for f in (*files, Path(template[0]))},
-            "terms": "from the runs" if first["solved"] else "from the printed coefficients",
-        },
-    )
+    quantities = {name: np.stack([r[name] for r in rows]).reshape(shape) for name in present}
+    table = AtmosphericTable(nm, axes, fixed, quantities, solar_irradiance, fwhm, source)
     return replace(table, errors=leave_one_out(table))
 
 
 def _template_file(folder: Path, first: Path) -> Path:
-    templates = [p for p in (folder / f"LUT_{_stem(first)}.json",) if p.is_file()] or sorted(
-        folder.glob("*template*.json")
-    )
+    beside = folder / f"LUT_{_stem(first)}.json"
+    templates = [beside] if beside.is_file() else sorted(folder.glob("*template*.json"))
     if len(templates) != 1:
-        raise InputError(
-            f"{len(templates)} run templates",
-            where=str(folder),
-            expected="one *template*.json, or LUT_NAME.json beside each file",
-        )
+        expected = "one *template*.json, or LUT_NAME.json beside each file"
+        raise InputError(f"{len(templates)} run templates", where=str(folder), expected=expected)
     return templates[0]
 
 
@@ -641,17 +628,13 @@ def _row(path: Path, albedos: list[float] | None) -> dict[str, Any]:
 
 def _quantities(terms: AtmosphericTerms, unit: Array) -> dict[str, Any]:
     """What a table holds of terms under a sun of mu0 E0 / pi = ``unit`` (n,)."""
-    irradiance = np.nan_to_num(terms.ground_irradiance, nan=0.0)
+    irradiance = np.nan_to_num(terms.ground_irradiance, nan=0.0) / np.pi
+    lit = (terms.path_radiance, terms.direct, terms.adjacency, irradiance)
     return {
-        "wavelength_nm": terms.wavelength_nm,
-        "path": np.maximum(terms.path_radiance, 0.0) / unit,
-        "direct": np.maximum(terms.direct, 0.0) / unit,
-        "adjacency": np.maximum(terms.adjacency, 0.0) / unit,
-        "spherical_albedo": terms.spherical_albedo,
-        "ground": np.maximum(irradiance, 0.0) / (np.pi * unit),
-        "gas": terms.gas_transmittance,
-        "diffuse": terms.diffuse_fraction,
-    }
+        **{n: np.maximum(v, 0.0) / unit for n, v in zip(("path", "direct", "adjacency", "ground"), lit, strict=True)},
+        "wavelength_nm": terms.wavelength_nm, "spherical_albedo": terms.spherical_albedo,
+        "gas": terms.gas_transmittance, "diffuse": terms.diffuse_fraction,
+    }  # fmt: skip
 
 
 _GREATEST_NODES = 20_000
@@ -690,25 +673,20 @@ def build_table(
         named = ", ".join(sorted(unknown)) or "no axis"
         raise UsageError(f"{named} in a table", expected="axes among " + ", ".join(_BUILT))
     nodes = {name: np.asarray(axes[name], dtype=float) for name in order}
-    shape = tuple(n.size for n in nodes.values())
-    if np.prod(shape) > _GREATEST_NODES:
-        raise UsageError(f"{np.prod(shape)} nodes", expected=f"at most {_GREATEST_NODES}")
-    combinations = list(product(*(n.tolist() for n in nodes.values())))
-    states = [_at_node(base, dict(zip(order, c, strict=True))) for c in combinations]
-    folder = cache_folder(cache_dir)
-    rows = [
-        _computed(state, folder) for state in track(states, "atmosphere table", total=len(states), show=show_progress)
-    ]
-    wavelength = rows[0]["wavelength_nm"]
-    quantities = {
-        name: np.stack([row[name] for row in rows]).reshape((*shape, wavelength.size))
-        for name in (*QUANTITIES, *OPTIONAL)
-    }
-    engine = {k: v for k, v in rows[0]["provenance"].items() if k not in ("state", "solar_spectrum")}
-    table = AtmosphericTable(
-        wavelength, nodes, _fixed(base, order), quantities, source={"engine": engine, "nodes": len(rows)}
-    )
-    return replace(table, errors=leave_one_out(table))
+    count = prod(n.size for n in nodes.values())
+    if not 0 < count <= _GREATEST_NODES:
+        raise UsageError(f"{count} nodes", expected=f"1 to {_GREATEST_NODES}")
+    grid = product(*(n.tolist() for n in nodes.values()))
+    states = [_at_node(base, dict(zip(order, c, strict=True))) for c in grid]
+    folder, rows = cache_folder(cache_dir), []
+    for state in track(states, "atmosphere table", total=len(states), show=show_progress):
+        terms = sixs_terms(state, folder, False)
+        sun = solar.extraterrestrial_irradiance(state.solar_spectrum, terms.wavelength_nm, state.distance_au)
+        rows.append(_quantities(terms, np.cos(np.deg2rad(state.sun[0])) * sun / np.pi))
+    engine = {k: v for k, v in terms.provenance.items() if k not in ("state", "solar_spectrum")}
+    fixed: dict[str, Any] = {name: base.model_dump(mode="json")[name] for name in NAMED}
+    fixed |= {name: round(value, 9) for name, value in coordinates(base).items() if name not in order}
+    return _assembled(nodes, fixed, rows, {"engine": engine, "nodes": len(rows)})
 
 
 def _at_node(base: AtmosphericState, changes: dict[str, float]) -> AtmosphericState:
@@ -719,15 +697,3 @@ def _at_node(base: AtmosphericState, changes: dict[str, float]) -> AtmosphericSt
         return AtmosphericState(**{**fields, **changes})
     except ValueError as error:
         raise UsageError(f"no valid state at {changes}: {error}") from error
-
-
-def _computed(state: AtmosphericState, folder: Path) -> dict[str, Any]:
-    terms = sixs_terms(state, folder, False)
-    mu0 = np.cos(np.deg2rad(state.sun[0]))
-    irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, terms.wavelength_nm, state.distance_au)
-    return {**_quantities(terms, mu0 * irradiance / np.pi), "provenance": terms.provenance}
-
-
-def _fixed(base: AtmosphericState, axes: list[str]) -> dict[str, Any]:
-    fixed: dict[str, Any] = {n: base.model_dump(mode="json")[n] for n in ("model", "aerosol")}
-    return fixed | {name: round(value, 9) for name, value in coordinates(base).items() if name not in axes}
