@@ -34,6 +34,7 @@ _DIMENSIONS = {
     "wavelength": "band", "fwhm": "band", "class_name": "class", "mean": "class band",
     "covariance": "class band band_2", "n": "class", "source": "class",
 }  # fmt: skip
+_MAY_LACK = {"good_band": "band", "tail_dof": "class"}
 _OF_COMPONENTS = {
     "component_weight": "class component", "component_offset": "class component band",
     "component_covariance": "class component band band_2", "component_dof": "class",
@@ -78,48 +79,42 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
     axis = classes[0].axis
     if not all(c.axis.matches(axis, 1e-6) for c in classes):
         raise UsageError("the classes of a statistics library share one set of bands", where=str(path))
-    tail = [np.nan if c.tail_dof is None else c.tail_dof for c in classes]
     import xarray as xr  # 80 MB with pandas, which most runs do not need
 
+    values: dict[str, npt.ArrayLike] = {
+        "fwhm": axis.fwhm_nm, "good_band": axis.good.astype(np.int8), "mean": [c.mean for c in classes],
+        "covariance": [c.covariance for c in classes], "n": np.array([c.n or 0 for c in classes], dtype=np.int64),
+        "tail_dof": [np.nan if c.tail_dof is None else c.tail_dof for c in classes],
+        "source": np.array([c.source for c in classes], dtype=object), "class_name": np.array(names, dtype=object),
+    }  # fmt: skip
+    if most := max(len(c.components) if c.components is not None else 0 for c in classes):
+        values |= dict(zip(_OF_COMPONENTS, _padded([c.components for c in classes], most, len(axis)), strict=True))
+    units = {"fwhm": {"units": "nm"}, "source": {}, "class_name": {}}
     data = xr.Dataset(
-        {
-            "fwhm": ("band", axis.fwhm_nm, {"units": "nm"}),
-            "good_band": ("band", axis.good.astype(np.int8), {"units": "1"}),
-            "mean": (_along("mean"), np.array([c.mean for c in classes]), {"units": "1"}),
-            "covariance": (_along("covariance"), np.array([c.covariance for c in classes]), {"units": "1"}),
-            "n": ("class", np.array([c.n or 0 for c in classes], dtype=np.int64), {"units": "1"}),
-            "tail_dof": ("class", np.array(tail), {"units": "1"}),
-            "source": ("class", np.array([c.source for c in classes], dtype=object)),
-            "class_name": ("class", np.array(names, dtype=object)),
-            **_component_variables(classes),
-        },
+        {name: (_along(name), np.asarray(v), units.get(name, {"units": "1"})) for name, v in values.items()},
         coords={"wavelength": ("band", axis.centre_nm, {"units": "nm"})},
         attrs={"title": "hyperval statistics library", "format_version": 1},
-    )  # fmt: skip
+    )
     with whole_file(Path(path)) as temporary:
         data.to_netcdf(temporary, engine="h5netcdf")
 
 
-def _component_variables(classes: Sequence[ClassStatistics]) -> dict[str, tuple[object, ...]]:
-    """The components of classes, padded to the same number; nothing where no class has any."""
-    most = max(len(c.components) if c.components is not None else 0 for c in classes)
-    if not most:
-        return {}
-    bands = len(classes[0].axis)
-    weight, offset = np.zeros((len(classes), most)), np.zeros((len(classes), most, bands))
-    covariance, dof = np.zeros((len(classes), most, bands, bands)), np.full(len(classes), np.nan)
-    for i, parts in enumerate(c.components for c in classes):
+def _padded(mixtures: Sequence[Components | None], most: int, bands: int) -> tuple[Array, Array, Array, Array]:
+    """Weights, offsets, covariances and dof of the components of classes, padded to the same number."""
+    count = len(mixtures)
+    weight, offset = np.zeros((count, most)), np.zeros((count, most, bands))
+    covariance, dof = np.zeros((count, most, bands, bands)), np.full(count, np.nan)
+    for i, parts in enumerate(mixtures):
         if parts is not None:
             k = len(parts)
             weight[i, :k], offset[i, :k], covariance[i, :k] = parts.weights, parts.offsets, parts.covariances
             dof[i] = np.nan if np.isinf(parts.dof) else parts.dof
-    values = zip(_OF_COMPONENTS, (weight, offset, covariance, dof), strict=True)
-    return {name: (_along(name), array, {"units": "1"}) for name, array in values}
+    return weight, offset, covariance, dof
 
 
 def _along(name: str) -> tuple[str, ...]:
     """The dimensions of a variable."""
-    return tuple((_DIMENSIONS | _OF_COMPONENTS)[name].split())
+    return tuple((_DIMENSIONS | _MAY_LACK | _OF_COMPONENTS)[name].split())
 
 
 @reader
@@ -143,38 +138,35 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
     except Exception as error:
         raise InputError(f"not a NetCDF-4 file ({error})", where=str(path)) from error
     with data:
-        lacking = [name for name in _DIMENSIONS if name not in data.variables]
-        if lacking:
-            raise InputError(f"has no variable {', '.join(lacking)}", where=str(path), expected="a statistics library")
-        sizes = {name: data.sizes.get(name, 0) for name in ("band", "class", "component")}
-        bands, count, parts = sizes.values()
-        sizes["band_2"] = bands
-        if not (0 < bands <= MAX_BANDS and 0 < count <= MAX_CLASSES):
-            raise InputError(
-                f"{count} classes of {bands} bands",
-                where=str(path),
-                expected=f"1-{MAX_CLASSES} classes, 1-{MAX_BANDS} bands",
-            )
-        dimensions = _DIMENSIONS
-        if "component_weight" in data.variables:
-            dimensions = _DIMENSIONS | _OF_COMPONENTS
-            lacking = [name for name in dimensions if name not in data.variables]
-            if lacking or not 0 < parts <= MOST_COMPONENTS:
-                raise InputError(
-                    f"classes of {parts} components" + (f" without {', '.join(lacking)}" if lacking else ""),
-                    where=str(path), expected=f"weights, offsets, covariances and dof of 1-{MOST_COMPONENTS}",
-                )  # fmt: skip
-        shapes = {name: tuple(sizes[d] for d in _along(name)) for name in dimensions}
-        wrong = [f"{name} {data[name].shape}" for name, shape in shapes.items() if data[name].shape != shape]
-        if wrong:
-            raise InputError(f"sizes contradict each other: {', '.join(wrong)}", where=str(path))
+        _check_sizes(data, str(path))
         try:
-            return _record(data, path, record)
+            return _class_of(data, path, record)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(f"cannot be read: {error}", where=str(path)) from error
 
 
-def _record(data: xr.Dataset, path: Path, record: str | None) -> ClassStatistics:
+def _check_sizes(data: xr.Dataset, where: str) -> None:
+    mixed = "component_weight" in data.variables
+    needed = [*_DIMENSIONS, *(_OF_COMPONENTS if mixed else ())]
+    lacking = ", ".join(name for name in needed if name not in data.variables)
+    sizes = {name: data.sizes.get(name, 0) for name in ("band", "class", "component")}
+    bands, count, parts = sizes.values()
+    if mixed and (lacking or not 0 < parts <= MOST_COMPONENTS):
+        what = f"classes of {parts} components" + (f" without {lacking}" if lacking else "")
+        expected = f"weights, offsets, covariances and dof of 1-{MOST_COMPONENTS}"
+        raise InputError(what, where=where, expected=expected)
+    if lacking:
+        raise InputError(f"has no variable {lacking}", where=where, expected="a statistics library")
+    if not (0 < bands <= MAX_BANDS and 0 < count <= MAX_CLASSES):
+        expected = f"1-{MAX_CLASSES} classes, 1-{MAX_BANDS} bands"
+        raise InputError(f"{count} classes of {bands} bands", where=where, expected=expected)
+    shapes = {name: tuple((sizes | {"band_2": bands})[d] for d in _along(name)) for name in needed}
+    wrong = [f"{name} {data[name].shape}" for name, shape in shapes.items() if data[name].shape != shape]
+    if wrong:
+        raise InputError(f"sizes contradict each other: {', '.join(wrong)}", where=where)
+
+
+def _class_of(data: xr.Dataset, path: Path, record: str | None) -> ClassStatistics:
     names = [str(n) for n in data["class_name"].values]
     if record is None and len(names) > 1:
         raise UsageError("holds several classes", where=str(path), expected="record: one of " + ", ".join(names))
@@ -183,33 +175,19 @@ def _record(data: xr.Dataset, path: Path, record: str | None) -> ClassStatistics
     at = names.index(record) if record is not None else 0
     one = data.isel({"class": at})
     good = one["good_band"].values > 0 if "good_band" in one else np.ones(0, bool)
-    n, tail = int(one["n"]), float(one["tail_dof"]) if "tail_dof" in one else np.nan
+    tail, components = float(one["tail_dof"]) if "tail_dof" in one else np.nan, None
     try:
+        if "component_weight" in one and (used := one["component_weight"].values != 0).any():
+            weight, offset, covariance = (one[name].values[used] for name in list(_OF_COMPONENTS)[:3])
+            dof = float(one["component_dof"])
+            components = Components(weight, offset, covariance, np.inf if np.isnan(dof) else dof)
         return ClassStatistics(
-            names[at],
-            SpectralAxis(one["wavelength"].values, one["fwhm"].values, good),
-            np.asarray(one["mean"].values, dtype=float),
-            np.asarray(one["covariance"].values, dtype=float),
-            n or None,
-            str(one["source"].values),
-            None if np.isnan(tail) else tail,
-            _stored_components(one),
-        )
+            names[at], SpectralAxis(one["wavelength"].values, one["fwhm"].values, good),
+            np.asarray(one["mean"].values, dtype=float), np.asarray(one["covariance"].values, dtype=float),
+            int(one["n"]) or None, str(one["source"].values), None if np.isnan(tail) else tail, components,
+        )  # fmt: skip
     except UsageError as error:
         raise UsageError(error.what, where=str(path), expected=error.expected, mend=error.mend) from error
-
-
-def _stored_components(one: xr.Dataset) -> Components | None:
-    if "component_weight" not in one:
-        return None
-    weight, dof = one["component_weight"].values, float(one["component_dof"])
-    used = weight != 0
-    if not used.any():
-        return None
-    return Components(
-        weight[used], one["component_offset"].values[used], one["component_covariance"].values[used],
-        np.inf if np.isnan(dof) else dof,
-    )  # fmt: skip
 
 
 def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 10.0) -> ClassStatistics:

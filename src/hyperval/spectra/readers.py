@@ -117,20 +117,21 @@ def read_records(
 
 def _wavelengths_beside(path: Path) -> Path | None:
     """The file of wavelengths of a USGS spectrum of one column, in its folder or the one above."""
-    if path.suffix.lower() != ".txt" or path.stat().st_size > MAX_BYTES:
-        return None
-    rows = text.usgs_rows(decoded(path.read_bytes()))
+    rows = _usgs_rows(path)
     if rows is None:
         return None
     fits = []
     for folder in (path.parent, path.parent.parent):
         named = [p for p in sorted(folder.glob("*.txt")) if "wavelength" in p.name.lower() and p != path]
-        fits += [
-            p
-            for p in named[:MAX_WAVELENGTH_FILES]
-            if p.stat().st_size <= MAX_BYTES and text.usgs_rows(decoded(p.read_bytes())) == rows
-        ]
+        fits += [p for p in named[:MAX_WAVELENGTH_FILES] if _usgs_rows(p) == rows]
     return fits[0] if len(fits) == 1 else None
+
+
+def _usgs_rows(path: Path) -> int | None:
+    """Numbers in a file of one column as USGS writes it; None for any other file."""
+    if path.suffix.lower() != ".txt" or path.stat().st_size > MAX_BYTES:
+        return None
+    return text.usgs_rows(decoded(path.read_bytes()))
 
 
 def _wanted(candidates: list[Record], wanted: Sequence[str | int] | None, where: str) -> list[Record]:
@@ -213,50 +214,38 @@ def _refused(file: _File) -> list[Record]:
     )
 
 
+def _begins(*marks: bytes) -> Callable[[_File], bool]:
+    return lambda file: file.head.startswith(marks)
+
+
 # The first that knows a file reads it: marks before tables, and text that anything can be at the end.
 FORMATS = (
     Format("SPECPR", lambda f: binary.is_specpr(f.mark), lambda f: binary.specpr_records(f.path)),
     Format("ASD", lambda f: binary.is_asd(f.raw), lambda f: [binary.asd_record(f.raw, f.path, f.quantity)]),
+    Format("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), lambda f: text.plot_records(f.text, f.path)),
     Format(
-        "ENVI ASCII plot",
-        lambda f: f.head.startswith(b"ENVI ASCII Plot File"),
-        lambda f: text.plot_records(f.text, f.path),
-    ),
-    Format(
-        "header of an ENVI spectral library",
-        lambda f: f.head.startswith(b"ENVI") and f.head[4:5] in (b"\r", b"\n", b" "),
+        "header of an ENVI spectral library", _begins(b"ENVI\r", b"ENVI\n", b"ENVI "),
         lambda f: binary.library_records(f.path, None, f.root),
     ),
-    Format(
-        "SVC .sig",
-        lambda f: f.head.startswith(b"/*** Spectra Vista"),
-        lambda f: [text.svc_record(f.text, f.path, f.quantity)],
-    ),
-    Format(
-        "GER .sig",
-        lambda f: f.head.startswith(b"///GER"),
-        lambda f: [text.ger_record(f.text, f.path, f.quantity)],
-    ),
+    Format("SVC .sig", _begins(b"/*** Spectra Vista"), lambda f: [text.svc_record(f.text, f.path, f.quantity)]),
+    Format("GER .sig", _begins(b"///GER"), lambda f: [text.ger_record(f.text, f.path, f.quantity)]),
     Format("", lambda f: f.not_read is not None, _refused),
     Format("HYPERNETS", lambda f: networks.is_hypernets(f.raw), lambda f: networks.hypernets_records(f.path)),
     Format("RadCalNet", lambda f: networks.is_radcalnet(f.head), lambda f: networks.radcalnet_records(f.text, f.path)),
     Format(
-        "Spectral Evolution .sed",
-        lambda f: b"Instrument:" in f.head and b"Columns [" in f.head,
+        "Spectral Evolution .sed", lambda f: b"Instrument:" in f.head and b"Columns [" in f.head,
         lambda f: [text.sed_record(f.text, f.path, f.quantity)],
     ),
     Format(
-        "ENVI spectral library with its header",
-        lambda f: f.header is not None,
+        "ENVI spectral library with its header", lambda f: f.header is not None,
         lambda f: binary.library_records(f.path, f.header, f.root),
     ),
     Format(
-        "text, a spectrum a row",
-        lambda f: f.columns is None and text.is_row_table(f.text),
+        "text, a spectrum a row", lambda f: f.columns is None and text.is_row_table(f.text),
         lambda f: text.row_records(f.text, f.path),
     ),
     Format("text, a spectrum a column", lambda f: True, lambda f: text.text_records(f.text, f.path, f.columns)),
-)
+)  # fmt: skip
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:

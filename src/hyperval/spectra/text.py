@@ -408,53 +408,47 @@ def row_records(text: str, path: Path) -> list[Record]:
     """
     delimiter = _delimiter(text.split("\n", 1)[0])
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+    rows: list[tuple[str, list[str]]] = []
     try:
         titles = _without_end([t.strip() for t in next(reader)])
         first = _first_band(titles) or 0
-        rows: list[tuple[int, list[str]]] = []
         for cells in reader:
-            if not any(cell.strip() for cell in cells):
+            where, cells = f"{path}:{reader.line_num}", _without_end([c.strip() for c in cells], len(titles))
+            if not any(cells):
                 continue
-            where = f"{path}:{reader.line_num}"
-            cells = _without_end([cell.strip() for cell in cells], len(titles))
-            if delimiter != ",":
-                cells[first:] = [cell.replace(",", ".") for cell in cells[first:]]
             if len(cells) != len(titles):
                 raise InputError(f"{len(cells)} cells", where=where, expected=f"{len(titles)}, as in the first line")
-            rows.append((reader.line_num, cells))
+            rows.append((where, cells))
             if len(rows) > MAX_ROWS or len(rows) * len(titles) > MAX_CELLS:
                 raise InputError(f"more than {MAX_ROWS} rows or {MAX_CELLS} cells", where=where)
     except csv.Error as error:
         raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
     if not rows:
         raise InputError("the table has titles and no spectrum", where=str(path))
-    lower = [t.lower() for t in titles[:first]]
-    column = next((c for n in _NAMES if n in lower and _differ(rows, c := lower.index(n))), None)
-    return [
-        replace(
-            _record(dict(zip(lower, cells, strict=False)), titles[first:], cells[first:], f"{path}:{number}"),
-            name=cells[column] if column is not None else f"row {i}",
-        )
-        for i, (number, cells) in enumerate(rows, start=1)
-    ]
+    lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
+    differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
+    named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), None)
+    names = columns[named] if named is not None else [f"row {i}" for i in range(1, len(rows) + 1)]
+    records = []
+    for name, (where, cells) in zip(names, rows, strict=True):
+        numbers = cells[first:] if delimiter == "," else [cell.replace(",", ".") for cell in cells[first:]]
+        records.append(_of_row(name, dict(zip(lower, cells, strict=False)), titles[first:], numbers, where))
+    return records
 
 
-def _record(about: dict[str, str], titles: list[str], cells: list[str], where: str) -> Record:
+def _of_row(name: str, about: dict[str, str], titles: list[str], cells: list[str], where: str) -> Record:
     """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
-    try:
-        values = np.array([float(c) if c and c.lower() not in ("na", "nan") else np.nan for c in cells])
-    except ValueError:
-        bad = next(t for t, c in zip(titles, cells, strict=True) if not _is_number(c))
-        raise InputError(f"the cell under {bad!r} is no number", where=where) from None
+    for title, cell in zip(titles, cells, strict=True):
+        if not _is_number(cell):
+            raise InputError(f"the cell under {title!r} is no number", where=where)
+    values = np.array([float(c) if c and c.lower() != "na" else np.nan for c in cells])
     suffix = _WAVELENGTH.match(titles[0])
     unit = (suffix[2] if suffix else None) or wavelength_unit_in(about.get("wavelength units", ""), "", where)
-    percent, doubt = "percent" in about.get("measurement units", "").lower(), None
-    if percent and np.nanmax(values, initial=0.0) <= 1.5:
-        percent = False
-        doubt = f"the file says percent, and the values reach {np.nanmax(values):.3g}"
+    percent, greatest = "percent" in about.get("measurement units", "").lower(), np.nanmax(values, initial=0.0)
+    doubt = f"the file says percent, and the values reach {greatest:.3g}" if percent and greatest <= 1.5 else None
     return Record(
-        "", _wavelengths(titles), values, where,
-        wavelength_unit=unit, reflectance_unit="percent" if percent else None, doubt=doubt,
+        name, _wavelengths(titles), values, where, wavelength_unit=unit,
+        reflectance_unit="percent" if percent and doubt is None else None, doubt=doubt,
         quantity=quantity_in(about.get("measurement quantity", about.get("measurement", ""))),
     )  # fmt: skip
 
@@ -482,11 +476,6 @@ def _without_end(cells: list[str], least: int = 0) -> list[str]:
     while len(cells) > least and not cells[-1].strip():
         cells = cells[:-1]
     return cells
-
-
-def _differ(rows: list[tuple[int, list[str]]], column: int) -> bool:
-    values = [cells[column] for _, cells in rows]
-    return all(values) and len(set(values)) == len(values)
 
 
 def _is_number(cell: str) -> bool:
