@@ -14,8 +14,7 @@ import yaml
 from hyperval import cli
 from hyperval.baseline import accept, check
 from hyperval.baseline.check import _stale
-from hyperval.campaign.job import Job
-from hyperval.campaign.schema import load_campaign
+from hyperval.campaign.job import job_of
 from hyperval.results import Outcome
 from hyperval.run import read_rows
 from hyperval.sensor.specification import load_sensor
@@ -167,7 +166,7 @@ def test_a_finished_run_of_other_files_is_refused(small, finished, place, capsys
 
 def test_a_finished_run_of_another_source_is_refused(small, monkeypatch):
     path = small.write()
-    job = Job(load_campaign(path), path)
+    job = job_of(path)
     revision = {"commit": "b" * 40, "changed": False}
     monkeypatch.setattr(sys.modules["hyperval.baseline.check"], "source_revision", lambda: revision)
     assert "made by commit aaaa" in str(_stale(job, {"source_revision": {"commit": "a" * 40}}))

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
-from hyperval.campaign.job import Job
+from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
-from hyperval.campaign.schema import load_campaign
 from small_campaign import SmallCampaign
 
 
@@ -213,7 +212,7 @@ def test_a_header_without_wavelength_unit_runs_where_only_one_can_be_meant(state
     header("wavelength units", None)(small)
     small.data["collection"]["cube"]["wavelength_unit"] = stated
     path = small.write()
-    assert run_campaign(Job(load_campaign(path), path), show_progress=False).table.exit_code() == 0
+    assert run_campaign(job_of(path), show_progress=False).table.exit_code() == 0
 
 
 def test_stated_percent_mends_a_panel_spectrum_in_percent(small):
@@ -221,7 +220,7 @@ def test_stated_percent_mends_a_panel_spectrum_in_percent(small):
     for panel in small.data["collection"]["empirical_line"]["panels"]:
         panel["spectrum"]["reflectance_unit"] = "percent"
     path = small.write()
-    run = run_campaign(Job(load_campaign(path), path), show_progress=False)
+    run = run_campaign(job_of(path), show_progress=False)
     assert run.table.exit_code() == 0
 
 

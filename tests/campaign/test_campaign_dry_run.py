@@ -11,10 +11,10 @@ import yaml
 
 from hyperval import cli
 from hyperval.campaign.dry_run import dry_run, overview, summary
-from hyperval.campaign.job import jobs_of
+from hyperval.campaign.job import job_of, jobs_of, read_texts
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.run import validate
-from hyperval.campaign.schema import campaign_runs, load_campaign, load_campaigns, with_words
+from hyperval.campaign.schema import campaign_runs, with_words
 from hyperval.config import load_yaml, placeholders
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
@@ -182,7 +182,7 @@ def test_a_public_or_local_campaign_with_values_to_fill_in_is_refused(places, tm
     with pytest.raises(UsageError, match="2 values are still to be filled in"):
         jobs_of(places)
     with pytest.raises(UsageError, match="1 values are still to be filled in"):
-        load_campaigns(places)
+        [text.campaign() for text in read_texts(places)]
 
 
 def test_a_filled_in_campaign_whose_cube_is_missing_is_skipped(places, tmp_path):
@@ -197,11 +197,11 @@ def test_the_words_of_a_run_reach_the_campaign_and_no_other_braces(tmp_path):
     data = {"name": "x-{line}", "group": "{name} {side_m}", "list": ["{line}{line}"], "n": 1}
     assert with_words(data, {"line": "7"}) == {"name": "x-7", "group": "{name} {side_m}", "list": ["77"], "n": 1}
     path = complete_run(tmp_path)
-    first, second = load_campaigns(path)
+    first, second = [text.campaign() for text in read_texts(path)]
     assert (first.name, second.name) == ("line-0920-1631", "line-0920-1638")
     assert second.run == {"line": "0920-1638"}
     with pytest.raises(UsageError, match="holds 2 runs"):
-        load_campaign(path)
+        job_of(path)
 
 
 def complete_run(tmp_path: Path) -> Path:

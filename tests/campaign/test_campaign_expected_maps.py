@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyperval.campaign.one import Job, run_campaign
+from hyperval.campaign.job import job_of
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.pictures import expected_maps, scene_content
-from hyperval.campaign.schema import load_campaign
 from hyperval.figures import score_map_figures
 from small_campaign import PANELS
 
@@ -16,7 +16,7 @@ from small_campaign import PANELS
 def test_expected_maps_of_a_closure_campaign(small):
     small.data["comparisons"] = small.data["comparisons"][:1]
     path, seen = small.write(), []
-    job = Job(load_campaign(path), path)
+    job = job_of(path)
     run = run_campaign(job, show_progress=False, with_observed=seen.append)
     (score_map,) = run.score_maps.values()
     place, detection = seen[0].place, job.campaign.detection

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import small_campaign
 from hyperval import api
-from hyperval.campaign.schema import load_campaign
+from hyperval.campaign.job import job_of
 from hyperval.scenario import load_scenario
 from small_campaign import SmallCampaign, scene_data, write_collection
 
@@ -19,7 +19,7 @@ TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
 
 def test_closure_makes_its_filters_of_the_classes_that_the_model_is_told_of():
     # 112 pixels on the rims of the panels made the mean score of cem-correlation 0.00078 in place of 0.00058.
-    detection, scenario = load_campaign(TWIN / "campaign.yaml").detection, load_scenario(TWIN / "scenario.yaml")
+    detection, scenario = job_of(TWIN / "campaign.yaml").campaign.detection, load_scenario(TWIN / "scenario.yaml")
     told = {each.name for each in scenario.scene.classes}
     assert set(detection.background) == set(detection.false_alarms) == told
 

@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
-from hyperval.campaign.job import Job
+from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.provenance import command_without_output
-from hyperval.campaign.schema import load_campaign
 from hyperval.errors import MissingDataError, UsageError
 from hyperval.results import COLUMNS, Cause, Outcome
 from hyperval.storage import LIST
@@ -45,7 +44,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 def run_alone(small: SmallCampaign, **options):
     """One campaign without writing its folder."""
     path = small.write()
-    return run_campaign(Job(load_campaign(path), path), show_progress=False, **options)
+    return run_campaign(job_of(path), show_progress=False, **options)
 
 
 def data_only(small: SmallCampaign) -> SmallCampaign:

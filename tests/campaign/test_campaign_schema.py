@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.campaign.job import read_texts
-from hyperval.campaign.schema import Campaign, load_campaign, load_campaigns
+from hyperval.campaign.job import job_of, read_texts
+from hyperval.campaign.schema import Campaign
 from hyperval.collection_files import CubeSource
 from hyperval.errors import InputError, UsageError
 
@@ -40,7 +40,7 @@ def load(tmp_path: Path, *replacements: tuple[str, str]):
         text = text.replace(old, new)
     path = tmp_path / "campaign.yaml"
     path.write_text(text)
-    return load_campaign(path)
+    return job_of(path).campaign
 
 
 def test_a_good_campaign(tmp_path):
@@ -57,7 +57,7 @@ def test_a_good_campaign(tmp_path):
 def test_the_campaigns_of_the_project_are_valid(path):
     # A campaign with values to be filled in has tests of its own.
     waiting = "FILL_IN" in path.read_text()
-    for campaign in [read_texts(path)[0].outline()] if waiting else load_campaigns(path):
+    for campaign in [read_texts(path)[0].outline()] if waiting else [text.campaign() for text in read_texts(path)]:
         assert any(gate.gate for gate in campaign.comparisons) or "broken" in campaign.name
         assert campaign.assumptions
 
@@ -158,7 +158,7 @@ def test_detection_needs_a_cube(tmp_path):
 
 def test_no_such_file(tmp_path):
     with pytest.raises(InputError, match=r"none\.yaml: no such file"):
-        load_campaign(tmp_path / "none.yaml")
+        job_of(tmp_path / "none.yaml")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import yaml
 
 from hyperval import cli
 from hyperval.campaign.dry_run import TO_FILL_IN, WRONG, dry_run, summary
-from hyperval.campaign.schema import load_campaign
+from hyperval.campaign.job import job_of
 from hyperval.campaign.starter import Spectrum, matching_spectrum
 from hyperval.config import FILL_IN
 from hyperval.scene.builtin import builtin_class
@@ -44,7 +44,7 @@ def test_a_radiance_collection_becomes_a_campaign_that_a_dry_run_calls_ready(sma
     items = dry_run([folder / "campaign.yaml"])
     assert [i for i in items if i.state == WRONG] == []
     assert summary(items) == ["new-one: ready"]
-    campaign = load_campaign(folder / "campaign.yaml")
+    campaign = job_of(folder / "campaign.yaml").campaign
     line = campaign.collection.empirical_line
     assert line is not None
     assert [p.region for p in line.panels] == ["white-panel", "black-panel", "grey-panel-35"]
@@ -79,7 +79,7 @@ def test_a_reflectance_image_with_scaled_integers_gets_its_scale(tmp_path, write
     cube = write_reflectance(tmp_path / "line_refl.img")
     assert cli.run(["init", "--cube", str(cube), "--spectra", str(tmp_path / "spectra"),
                     "--targets", str(tmp_path / "felt.csv"), "-o", str(tmp_path / "felt")]) == 0  # fmt: skip
-    campaign = load_campaign(tmp_path / "felt" / "campaign.yaml")
+    campaign = job_of(tmp_path / "felt" / "campaign.yaml").campaign
     assert campaign.collection.cube is not None
     assert campaign.collection.cube.scale == 0.0001
     assert summary(dry_run([tmp_path / "felt" / "campaign.yaml"])) == ["felt: ready"]
@@ -158,7 +158,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     assert cli.run([*delivery, str(tmp_path / "field.csv")]) == 0
     items = dry_run([tmp_path / "new" / "campaign.yaml"])
     assert [i for i in items if i.state == WRONG] == []
-    campaign = load_campaign(tmp_path / "new" / "campaign.yaml")
+    campaign = job_of(tmp_path / "new" / "campaign.yaml").campaign
     cube, line, scene = campaign.collection.cube, campaign.collection.empirical_line, campaign.scenarios[0].scene
     assert cube is not None
     assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
@@ -181,7 +181,7 @@ def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path
     np.savetxt(tmp_path / "few.csv", table, delimiter=",", header="wavelength_nm,lawn,court,felt", comments="")
     assert cli.run([*delivery, str(tmp_path / "few.csv")]) == 0
     path = tmp_path / "new" / "campaign.yaml"
-    campaign = load_campaign(path)
+    campaign = job_of(path).campaign
     assert campaign.detection is None
     assert any("no detection: in radiance it needs an empirical line" in text for text in campaign.assumptions)
     assert summary(dry_run([path])) == ["new: ready"]

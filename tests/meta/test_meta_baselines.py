@@ -24,9 +24,8 @@ from hyperval.baseline.accepted import (
     sensor_metrics,
 )
 from hyperval.baseline.check import compare
-from hyperval.campaign.job import Job
+from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
-from hyperval.campaign.schema import load_campaign
 from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, matched_filter_weights, solved_filter
 from hyperval.results import Outcome, Result
 from hyperval.scene.fill import fixed_fill
@@ -44,7 +43,7 @@ def campaign_numbers(small: SmallCampaign) -> dict[str, Result]:
         mean = subject["fill"].get("fixed", subject["fill"].get("mean"))
         subject["fill"] = {"mean": mean, "sd": 0.02}
     path = small.write()
-    return campaign_metrics(run_campaign(Job(load_campaign(path), path), show_progress=False).table)
+    return campaign_metrics(run_campaign(job_of(path), show_progress=False).table)
 
 
 def sensor_numbers() -> dict[str, Result]:

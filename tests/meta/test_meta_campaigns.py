@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.campaign.schema import load_campaign
+from hyperval.campaign.job import job_of
 from hyperval.config import load_yaml
 from hyperval.datasets import describe
 from hyperval.metrics import plain_words
@@ -45,7 +45,7 @@ def test_first_screens_name_no_metric_by_its_identifier(path):
 )
 def test_what_was_set_after_the_data_were_seen_says_so_and_what_it_was_before(campaign, metric):
     """As the history of the files and the changelog have it."""
-    gates = load_campaign(ROOT / "campaigns" / campaign / "campaign.yaml").comparisons
+    gates = job_of(ROOT / "campaigns" / campaign / "campaign.yaml").campaign.comparisons
     marked = [gate for gate in gates if gate.metric == metric]
     assert marked
     assert all(gate.chosen_after and gate.before for gate in marked)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hyperval.campaign.job import Job
+from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
-from hyperval.campaign.schema import load_campaign
 from hyperval.results import Outcome, ResultTable
 from small_campaign import SmallCampaign
 
@@ -30,7 +29,7 @@ def gated(small: SmallCampaign) -> None:
 
 def table_of(small: SmallCampaign) -> ResultTable:
     path = small.write()
-    return run_campaign(Job(load_campaign(path), path), show_progress=False).table
+    return run_campaign(job_of(path), show_progress=False).table
 
 
 def outcome(table: ResultTable, product: str) -> set[Outcome]:

@@ -9,9 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from hyperval import cli
-from hyperval.campaign.job import Job
+from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
-from hyperval.campaign.schema import load_campaign
 from hyperval.results import Cause, Outcome, ResultTable
 from hyperval.scene.builtin import builtin_class
 from small_campaign import SmallCampaign
@@ -22,7 +21,7 @@ MEDIAN = "median_abs_difference_ratio_windows"
 
 def table_of(small: SmallCampaign) -> ResultTable:
     path = small.write()
-    return run_campaign(Job(load_campaign(path), path), show_progress=False).table
+    return run_campaign(job_of(path), show_progress=False).table
 
 
 def failing(table: ResultTable) -> set[tuple[str, str]]:

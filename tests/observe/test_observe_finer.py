@@ -10,8 +10,8 @@ import rasterio
 from affine import Affine
 from scipy.ndimage import gaussian_filter
 
+from hyperval.campaign.job import job_of
 from hyperval.campaign.run import observed_report
-from hyperval.campaign.schema import load_campaign
 from hyperval.campaign.sides import with_fills_of_truth
 from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
@@ -237,7 +237,7 @@ def dirsig(folder: Path, rays: int = 20) -> np.ndarray:
 def test_a_pair_of_dirsig_is_imagery_and_truth(tmp_path: Path):
     abundance = dirsig(tmp_path)
     (tmp_path / "c.yaml").write_text(DIRSIG)
-    place = open_place(load_campaign(tmp_path / "c.yaml").collection, lambda name: tmp_path / name)
+    place = open_place(job_of(tmp_path / "c.yaml").campaign.collection, lambda name: tmp_path / name)
     assert place.regions["grass"].sum() == 300
     assert [t.area_m2 for t in place.targets] == pytest.approx([4 * 2.45, 4 * 0.6])
     np.testing.assert_allclose(place.targets[0].fills[0], abundance[5:7, 8:10])
@@ -245,7 +245,7 @@ def test_a_pair_of_dirsig_is_imagery_and_truth(tmp_path: Path):
     warning = "filled in part: was each pixel sampled by one ray"
     assert not any(warning in note for note in place.notes)
     dirsig(tmp_path, rays=1)
-    coarse = open_place(load_campaign(tmp_path / "c.yaml").collection, lambda name: tmp_path / name)
+    coarse = open_place(job_of(tmp_path / "c.yaml").campaign.collection, lambda name: tmp_path / name)
     assert any(warning in note for note in coarse.notes)
     run = observed_report(tmp_path / "c.yaml", tmp_path, None, False)
     assert run.simulated is True
@@ -271,4 +271,4 @@ def test_truth_of_dirsig_that_does_not_fit(tmp_path: Path, change: tuple[str, st
     dirsig(tmp_path)
     (tmp_path / "c.yaml").write_text(DIRSIG.replace(*change))
     with pytest.raises(HypervalError, match=words):
-        open_place(load_campaign(tmp_path / "c.yaml").collection, lambda name: tmp_path / name)
+        open_place(job_of(tmp_path / "c.yaml").campaign.collection, lambda name: tmp_path / name)

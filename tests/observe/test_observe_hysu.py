@@ -9,7 +9,7 @@ import pytest
 import rasterio
 
 from hyperval import datasets
-from hyperval.campaign.schema import load_campaign
+from hyperval.campaign.job import job_of
 from hyperval.observe import observe
 from hyperval.prediction.inputs import Sources
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.data
 @pytest.fixture
 def campaign(data_dir):
     data_dir(IMAGE)
-    return load_campaign(CAMPAIGN)
+    return job_of(CAMPAIGN).campaign
 
 
 def test_scores_of_the_field_spectra_equal_plain_numpy(data_dir, campaign):

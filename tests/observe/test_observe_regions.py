@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_world import LINES, PLANTED, SAMPLES
 
+from hyperval.campaign.job import job_of
 from hyperval.collection import CollectionSection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe import open_place
@@ -179,10 +180,9 @@ def test_drawn_regions_tell_of_what_leaves_the_image_and_of_holes(world):
 @pytest.mark.data
 def test_hysu_materials_overlap(data_dir):
     """The masks of neighbouring materials share pixels; the note says which."""
-    from hyperval.campaign.schema import load_campaign
 
     root = Path(str(data_dir("hysu/README.md"))).parents[1]
-    campaign = load_campaign(Path(__file__).resolve().parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml")
+    campaign = job_of(Path(__file__).resolve().parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml").campaign
     place = open_place(campaign.collection, lambda r: root / r.removeprefix("data:"), show_progress=False)
     (said,) = [n for n in place.notes if "more than one target" in n]
     masks = {t.material: np.zeros(place.cube.shape, bool) for t in place.targets}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 from twin_run import FIELDS, PANELS, TWIN, difference, levels, run_twin
 
-from hyperval.campaign.schema import load_campaign
+from hyperval.campaign.job import job_of
 from hyperval.compare import judged
 from hyperval.results import Outcome, ResultTable
 
@@ -52,7 +52,7 @@ def test_scores_of_planks_that_lie_as_they_fall_are_lower_than_predicted(run, su
 
 
 def test_the_gates_of_closure_would_fail(run):
-    gates = load_campaign(TWIN / "campaign.yaml").comparisons
+    gates = job_of(TWIN / "campaign.yaml").campaign.comparisons
     table = ResultTable(judged(list(run), gates))
     assert {row.product for row in table.gates().where(outcome=Outcome.DISAGREES)} == {
         "radiance",

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from hyperval.campaign.job import SIMULATED
-from hyperval.campaign.schema import Campaign, load_campaign
+from hyperval.campaign.job import SIMULATED, job_of
+from hyperval.campaign.schema import Campaign
 from hyperval.compare import compare_products
 from hyperval.observe import observe
 from hyperval.predict import Origins, predict
@@ -53,7 +53,7 @@ def run_twin(campaign_file: str, seed: int, folder: Path, *, covariances: bool =
 
     Covariances take half the time, of which draws of the predicted ones are the most.
     """
-    campaign: Campaign = load_campaign(TWIN / campaign_file)
+    campaign: Campaign = job_of(TWIN / campaign_file).campaign
     assert campaign.collection.simulate is not None
     assert campaign.detection is not None
     scene, inputs = shared_inputs(campaign.collection.simulate)

@@ -39,7 +39,6 @@ from hyperval.atmosphere.modtran import read_channels, read_chn, read_modtran_js
 from hyperval.atmosphere.table import read_table
 from hyperval.baseline.accepted import load_baseline
 from hyperval.campaign.job import read_texts
-from hyperval.campaign.schema import load_campaigns
 from hyperval.collection_files import AbundanceTruth, BandTableFile, RegionSource
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header
@@ -181,7 +180,7 @@ def _yaml() -> dict[str, tuple[Path, Callable[[Path], Any], float]]:
     campaign = ROOT / "campaigns" / "share2012-twin"
     return {
         "yaml": (ROOT / "studies" / "tornado.yaml", load_yaml, 0.1),
-        "campaign": (campaign / "campaign.yaml", load_campaigns, 0.06),
+        "campaign": (campaign / "campaign.yaml", lambda path: [text.campaign() for text in read_texts(path)], 0.06),
         "campaign texts": (ROOT / "campaigns" / "share2012-avon" / "campaign.yaml", read_texts, 0.06),
         "scenario": (campaign / "scenario.yaml", load_scenario, 0.06),
         "scene": (campaign / "scene.yaml", load_scene, 0.06),

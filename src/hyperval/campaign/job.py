@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperval.atmosphere.solar import reference_of
-from hyperval.campaign.schema import Campaign, Outline, campaign_runs, load_campaign, with_words
+from hyperval.campaign.schema import Campaign, Outline, campaign_runs, with_words
 from hyperval.config import FILL_IN, Location, Placeholder, load_yaml, placeholders, unfilled, validate
 from hyperval.datasets import PREFIX, describe, resolve, set_on_request
 from hyperval.errors import HypervalError, UsageError, reader
@@ -224,9 +224,18 @@ def job_of(path: Path) -> Job:
 
     Raises
     ------
-    InputError, UsageError : of the file, as for :func:`hyperval.campaign.schema.load_campaign`.
+    InputError : no such file.
+    UsageError : every mistake with its file and line; values that are still to be filled in; a file of several runs.
     """
-    return Job(load_campaign(path), path, read_texts(path)[0].named.files)
+    text, *more = read_texts(path)
+    if more:
+        raise UsageError(
+            f"the file holds {len(more) + 1} runs",
+            where=str(path),
+            expected="a campaign of one run",
+            mend="copy it with one entry under 'runs'; hyperval validate takes all of them",
+        )
+    return Job(text.campaign(), text.path, text.named.files)
 
 
 def _apart(texts: Sequence[Text]) -> Iterator[tuple[Text, tuple[Reference, ...]]]:

@@ -21,7 +21,7 @@ from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.outcomes import Gate
 from hyperval.config import Location, Model, load_yaml, validate
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import InputError, UsageError
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, RadCalNetDay, read_radcalnet
 from hyperval.uncertainty.attribution.schema import AttributionOptions
@@ -267,41 +267,3 @@ class Campaign(Outline):
         if self.classification and not self.collection.cube:
             raise ValueError("classification needs a cube")
         return self
-
-
-@reader
-def load_campaigns(path: Path) -> list[Campaign]:
-    """Read and check a campaign file; one campaign for each of its ``runs``, or one.
-
-    Raises
-    ------
-    InputError : no such file.
-    UsageError : every mistake with its file and line, or every value that is still to be filled in.
-    """
-    data, lines = load_yaml(path)
-    out = []
-    for words, content in campaign_runs(data, lines, str(path)):
-        campaign = validate(Campaign, content, lines, str(path))
-        campaign._run = words
-        out.append(campaign)
-    return out
-
-
-@reader
-def load_campaign(path: Path) -> Campaign:
-    """Read and check a campaign file of one run.
-
-    Raises
-    ------
-    InputError : no such file.
-    UsageError : every mistake with its file and line; a file of several runs.
-    """
-    campaigns = load_campaigns(path)
-    if len(campaigns) > 1:
-        raise UsageError(
-            f"the file holds {len(campaigns)} runs",
-            where=str(path),
-            expected="a campaign of one run",
-            mend="copy it with one entry under 'runs'; hyperval validate takes all of them",
-        )
-    return campaigns[0]
