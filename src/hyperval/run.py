@@ -282,21 +282,25 @@ def write_table(table: Iterable[Result], folder: Path) -> None:
     write_text(folder / JUNIT, junit_xml(rows))
 
 
-def write_joined(folder: Path, names: Sequence[str], page: str) -> None:
-    """Write the page and the tables of several runs, whose folders stand in ``folder`` under these names."""
+def write_joined(folder: Path, names: Sequence[str], page: str, parts: Path | None = None) -> None:
+    """Write the page and the tables of several runs, whose folders come into ``folder`` under these names.
+
+    ``parts`` : where they stand until then; default: there
+    """
+    parts = parts or folder
     for name in (CSV, "summary.csv"):
         with open(folder / name, "w", encoding="utf-8", newline="") as out:
             out.write(results_csv([]))
             for part in names:
-                with open(folder / part / name, encoding="utf-8", newline="") as own:
+                with open(parts / part / name, encoding="utf-8", newline="") as own:
                     next(own)
                     out.writelines(own)
-    heads = {name: _json_head(folder / name / TABLE) for name in names}
+    heads = {name: _json_head(parts / name / TABLE) for name in names}
     counts = {o: sum(int(head["counts"][o]) for head in heads.values()) for o in map(str, Outcome)}
     is_small = sum(counts.values()) <= MOST_JOINED
-    rows = chain.from_iterable(read_rows(folder / name) for name in names) if is_small else []
+    rows = chain.from_iterable(read_rows(parts / name) for name in names) if is_small else []
     write_text(folder / TABLE, _document(rows, counts, {"runs": list(names)}))
-    _write_joined_junit(folder, names)
+    write_text(folder / JUNIT, _joined_junit([(parts / name / JUNIT).read_text("utf-8") for name in names]))
     write_text(folder / PAGE, page)
 
 
@@ -307,13 +311,13 @@ def _json_head(path: Path) -> dict[str, Any]:
     return dict(json.loads(text.removesuffix(",") + "}" if text.endswith(",") else text))
 
 
-def _write_joined_junit(folder: Path, names: Sequence[str]) -> None:
-    texts = [(folder / name / JUNIT).read_text("utf-8").split("\n", 2) for name in names]
+def _joined_junit(texts: Iterable[str]) -> str:
     totals: Counter[str] = Counter()
-    for _, head, _ in texts:
+    suites = []
+    for _, head, body in (text.split("\n", 2) for text in texts):
         totals.update({key: int(number) for key, number in re.findall(r' (\w+)="(\d+)"', head)})
-    suites = "".join(body.removesuffix("</testsuites>\n") for _, _, body in texts)
-    write_text(folder / JUNIT, _junit(suites, [totals[k] for k in ("tests", "failures", "errors", "skipped")]))
+        suites.append(body.removesuffix("</testsuites>\n"))
+    return _junit("".join(suites), [totals[k] for k in ("tests", "failures", "errors", "skipped")])
 
 
 def results_csv(rows: Iterable[Result]) -> str:
@@ -613,7 +617,7 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
     for i, part in enumerate(layout.key):
         names = np.array([str(key[i]) for key, _ in entries], dtype=object)
         data[f"{layout.prefix}_{part}"] = ((layout.axis,), names, {"long_name": _PARTS[part]})
-    each = [(column, [_field(item, column) for _, item in entries]) for column in layout.columns]
+    each = [(c, [item if c.field == "self" else getattr(item, c.field) for _, item in entries]) for c in layout.columns]
     longest = {axis: 0 for column in layout.columns for axis in column.axes}
     for column, values in each:
         for array in (v for value in values for v in (value.values() if isinstance(value, Mapping) else [value])):
@@ -634,10 +638,6 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
             named = held.items() if isinstance(held, Mapping) else (((), one) for one in held)
             found += [((*key, *_key(own)), one) for own, one in named]
         _add(data, inner, found)
-
-
-def _field(item: Any, column: Column) -> Any:
-    return item if column.field == "self" else getattr(item, column.field)
 
 
 def _add_column(

@@ -11,7 +11,7 @@ from affine import Affine
 from scipy.ndimage import gaussian_filter
 
 from hyperval.campaign.job import job_of
-from hyperval.campaign.run import observed_report
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.sides import with_fills_of_truth
 from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
@@ -247,7 +247,7 @@ def test_a_pair_of_dirsig_is_imagery_and_truth(tmp_path: Path):
     dirsig(tmp_path, rays=1)
     coarse = open_place(job_of(tmp_path / "c.yaml").campaign.collection, lambda name: tmp_path / name)
     assert any(warning in note for note in coarse.notes)
-    run = observed_report(tmp_path / "c.yaml", tmp_path, None, False)
+    run = run_campaign(job_of(tmp_path / "c.yaml"), predicts=False, show_progress=False)
     assert run.simulated is True
     assert "the collection is imagery and truth that DIRSIG made" in run.notes
     (scores,) = run.score_maps.values()

@@ -17,21 +17,20 @@ import os
 import platform
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import hyperval
-from hyperval.campaign.job import SIMULATED, AnyJob, Job, jobs_of
+from hyperval.campaign.job import SIMULATED, AnyJob, Job, job_of, jobs_of
 from hyperval.campaign.one import report_of, run_campaign, step_of, unfinished
 from hyperval.campaign.provenance import package_versions, source_revision
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, UsageError, internal_error
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
-from hyperval.progress import step, track, working
+from hyperval.progress import track, working
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.run import accepted_table
 from hyperval.results import Outcome, ResultTable, judged_or_whole
@@ -188,7 +187,6 @@ def run_jobs(
     jobs: Sequence[AnyJob],
     finished: Finished,
     *,
-    executor: Executor | None = None,
     scheduler: str | None = None,
     tell: Callable[[str], None] = lambda _: None,
     show_progress: bool | None = None,
@@ -199,8 +197,8 @@ def run_jobs(
     ----------
     finished : where the folders are made, and stay until the output is whole; those that an earlier run finished
         are not run again
-    executor : what runs them; default: the workers of ``scheduler``, or one process for each processor
-    scheduler : address of a Dask scheduler, whose workers see that folder and the data under the same names
+    scheduler : address of a Dask scheduler, whose workers see that folder and the data under the same names;
+        default: one process for each processor
     tell : is given a line on each campaign that is not run again
 
     Returns
@@ -213,58 +211,49 @@ def run_jobs(
     for run, _ in ready.values():
         tell(UNCHANGED.format(run.campaign))
     left = [job for i, job in enumerate(jobs) if i not in ready]
-    new = iter(_run_left(left, finished, executor, scheduler, show_progress) if left else [])
+    new = iter(_run_left(left, finished, scheduler, show_progress) if left else [])
     return [ready[i] if i in ready else next(new) for i in range(len(jobs))]
 
 
 def _run_left(
-    jobs: Sequence[AnyJob],
-    finished: Finished,
-    executor: Executor | None,
-    scheduler: str | None,
-    show_progress: bool | None,
+    jobs: Sequence[AnyJob], finished: Finished, scheduler: str | None, show_progress: bool | None
 ) -> list[Done]:
-    count = worker_count(len(jobs))
-    if executor is None and scheduler is None and count == 1:
-        return [_run_into(job, finished, show_progress) for job in jobs]
-    with ExitStack() as stack:
-        where = executor or stack.enter_context(workers(count, scheduler))
-        pieces = [(job, finished) for job in jobs]
-        done: list[Done] = []
+    done: list[Done] = []
+    with workers(worker_count(len(jobs)), scheduler) as where:
+        here = where.executor is None  # one after the other, each with its own bars
+        pieces = [(job, finished, show_progress if here else False) for job in jobs]
+        results = in_order(where, _run_into, pieces, ahead=len(jobs))
         try:
-            results = in_order(where, _piece, pieces, ahead=len(jobs))
-            done.extend(track(results, "campaigns", len(jobs), show=show_progress))
+            done.extend(track(results, "campaigns", len(jobs), show=False if here else show_progress))
         except WorkersLostError as error:  # the campaigns whose results are not there yet
-            done += [_stopped(job, finished.folder / job.campaign.name, error) for job in jobs[len(done) :]]
-        return done
+            done += [_written(job, finished, *_failed(job, error), False) for job in jobs[len(done) :]]
+    return done
 
 
-def _piece(piece: tuple[AnyJob, Finished]) -> Done:
-    return _run_into(*piece, False)
-
-
-def _run_into(job: AnyJob, finished: Finished, show_progress: bool | None) -> Done:
-    folder = finished.folder / job.campaign.name
+def _run_into(piece: tuple[AnyJob, Finished, bool | None]) -> Done:
+    job, finished, show_progress = piece
     try:
-        run = run_campaign(job, show_progress=show_progress)
+        run, code = run_campaign(job, show_progress=show_progress), None
     except Exception as error:  # one broken campaign must not hide what the others say
-        return _stopped(job, folder, error)
+        run, code = _failed(job, error)
+    return _written(job, finished, run, code, show_progress)
+
+
+def _failed(job: AnyJob, error: Exception) -> Done:
+    if isinstance(error, HypervalError):
+        return unfinished(job, Outcome.ERROR, str(error)), error.exit_code
+    return unfinished(job, Outcome.ERROR, internal_error(error)), INTERNAL_ERROR
+
+
+def _written(job: AnyJob, finished: Finished, run: RunReport, code: int | None, show_progress: bool | None) -> Done:
+    folder = finished.folder / job.campaign.name
     folder.mkdir(exist_ok=True)
     with step_of(run.campaign, "report"), working("figures and page", show=show_progress):
         write_outputs(run, folder)
     if isinstance(job, Job):
         finished.keep(job, run)
     table = judged_or_whole(run.table)
-    return replace(run, table=table, prediction=None, observation=None, score_maps={}, quicklook=None), None
-
-
-def _stopped(job: AnyJob, folder: Path, error: Exception) -> Done:
-    known = isinstance(error, HypervalError)
-    words = str(error) if known else internal_error(error)
-    run = unfinished(job, Outcome.ERROR, words)
-    folder.mkdir(exist_ok=True)
-    write_outputs(run, folder)
-    return run, error.exit_code if isinstance(error, HypervalError) else INTERNAL_ERROR
+    return replace(run, table=table, prediction=None, observation=None, score_maps={}, quicklook=None), code
 
 
 Form = Literal["envi", "cog"]
@@ -284,46 +273,28 @@ def observe(
     UsageError : a reflectance cube is asked for and the collection has no empirical line.
     """
     with whole_folder(output) as folder:
-        run = observed_report(Path(path), folder, write_reflectance, show_progress)
-        from hyperval.report.outputs import write_outputs
+        job, notes = job_of(Path(path)), list[str]()
+        if write_reflectance and job.campaign.collection.empirical_line is None:
+            raise UsageError(
+                "there is no empirical line that would make a reflectance cube",
+                where=str(path),
+                mend="add collection.empirical_line, or leave --write-reflectance out",
+            )
 
-        with step(run.campaign, 3, 3, "report"), working("figures and page", show=show_progress):
-            write_outputs(run, folder)
+        def cube(observed: Observed) -> None:
+            from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
+
+            if observed.place is not None and write_reflectance:
+                written = reflectance_cube(
+                    folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance,
+                    show_progress=show_progress,
+                )  # fmt: skip
+                notes.append(written[1])
+
+        run = run_campaign(job, predicts=False, show_progress=show_progress, with_observed=cube)
+        with step_of(run.campaign, "report", predicts=False), working("figures and page", show=show_progress):
+            write_outputs(replace(run, notes=[*run.notes, *notes]), folder)
     return 0
-
-
-def observed_report(path: Path, folder: Path, write_reflectance: Form | None, show_progress: bool | None) -> RunReport:
-    """What a collection says; the cube after the empirical line is written into ``folder`` where it is asked for.
-
-    Raises
-    ------
-    UsageError : as for :func:`observe`.
-    """
-    from hyperval.campaign.job import job_of
-    from hyperval.campaign.one import run_campaign
-    from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
-
-    job = job_of(path)
-    if write_reflectance and job.campaign.collection.empirical_line is None:
-        raise UsageError(
-            "there is no empirical line that would make a reflectance cube",
-            where=str(path),
-            mend="add collection.empirical_line, or leave --write-reflectance out",
-        )
-    notes: list[str] = []
-
-    def cube(observed: Observed) -> None:
-        if observed.place is not None and write_reflectance:
-            written = reflectance_cube(
-                folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance,
-                show_progress=show_progress,
-            )  # fmt: skip
-            notes.append(written[1])
-
-    run = run_campaign(
-        job, predicts=False, show_progress=show_progress, with_observed=cube if write_reflectance else None
-    )
-    return replace(run, notes=[*run.notes, *notes])
 
 
 def validate(
@@ -360,8 +331,8 @@ def validate(
             return _only(jobs[0], folder, None if again else output, tell, show_progress).exit_code(strict=strict)
         finished = Finished(partial_folder(output).resolve(), None if again else output.resolve())
         done = run_jobs(jobs, finished, tell=tell, scheduler=scheduler, show_progress=show_progress)
+        write_index([run for run, _ in done], folder, parts=finished.folder)
         finished.hand_over([job.campaign.name for job in jobs], folder)
-        write_index([run for run, _ in done], folder)
     finished.remove()
     first_error = next((code for _, code in done if code is not None), None)
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)

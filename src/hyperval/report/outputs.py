@@ -27,9 +27,9 @@ def write_outputs(run: RunReport, folder: Path) -> None:
     ).write(folder, report_page(run, drawings), {d.file_name: d.content for d in drawings}, run.score_maps)
 
 
-def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validation") -> None:
-    """Write the page and the tables of several campaigns, whose folders stand in ``folder`` under their names."""
+def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validation", parts: Path | None = None) -> None:
+    """Write the page and the tables of several campaigns, whose folders come into ``folder`` from ``parts``."""
     from hyperval.report.html import index_page
 
     folders = file_stems(run.campaign for run in runs)
-    write_joined(Path(folder), list(folders.values()), index_page(runs, folders, title))
+    write_joined(Path(folder), list(folders.values()), index_page(runs, folders, title), parts)
