@@ -18,7 +18,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check power scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage cover docs bill audit robustness
+.PHONY: help setup validate check power scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage cover docs bill audit robustness conformance
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -61,6 +61,9 @@ test-data: $(READY_DEV)  ## run the tests of real collections (HYPERVAL_DATA), s
 
 coverage: $(READY_DEV)  ## how often the 95 % intervals hold, over simulated collections (15 minutes; goes on where it ended)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage
+
+conformance: $(READY)  ## read the public files at hand (HYPERVAL_DATA): as second readers do, or refused as expected?
+	$(BIN)/python validation/conformance.py
 
 robustness: $(READY_DEV)  ## a million damaged files through every reader (an hour; goes on where it ended)
 	$(BIN)/python validation/robustness/mutation_study.py --output reports/robustness

@@ -258,20 +258,8 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     for key in ("major frame offsets", "minor frame offsets"):
         if any(part.strip() not in ("", "0") for part in entries.get(key, "").split(",")):
             raise InputError(f"{key} cannot be read", where=where(key), mend="rewrite the cube without them")
-    return EnviHeader(
-        path=path,
-        samples=samples,
-        lines=lines,
-        bands=bands,
-        data_type=data_type,
-        interleave=interleave,
-        byte_order=byte_order,
-        header_offset=integer("header offset", default=0),
-        file_type=_bare(entries.get("file type", "")),
-        entries=entries,
-        line_of=line_of,
-        notes=tuple(notes),
-    )
+    layout = samples, lines, bands, data_type, interleave, byte_order, integer("header offset", default=0)
+    return EnviHeader(path, *layout, _bare(entries.get("file type", "")), entries, line_of, tuple(notes))
 
 
 def _byte_order(value: str | None, where: str) -> tuple[int, str]:

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import product_shells
 import rasterio
+import scipy.io
 import spectra_shells
 import xarray as xr
 from affine import Affine
@@ -277,6 +278,15 @@ def written(folder: Path) -> dict[str, dict[str, bytes]]:
     with rasterio.open(folder / "mask.tif", "w", driver="GTiff", **{**options, "count": 1}) as dataset:
         dataset.write((values[..., :1].transpose(2, 0, 1) > 0.8).astype(np.int16))
     out["region raster"] = taken("mask.tif")
+    scipy.io.savemat(folder / "a.mat", {"data": values, "map": values[..., 0] > 0.8}, do_compression=True)
+    out["matlab 5"] = taken("a.mat")
+    with h5py.File(folder / "b.mat", "w", userblock_size=512) as file:
+        file["data"] = values.T
+    with open(folder / "b.mat", "r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file")
+    out["matlab 7.3"] = taken("b.mat")
+    np.save(folder / "a.npy", values)
+    out["numpy"] = taken("a.npy")
     data = xr.Dataset(
         {"radiance": (("y", "x", "wavelength"), values, {"units": "uW cm-2 sr-1 nm-1"})},
         coords={"wavelength": ("wavelength", NM, {"units": "nm"})},

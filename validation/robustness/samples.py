@@ -119,8 +119,8 @@ def _table(path: Path) -> None:
         finite(values, name)
 
 
-def _cube(path: Path, quantity: str = "other") -> None:
-    cube = open_cube(path, quantity=quantity)
+def _cube(path: Path, quantity: str = "other", axis: str | None = None) -> None:
+    cube = open_cube(path, quantity=quantity, axis=axis)
     increasing(cube.axis.centre_nm, "wavelength_nm")
     for block in cube.blocks(2):
         if block.values.shape[1:] != (cube.samples, cube.bands):
@@ -238,6 +238,9 @@ def samples(folder: Path) -> list[Sample]:
                lambda f: _spectra(f / "b.sli")),
         Sample("envi library: data", made["envi library"], lambda f: _spectra(f / "b.sli")),
         Sample("geotiff", made["geotiff"], lambda f: _cube(f / "a.tif"), 0.2),
+        Sample("matlab 5", made["matlab 5"], lambda f: _cube(f / "a.mat", "counts", "numbers"), 0.3),
+        Sample("matlab 7.3", made["matlab 7.3"], lambda f: _cube(f / "b.mat", "counts", "numbers"), 0.06),
+        Sample("numpy", made["numpy"], lambda f: _cube(f / "a.npy", "counts", "numbers"), 0.3),
         Sample("region raster", made["region raster"], lambda f: _regions(f / "mask.tif"), 0.2),
         Sample("netcdf cube", made["netcdf cube"], lambda f: _cube(f / "a.nc"), 0.06),
         Sample("hdf5 tree", made["hdf5 tree"], lambda f: _cube(f / "a.h5"), 0.06),

@@ -19,6 +19,7 @@ from hyperval.api.objects import Collection, Metrics, Observation, Prediction, R
 from hyperval.api.verbs import (
     check,
     compare,
+    explain,
     load_campaign,
     load_scenario,
     metrics,
@@ -32,5 +33,6 @@ from hyperval.api.verbs import (
 
 __all__ = [
     "Collection", "Metrics", "Observation", "Prediction", "Results", "Study", "Validation", "check", "compare",
-    "load_campaign", "load_scenario", "metrics", "observe", "open", "predict", "simulate", "study", "validate",
+    "explain", "load_campaign", "load_scenario", "metrics", "observe", "open", "predict", "simulate", "study",
+    "validate",
 ]  # fmt: skip

@@ -18,7 +18,9 @@ from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.sides import collected
 from hyperval.compare import compare_products
+from hyperval.envi_header import header_beside
 from hyperval.hdf5 import check_hdf5
+from hyperval.imagery import EnviRaster, needs_header, open_raster, record
 from hyperval.predict import Origins
 from hyperval.predict import predict as predict_scenario
 from hyperval.products import Products
@@ -28,12 +30,13 @@ from hyperval.run import Run, to_xarray
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.simulate import simulate as simulate_scene
 from hyperval.simulate.schema import SceneFile
+from hyperval.spectra.readers import read_records
 from hyperval.storage import whole_folder
 from hyperval.study.run import study_to_folder
 
 __all__ = [
-    "check", "compare", "load_campaign", "load_scenario", "metrics", "observe", "open", "predict", "simulate",
-    "study", "validate",
+    "check", "compare", "explain", "load_campaign", "load_scenario", "metrics", "observe", "open", "predict",
+    "simulate", "study", "validate",
 ]  # fmt: skip
 Side = TypeVar("Side", Prediction, Observation)
 
@@ -49,6 +52,38 @@ def load_campaign(path: Path | str) -> Job:
     InputError, UsageError : of the file.
     """
     return job_of(Path(path))
+
+
+def explain(
+    file: Path | str, *, header: Path | str | None = None, key: str | None = None
+) -> list[tuple[str, str, str]]:
+    """What a file is as its reader sees it: thing, value, and where the value comes from or what mends its lack.
+
+    Parameters
+    ----------
+    file : an image, or a file of spectra
+    header : ENVI header that does not lie beside the image
+    key : which array of the file is the image, where it holds several
+
+    >>> [value for what, value, origin in explain("collection/small_rad.img") if what == "wavelengths"]
+    ['16, 450 to 2200 nm']
+
+    Raises
+    ------
+    InputError, UsageError : neither, or damaged; in the words of the reader.
+    """
+    path = Path(file)
+    if header is not None or path.is_dir() or path.suffix == ".hdr" or header_beside(path) or not needs_header(path):
+        raster = open_raster(path, header=header, variable=key)
+        if not (isinstance(raster, EnviRaster) and "library" in raster.header.file_type.lower()):
+            return record(raster)
+        path = raster.path
+    rows = []
+    for spectrum in read_records(path, quantity="other"):
+        nm = spectrum.wavelength_nm
+        rows.append(("spectrum", f"{spectrum.name}: {nm.size} values, {nm[0]:g} to {nm[-1]:g} nm", spectrum.source))
+        rows += [("assumed", note, "reader") for note in spectrum.notes]
+    return rows
 
 
 def predict(

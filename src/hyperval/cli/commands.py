@@ -337,6 +337,20 @@ def metrics(
 
 
 @app.command()
+def explain(
+    file: Annotated[Path, typer.Argument(help="An image, or a file of spectra.")],
+    header: Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")] = None,
+    key: Annotated[str | None, typer.Option(help="Which array of the file is the image, if there are several.")] = None,
+) -> int:
+    """Say what a file is as the reader sees it: every number's origin, what is not known, and what mends it."""
+    from hyperval.api import explain as explained
+
+    for row in explained(file, header=header, key=key):
+        typer.echo("\t".join(" ".join(cell.split()) for cell in row))
+    return 0
+
+
+@app.command()
 def init(
     cube: Annotated[Path, typer.Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for campaign.yaml; made where it is not.")],

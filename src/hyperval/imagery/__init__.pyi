@@ -2,7 +2,7 @@
 
 from .acquisition import acquisition_notes, time_notes
 from .cube import Block, Cube, open_cube
-from .description import Description, Raster
+from .description import Description, Raster, record
 from .drawing import RegionDrawing, area_inside, outside_error, polygon_mask, polygon_of
 from .envi import EnviRaster, crs_of, pixel_area_m2, pixel_sides_m, transform_of
 from .interchange import cube_to_spy, cube_to_xarray, envi_writer, map_to_spy, map_to_xarray, write_cube
@@ -88,6 +88,7 @@ __all__ = [
     "raster_of_size",
     "read_regions",
     "read_targets",
+    "record",
     "rectangle_region",
     "region_objects",
     "ring_region",

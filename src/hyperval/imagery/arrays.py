@@ -330,6 +330,7 @@ class ArrayRaster(Raster):
     _slabs: threading.local = field(default_factory=threading.local, repr=False)
     _unpacking: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
+    kind = "arrays of a file"
     in_blocks = True
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -21,7 +21,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.envi_header import EnviHeader
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import HypervalError, InputError, UsageError, reader
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.units import (
@@ -554,6 +554,7 @@ class Raster:
     position: tuple[Affine | None, CRS | None] = (None, None)
     other_files: tuple[Path, ...] = ()
 
+    kind = "image"
     in_blocks = False  # whether reading line by line would unpack the same blocks again and again
 
     @property
@@ -700,3 +701,72 @@ def check_values_of(cube: Any) -> None:
             else "state scale: what multiplies the stored values (0.01 where they are percent, 0.0001 where they "
             "are reflectance times 10000)",
         )
+
+
+def record(raster: Raster) -> list[tuple[str, str, str]]:
+    """What is known of an image: thing, value, and where the value comes from, or what would mend its lack.
+
+    It is what the reader itself goes by: a file and line of a header, an entry of a product, a convention, a guess.
+    """
+    about, where, files = raster.description, str(raster.path), ", ".join(p.name for p in raster.other_files)
+    header = about.header if isinstance(about, HeaderDescription) else None
+    by = about.product or raster.kind
+
+    def origin(key: str) -> str:
+        return f"{header.where(key)} '{key}'" if header is not None and key in header.entries else by
+
+    lines, samples, bands = raster.size
+    rows = [
+        ("is", about.product or raster.kind, "its first bytes" + (f", and {files} beside it" if files else "")),
+        ("size", f"{lines} lines, {samples} samples, {bands} bands of {raster.dtype}", origin("samples")),
+    ]
+    notes = list(about.notes)
+    try:
+        table, listed = about.band_table(None, where, sort_bands=True), about.listed()
+        assert listed is not None  # noqa: S101 - a table is made of them
+        centre, width = table.axis.centre_nm, table.axis.fwhm_nm
+        stated = listed.where.get("wavelength", by)
+        rows.append(("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated))
+        silent = (listed.unit or "").strip(" \t\"'").lower() in _UNSTATED
+        unit = str(only_wavelength_unit(listed.wavelength)) if silent else str(listed.unit)
+        rows.append(("wavelength unit", unit, "guess: by the values" if silent else stated))
+        no_width = "convention: the spacing of the bands"
+        rows.append(
+            ("widths", f"{width.min():g} to {width.max():g} nm", no_width if listed.fwhm is None else origin("fwhm"))
+        )
+        notes += table.notes
+    except HypervalError as error:
+        rows.append(("wavelengths", f"not known: {error.what}", error.mend or str(error.expected)))
+    rows.append(
+        ("quantity", about.quantity or "not known", by if about.quantity else "state quantity: (init: --quantity)")
+    )
+    if about.quantity != "reflectance":
+        rows.append(("unit of radiance", about.unit or "not known", by if about.unit else "state unit: (init: --unit)"))
+    for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
+        try:
+            active = [s for s in about.scales(quantity) if np.any(np.asarray(s.gain) != 1.0) or np.any(s.offset)]
+            gains = [
+                f"x {np.min(s.gain):g} to {np.max(s.gain):g}, + {np.min(s.offset):g} to {np.max(s.offset):g}"
+                for s in active
+            ]
+            sources = [s.source for s in active] or [
+                "nothing states another; state scale: where the numbers are scaled"
+            ]
+            rows.append((f"scale of {quantity}", "; ".join(gains) or "x 1", "; ".join(sources)))
+        except HypervalError as error:
+            rows.append((f"scale of {quantity}", f"not known: {error.what}", error.mend or ""))
+    ignore = about.no_data()
+    none = "nothing states one"
+    rows.append(("no data", *(("none", none) if ignore is None else (f"{ignore:g}", origin("data ignore value")))))
+    a = raster.transform
+    if a is None:
+        rows.append(("position", "none", "targets.pixel_size_m states the size of a pixel; cube.glt places them"))
+    else:
+        rows.append(
+            ("position", f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {a.a:g}, {a.e:g}", origin("map info"))
+        )
+        known = origin(
+            "coordinate system string" if header and "coordinate system string" in header.entries else "map info"
+        )
+        rows.append(("coordinate system", str(raster.crs or "not known"), known))
+    return rows + [("assumed", note, "reader") for note in notes]

@@ -172,6 +172,8 @@ class StoredFile(OpenedFile):
 class EnviRaster(Raster):
     """An ENVI data file whose size is exactly what its header says."""
 
+    kind = "ENVI image"
+
     header: EnviHeader = field(kw_only=True)
 
     @cached_property

@@ -57,6 +57,8 @@ _UNRECTIFIED = "one detector in scanner geometry: the other sees a place some li
 class TiffRaster(Raster):
     """A GeoTIFF, opened by name of its driver and without the sidecar files that change its meaning."""
 
+    kind = "GeoTIFF"
+
     @cached_property
     def _pixels(self) -> npt.NDArray[Any] | None:
         """(lines, samples, bands) all stored numbers of a small image: every call costs some time for every band."""
