@@ -102,12 +102,7 @@ def test_records_by_name_part_number_and_mean(tmp_path: Path):
     assert np.allclose(mean.standard_deviation, RHO)  # of rho, 2 rho, 3 rho with n - 1
     assert mean.n == 3
     assert [r.name for r in read_records(tmp_path / "s.txt")] == ["red cloth", "blue cloth", "blue paint"]
-    for record, message in (
-        (None, "3 spectra"),
-        ("blue", "2 records match"),
-        ("green", "no record"),
-        (3, "0 to 2"),
-    ):
+    for record, message in ((None, "3 spectra"), ("blue", "2 records match"), ("green", "no record"), (3, "0 to 2")):
         with pytest.raises(UsageError, match=message):
             spectrum(tmp_path, text, record=record)
 

@@ -126,8 +126,10 @@ def test_text_with_none_or_two_is_refused(tmp_path: Path, text: str, kind: type[
         ("Raw counts", "counts"),
         ("std", "a standard deviation"),
         ("grass_rdn", "radiance"),
+        ("L (W/m2/sr/um)", "radiance"), ("E [W m-2 nm-1]", "irradiance"), ("Intensity (a.u.)", "intensity"),
+        ("SNR", "snr"), ("K-M", "k-m"), ("1st derivative", "derivative"), ("Continuum removed", "continuum removed"),
     ],
-)
+)  # fmt: skip
 def test_a_column_that_is_titled_otherwise_is_no_reflectance(tmp_path: Path, title: str, quantity: str):
     text = f"wavelength nm,{title}\n" + rows(WAVE, RHO, sep=",")
     with pytest.raises(InputError, match=f"the file holds {quantity}, not reflectance"):
@@ -135,7 +137,9 @@ def test_a_column_that_is_titled_otherwise_is_no_reflectance(tmp_path: Path, tit
     assert read(tmp_path, text, quantity="other").values.tolist() == RHO.tolist()
 
 
-@pytest.mark.parametrize("title", ["ABS plastic", "Abs. reflectance", "grass_rfl", "gradient", "Edna"])
+@pytest.mark.parametrize(
+    "title", ["ABS plastic", "Abs. reflectance", "grass_rfl", "gradient", "Edna", "SNRI 3", "K-Mart lot"]
+)
 def test_names_of_samples_say_no_quantity(tmp_path: Path, title: str):
     assert read(tmp_path, f"wavelength nm,{title}\n" + rows(WAVE, RHO, sep=",")).values.tolist() == RHO.tolist()
 
@@ -144,10 +148,8 @@ def test_a_spectrum_cut_out_of_a_radiance_image_is_known_by_the_name_of_its_file
     name = "ang20171108t184227_rdn_v2p11_lawn.txt"
     with pytest.raises(InputError, match="the file holds radiance, not reflectance"):
         read(tmp_path, rows(WAVE, RHO), name)
-    assert (
-        read(tmp_path, rows(WAVE, RHO), name, quantity="radiance", unit="uW cm-2 sr-1 nm-1").values.tolist()
-        == RHO.tolist()
-    )
+    found = read(tmp_path, rows(WAVE, RHO), name, quantity="radiance", unit="uW cm-2 sr-1 nm-1")
+    assert found.values.tolist() == RHO.tolist()
     titled = "wavelength nm,reflectance\n" + rows(WAVE, RHO, sep=",")
     assert read(tmp_path, titled, name).values.tolist() == RHO.tolist()
 

@@ -43,7 +43,8 @@ _QUANTITIES = {
     "irradiance": r"(?<![a-z])irradiance",
     "absorbance": r"^abs\.?$|^abs(\.|\s*[(\[])|log\w*\s*\(?\s*1\s*/\s*r|-\s*log",
     "counts": r"(?-i:(?<![A-Za-z0-9])DN(?![A-Za-z0-9]))|(?<![a-z])(raw )?counts?(?![a-z])|digital number",
-    "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance)",
+    "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
+    r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed)",
 }
 _NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
 _UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
@@ -71,11 +72,9 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
                 spread[i - 1] = i
     if table.shape[1] < 2:
         raise InputError(
-            "a single column",
-            where=f"{path}:{first_line}",
-            expected="a wavelength and a value in every row",
+            "a single column", where=f"{path}:{first_line}", expected="a wavelength and a value in every row",
             mend="where the wavelengths have a file of their own, name it (wavelengths)",
-        )
+        )  # fmt: skip
     whole, wavelength = "\n".join(header), table[:, 0]
     ends = [float(e) for key in ("First", "Last") if _NUMBER.match(e := _entry(whole, f"{key} X Value") or "")]
     count_stated, count = _entry(whole, "Number of X Values"), re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole)
@@ -249,7 +248,8 @@ def quantity_in(title: str) -> str | None:
     for quantity, pattern in _QUANTITIES.items():
         if match := re.search(pattern, title.strip(), re.IGNORECASE):
             return quantity or match.group().lower()
-    return None
+    power = power_unit_in(title)
+    return None if power is None else "radiance" if " sr-1" in power else "irradiance"
 
 
 def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
