@@ -51,8 +51,8 @@ def without_figures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
     patch.setattr("hyperval.run.write_products", lambda folder, *sides, **words: (folder / "products.nc").touch())
     # Sets of objects for p-values that no test of the small campaign asks for: a fifth of what is left.
-    patch.setattr("hyperval.compare.objects.REPLICATES", 400)
-    patch.setattr("hyperval.compare.objects.POWER_DRAWS", 40)
+    patch.setattr("hyperval.compare.detection.REPLICATES", 400)
+    patch.setattr("hyperval.compare.detection.POWER_DRAWS", 40)
 
 
 def sensor_data() -> dict[str, Any]:

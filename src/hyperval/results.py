@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import astuple, dataclass, fields, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -78,13 +79,38 @@ class Cause(StrEnum):
 
 
 @dataclass(frozen=True)
+class Effect:
+    """The size of what a row that is judged by other means is about: of a test, of 1 or 0 by an interval.
+
+    Attributes
+    ----------
+    value, lower, upper : in the numbers of its own kind, with the 95 % interval
+    accepted : level of the test -> range that chance alone stays in with it; None where no range is known
+    detectable : sizes to either side that would have been rejected with 80 % probability
+    decides : whether the row agrees only where the whole interval lies in the range; not where the two are of
+        different laws, such as an interval for independent objects beside a range for objects that share errors
+    """
+
+    value: float
+    lower: float = math.nan
+    upper: float = math.nan
+    accepted: Callable[[float], tuple[float, float]] | None = None
+    detectable: tuple[float, float] = (math.nan, math.nan)
+    decides: bool = True
+
+
+@dataclass(frozen=True)
 class Result:
     """One row.
 
     ``lower`` and ``upper`` bound ``value`` at 95 % unless the metric says otherwise.  ``limit_low`` and
     ``limit_high`` are the range that was planned, NaN on a side without one.  ``detectable`` is the smallest error
     of its kind that would have disagreed with 80 % probability.  ``evidence`` is that of the metric unless given.
-    ``reason`` is for people: nothing reads it.
+    ``reason`` is for people: nothing reads it.  The columns from ``effect`` on tell a row with an outcome in units of
+    the field (:attr:`hyperval.metrics.Metric.effect`): the size of what it is about with its 95 % interval, the range
+    accepted for it, the sizes to either side that would have disagreed with 80 % probability, and the size where both
+    sides are equal; NaN where a metric has no such size.  ``p_value`` is that of a test; ``set_after`` tells a range
+    that was chosen after its own data were seen; ``about`` is what the effect of a test is made of, and no column.
 
     Raises
     ------
@@ -110,6 +136,18 @@ class Result:
     cause: Cause = Cause.NONE
     detectable: float = math.nan
     reason: str = ""
+    effect: float = math.nan
+    effect_unit: str = ""
+    effect_lower: float = math.nan
+    effect_upper: float = math.nan
+    accepted_low: float = math.nan
+    accepted_high: float = math.nan
+    detectable_low: float = math.nan
+    detectable_high: float = math.nan
+    ideal: float = math.nan
+    p_value: float = math.nan
+    set_after: bool = False
+    about: Effect | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         metric = metric_of(self.metric)
@@ -164,7 +202,9 @@ class Result:
 
 COLUMNS = (
     "campaign", "product", "subject", "method", "band_nm", "metric", "value", "unit", "lower", "upper", "n",
-    "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason",
+    "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason", "effect", "effect_unit",
+    "effect_lower", "effect_upper", "accepted_low", "accepted_high", "detectable_low", "detectable_high", "ideal",
+    "p_value", "set_after",
 )  # fmt: skip
 _WORDS = ("role", "evidence", "outcome", "cause")
 
@@ -207,12 +247,11 @@ class ResultTable:
         """The table in the column order of the output contract."""
         import pandas as pd  # 70 MB, not wanted before the results are there
 
-        names = [f.name for f in fields(Result)]
-        frame = pd.DataFrame([astuple(r) for r in self._rows], columns=names)
+        frame = pd.DataFrame([attrgetter(*COLUMNS)(r) for r in self._rows], columns=list(COLUMNS))
         frame["n"] = frame["n"].astype("Int64")
         for name in _WORDS:
             frame[name] = frame[name].astype(str)
-        return frame[list(COLUMNS)]
+        return frame
 
     def exit_code(self, *, strict: bool = False) -> int:
         """The exit code of the contract: 1 a gate disagrees or is in error, 5 no gate was decided, 0 otherwise.

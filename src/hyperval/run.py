@@ -67,7 +67,7 @@ from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import write_text
 
 SIDES = {"predicted": PredictedProducts, "observed": ObservedProducts}
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 SECONDS_PER_YEAR = 365.2425 * 86400.0
 MAX_BYTES = 500_000_000  # of a table that is read
 MOST_JOINED = 50_000  # rows that the results.json of several campaigns repeats
@@ -266,10 +266,12 @@ _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 _ELEMENTS = {
     Outcome.DISAGREES: "failure", Outcome.ERROR: "error", Outcome.SKIPPED: "skipped", Outcome.UNDECIDED: "skipped",
 }  # fmt: skip
-_READABLE = (2, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
+_READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
-_NUMBERS = ("value", "band_nm", "lower", "upper", "limit_low", "limit_high", "detectable")
-_KNOWN = {f.name for f in fields(Result)}
+_NUMBERS = tuple(f.name for f in fields(Result) if f.type == "float")
+_KNOWN = set(COLUMNS)
+# What the third version had not: a row tells its effect.
+_NEW: dict[str, Any] = dict.fromkeys(COLUMNS[COLUMNS.index("effect") :]) | {"effect_unit": "", "set_after": False}
 _TYPES = {"role": Role, "evidence": Evidence, "outcome": Outcome, "cause": Cause}
 
 
@@ -467,9 +469,9 @@ def _rows(path: Path, columns: list[Any], rows: list[Any]) -> list[Result]:
 def _row(item: Any, columns: list[Any], words: dict[str, str], where: str) -> Result:
     if isinstance(item, list) and len(item) == len(columns):
         item = dict(zip(map(str, columns), item, strict=True))
-    if not isinstance(item, dict) or item.keys() != _KNOWN:
+    if not isinstance(item, dict) or not _KNOWN - _NEW.keys() <= item.keys() <= _KNOWN:
         raise InputError("not a row of results", where=where, expected="the columns " + ", ".join(sorted(_KNOWN)))
-    values: dict[str, Any] = {k: words.setdefault(v, v) if isinstance(v, str) else v for k, v in item.items()}
+    values: dict[str, Any] = {k: words.setdefault(v, v) if isinstance(v, str) else v for k, v in (_NEW | item).items()}
     try:
         for name in _NUMBERS:
             value = values[name]

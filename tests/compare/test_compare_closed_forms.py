@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hyperval.compare import (
+    RowMaker,
+    compare_abundance,
+    compare_area_errors,
+    compare_roc,
+    compare_spectra,
+    far_at_detection_rows,
+    leading_source,
+)
 from hyperval.compare.covariance import _eigenvalue_rows, _space_rows
-from hyperval.compare.objects import compare_abundance, compare_area_errors
-from hyperval.compare.roc import compare_roc, far_at_detection_rows
-from hyperval.compare.rows import RowMaker
-from hyperval.compare.spectral import compare_spectra, leading_source
 from hyperval.processing import Z95, SamplingBand, Statistics
 from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEstimate
 from hyperval.results import Outcome

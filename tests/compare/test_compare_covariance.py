@@ -7,9 +7,14 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from hyperval.compare import Gate, compare_products
-from hyperval.compare.covariance import compare_covariance, compare_distribution, independent_pixels
-from hyperval.compare.scores import compare_classification
+from hyperval.compare import (
+    Gate,
+    compare_classification,
+    compare_covariance,
+    compare_distribution,
+    compare_products,
+    independent_pixels,
+)
 from hyperval.processing import noise_part
 from hyperval.products import (
     Abundance,

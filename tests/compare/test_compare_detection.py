@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare import Gate, judged
-from hyperval.compare.products import compare_products
-from hyperval.compare.roc import compare_roc, equivalent
-from hyperval.compare.rows import difference_interval, scientific
-from hyperval.compare.scores import compare_scores
+from hyperval.compare import (
+    Gate,
+    compare_products,
+    compare_roc,
+    compare_scores,
+    difference_interval,
+    equivalent,
+    judged,
+    scientific,
+)
 from hyperval.errors import UsageError
 from hyperval.processing import WHOLE, RocArea, counts_of, curve_area, empirical_roc, roc_area, with_summary
 from hyperval.products import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare.rows import drift
+from hyperval.compare import drift
 from hyperval.errors import UsageError
 from hyperval.results import Outcome
 

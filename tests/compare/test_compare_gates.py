@@ -7,9 +7,15 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from hyperval.compare import Gate, judged
-from hyperval.compare.outcomes import detectable_departure, detectable_share, outcome_of, tail_probability
-from hyperval.compare.rows import COMPARISON
+from hyperval.compare import (
+    COMPARISON,
+    Gate,
+    detectable_departure,
+    detectable_share,
+    judged,
+    outcome_of,
+    tail_probability,
+)
 from hyperval.results import Cause, Outcome, Result, Role
 
 RADIANCE = {"product": "radiance", "metric": "median_difference_ratio_windows", "reason": "r"}

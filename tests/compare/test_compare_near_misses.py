@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.compare import Gate, judged
-from hyperval.compare.products import compare_products
+from hyperval.compare import Gate, compare_products, judged
 from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis

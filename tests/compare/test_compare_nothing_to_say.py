@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from hyperval.compare.objects import compare_abundance
-from hyperval.compare.roc import predicted_area
-from hyperval.compare.spectral import _detectable, _mean_ratio, chi_square_shape, detectable_tilts
+from hyperval.compare import chi_square_shape, compare_abundance, detectable_tilts, predicted_area
+from hyperval.compare.spectra import _detectable, _mean_ratio
 from hyperval.processing import AREAS
 from hyperval.products import Abundance, RocCurve
 from hyperval.results import Cause, Outcome

@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare import Gate, judged, objects
-from hyperval.compare.objects import (
+from hyperval.compare import (
+    Gate,
+    compare_exceedance,
     compare_object_scores,
+    detection,
     distance_from_uniform,
+    judged,
     judged_together,
     probability_integral_transform,
     transforms_of_draws,
 )
-from hyperval.compare.scores import compare_exceedance
 from hyperval.errors import UsageError
 from hyperval.products import ExceedanceCurve, ObjectScores
 from hyperval.results import Outcome, ResultTable
@@ -48,7 +50,7 @@ def test_transforms_of_draws_are_those_of_every_draw_alone():
     own, *spread = transforms_of_draws(draws)
     assert own.tolist() == probability_integral_transform(draws, draws).tolist()
     assert own == pytest.approx(stats.rankdata(draws).reshape(draws.shape) / (draws.size + 1))
-    for factor, values in zip(objects.WIDTHS, spread, strict=True):
+    for factor, values in zip(detection.WIDTHS, spread, strict=True):
         moved = np.median(draws) + factor * (draws - np.median(draws))
         assert values.tolist() == probability_integral_transform(moved, draws).tolist()
 
@@ -84,8 +86,8 @@ def test_right_predictions_with_common_errors_are_rejected_at_the_stated_rate(mo
     # 100 worlds whose common error is as large as the rest: a 5 % test rejects 5 of them (sd 2.2); limit at 4 sd.
     # The customary test, which takes objects for independent, rejects most.  1,000 sets of the model place a
     # p-value of 5 % to 0.7 %, which leaves the rate of rejection; how wide a departure is detectable is not asked.
-    monkeypatch.setattr(objects, "REPLICATES", 1000)
-    monkeypatch.setattr(objects, "POWER_DRAWS", 20)
+    monkeypatch.setattr(detection, "REPLICATES", 1000)
+    monkeypatch.setattr(detection, "POWER_DRAWS", 20)
     rng = np.random.default_rng(4)
     ours, customary, joint, drift = 0, 0, 0, 0
     for _ in range(100):
@@ -187,14 +189,14 @@ def test_one_object_has_no_spread():
 
 
 def test_a_statistic_beyond_all_draws_has_the_least_p_value_that_they_can_give():
-    beyond = objects._test(5.0, np.linspace(0.0, 1.0, 99), np.zeros((len(objects.WIDTHS), 3)))
+    beyond = detection._test(5.0, np.linspace(0.0, 1.0, 99), np.zeros((len(detection.WIDTHS), 3)))
     assert beyond.p_value == pytest.approx(0.01, rel=1e-12)
-    assert objects._test(-1.0, np.linspace(0.0, 1.0, 99), np.zeros((len(objects.WIDTHS), 3))).p_value == 1.0
+    assert detection._test(-1.0, np.linspace(0.0, 1.0, 99), np.zeros((len(detection.WIDTHS), 3))).p_value == 1.0
 
 
 def test_a_width_is_detected_at_one_percent_in_all_and_half_of_it_where_both_tails_count():
     reference, wide = np.linspace(0.0, 1.0, 2001), np.array([0.985, 0.9925, 0.9975, 2.0])[:, None]
-    assert [objects._test(0.5, reference, wide, both).detectable for both in (False, True)] == [1.5, 2.0]
+    assert [detection._test(0.5, reference, wide, both).detectable for both in (False, True)] == [1.5, 2.0]
 
 
 # Objects that are independent and predicted by a normal law have normal scores that are independent standard normal

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare import Gate, judged
-from hyperval.compare.products import product_rows
-from hyperval.compare.roc import compare_roc, joint_rows
-from hyperval.compare.rows import RowMaker
+from hyperval.compare import Gate, RowMaker, compare_roc, joint_rows, judged, product_rows
 from hyperval.processing import (
     RocArea,
     clopper_pearson,

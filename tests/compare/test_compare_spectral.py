@@ -6,17 +6,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare import Gate, judged, spectral
-from hyperval.compare.outcomes import detectable_departure
-from hyperval.compare.rows import comparable_bands, median_interval, regions, size_intervals
-from hyperval.compare.spectral import (
+from hyperval.compare import (
     ChiSquare,
+    Gate,
     chi_square_diagonal,
     chi_square_full,
     chi_square_shape,
+    comparable_bands,
     compare_spectra,
+    detectable_departure,
     detectable_tilts,
+    judged,
+    median_interval,
+    regions,
     share_inside,
+    size_intervals,
+    spectra,
     spectral_angle_degrees,
     whitening,
     z_scores,
@@ -347,18 +352,18 @@ def test_the_interval_of_the_share_inside_holds_what_right_errors_give(length):
 @pytest.mark.parametrize("nu", [np.inf, 40.0])
 def test_a_detectable_departure_is_rejected_four_times_in_five(nu):
     """20,000 draws of the statistic; the share is within 0.015 of 0.8 in all but one case in 10 million."""
-    dof, size = 5, spectral._detectable(1.0, 5, nu)
+    dof, size = 5, spectra._detectable(1.0, 5, nu)
     rng = np.random.default_rng(3)
     whole = rng.noncentral_chisquare(dof, size**2, 20_000)
     if np.isinf(nu):
-        limit = stats.chi2.isf(spectral.POWER_LEVEL / 2.0, dof)
+        limit = stats.chi2.isf(spectra.POWER_LEVEL / 2.0, dof)
     else:
         whole *= (nu - dof + 1.0) / dof / rng.chisquare(nu - dof + 1.0, whole.size)
-        limit = stats.f.isf(spectral.POWER_LEVEL / 2.0, dof, nu - dof + 1.0)
+        limit = stats.f.isf(spectra.POWER_LEVEL / 2.0, dof, nu - dof + 1.0)
     assert np.mean(whole > limit) == pytest.approx(0.8, abs=0.015)
 
 
 def test_a_source_has_its_part_of_the_variance_of_the_ratio_on_its_side():
     # d(p/o) = dp/o - p do/o^2: of equal errors that of o counts by (p/o)^2.
     p, o = (SpectralEstimate(np.full(2, v), np.eye(2), budget={n: np.ones(2)}) for n, v in (("p", 1.0), ("o", 2.0)))
-    assert spectral._shares(p, o, np.ones(2, bool)) == [("p", pytest.approx(0.8)), ("o", pytest.approx(0.2))]
+    assert spectra._shares(p, o, np.ones(2, bool)) == [("p", pytest.approx(0.8)), ("o", pytest.approx(0.2))]

@@ -7,7 +7,7 @@ import pytest
 from small_world import BANDS, LINES, PLANTED, SAMPLES, TARGET
 
 from hyperval.collection import Detection, EmpiricalLineSource
-from hyperval.compare.products import product_rows
+from hyperval.compare import product_rows
 from hyperval.errors import UsageError
 from hyperval.processing import DETECTORS, footprint_maxima, pixel_detector, whitener_of
 

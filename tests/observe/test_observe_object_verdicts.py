@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_world import AXIS, BACKGROUND, BANDS, TARGET, World, background_spread
 
-from hyperval.compare.products import compare_products
+from hyperval.compare import compare_products
 from hyperval.config import parse_yaml, validate
 from hyperval.predict import Origins, predict
 from hyperval.scenario import Scenario

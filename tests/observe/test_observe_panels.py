@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_world import BANDS
 
-from hyperval.compare.spectral import compare_spectra
+from hyperval.compare import compare_spectra
 from hyperval.observe import rounding_variance
 from hyperval.results import ResultTable
 

@@ -16,7 +16,7 @@ from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.schema import DayScenarios, day_scenarios
 from hyperval.collection_files import RadCalNetSource
-from hyperval.compare.spectral import compare_spectra
+from hyperval.compare import compare_spectra
 from hyperval.errors import InputError, UsageError
 from hyperval.observe import observe_radcalnet
 from hyperval.predict import Origins, predict

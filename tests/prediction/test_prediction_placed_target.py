@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from hyperval.compare.spectral import chi_square_full
+from hyperval.compare import chi_square_full
 from hyperval.config import parse_yaml, validate
 from hyperval.predict import Origins, predict
 from hyperval.prediction.object_scores import HOST, PLACE, Shares, host_covariance, mixed, place_covariance, shares_of

@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, ndimage, optimize, stats
 from scipy.special import logit
 
-from hyperval.compare.spectral import chi_square_full
+from hyperval.compare import chi_square_full
 from hyperval.errors import UsageError
 from hyperval.processing import MeasuredPanel, darkest_pixel_panel, fit_elm
 from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare.spectral import chi_square_full
+from hyperval.compare import chi_square_full
 from hyperval.errors import UsageError
 from hyperval.processing import factor_covariance
 from hyperval.products import EstimatedPart

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.compare.spectral import chi_square_full, chi_square_shape, covariance_dof
+from hyperval.compare import chi_square_full, chi_square_shape, covariance_dof
 from hyperval.processing import (
     MeasuredPanel,
     components,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from hyperval.compare.roc import compare_roc
+from hyperval.compare import compare_roc
 from hyperval.processing.roc_model import detection_at, log10_false_alarm_at
 from hyperval.products import RocCurve
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.compare.spectral import compare_spectra
+from hyperval.compare import compare_spectra
 from hyperval.observe import wavelength_notes
 from hyperval.processing import FEATURES, RED_EDGE, absorption_centre, centre_uncertainty, red_edge, wavelength_shifts
 from hyperval.products import SpectralEstimate

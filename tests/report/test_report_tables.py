@@ -45,7 +45,7 @@ def test_csv_reads_back_exactly(table):
 
 def test_csv_writes_numpy_scalars_as_plain_numbers():
     text = results_csv([Result("c", "p", "s", "m", "z", np.float64(0.1), n=np.int64(4))])
-    assert text.splitlines()[1] == "c,p,s,m,,z,0.1,1,,,4,,,inform,model,none,,,"
+    assert text.splitlines()[1] == "c,p,s,m,,z,0.1,1,,,4,,,inform,model,none,,,,,,,,,,,,,,False"
 
 
 def test_json_has_the_same_rows_and_is_strict(table):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare.scores import compare_exceedance
+from hyperval.compare import compare_exceedance
 from hyperval.products import (
     ExceedanceCurve,
     ObjectScores,

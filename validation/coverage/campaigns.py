@@ -24,8 +24,7 @@ from world import engine
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
-from hyperval.compare import objects, products
-from hyperval.compare.covariance import compare_covariance
+from hyperval.compare import compare_covariance, detection, products
 from hyperval.config import parse_yaml
 from hyperval.metrics import Kind, metric_of
 from hyperval.products import background_of
@@ -187,7 +186,7 @@ def rows_of(number: int, seed: int) -> list[Result]:
         inputs = SimulationInputs(sensor, terms(scene.atmosphere).at_bands(sensor.axis), classes)
         simulate(scene, folder / "collection", inputs=inputs, show_progress=False)
         stack.enter_context(patch("hyperval.prediction.cases.atmospheric_terms", lambda state, **_: terms(state)))
-        stack.enter_context(patch.multiple(objects, REPLICATES=1000, POWER_DRAWS=20))
+        stack.enter_context(patch.multiple(detection, REPLICATES=1000, POWER_DRAWS=20))
         stack.enter_context(patch.object(products, "compare_covariance", of_classes))
         report = run_campaign(job_of(folder / "campaign.yaml"), show_progress=False)
     return list(report.table)

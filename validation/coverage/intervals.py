@@ -15,7 +15,7 @@ from scipy import optimize, stats
 from world import AXIS
 
 from hyperval.collection import AreaCheck, Detection
-from hyperval.compare.objects import judged_together
+from hyperval.compare import judged_together
 from hyperval.imagery import TargetObject, all_pixels
 from hyperval.observe.detection import target_areas
 from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve

@@ -30,7 +30,7 @@ from world import AXIS, HIGH, LOW, PANEL_SIDE, SITE, Collection, collect, engine
 from world import B as BANDS
 
 import hyperval
-from hyperval.compare import compare_products, objects
+from hyperval.compare import compare_products, detection
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.observe.site_spectra import spectral_estimate
 from hyperval.predict import Origins, predict
@@ -191,7 +191,7 @@ class Batch:
 
 def _compared(p: PredictedProducts, o: ObservedProducts, method: str) -> list[Result]:
     # P-values of the objects together are not looked at here; their sets of draws are most of the time.
-    with patch.multiple(objects, REPLICATES=500, POWER_DRAWS=20):
+    with patch.multiple(detection, REPLICATES=500, POWER_DRAWS=20):
         return compare_products(p, o, method=method)
 
 

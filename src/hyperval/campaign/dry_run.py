@@ -16,7 +16,7 @@ from typing import Any
 from hyperval.campaign.job import SIMULATED, Job, Reference, Text, read_texts
 from hyperval.campaign.schema import Campaign, DayScenarios, scenarios_of
 from hyperval.collection import Detection
-from hyperval.compare.outcomes import Gate
+from hyperval.compare.judge import Gate
 from hyperval.config import Location, load_yaml
 from hyperval.datasets import check_copy, how_to_get, resolve, set_on_request
 from hyperval.envi_header import header_beside

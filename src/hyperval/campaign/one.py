@@ -233,7 +233,7 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
 
 def never_met(rows: Iterable[Result], prediction: Products, observation: Products) -> list[tuple[Result, str]]:
     """The criteria that can never be met, each with what would have to be known better for it."""
-    from hyperval.compare.spectral import would_take
+    from hyperval.compare.spectra import would_take
 
     return [(row, would_take(row, prediction, observation)) for row in rows if row.never_met]
 

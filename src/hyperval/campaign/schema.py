@@ -19,7 +19,7 @@ from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.collection import Classification, CollectionSection, Detection
-from hyperval.compare.outcomes import Gate
+from hyperval.compare.judge import Gate
 from hyperval.config import Location, Model, load_yaml, validate
 from hyperval.errors import InputError, UsageError
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario

@@ -263,7 +263,7 @@ def drift(
     ] = None,
 ) -> int:
     """Print a row for each day of finished runs, and the change in a year with its interval."""
-    from hyperval.compare.rows import drift as drift_of
+    from hyperval.compare.spectra import drift as drift_of
     from hyperval.errors import UsageError
     from hyperval.results import Outcome
     from hyperval.run import SECONDS_PER_YEAR, days_of

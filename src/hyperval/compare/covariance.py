@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.compare.rows import RowMaker
+from hyperval.compare.spectra import RowMaker
 from hyperval.processing.classification import bhattacharyya_distance
 from hyperval.processing.sample import (
     EigenDirections,
@@ -24,7 +24,7 @@ from hyperval.processing.sample import (
     statistics_of_covariance,
 )
 from hyperval.products import PixelDistribution, SpectralEstimate
-from hyperval.results import Cause, Result
+from hyperval.results import Cause, Effect, Result
 from hyperval.spectra.axis import SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
@@ -102,7 +102,7 @@ def compare_covariance(
     if sample is None:
         return []
     if isinstance(sample, str):
-        return [make.skipped(Cause.FEW_PIXELS, sample)]
+        return make.skipped(Cause.FEW_PIXELS, sample)
     measured, band, n = sample.measured, sample.band, sample.n
     rows = _eigenvalue_rows(make, measured, band, n)
     rows += _space_rows(make, measured, band, sample.spaces, n)
@@ -113,7 +113,7 @@ def compare_covariance(
     if math.isnan(measured.distance):
         why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
         names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
-        return rows + [make.skipped(Cause.FEW_PIXELS, why, name) for name in names]
+        return rows + make.skipped(Cause.FEW_PIXELS, why, *names)
     means = predicted.mean[sample.bands], observed.mean[sample.bands]
     distance = bhattacharyya_distance(means[0], sample.covariances[0], means[1], sample.covariances[1])
     rows.append(make.row("bhattacharyya_distance", distance, n=n))
@@ -255,17 +255,17 @@ def _noise_rows(
     part = noise_part(second, first, noise, sample.fewest - 1.0, kurtosis, calibration=calibration, samples=samples)
     low, high = (part.factor + sign * _NORMAL_95 * part.uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
-        return [make.skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")]
+        return make.skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")
     value, interval = part.factor**-0.5, (high**-0.5, low**-0.5)
     share = float(np.median(noise / np.diag(first)))
     reason = f"noise is {share:.2g} of the predicted variance (median over bands)"
-    return [make.row("noise_ratio", value, interval=interval, n=sample.n, reason=reason)]
+    return [make.row("noise_ratio", value, interval, n=sample.n, reason=reason)]
 
 
 def _row(make: RowMaker, metric: str, value: float, interval: tuple[float, float], n: int, reason: str = "") -> Result:
     """A row whose band is that of sampling; the mean of skewed draws may lie beyond an end of it."""
     low, high = min(float(interval[0]), value), max(float(interval[1]), value)
-    return make.row(metric, value, interval=(low, high), n=n, reason=reason)
+    return make.row(metric, value, (low, high), n=n, reason=reason)
 
 
 def compare_distribution(
@@ -298,14 +298,14 @@ def compare_distribution(
     note = "no predicted law to compare with" if predicted is None else f"predicted {_dof_text(predicted.tail_dof)}"
     rows = [
         make.row(
-            "background_tail_dof", o.tail_dof, interval=(o.tail_lower, o.tail_upper), n=o.n,
+            "background_tail_dof", o.tail_dof, (o.tail_lower, o.tail_upper), n=o.n,
             reason=f"{note}; in {o.dimension} bands",
         )
     ]  # fmt: skip
     if not math.isnan(o.leading_tail_dof):
         rows.append(
             make.row(
-                "background_tail_dof_leading", o.leading_tail_dof, interval=(o.leading_lower, o.leading_upper),
+                "background_tail_dof_leading", o.leading_tail_dof, (o.leading_lower, o.leading_upper),
                 n=o.n, reason=f"{note}; in the {o.leading_dimension} leading components",
             )
         )  # fmt: skip
@@ -313,8 +313,9 @@ def compare_distribution(
         inverse = [0.0 if math.isinf(x) else 1.0 / x for x in (o.leading_upper, o.leading_tail_dof, o.leading_lower)]
         expected = 0.0 if math.isinf(predicted.tail_dof) else 1.0 / predicted.tail_dof
         low, value, high = (expected - x for x in reversed(inverse))
-        rows.append(make.row("tail_inverse_dof_difference", value, interval=(low, high), n=o.n, reason=note))
-    rows.append(make.row("normality_p_value", o.normality_p_value, n=o.n))
+        rows.append(make.row("tail_inverse_dof_difference", value, (low, high), n=o.n, reason=note))
+    value, low, high = (0.0 if math.isinf(x) else 1.0 / x for x in (o.tail_dof, o.tail_upper, o.tail_lower))
+    rows.append(make.row("normality_p_value", o.normality_p_value, n=o.n, about=Effect(value, low, high)))
     if o.effective_n is not None and o.effective_n.size:
         rows.append(make.row("effective_pixels", float(o.effective_n[0]), n=o.n))
     return rows

@@ -12,20 +12,23 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hyperval.compare.covariance import compare_covariance, compare_distribution
-from hyperval.compare.objects import compare_abundance, compare_area_errors, compare_object_scores
-from hyperval.compare.roc import (
+from hyperval.compare.detection import (
     ALWAYS,
     IF_BACKGROUND_ALLOWS,
     area_rows,
+    compare_abundance,
+    compare_area_errors,
+    compare_classification,
+    compare_exceedance,
+    compare_object_scores,
     compare_roc,
+    compare_scores,
     far_at_detection_rows,
     far_row,
     first_detection_rows,
     joint_rows,
 )
-from hyperval.compare.rows import RowMaker, scientific
-from hyperval.compare.scores import compare_classification, compare_exceedance, compare_scores
-from hyperval.compare.spectral import compare_spectra
+from hyperval.compare.spectra import RowMaker, compare_spectra, scientific
 from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
 from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, PredictedProducts, Products, RocCurve
@@ -69,7 +72,7 @@ def product_rows(products: Products, side: str) -> list[Result]:
             at = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
             if abs(np.log10(curve.pfa[at]) - decade) <= 1e-6:
                 limits = (curve.pd_lower[at], curve.pd_upper[at])
-                rows.append(make.row(f"pd@1e{decade}", curve.pd[at], interval=limits, n=curve.n_target))
+                rows.append(make.row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target))
         rows += _beyond_points(make, curve)
     for key, exceedance in products.exceedance.items():
         rows += _thresholds(RowMaker("scores", *key), exceedance)
@@ -80,7 +83,7 @@ def product_rows(products: Products, side: str) -> list[Result]:
         rows += compare_distribution(None, distribution, subject=subject)
     for key, errors in products.classification.items():
         make = RowMaker("classification", *key)
-        rows.append(make.row("error", errors.error, interval=(errors.lower, errors.upper), n=errors.n))
+        rows.append(make.row("error", errors.error, (errors.lower, errors.upper), n=errors.n))
         rows.append(make.row("distance", errors.distance, n=errors.n))
     return rows
 

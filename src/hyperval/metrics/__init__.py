@@ -52,6 +52,20 @@ _USUAL: tuple[Move, Move] = ((0.1, "interval"), (0.01, "value"))
 
 
 @dataclass(frozen=True)
+class FieldUnit:
+    """How a number of a metric is told as an effect in units of the field: factor (number - origin) [unit]."""
+
+    unit: str
+    factor: float = 1.0
+    origin: float = 0.0
+    ideal: float = math.nan
+
+    def __call__(self, number: float) -> float:
+        """The effect [unit]."""
+        return self.factor * (number - self.origin)
+
+
+@dataclass(frozen=True)
 class Metric:
     """One metric of the results table: a row of metrics.toml.
 
@@ -76,6 +90,7 @@ class Metric:
         value; empty where the example stands in the docstring of the function
     usual : range (of a test: level) by which a row is judged that no campaign plans; it informs
     alternative, departure : of a test, the departure against which it needs 80 % power before it agrees, in words
+    effect : how its value, or the size of what a test tests, is told in units of the field
     short : a few plain words for a sentence, in which ``{product}`` and ``{part}`` (of the spectrum) are filled in
     two_sided : a p-value near 1 says that the uncertainty is too wide, and counts as one near 0 does
     """
@@ -101,6 +116,7 @@ class Metric:
     alternative: float = math.nan
     departure: str = ""
     two_sided: bool = False
+    effect: FieldUnit | None = None
     short: str = ""
 
     def fits(self, base: str) -> bool:
@@ -130,7 +146,9 @@ def _row(section: str, entries: dict[str, Any]) -> Metric:
     tolerance = {"tolerance": (moves[0], moves[-1])} if moves else {}
     words = {"kind": Kind(entries.pop("kind", "quantity")), "evidence": Evidence(entries.pop("evidence", "model"))}
     usual = {"usual": tuple(entries.pop("usual"))} if "usual" in entries else {}
-    return Metric(section=section, **words, **tolerance, **usual, **entries)  # type: ignore[arg-type]
+    effect = {"ideal": entries.get("agreement", math.nan)} | entries.pop("effect", {})
+    unit = {"effect": FieldUnit(**effect)} if "unit" in effect else {}
+    return Metric(section=section, **words, **tolerance, **usual, **unit, **entries)  # type: ignore[arg-type]
 
 
 @cache
@@ -199,7 +217,7 @@ def plain_words(metric: str, product: str) -> str:
     return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
 
 
-_OF_SPECTRA = ("processing.intervals.difference_ratio", "compare.rows", "compare.spectral")
+_OF_SPECTRA = ("processing.intervals.difference_ratio", "compare.spectra", "compare.spectra")
 _SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 _SPREAD = ("covariance", "classification")
 _PARTS = ("windows", "vnir", "swir1", "swir2", "absorption")
@@ -289,6 +307,7 @@ def entry(m: Metric) -> list[str]:
         ("better", m.better),
         ("judged as", m.kind),
         ("95 % interval", "" if m.interval == "none" else m.interval),
+        ("told as an effect in", m.effect.unit if m.effect else ""),
         ("judged unasked by", _usual(m)),
         ("power wanted against", m.departure),
         ("moves with", "the prediction" if m.evidence == "model" else "the pipeline alone"),

@@ -19,7 +19,7 @@ import spectral
 from hyperval.campaign.schema import Campaign
 from hyperval.collection import Detection
 from hyperval.compare.products import product_rows
-from hyperval.compare.rows import RowMaker
+from hyperval.compare.spectra import RowMaker
 from hyperval.observe import Observed
 from hyperval.observe.detection import scored_pixels, target_groups
 from hyperval.prediction.inputs import Sources
@@ -165,7 +165,7 @@ def detector_rows(
     detection = question.campaign.detection
     if detection is None or observed.detected is None:
         why = "the campaign looks for no targets"
-        return [RowMaker(PRODUCT, EVERY_OBJECT, "detectors").skipped(Cause.NO_OBSERVATION, why, "rank")]
+        return RowMaker(PRODUCT, EVERY_OBJECT, "detectors").skipped(Cause.NO_OBSERVATION, why, "rank")
     rows = _measured_rows(observed)
     counts = block_counts(observed, detection)
     groups = {name: looks for name, looks in counts.group.items() if looks}
@@ -178,7 +178,7 @@ def detector_rows(
                 ranks = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
                 rows += rank_rows(name, counts, measure, ranks)
     for name, reason in question.left_out.items():
-        rows.append(RowMaker(PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(Cause.REFUSED, reason, "rank"))
+        rows += RowMaker(PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(Cause.REFUSED, reason, "rank")
     return rows
 
 
@@ -218,7 +218,7 @@ def _value_row(make: RowMaker, counts: BlockCounts, measure: Measure, ranks: Ran
     per_area = measure.of_look is None
     scale = counts.density_km2 if per_area else 1.0
     if math.isnan(scale):
-        return make.skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", measure.name)
+        return make.skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", measure.name)[0]
     value, low, high = (float(x[d]) * scale for x in (ranks.value, ranks.lower, ranks.upper))
     why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
     unit = "km-2" if per_area else "1"
@@ -249,7 +249,7 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
     cube, bands = place.cube, np.flatnonzero(detected.bank.bands)
     if cube.lines * cube.samples * bands.size > MOST_VALUES:
         why = f"SPy holds the image in memory, and it has more than {MOST_VALUES:.0e} values"
-        return [RowMaker(PRODUCT, EVERY_OBJECT, PEER).skipped(Cause.REFUSED, why, "auc")]
+        return RowMaker(PRODUCT, EVERY_OBJECT, PEER).skipped(Cause.REFUSED, why, "auc")
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
     if observed.elm is not None:
         image = (image - observed.elm.offset[bands]) / observed.elm.gain[bands]
@@ -280,7 +280,7 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
 
 def _subject_rows(make: RowMaker, pixels: Array, noise: Array) -> list[Result]:
     if not pixels.size or not noise.size:
-        return [make.skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")]
+        return make.skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
     share = scipy.stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
     return [make.row("auc", float(share), n=int(pixels.size), reason=_version())]
 

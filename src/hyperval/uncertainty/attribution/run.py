@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import RowMaker, scientific
+from hyperval.compare.spectra import RowMaker, scientific
 from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, combined
 from hyperval.prediction.input import UncertainInput

@@ -1,36 +1,252 @@
-"""Rows that every spectral product shares: radiance, SNR, reflectance.
-
-Do two spectra agree within their uncertainties?
-
-Where both radiances have the absorptions of the atmosphere: a shift of wavelengths that levels hardly show.
-"""
+"""Spectra: rows, comparable bands, intervals; do two spectra agree within their uncertainties; drift over days."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import RowMaker, comparable_bands, median_interval, regions, size_intervals
 from hyperval.errors import UsageError
-from hyperval.metrics import Kind, metric_of
+from hyperval.metrics import Evidence, Kind, metric_of
 from hyperval.processing.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
 from hyperval.processing.wavelength_check import FEATURES, absorption_centre, centre_uncertainty
 from hyperval.products import EstimatedPart, Products, SpectralEstimate
-from hyperval.results import Cause, Result
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.results import Cause, Effect, Outcome, Result
+from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
+# The metric of a row that stands for a whole comparison which could not be made.
+COMPARISON = "comparison"
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class RowMaker:
+    """Fills in what the rows of one comparison share; their campaign is named when all of them are there."""
+
+    product: str
+    subject: str
+    method: str
+
+    def row(
+        self,
+        metric: str,
+        value: float,
+        interval: tuple[float, float] | None = None,
+        *,
+        half: float = math.nan,
+        unit: str = "1",
+        band_nm: float = math.nan,
+        n: int | None = None,
+        detectable: float = math.nan,
+        evidence: Evidence | None = None,
+        reason: str = "",
+        about: Effect | None = None,
+    ) -> Result:
+        """A row without an outcome; what is planned gives it one later.  ``half``: half of its interval's width."""
+        low, high = interval or (value - half, value + half)
+        return Result(
+            "", self.product, self.subject, self.method, metric, float(value), unit, float(band_nm),
+            float(low), float(high), n, evidence=evidence, detectable=float(detectable),
+            reason=reason, about=about,
+        )  # fmt: skip
+
+    def skipped(self, cause: Cause, reason: str, *metrics: str) -> list[Result]:
+        """Planned rows that have no value, with the cause and words; without metrics the whole comparison."""
+        row = Result("", self.product, self.subject, self.method, COMPARISON, outcome=Outcome.SKIPPED, cause=cause,
+                     reason=reason)  # fmt: skip
+        return [replace(row, metric=metric, evidence=None) for metric in metrics or (COMPARISON,)]
+
+    def compared(self, predicted: T | None, observed: T | None, rows: Callable[[T, T], list[Result]]) -> list[Result]:
+        """The rows, or one skipped row that says which side has no such product."""
+        if predicted is not None and observed is not None:
+            return rows(predicted, observed)
+        missing = [name for name, side in (("prediction", predicted), ("observation", observed)) if side is None]
+        cause = Cause.NO_PREDICTION if predicted is None else Cause.NO_OBSERVATION
+        return self.skipped(cause, f"no {self.product} of {self.subject} in the {' and in the '.join(missing)}")
+
+
+def scientific(value: float) -> str:
+    """A short label of a probability: 0.01 is 1e-2.
+
+    Examples
+    --------
+    >>> scientific(0.01), scientific(2.5e-4)
+    ('1e-2', '2.5e-4')
+    """
+    exponent = math.floor(math.log10(value) + 1e-9)
+    return f"{value / 10.0**exponent:.3g}e{exponent}"
+
+
+Mask = npt.NDArray[np.bool_]
+_DRAWS = 1000
+_SEED = 20180216
+
+
+def comparable_bands(predicted: SpectralEstimate, collected: SpectralEstimate, axis: SpectralAxis) -> Mask:
+    """(B,) True where the band is good and both sides have a value and an uncertainty."""
+    for name, side in (("predicted", predicted), ("observed", collected)):
+        if side.mean.shape != (len(axis),) or side.error_covariance.shape != (len(axis), len(axis)):
+            raise UsageError(
+                f"the {name} spectrum has shape {side.mean.shape} with a covariance {side.error_covariance.shape}",
+                expected=f"the {len(axis)} bands of the axis on both sides",
+            )
+    usable = np.isfinite(predicted.mean) & np.isfinite(collected.mean)
+    usable &= np.isfinite(np.diag(predicted.error_covariance)) & np.isfinite(np.diag(collected.error_covariance))
+    return usable & axis.good
+
+
+def regions(axis: SpectralAxis) -> Mapping[str, Mask]:
+    """Bands of each summary: all windows, their part in VNIR, SWIR1 and SWIR2, and the absorption bands."""
+    wavelength = axis.centre_nm
+    window = in_window(wavelength)
+    parts = {"windows": window}
+    for name, (low, high) in SPECTRAL_REGIONS_NM.items():
+        parts[name.lower()] = window & (wavelength >= low) & (wavelength < high)
+    parts["absorption"] = ~window & (wavelength >= 400.0) & (wavelength <= 2500.0)
+    return parts
+
+
+def difference_interval(
+    a: float, a_interval: tuple[float, float], b: float, b_interval: tuple[float, float]
+) -> tuple[float, float]:
+    """Interval of a - b from the separate intervals of two independent estimates.
+
+    L = a - b - sqrt((a - l_a)^2 + (u_b - b)^2), U = a - b + sqrt((u_a - a)^2 + (b - l_b)^2).
+    Source: Newcombe, Stat. Med. 17, 873-890, 1998, method 10; Zou & Donner, Stat. Med. 27, 1693-1702, 2008.
+
+    Examples
+    --------
+    >>> low, high = difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))
+    >>> round(low, 6), round(high, 6)
+    (0.2, 0.4)
+    """
+    low = a - b - math.hypot(a - a_interval[0], b_interval[1] - b)
+    high = a - b + math.hypot(a_interval[1] - a, b - b_interval[0])
+    return low, high
+
+
+def median_interval(ratio: Array, covariance: Array) -> tuple[float, float]:
+    """95 % interval of the median over bands of a signed ratio.
+
+    The error of the median is taken as that of the mean over the same bands, 1^T C 1/B^2: errors common
+    to the bands, which are what is left after averaging, move both alike.  NaN where neither side states an error:
+    an interval of no width would claim to know the value.
+    """
+    if not np.any(covariance):
+        return math.nan, math.nan
+    centre = float(np.median(ratio))
+    half = Z95 * float(np.sqrt(max(float(np.mean(covariance)), 0.0)))
+    return centre - half, centre + half
+
+
+def size_intervals(ratio: Array, covariance: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    """95 % intervals of the median and of the greatest |ratio| over bands.
+
+    Errors e of covariance C are drawn and the size taken of ratio - e: its 97.5 % point is the upper end, and the
+    lower end lies as far below the value, not below 0.  Errors alone make a size, so that the draws themselves
+    would put the lower end above it.  NaN where neither side states an error.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> size_intervals(np.array([0.1, -0.2, 0.3]), np.zeros((3, 3)))[0]
+    (nan, nan)
+    """
+    if not np.any(covariance):
+        return (math.nan, math.nan), (math.nan, math.nan)
+    values, vectors = np.linalg.eigh(covariance)
+    drawn = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ _standard_normal(values.size)
+    drawn -= ratio[:, None]
+    # One sort costs a quarter of the selection of a median.
+    ordered = np.sort(np.abs(drawn, out=drawn), axis=0)
+    middle = (ordered[(values.size - 1) // 2] + ordered[values.size // 2]) / 2.0
+    out = []
+    for value, sizes in (
+        (float(np.median(np.abs(ratio))), middle),
+        (float(np.max(np.abs(ratio))), ordered[-1]),
+    ):
+        half = max(float(np.quantile(sizes, 0.975)) - value, 0.0)
+        out.append((max(value - half, 0.0), value + half))
+    return out[0], out[1]
+
+
+@lru_cache(maxsize=8)
+def _standard_normal(bands: int) -> Array:
+    """(bands, draws), which every spectrum of the same bands shares."""
+    drawn = np.random.default_rng(_SEED).standard_normal((bands, _DRAWS))
+    drawn.flags.writeable = False
+    return drawn
+
+
+FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Change in a year.
+
+    Attributes
+    ----------
+    per_year, lower, upper : least-squares slope and its 95 % interval [unit of the values per year]
+    scatter : standard deviation of the days about the line
+    n : days
+    """
+
+    per_year: float
+    lower: float
+    upper: float
+    scatter: float
+    n: int
+
+    def outcome(self, low: float, high: float) -> Outcome:
+        """The interval against an accepted range."""
+        if low <= self.lower and self.upper <= high:
+            return Outcome.AGREES
+        return Outcome.DISAGREES if self.upper < low or self.lower > high else Outcome.UNDECIDED
+
+
+def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Drift:
+    """Slope of values (n,) over times (n,) [years] with Student's interval from their scatter about the line.
+
+    Errors that all days share, such as that of the calibration, cancel in it; those of single days show as scatter,
+    whatever was stated of them.  Source: Draper & Smith, Applied Regression Analysis, 1998, 1.4.
+
+    Raises
+    ------
+    UsageError : fewer than three days, or all at one time.
+
+    Examples
+    --------
+    >>> found = drift([0.0, 1.0, 2.0], [0.0, 0.01, 0.02])
+    >>> round(found.per_year, 6), round(found.upper - found.lower, 6)
+    (0.01, 0.0)
+    """
+    t, y = np.asarray(years, dtype=float), np.asarray(values, dtype=float)
+    if t.size < FEWEST or np.ptp(t) == 0.0:
+        raise UsageError(f"a drift of {t.size} days", expected=f"{FEWEST} days or more, at different times")
+    centred = t - t.mean()
+    slope = float(centred @ y / (centred @ centred))
+    residual = y - y.mean() - slope * centred
+    scatter = math.sqrt(float(residual @ residual) / (t.size - 2))
+    half = float(scipy.stats.t.ppf(0.975, t.size - 2)) * scatter / math.sqrt(float(centred @ centred))
+    return Drift(slope, slope - half, slope + half, scatter, int(t.size))
+
+
 Estimated = Sequence[EstimatedPart]
 
 # Directions whose variance, in the correlation matrix, is below this part of the greatest are rounding noise.
 EIGENVALUE_CUT = 1e-9
 # A full test is asked what it would have found at this level in both tails, with this probability.
 POWER_LEVEL, POWER = 1e-3, 0.8
+FAR = 1e4  # a statistic above this has left its noncentral law for that of its root
 # Fewer degrees of freedom of an estimated covariance for each direction say little of the least of them.
 DOF_PER_DIRECTION = 3.0
 DOF_ROUNDING = 1e-6  # of degrees of freedom
@@ -64,6 +280,60 @@ class ChiSquare:
         if math.isinf(nu):
             return float(scipy.stats.chi2.sf(self.value, p))
         return float(scipy.stats.f.sf(self.value * (nu - p + 1.0) / (nu * p), p, nu - p + 1.0))
+
+    @property
+    def effect(self) -> Effect | None:
+        """The difference over its stated uncertainty: the root of the statistic over what it is expected to be.
+
+        Its interval is that of sqrt(1 + lambda / p), lambda the noncentrality behind the statistic; of one too small
+        for any the upper end is that of a stated uncertainty that is too large.  None without degrees of freedom.
+
+        Examples
+        --------
+        >>> found = ChiSquare(20.9, 11).effect
+        >>> [round(x, 2) for x in (found.value, found.lower, found.upper, *found.accepted(0.001))]
+        [1.38, 1.0, 1.94, 0.38, 1.74]
+        """
+        p, nu = self.dof, self.covariance_dof
+        if p <= 0 or nu <= p:
+            return None
+        least = float(central_law(p, nu).ppf(0.025))
+        ratio = self.value / p * (1.0 if math.isinf(nu) else (nu - p + 1.0) / nu)
+        low, high = (math.sqrt(1.0 + noncentrality(ratio, p, nu, part) / p) for part in (0.975, 0.025))
+        if ratio < least:
+            high = math.sqrt(ratio / least)
+        size, found = math.sqrt(ratio), math.sqrt(1.0 + rejected_noncentrality(p, nu) / p)
+        return Effect(size, min(low, size), max(high, size), partial(accepted_sizes, p, nu), (math.nan, found))
+
+
+def central_law(dof: int, nu: float) -> Any:
+    """Law of a chi-square or of Hotelling's statistic over what it is expected to be, where both sides agree."""
+    return scipy.stats.chi2(dof, scale=1.0 / dof) if math.isinf(nu) else scipy.stats.f(dof, nu - dof + 1.0)
+
+
+def accepted_sizes(dof: int, nu: float, level: float) -> tuple[float, float]:
+    """Differences over stated uncertainty that chance alone stays between, both tails of the level together."""
+    low, high = np.sqrt(central_law(dof, nu).ppf([level / 2.0, 1.0 - level / 2.0]))
+    return float(low), float(high)
+
+
+def noncentrality(ratio: float, dof: int, nu: float, part: float) -> float:
+    """Noncentrality for which a statistic over ``dof`` lies below ``ratio`` with the probability ``part``; at least 0.
+
+    The root of a large statistic is normal with a variance of 1, but for what the covariance's own error adds.
+    """
+    total, finite = ratio * dof, math.isfinite(nu)
+    spread = math.sqrt(1.0 + (total / (2.0 * (nu - dof + 1.0)) if finite else 0.0))
+
+    def below(x: float) -> float:
+        if finite:
+            return float(scipy.stats.ncf.cdf(ratio, dof, nu - dof + 1.0, x)) - part
+        return float(scipy.stats.ncx2.cdf(total, dof, x)) - part
+
+    high = (math.sqrt(total) + 5.0 * spread) ** 2 + 10.0
+    if total > FAR or not below(high) < 0.0:
+        return max((math.sqrt(total) - spread * float(scipy.special.ndtri(part))) ** 2 - dof, 0.0)
+    return 0.0 if below(1e-9) <= 0.0 else float(scipy.optimize.brentq(below, 1e-9, high, rtol=1e-6))
 
 
 def z_scores(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
@@ -255,25 +525,27 @@ def detectable_tilts(
 
 def _detectable(unit: float, dof: int, nu: float) -> float:
     """Size of a departure of noncentrality ``unit`` at size 1 that is rejected in 80 % of cases; NaN without."""
-    if dof <= 0 or nu <= dof or not unit > 0.0:
+    return math.sqrt(rejected_noncentrality(dof, nu) / unit) if unit > 0.0 else math.nan
+
+
+@lru_cache(maxsize=256)
+def rejected_noncentrality(dof: int, nu: float) -> float:
+    """Noncentrality that a test at the level of 0.001 in both tails rejects in 80 % of cases; NaN without any."""
+    if dof <= 0 or nu <= dof:
         return math.nan
-    if math.isinf(nu):
-        limit = float(scipy.stats.chi2.isf(POWER_LEVEL / 2.0, dof))
+    limit = float(central_law(dof, nu).isf(POWER_LEVEL / 2.0))
 
-        def power(x: float) -> float:
-            return float(scipy.stats.ncx2.sf(limit, dof, x))
-    else:
-        limit = float(scipy.stats.f.isf(POWER_LEVEL / 2.0, dof, nu - dof + 1.0))
-
-        def power(x: float) -> float:
-            return float(scipy.stats.ncf.sf(limit, dof, nu - dof + 1.0, x))
+    def power(x: float) -> float:
+        if math.isinf(nu):
+            return float(scipy.stats.ncx2.sf(limit * dof, dof, x))
+        return float(scipy.stats.ncf.sf(limit, dof, nu - dof + 1.0, x))
 
     high = 10.0
     while power(high) < POWER:
         high *= 4.0
         if high > 1e9:
             return math.nan
-    return math.sqrt(float(scipy.optimize.brentq(lambda x: power(x) - POWER, 1e-9, high, rtol=1e-6)) / unit)
+    return float(scipy.optimize.brentq(lambda x: power(x) - POWER, 1e-9, high, rtol=1e-6))
 
 
 def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
@@ -371,7 +643,7 @@ def compare_spectra(
     ``max_abs_difference_ratio_R``.  Over the windows: ``chi2_reduced_diagonal``, ``p_value_diagonal``,
     ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (mean difference ratio), ``chi2_reduced_shape``,
     ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``; of radiance
-    :func:`hyperval.compare.spectral.wavelength_rows` where both sides have the absorptions of the atmosphere.
+    :func:`hyperval.compare.spectra.wavelength_rows` where both sides have the absorptions of the atmosphere.
     A region without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.  A measured
     spectrum that is no evidence, since the prediction's own input made it, gives one SKIPPED row.  Where the source
     of the observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
@@ -379,7 +651,7 @@ def compare_spectra(
     """
     make = RowMaker(product, subject, method)
     if predicted is not None and observed is not None and observed.circular:
-        return [make.skipped(Cause.CIRCULAR, observed.circular)]
+        return make.skipped(Cause.CIRCULAR, observed.circular)
 
     def rows(p: SpectralEstimate, o: SpectralEstimate) -> list[Result]:
         return _rows(make, p, o, axis) + (wavelength_rows(make, p, o, axis) if product == "radiance" else [])
@@ -481,14 +753,14 @@ def _summary(make: RowMaker, name: str, ratio: Array, covariance: Array, bands: 
     metrics.append(f"max_abs_difference_ratio_{name}")
     count = int(bands.sum())
     if count == 0:
-        return [make.skipped(Cause.NO_BANDS, f"no comparable band in {name}", metric) for metric in metrics]
+        return make.skipped(Cause.NO_BANDS, f"no comparable band in {name}", *metrics)
     r = ratio[bands]
     here = covariance[np.ix_(bands, bands)]
     middle, largest = size_intervals(r, here)
     return [
-        make.row(metrics[0], float(np.median(r)), interval=median_interval(r, here), n=count),
-        make.row(metrics[1], float(np.median(np.abs(r))), interval=middle, n=count),
-        make.row(metrics[2], float(np.max(np.abs(r))), interval=largest, n=count),
+        make.row(metrics[0], float(np.median(r)), median_interval(r, here), n=count),
+        make.row(metrics[1], float(np.median(np.abs(r))), middle, n=count),
+        make.row(metrics[2], float(np.max(np.abs(r))), largest, n=count),
     ]
 
 
@@ -505,7 +777,7 @@ def _consistency(
         "bias_ratio", "chi2_reduced_shape", "p_value_shape", "fraction_inside_95", "spectral_angle",
     )  # fmt: skip
     if not window.any():
-        return [make.skipped(Cause.NO_BANDS, "no comparable band in windows", name) for name in names]
+        return make.skipped(Cause.NO_BANDS, "no comparable band in windows", *names)
     p, o = predicted.mean[window], observed.mean[window]
     r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[np.ix_(window, window)]
     parts_here = [part.bands(window) for part in (*predicted.estimated, *observed.estimated)]
@@ -517,7 +789,7 @@ def _consistency(
         reason = "both sides are equal to rounding: one was made from the other, which is no evidence"
         cause = Cause.CIRCULAR
     if cause is not Cause.NONE:
-        out = [make.skipped(cause, reason, name) for name in names[:-1]]
+        out = make.skipped(cause, reason, *names[:-1])
     else:
         tested = whitening(cov, parts_here)
         diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, tested)
@@ -532,13 +804,13 @@ def _consistency(
         kept = "; ".join(part for part in (kept, leading_source(predicted, observed, window)) if part)
         out = [
             make.row(names[0], diagonal.reduced, n=diagonal.dof),
-            make.row(names[1], diagonal.p_value, n=diagonal.dof),
+            make.row(names[1], diagonal.p_value, n=diagonal.dof, about=diagonal.effect),
             make.row(names[2], full.reduced, n=full.dof, reason=kept),
-            make.row(names[3], full.p_value, n=full.dof, detectable=tilts[0], reason=kept),
+            make.row(names[3], full.p_value, n=full.dof, detectable=tilts[0], reason=kept, about=full.effect),
             make.row(names[4], bias, half=Z95 * bias_sd, n=full.dof),
             make.row(names[5], shape.reduced, n=shape.dof),
-            make.row(names[6], shape.p_value, n=shape.dof, detectable=tilts[1]),
-            make.row(names[7], inside, interval=limits, n=int(window.sum())),
+            make.row(names[6], shape.p_value, n=shape.dof, detectable=tilts[1], about=shape.effect),
+            make.row(names[7], inside, limits, n=int(window.sum())),
         ]
     angle = spectral_angle_degrees(p, o)
     return [*out, make.row(names[8], angle, unit="degree", n=int(window.sum()))]

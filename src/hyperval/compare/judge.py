@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
@@ -16,10 +16,10 @@ import numpy as np
 import scipy
 from pydantic import Field, model_validator
 
-from hyperval.compare.rows import COMPARISON
+from hyperval.compare.spectra import COMPARISON
 from hyperval.config import Model
 from hyperval.errors import UsageError
-from hyperval.metrics import Kind, metric_of
+from hyperval.metrics import Kind, metric_of, product_words
 from hyperval.processing.intervals import Z95, clopper_pearson
 from hyperval.results import Cause, Outcome, Result, Role
 
@@ -275,20 +275,20 @@ def _of_test(row: Result, level: float) -> Judgement:
     if tail_probability(row) < level:
         wide = known.two_sided and row.value > 0.5
         return Outcome.DISAGREES, Cause.TOO_WIDE if wide else Cause.NONE, ""
-    if row.detectable <= known.alternative:
-        return Outcome.AGREES, Cause.NONE, ""
-    return Outcome.UNDECIDED, Cause.NO_POWER, f"no 80 % power against {known.departure}" if known.departure else ""
+    if not row.detectable <= known.alternative:
+        return Outcome.UNDECIDED, Cause.NO_POWER, f"no 80 % power against {known.departure}" if known.departure else ""
+    return Outcome.AGREES, Cause.NONE, ""
 
 
 def shared_levels(rows: Sequence[Result]) -> list[Result]:
-    """Tests of the same role and level, and the intervals of all criteria, with the level shared out (Holm).
+    """The rows told as effects, with the levels of tests of one role and of intervals of criteria shared out (Holm).
 
     Of m tests at level a, the k-th smallest p-value is compared with a/(m - k + 1), and once one is not below, the
     larger ones are not either; then all are right together with probability 1 - a where the model is right.
     An interval outside its range has to be off equality by as much besides, which a wide range asks for anyway.
     Source: Holm, Scand. J. Stat. 6, 65-70, 1979.
     """
-    out = list(rows)
+    out, shares = list(rows), {}
     families: dict[tuple[Role, float], list[int]] = {}
     for i, row in enumerate(out):
         known = metric_of(row.metric)
@@ -299,10 +299,12 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
             families.setdefault((row.role, INTERVALS), []).append(i)
     for (_, level), members in families.items():
         order = sorted(members, key=lambda i: tail_probability(out[i]))
-        kept = False
+        kept, share = False, level
         for place, i in enumerate(order):
             part = level / (len(order) - place)
+            share = share if kept else part
             kept = kept or tail_probability(out[i]) >= part
+            shares[i] = share
             if kept and out[i].outcome is Outcome.DISAGREES:
                 why = f"its part of the level is {part:.2g}, one of {len(order)} criteria"
                 out[i] = replace(
@@ -311,34 +313,74 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
                     cause=Cause.MULTIPLICITY,
                     reason=_joined(why, out[i].reason),
                 )
-    return out
+    return [told_as_effect(row, shares.get(i, math.nan)) for i, row in enumerate(out)]
 
 
 def detectable_departure(row: Result, low: float, high: float) -> float:
-    """Smallest departure from agreement whose interval would lie outside the range with 80 % probability.
+    """The smaller of :func:`detectable_sides`; of a test the departure that it was asked about."""
+    if metric_of(row.metric).kind is Kind.TEST:
+        return row.detectable
+    return min((side for side in detectable_sides(row, low, high) if not math.isnan(side)), default=math.nan)
 
-    Of a value that agrees at a (0 of a difference, 1 of a ratio) with an interval of half width h on the side of
-    the limit L: |L - a| + h (1 + 0.842/1.960), the smaller of both sides.  An end cut by the range of the metric,
-    such as that of a size at 0, says nothing of the width: the other half stands for it.  NaN where no interval is
-    known.
+
+def detectable_sides(row: Result, low: float, high: float) -> tuple[float, float]:
+    """Smallest departures from agreement, below and above it, whose interval would lie outside the range.
+
+    With 80 % probability: of a value that agrees at a (0 of a difference, 1 of a ratio) with an interval of half
+    width h on the side of the limit L: |L - a| + h (1 + 0.842/1.960).  An end cut by the range of the metric,
+    such as that of a size at 0, says nothing of the width: the other half stands for it.  NaN where no interval or
+    no limit is known.
     """
     known = metric_of(row.metric)
-    if known.kind is Kind.TEST:
-        return row.detectable
     if known.kind is not Kind.QUANTITY or math.isnan(known.agreement) or math.isnan(row.upper - row.lower):
-        return math.nan
+        return math.nan, math.nan
     reach = 1.0 + float(scipy.special.ndtri(0.8) / scipy.special.ndtri(0.975))
     below, above = row.value - row.lower, row.upper - row.value
     if row.lower <= known.low:
         below = max(below, above)
     elif row.upper >= known.high:
         above = max(below, above)
-    sides = []
-    if math.isfinite(high):
-        sides.append(max(high - known.agreement, 0.0) + below * reach)
-    if math.isfinite(low):
-        sides.append(max(known.agreement - low, 0.0) + above * reach)
-    return min(sides, default=math.nan)
+    return (
+        max(known.agreement - low, 0.0) + above * reach if math.isfinite(low) else math.nan,
+        max(high - known.agreement, 0.0) + below * reach if math.isfinite(high) else math.nan,
+    )
+
+
+def told_as_effect(row: Result, level: float = math.nan) -> Result:
+    """A row with an outcome, told in units of the field: its effect, the range and the detectable sizes.
+
+    The range of a test is what chance alone stays in at its level, so that its size itself stands against the range
+    where it disagrees; it agrees only where the whole interval of that size, if that is of the same law, lies in it.
+
+    Parameters
+    ----------
+    level : of a test, its part of the campaign's level
+    """
+    known, about = metric_of(row.metric), row.about
+    row = replace(row, about=None, p_value=row.value if known.kind is Kind.TEST else math.nan)
+    unit = known.effect
+    if unit is None or not row.planned or math.isnan(row.value):
+        return row
+    if about is not None:
+        numbers, (below, above) = (about.value, about.lower, about.upper), about.detectable
+        tested = about.accepted is not None and (known.kind is not Kind.TEST or math.isfinite(level))
+        low, high = about.accepted(level) if about.accepted and tested else (math.nan, math.nan)
+    elif known.kind is Kind.QUANTITY:
+        numbers, (low, high) = (row.value, row.lower, row.upper), (row.limit_low, row.limit_high)
+        sides = detectable_sides(row, low, high)
+        below, above = known.agreement - sides[0], known.agreement + sides[1]
+        below = math.nan if below < known.low else below  # no value is that small
+    else:
+        return row
+    beyond = about is not None and about.decides and (about.lower < low or about.upper > high)
+    if beyond and row.outcome is Outcome.AGREES:
+        row = replace(row, outcome=Outcome.UNDECIDED, cause=Cause.WIDE_INTERVAL)
+    effect, lower, upper = map(unit, numbers)
+    return replace(
+        row, effect=effect, effect_lower=lower, effect_upper=upper, ideal=unit(unit.ideal),
+        effect_unit=unit.unit.format(product=product_words(row.product)),
+        accepted_low=unit(low), accepted_high=unit(high), detectable_low=unit(below), detectable_high=unit(above),
+    )  # fmt: skip
 
 
 def detectable_share(n: int, least: float) -> float:
@@ -349,7 +391,7 @@ def detectable_share(n: int, least: float) -> float:
     Examples
     --------
     >>> round(detectable_share(100, 0.9), 3)
-    0.209
+    0.199
     """
     good = np.arange(n + 1)
     disagrees = [k for k in good if clopper_pearson(int(k), n)[1] < least]
@@ -359,7 +401,7 @@ def detectable_share(n: int, least: float) -> float:
 
 
 def _by_gate(row: Result, gate: Gate) -> Result:
-    out = _concluded(replace(row, role=gate.role), gate.limits, gate.reason)
+    out = _concluded(replace(row, role=gate.role, set_after=gate.chosen_after), gate.limits, gate.reason)
     lost = gate.gate and out.outcome is Outcome.SKIPPED and out.cause in _NOT_THERE
     return replace(out, outcome=Outcome.ERROR) if lost else out
 
@@ -409,29 +451,20 @@ def _nearest(rows: Sequence[Result], gate: Gate) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-@dataclass(frozen=True)
-class _Members:
-    good: list[Result]
-    bad: list[Result]
-    open: list[Result]
-
-
-def _members(rows: Sequence[Result], gate: Gate) -> _Members:
+def _members(rows: Sequence[Result], gate: Gate) -> tuple[list[Result], list[Result], list[Result]]:
     """Rows of a pooled gate that meet its limit, that do not, and that cannot tell.
 
     Of 1 or 0 by an interval the value counts: their share is the coverage of these intervals.
     """
-    out = _Members([], [], [])
-    low, high = gate.limits
+    good: list[Result] = []
+    bad: list[Result] = []
+    undecided: list[Result] = []
     for row in rows:
-        outcome, cause, _ = outcome_of(row, low, high)
-        if outcome is Outcome.AGREES or cause is Cause.COVERAGE:
-            out.good.append(row)
-        elif outcome in (Outcome.DISAGREES, Outcome.ERROR):
-            out.bad.append(row)
-        else:
-            out.open.append(row)
-    return out
+        outcome, cause, _ = outcome_of(row, *gate.limits)
+        amiss = outcome in (Outcome.DISAGREES, Outcome.ERROR)
+        met = outcome is Outcome.AGREES or cause is Cause.COVERAGE
+        (good if met else bad if amiss else undecided).append(row)
+    return good, bad, undecided
 
 
 def _pooled(rows: Sequence[Result], gate: Gate) -> list[Result]:
@@ -442,20 +475,21 @@ def _pooled(rows: Sequence[Result], gate: Gate) -> list[Result]:
     matched = [row for row in rows if gate.covers(row)]
     if not matched or gate.fraction_at_least is None:
         return []
-    members, n = _members(matched, gate), len(matched)
-    good = len(members.good)
-    lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(members.bad), n)[1])
-    shown = ", ".join(_name(row) for row in members.bad[:5])
-    shown += f" and {len(members.bad) - 5} more" if len(members.bad) > 5 else ""
+    (met, bad, undecided), n = _members(matched, gate), len(matched)
+    good = len(met)
+    lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(bad), n)[1])
+    shown = ", ".join(_name(row) for row in bad[:5])
+    shown += f" and {len(bad) - 5} more" if len(bad) > 5 else ""
     what = f"{good} of {n} rows {gate.limit_text}"
-    what += f", {len(members.open)} without an outcome of their own" if members.open else ""
+    what += f", {len(undecided)} without an outcome of their own" if undecided else ""
     what += f"; outside: {shown}" if shown else ""
     row = Result(
         "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction", good / n,
         lower=lower, upper=upper, n=n, evidence=metric_of(gate.metric).evidence, reason=what,
     )  # fmt: skip
     least = gate.fraction_at_least
-    out = _concluded(replace(row, role=gate.role), (least, math.inf), gate.reason)
+    row = replace(row, role=gate.role, set_after=gate.chosen_after)
+    out = _concluded(row, (least, math.inf), gate.reason)
     if out.outcome is Outcome.UNDECIDED and float(clopper_pearson(n, n)[0]) < least:
         out = replace(out, cause=Cause.NEVER)
     return [replace(out, detectable=detectable_share(n, least))]

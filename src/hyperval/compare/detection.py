@@ -1,0 +1,1134 @@
+"""Scores, objects, ROC, false alarms and target areas: predicted against measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from hyperval.compare.spectra import RowMaker, difference_interval, noncentrality, scientific
+from hyperval.errors import UsageError
+from hyperval.metrics import Evidence
+from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, false_alarm_ratio
+from hyperval.processing.intervals import (
+    Z95,
+    clopper_pearson,
+    difference_ratio,
+    difference_ratio_uncertainty,
+    joint_region,
+    zero_count_upper_limit,
+)
+from hyperval.processing.roc import AREAS, RocArea, curve_area
+from hyperval.processing.roc_model import detection_at
+from hyperval.products import (
+    Abundance,
+    AlarmsAtDetection,
+    ClassificationError,
+    ExceedanceCurve,
+    ObjectScores,
+    RocCurve,
+    ScoreDistribution,
+    background_of,
+)
+from hyperval.results import Cause, Effect, Result
+
+Array = npt.NDArray[np.float64]
+ROUNDING = 1e-9  # of a score's standard deviation; chance leaves a mean as small in one of a million images at most
+
+
+def sd_ratio_interval(predicted_sd: float, observed_sd: float, n: int) -> tuple[float, float]:
+    """95 % interval of predicted over observed standard deviation, the latter from n independent normal scores.
+
+    (n - 1) s^2/sigma^2 follows chi-square, so predicted/sigma lies between (predicted/s) sqrt(chi2_a/(n - 1)) and
+    the same with chi2_(1 - a).
+    """
+    low, high = np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
+    return predicted_sd / observed_sd * float(low), predicted_sd / observed_sd * float(high)
+
+
+def compare_scores(
+    predicted: ScoreDistribution | None,
+    observed: ScoreDistribution | None,
+    *,
+    subject: str,
+    method: str,
+) -> list[Result]:
+    """Rows ``score_mean_predicted``, ``score_mean_observed``, ``score_mean_difference``, ``score_sd_ratio``.
+
+    The difference (predicted - observed) has the interval of the observed mean, s/sqrt(n) with Student's t, or its
+    own error where the filter was made of the pixels it scores; their bias is taken off the observed mean there;
+    the ratio is predicted over observed.  Scores of one object's pixels are correlated, and then both
+    intervals are too narrow: give n as the number of independent pixels.  A mean that is 0 to rounding is that of
+    a matched filter on the pixels it was made of: it is 0 whatever they are, says nothing, and has no interval.
+
+    Examples
+    --------
+    >>> predicted, observed = ScoreDistribution(1.0, 0.2), ScoreDistribution(0.9, 0.25, 50)
+    >>> rows = compare_scores(predicted, observed, subject="panel", method="cem")
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('score_mean_predicted', 1.0), ('score_mean_observed', 0.9), ('score_mean_difference', 0.1),
+    ('score_sd_ratio', 0.8)]
+    """
+    make = RowMaker("scores", subject, method)
+
+    def rows(predicted: ScoreDistribution, observed: ScoreDistribution) -> list[Result]:
+        n = observed.n
+        bias = 0.0 if math.isnan(observed.mean_bias) else observed.mean_bias
+        difference = predicted.mean - (observed.mean - bias)
+        half = math.nan
+        if n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd:
+            error = observed.sd / math.sqrt(n) if math.isnan(observed.mean_error) else observed.mean_error
+            half = float(scipy.stats.t.ppf(0.975, n - 1)) * error
+        out = [
+            make.row("score_mean_predicted", predicted.mean, n=predicted.n),
+            make.row("score_mean_observed", observed.mean, half=half, n=n),
+            make.row("score_mean_difference", difference, half=half, n=n),
+        ]
+        if observed.sd > 0 and n is not None and n >= 2:
+            interval = sd_ratio_interval(predicted.sd, observed.sd, n)
+            out.append(make.row("score_sd_ratio", predicted.sd / observed.sd, interval, n=n))
+        else:
+            why = "fewer than two observed scores, or no spread among them"
+            out += make.skipped(Cause.FEW_PIXELS, why, "score_sd_ratio")
+        return out
+
+    return make.compared(predicted, observed, rows)
+
+
+LEVELS = (1e-1, 1e-2, 1e-3, 1e-4)
+
+
+def compare_exceedance(
+    predicted: ExceedanceCurve | None,
+    observed: ExceedanceCurve | None,
+    *,
+    subject: str,
+    method: str,
+) -> list[Result]:
+    """Rows ``pfa_ratio@1e-3`` and the like: predicted over measured P_FA at the threshold that was measured for it.
+
+    Beside it ``pfa_repeatability@1e-3``: the factor by which one half of the image misses the other half's P_FA
+    at that threshold; what a model can be asked for ends there.
+
+    The interval has that of the measured P_FA, from blocks of the image, and what the pixels leave open that the
+    law was fitted to.  A level that expects fewer than 10 alarms gives a SKIPPED row, save that levels below 1e-3
+    then give none.
+
+    Parameters
+    ----------
+    subject : what is looked for; the rows stand under the name of its background
+    """
+    make = RowMaker("scores", background_of(subject), method)
+
+    def rows(predicted: ExceedanceCurve, observed: ExceedanceCurve) -> list[Result]:
+        out = []
+        for level in LEVELS:
+            name, expected = f"pfa_ratio@{scientific(level)}", level * (observed.n or 0)
+            if expected < LEAST_EXPECTED_ALARMS:
+                if level >= 1e-3:
+                    why = f"{observed.n} background pixels expect {expected:.3g} alarms"
+                    out += make.skipped(Cause.FEW_ALARMS, why, name)
+                continue
+            ratio = false_alarm_ratio(predicted, observed, level)
+            at, model = ratio.at, ratio.predicted
+            measured, threshold = float(observed.probability[at]), float(observed.threshold[at])
+            beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
+            words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{model:.3g}, "
+            words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
+            interval = ratio.lower, ratio.upper
+            words += f"; its law is known to a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
+            factor = math.nan if observed.half_image is None else float(observed.half_image[at])
+            if observed.half_image is not None:
+                words += f"; one half of the image misses the other by a factor of {factor:.2g}"
+            out.append(make.row(name, ratio.value, interval, n=observed.n, reason=words))
+            alarms = round(measured * (observed.n or 0))
+            if np.isfinite(factor):
+                name, why = f"pfa_repeatability@{scientific(level)}", "half of the random halves differ less"
+                out.append(make.row(name, factor, n=observed.n, reason=f"of {alarms} alarms; {why}"))
+        return out
+
+    return make.compared(predicted, observed, rows)
+
+
+def compare_classification(
+    predicted: ClassificationError | None,
+    observed: ClassificationError | None,
+    *,
+    subject: str,
+    method: str,
+) -> list[Result]:
+    """Rows of one set of classes in one set of features.
+
+    ``error_predicted``, ``error_observed`` with their intervals; ``error_difference`` predicted - observed with the
+    interval of Newcombe (1998); ``error_inside_interval`` 1 where that holds 0; ``error_approximation`` and
+    ``error_bounds`` from the predicted Bhattacharyya distances (the bounds are the interval, the value their
+    geometric mean); ``distance_predicted``, ``distance_observed`` of the two nearest classes.
+
+    Examples
+    --------
+    >>> limits = {"bound_lower": 0.02, "bound_upper": 0.22}
+    >>> predicted = ClassificationError(0.10, 0.09, 0.11, distance=0.8, approximation=0.1, **limits)
+    >>> observed = ClassificationError(0.12, 0.10, 0.14, 400, 380.0, distance=0.7)
+    >>> rows = compare_classification(predicted, observed, subject="grass / soil", method="2 bands")
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('error_predicted', 0.1), ('error_observed', 0.12), ('error_difference', -0.02), ('error_inside_interval',
+    1.0), ('error_approximation', 0.1), ('distance_predicted', 0.8), ('distance_observed', 0.7),
+    ('error_bounds', 0.066)]
+    """
+    make = RowMaker("classification", subject, method)
+
+    def rows(p: ClassificationError, o: ClassificationError) -> list[Result]:
+        difference = p.error - o.error
+        below = float(np.hypot(p.error - p.lower, o.upper - o.error))
+        above = float(np.hypot(p.upper - p.error, o.error - o.lower))
+        words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
+        out = [
+            make.row("error_predicted", p.error, (p.lower, p.upper), n=p.n),
+            make.row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words),
+            make.row("error_difference", difference, (difference - below, difference + above), n=o.n),
+            make.row(
+                "error_inside_interval",
+                float(difference - below <= 0.0 <= difference + above),
+                n=o.n,
+                about=Effect(difference, difference - below, difference + above),
+            ),
+            make.row("error_approximation", p.approximation),
+            make.row("distance_predicted", p.distance),
+            make.row("distance_observed", o.distance, n=o.n),
+        ]
+        if p.bound_lower > 0:
+            middle = float(np.sqrt(p.bound_lower * p.bound_upper))
+            out.append(make.row("error_bounds", middle, (p.bound_lower, p.bound_upper)))
+        return out
+
+    return make.compared(predicted, observed, rows)
+
+
+EVERY_OBJECT = "all objects"
+JOINT, TREND, SPREAD = "joint_distance_p_value", "pit_trend", "pit_spread_ratio"
+OF_ONE = ("object_score_pit", "object_score_inside_95")
+OF_ALL = ("objects_inside_95", "objects_inside_95_p_value", "pit_uniformity_p_value")
+# Spread of the scores about their medians, over the predicted one, that the tests are asked about.
+WIDTHS = (1.25, 1.5, 2.0, 3.0)
+POWER_DRAWS = 1000
+POWER_LEVEL, POWER = 0.01, 0.8
+# Objects whose joint distribution the draws can tell: ten draws for each.
+MOST_JOINED = 200
+# Sets of objects drawn from the prediction, for what the model itself expects of them together.
+REPLICATES = 4000
+_SEED = 17
+
+
+def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -> Array:
+    """(n,) share of the predicted draws (N,) below each measured score (n,), equal ones counted half.
+
+    Over many objects, each with its own prediction, the values are uniform on (0, 1) when the predictions are
+    right, so objects of different kinds are judged together.  Source: Rosenblatt, Ann. Math. Stat. 23, 470, 1952.
+    The share is (below + 1/2) / (N + 1), so that no score is impossible to a finite number of draws.
+    """
+    return _transform(np.asarray(score, dtype=float), np.sort(np.asarray(draws, dtype=float), axis=None))
+
+
+def _transform(at: Array, ordered: Array) -> Array:
+    below = np.searchsorted(ordered, at, "left").astype(float)
+    equal = ordered[np.minimum(below.astype(int), ordered.size - 1)] == at
+    below[equal] = 0.5 * (below[equal] + np.searchsorted(ordered, at[equal], "right"))
+    return np.asarray((below + 0.5) / (ordered.size + 1.0))
+
+
+def transforms_of_draws(draws: npt.ArrayLike) -> Array:
+    """(1 + F, ...) transform values of the draws (...), and of each F = ``WIDTHS`` times as far from the median.
+
+    The values of a set of objects drawn from the prediction are among these.
+    """
+    values = np.asarray(draws, dtype=float)
+    order = np.argsort(values, axis=None)
+    ordered = values.ravel()[order]
+    middle = np.median(ordered)
+    spread = [ordered, *(middle + f * (ordered - middle) for f in WIDTHS)]
+    out = np.empty((len(spread), ordered.size))
+    out[:, order] = [_transform(x, ordered) for x in spread]
+    return out.reshape(-1, *values.shape)
+
+
+def distance_from_uniform(values: npt.ArrayLike) -> Array:
+    """(...) Kolmogorov-Smirnov distance of values (..., n) from the uniform distribution on (0, 1)."""
+    u = np.sort(np.asarray(values, dtype=float), axis=-1)
+    n = u.shape[-1]
+    if n == 0 or not np.all((u >= 0) & (u <= 1)):
+        raise UsageError("the uniformity test needs values between 0 and 1")
+    step = np.arange(n + 1) / n
+    return np.asarray(np.maximum((step[1:] - u).max(axis=-1), (u - step[:-1]).max(axis=-1)))
+
+
+@dataclass(frozen=True)
+class Test:
+    """A test by draws of the model: ``p_value``, the departure that it rejects in 80 % of draws, and its effect."""
+
+    p_value: float
+    detectable: float = math.nan
+    effect: Effect | None = None
+
+
+@dataclass(frozen=True)
+class Together:
+    """Objects judged together.
+
+    Attributes
+    ----------
+    inside : part of the objects in their predicted 95 % intervals
+    interval : exact 95 % interval of that part if the objects were independent
+    expected : 95 % range of it that the model expects, with what its objects have in common
+    count : test of so few (or fewer) inside
+    uniformity : test of so large a distance of the transform values from uniformity
+    joint : test of the Mahalanobis distance of the normal scores, correlation counted, near 1 where the predicted
+        spread is too wide; None for too many objects
+    trend, trend_interval : drift of the normal scores from the weakest expected object to the strongest, and the
+        95 % interval of that drift; None where all are expected alike
+    drift : its test
+    spread, spread_interval : of the normal scores about their mean, expected over measured, and its 95 % interval;
+        NaN for one object
+    """
+
+    inside: float
+    interval: tuple[float, float]
+    expected: tuple[float, float]
+    count: Test
+    uniformity: Test
+    joint: Test | None
+    trend: float
+    trend_interval: tuple[float, float]
+    drift: Test | None
+    spread: float
+    spread_interval: tuple[float, float]
+
+
+def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str, Array]) -> Together:
+    """Transform values of all objects against what the model expects of them.
+
+    Objects of one material share the error of its spectrum and all share the blur, so their values are not
+    independent and the customary tests would reject right models.  The reference is therefore drawn from the
+    prediction: one row of it (one draw of the inputs) for all objects, then each object within that row.  The same
+    draws, spread about their medians, say which width the tests would have found.
+
+    Parameters
+    ----------
+    predicted, measured : by subject; (n,) scores of its objects
+
+    Examples
+    --------
+    >>> draws = np.random.default_rng(0).normal(size=(50, 80))
+    >>> predicted = {name: ObjectScores(draws + i) for i, name in enumerate("abc")}
+    >>> measured = {name: np.array([i + 0.5]) for i, name in enumerate("abc")}
+    >>> t = judged_together(predicted, measured)
+    >>> t.inside, round(t.trend, 2), [round(x.p_value, 2) for x in (t.count, t.uniformity, t.joint, t.drift)]
+    (1.0, 0.0, [1.0, 0.06, 0.86, 1.0])
+    >>> scattered = {name: np.array([i - 2.0, i, i + 2.0]) for i, name in enumerate("abc")}
+    >>> wide = judged_together(predicted, scattered)
+    >>> [round(x, 2) for x in (wide.spread, *wide.spread_interval)]
+    [0.54, 0.29, 0.85]
+    """
+    rng = np.random.default_rng(_SEED)
+    rows = {predicted[s].values.shape[0] for s in measured}
+    if len(rows) > 1:
+        raise UsageError("the predicted scores of the subjects do not share their draws of the inputs")
+    row = rng.integers(rows.pop(), size=REPLICATES)
+    values, drawn, wider, strength = [], [], [], []
+    for subject, scores in measured.items():
+        draws = predicted[subject].values
+        values.append(probability_integral_transform(scores, draws))
+        own, *spread = transforms_of_draws(draws)
+        column = rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
+        drawn.append(own[row[:, None], column])
+        wider.append(np.stack([x[row[:POWER_DRAWS, None], column[:POWER_DRAWS]] for x in spread]))
+        strength += [float(np.median(draws))] * scores.size
+    u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
+    count, n = int(np.sum(central(u))), u.size
+    expected = central(reference).sum(axis=1)
+    low, high = clopper_pearson(count, n)
+    span = np.quantile(expected, [0.025, 0.975], method="nearest") / n
+    outside = _test(-count, -expected, -central(wide).sum(axis=2))
+    outside = replace(
+        outside,
+        effect=Effect(count / n, float(low), float(high), partial(drawn_range, expected / n, 1.0, 0.0), decides=False),
+    )
+    distance, measured_distance = distance_from_uniform(reference), float(distance_from_uniform(u))
+    uniform = _test(measured_distance, distance, distance_from_uniform(wide))
+    # No distance of two distributions differs from a third one's by more than that of the two.
+    reach = float(np.quantile(distance, 0.95))
+    ends = max(measured_distance - reach, 0.0), min(measured_distance + reach, 1.0)
+    z, x = scipy.special.ndtri(u), scipy.special.ndtri(reference)
+    trend, interval, drift = _trend(z, x, np.array(strength))
+    return Together(
+        count / n,
+        (float(low), float(high)),
+        (float(span[0]), float(span[1])),
+        outside,
+        replace(
+            uniform, effect=Effect(measured_distance, *ends, partial(drawn_range, distance, 0.0, 1.0), decides=False)
+        ),
+        _joint_test(z, x, wide),
+        trend,
+        interval,
+        drift,
+        *_spread(z, x),
+    )
+
+
+def _test(statistic: float, reference: Array, wide: Array, both: bool = False) -> Test:
+    """Share of the reference (R,) at or beyond the statistic, and the least of the widths that it would reject.
+
+    Parameters
+    ----------
+    wide : (F, D) the statistic of draws of each width
+    both : whether the other tail counts too, so that the level is halved
+    """
+    p = float((1 + np.sum(reference >= statistic)) / (1 + reference.size))
+    limit = np.quantile(reference, 1.0 - (POWER_LEVEL / 2.0 if both else POWER_LEVEL))
+    power = np.mean(wide > limit, axis=1)
+    seen = [f for f, share in zip(WIDTHS, power, strict=True) if share >= POWER]
+    return Test(p, min(seen, default=math.nan))
+
+
+def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
+    """Mahalanobis distance of the normal scores; their covariance is that of one half of the draws.
+
+    The other half is what the distance is compared with: neither it nor the measured set had a part in the
+    covariance.
+    """
+    if z.size > MOST_JOINED:
+        return None
+    w = scipy.special.ndtri(wide)
+    half = x.shape[0] // 2
+    inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
+
+    def distance(v: Array) -> Array:
+        return np.asarray(np.sum((v @ inverse) * v, axis=-1))
+
+    found, reference, n = float(distance(z)), distance(x[half:]), z.size
+    test = _test(found, reference, distance(w), both=True)
+    low, high = (math.sqrt(1.0 + noncentrality(found / n, n, math.inf, part) / n) for part in (0.975, 0.025))
+    size = math.sqrt(found / n)
+    accepted = partial(drawn_range, np.sqrt(reference / n), 0.5, 0.5)
+    return replace(test, effect=Effect(size, min(low, size), max(high, size), accepted, (math.nan, test.detectable)))
+
+
+def _trend(z: Array, drawn_scores: Array, strength: Array) -> tuple[float, tuple[float, float], Test | None]:
+    """Drift of the normal scores along the rank of the expected score, its interval and its test."""
+    place = scipy.stats.rankdata(strength, method="dense")
+    if place.max() < 2:
+        return math.nan, (math.nan, math.nan), None
+    x = (place - place.mean()) / (place.max() - 1.0)
+    weight = x / float(x @ x)
+    slope = float(z @ weight)
+    drawn = drawn_scores @ weight
+    low, high = (float(q) for q in np.quantile(drawn, [0.025, 0.975]))
+    p = float((1 + np.sum(np.abs(drawn) >= abs(slope))) / (1 + drawn.size))
+    detectable = float(np.quantile(np.abs(drawn), 1.0 - POWER_LEVEL) - np.quantile(drawn, 1.0 - POWER))
+    interval = slope - max(high, 0.0), slope - min(low, 0.0)
+    effect = Effect(
+        slope, *interval, partial(drawn_range, np.concatenate([drawn, -drawn]), 0.5, 0.5), (-detectable, detectable)
+    )
+    return slope, interval, Test(p, detectable, effect)
+
+
+def drawn_range(sizes: Array, below: float, above: float, level: float) -> tuple[float, float]:
+    """Range that draws of the model stay in: ``below`` and ``above`` times the level lie beyond its ends; 0: no end."""
+    low, high = np.quantile(sizes, [below * level, 1.0 - above * level])
+    return (float(low) if below else math.nan), (float(high) if above else math.nan)
+
+
+def _spread(z: Array, drawn_scores: Array) -> tuple[float, tuple[float, float]]:
+    """Standard deviation of the normal scores (n,) that draws of the model (R, n) have, over the measured one."""
+    if z.size < 2 or not (measured := float(np.std(z, ddof=1))):
+        return math.nan, (math.nan, math.nan)
+    low, middle, high = np.quantile(np.std(drawn_scores, axis=-1, ddof=1), [0.025, 0.5, 0.975]) / measured
+    return float(middle), (float(low), float(high))
+
+
+def central(values: Array) -> npt.NDArray[np.bool_]:
+    """True for transform values in the central 95 %."""
+    return np.asarray((values >= 0.025) & (values <= 0.975))
+
+
+def compare_object_scores(
+    predicted: Mapping[str, ObjectScores],
+    measured: Mapping[str, ObjectScores],
+    *,
+    method: str,
+    subject: str = EVERY_OBJECT,
+) -> list[Result]:
+    """Every object's measured score against its predicted distribution, then all of them together.
+
+    A subject of one object gives ``object_score_measured``, ``object_score_predicted`` (median and 95 % interval),
+    ``object_score_pit`` and ``object_score_inside_95`` (1 or 0); a subject of several gives the summary below for
+    itself.  All together (``subject``): ``objects_inside_95`` the share inside with its Clopper-Pearson interval,
+    and
+    by :func:`judged_together` ``objects_inside_95_p_value``, ``pit_uniformity_p_value``,
+    ``joint_distance_p_value``, ``pit_trend``, ``pit_trend_p_value`` and ``pit_spread_ratio``.  Subjects that
+    were measured and not predicted are left out; one that was predicted and has no valid score gives SKIPPED rows
+    and is named in the reason of the summary.
+
+    Examples
+    --------
+    >>> draws = np.random.default_rng(0).normal(size=(50, 80))
+    >>> predicted, measured = {"panel": ObjectScores(draws)}, {"panel": ObjectScores(np.array([1.0]), ("p1",))}
+    >>> rows = compare_object_scores(predicted, measured, method="cem")
+    >>> [(r.metric, round(r.value, 2)) for r in rows if r.metric.startswith("object_")]
+    [('object_score_measured', 1.0), ('object_score_predicted', -0.03), ('object_score_pit', 0.84),
+    ('object_score_inside_95', 1.0)]
+    """
+    out: list[Result] = []
+    common: dict[str, Array] = {}
+    lost: list[str] = []
+    for name, model in predicted.items():
+        make = RowMaker("scores", name, method)
+        scores = measured[name].values if name in measured else np.empty(0)
+        scores = scores[np.isfinite(scores)]
+        if scores.size == 0:
+            out += make.skipped(Cause.NO_OBSERVATION, "no measured score", *OF_ONE)
+            lost.append(name)
+            continue
+        common[name] = scores
+        if scores.size > 1:
+            out += _together_rows(make, {name: model}, {name: scores}, "")
+            continue
+        low, middle, high = (float(x) for x in np.quantile(model.values, [0.025, 0.5, 0.975]))
+        u = float(probability_integral_transform(scores, model.values)[0])
+        why = f"measured {scores[0]:.4g}, predicted {low:.4g} to {high:.4g}"
+        out += [
+            make.row("object_score_measured", float(scores[0]), n=1),
+            make.row("object_score_predicted", middle, (low, high)),
+            make.row("object_score_pit", u, n=1),
+            make.row(
+                "object_score_inside_95",
+                float(central(np.array([u]))[0]),
+                n=1,
+                reason=why,
+                about=Effect(float(scipy.special.ndtri(u))),
+            ),
+        ]
+    make = RowMaker("scores", subject, method)
+    if not common:
+        return out + make.skipped(Cause.NO_OBSERVATION, "no object has both sides", *OF_ALL)
+    return [*out, *_together_rows(make, predicted, common, f"; without {', '.join(lost)}" if lost else "")]
+
+
+def _together_rows(
+    make: RowMaker, predicted: Mapping[str, ObjectScores], scores: Mapping[str, Array], lost: str
+) -> list[Result]:
+    sets, n = judged_together(predicted, scores), sum(x.size for x in scores.values())
+    low, high = sets.expected
+    words = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}"
+
+    def test(metric: str, result: Test, reason: str) -> Result:
+        return make.row(
+            metric, result.p_value, n=n, detectable=result.detectable, reason=f"{reason}{lost}", about=result.effect
+        )
+
+    rows = [
+        make.row(OF_ALL[0], sets.inside, interval=sets.interval, n=n, reason=words),
+        test(OF_ALL[1], sets.count, "that so few lie inside, by the model"),
+        test(
+            OF_ALL[2],
+            sets.uniformity,
+            "Kolmogorov-Smirnov distance, against sets of objects drawn from the model",
+        ),
+    ]
+    if sets.joint is None:
+        why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
+        rows += make.skipped(Cause.FEW_PIXELS, why, JOINT)
+    else:
+        why = "Mahalanobis distance of the normal scores, against draws of the model"
+        rows.append(test(JOINT, sets.joint, why))
+    if sets.drift is not None:
+        why = "against draws of the model"
+        rows.append(make.row(TREND, sets.trend, interval=sets.trend_interval, n=n, reason=why))
+        rows.append(test(f"{TREND}_p_value", sets.drift, "drift of the normal scores, against draws of the model"))
+    if not math.isnan(sets.spread):
+        why = "normal scores about their mean, against draws of the model"
+        rows.append(make.row(SPREAD, sets.spread, interval=sets.spread_interval, n=n, reason=why))
+    return rows
+
+
+def compare_abundance(
+    predicted: Abundance | None,
+    observed: Abundance | None,
+    *,
+    subject: str,
+    method: str,
+) -> list[Result]:
+    """Rows ``area_predicted``, ``area_observed`` [m2], ``area_ratio`` (observed over predicted),
+    ``area_difference_ratio``, ``area_z``, ``area_inside_95``.
+
+    The ratio is (predicted - observed)/observed with the first-order interval of both uncertainties; z is the
+    difference over sqrt(u_p^2 + u_o^2).  Where neither side has an uncertainty, z and the verdict are SKIPPED.
+    Where both sides estimate a nominal area: ``area_error_predicted`` and ``area_error_observed`` [m2], estimate
+    less nominal area, ``area_nominal_ratio`` measured over nominal, and ``area_in_predicted_95``, 1 where the
+    measured area lies in the predicted interval.
+
+    Examples
+    --------
+    >>> predicted, observed = Abundance(4.1, 0.2), Abundance(3.8, 0.3, 20, 4.0)
+    >>> rows = compare_abundance(predicted, observed, subject="panel", method="fcls")
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('area_predicted', 4.1), ('area_observed', 3.8), ('area_ratio', 0.927), ('area_difference_ratio', 0.079),
+    ('area_error_predicted', 0.1), ('area_error_observed', -0.2), ('area_nominal_ratio', 0.95),
+    ('area_in_predicted_95', 1.0), ('area_z', 0.832), ('area_inside_95', 1.0)]
+    """
+    make = RowMaker("abundance", subject, method)
+
+    def rows(predicted: Abundance, observed: Abundance) -> list[Result]:
+        p, o = predicted.area_m2, observed.area_m2
+        up, uo = predicted.standard_uncertainty, observed.standard_uncertainty
+        # Beside the truth's area the pipeline alone moves the row.
+        evidence = None if predicted.modelled else Evidence.PIPELINE
+        out = [
+            make.row("area_predicted", p, half=Z95 * up, unit="m2", n=predicted.n, evidence=evidence),
+            make.row("area_observed", o, half=Z95 * uo, unit="m2", n=observed.n),
+        ]
+        if p > 0:
+            half = Z95 * np.hypot(uo / p, o * up / p**2)
+            out.append(make.row("area_ratio", o / p, half=half, n=observed.n, evidence=evidence))
+        else:
+            out += make.skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio")
+        if o > 0:
+            half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
+            ratio = float(difference_ratio(p, o))
+            out.append(make.row("area_difference_ratio", ratio, half=half, n=observed.n, evidence=evidence))
+        else:
+            out += make.skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
+        if observed.nominal_m2 is not None:
+            for name, side, spread in (("predicted", predicted, up), ("observed", observed, uo)):
+                error = side.area_m2 - observed.nominal_m2
+                out.append(make.row(f"area_error_{name}", error, half=Z95 * spread, unit="m2", n=side.n))
+            ratio, half = o / observed.nominal_m2, Z95 * uo / observed.nominal_m2
+            out.append(make.row("area_nominal_ratio", ratio, half=half, n=observed.n))
+            out.append(make.row("area_in_predicted_95", float(abs(p - o) <= Z95 * up), n=observed.n))
+        u = float(np.hypot(up, uo))
+        if not u > 0:
+            why = "neither side states an uncertainty"
+            return out + make.skipped(Cause.NO_UNCERTAINTY, why, "area_z", "area_inside_95")
+        z = (p - o) / u
+        return [
+            *out,
+            make.row("area_z", z, evidence=evidence),
+            make.row("area_inside_95", float(abs(z) <= Z95), evidence=evidence),
+        ]
+
+    return make.compared(predicted, observed, rows)
+
+
+def compare_area_errors(
+    predicted: Mapping[tuple[str, str], Abundance], observed: Mapping[tuple[str, str], Abundance]
+) -> list[Result]:
+    """Rows by nominal area and method: ``area_bias_*`` and ``area_rmse_*`` [m2] of both sides over its targets.
+
+    The bias has Student's interval, the root mean square error that of chi-square with as many degrees of freedom
+    as targets, as if errors were normal of mean 0.  The predicted mean square is that of predicted biases and
+    spreads.
+
+    Examples
+    --------
+    >>> predicted = {("a", "fcls"): Abundance(1.1, 0.1), ("b", "fcls"): Abundance(1.1, 0.1)}
+    >>> observed = {("a", "fcls"): Abundance(1.2, 0.1, 4, 1.0), ("b", "fcls"): Abundance(1.0, 0.1, 4, 1.0)}
+    >>> rows = compare_area_errors(predicted, observed)
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('area_bias_observed', 0.1), ('area_bias_predicted', 0.1), ('area_rmse_observed', 0.141),
+    ('area_rmse_predicted', 0.141)]
+    """
+    groups: dict[tuple[str, float], list[tuple[str, str]]] = {}
+    for key, area in observed.items():
+        if area.nominal_m2 is not None and key in predicted:
+            groups.setdefault((key[1], round(area.nominal_m2, 6)), []).append(key)
+    rows: list[Result] = []
+    for (method, nominal), keys in groups.items():
+        if len(keys) < 2:
+            continue
+        make = RowMaker("abundance", f"all targets of {nominal:g} m2", method)
+        error = np.array([observed[k].area_m2 - nominal for k in keys])
+        model = np.array([predicted[k].area_m2 - nominal for k in keys])
+        spread = np.array([predicted[k].standard_uncertainty for k in keys])
+        n = len(keys)
+        half = float(scipy.stats.t.ppf(0.975, n - 1) * np.std(error, ddof=1) / math.sqrt(n))
+        bias, expected = float(error.mean()), float(model.mean())
+        limits = Z95 * float(np.sqrt(np.sum(spread**2))) / n
+        rmse = float(np.sqrt(np.mean(error**2)))
+        low, high = np.sqrt(n / scipy.stats.chi2.ppf([0.975, 0.025], n))
+        rows += [
+            make.row("area_bias_observed", bias, half=half, unit="m2", n=n),
+            make.row("area_bias_predicted", expected, half=limits, unit="m2", n=n),
+            make.row("area_rmse_observed", rmse, (rmse * low, rmse * high), unit="m2", n=n),
+            make.row("area_rmse_predicted", float(np.sqrt(np.mean(model**2 + spread**2))), unit="m2", n=n),
+        ]
+    return rows
+
+
+PER_AREA = "km-2"
+AREA_UNKNOWN = "the ground area of the background is not known"
+
+
+def samples_per_km2(curve: RocCurve) -> float:
+    """Background samples on a square kilometre; NaN when the area is not known."""
+    if not curve.background_area_km2 or not curve.n_background:
+        return math.nan
+    return curve.n_background / curve.background_area_km2
+
+
+def alarms_on_grid(curve: RocCurve, pfa: float) -> int | None:
+    """Alarms at a point of the curve, None where it has no such point or does not know."""
+    at = np.flatnonzero(np.abs(curve.pfa - pfa) <= 1e-9 * pfa)
+    return int(curve.alarms[at[-1]]) if curve.alarms is not None and at.size else None
+
+
+def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
+    """``far_measured@1e-2``: alarms per km2 at the threshold that the background sets for a P_FA.
+
+    The interval is that of Clopper & Pearson on the alarms, times the samples per km2; for rare alarms it is the
+    exact Poisson interval.  The share of the background above its own (k + 1)-th greatest score follows a beta
+    distribution whose quantiles lie inside it, so it holds although the threshold was set by the same background.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-3, 1e-2, 1e-1])
+    >>> alarms = np.array([10, 100, 1000])
+    >>> curve = RocCurve(pfa, pfa**0.2, pfa**0.3, pfa**0.1, -pfa, "pixel", 40, 10_000, 0.04, alarms)
+    >>> [(r.metric, r.value) for r in far_row(RowMaker("roc", "panel", "cem/pixel"), curve, 1e-2)]
+    [('far_measured@1e-2', 2500.0)]
+    """
+    name, alarms = f"far_measured@{scientific(pfa)}", alarms_on_grid(observed, pfa)
+    density = samples_per_km2(observed)
+    if alarms is None or observed.n_background is None:
+        return []
+    if math.isnan(density):
+        return make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, name)
+    low, high = (float(x) * density for x in clopper_pearson(alarms, observed.n_background))
+    reason = f"{alarms} alarms on {observed.background_area_km2:.4g} km2"
+    rate = alarms / float(observed.background_area_km2 or math.nan)
+    return [make.row(name, rate, (low, high), unit=PER_AREA, n=observed.n_background, reason=reason)]
+
+
+def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve) -> list[Result]:
+    """``far_predicted``, ``far_measured`` and ``far_difference`` ``@pd0.5`` and the like.
+
+    Alarms per km2 at the highest threshold that reaches the stated P_D.  The measured interval holds the sampling
+    of targets and background (:func:`~hyperval.processing.roc.alarms_at_detection`), the predicted one is where
+    the band of the curve reaches that P_D.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from hyperval.products import AlarmsAtDetection
+    >>> pfa = np.array([1e-3, 1e-2, 1e-1])
+    >>> pd = np.array([0.3, 0.6, 0.9])
+    >>> predicted = RocCurve(pfa, pd, pd - 0.1, pd + 0.1, -pfa)
+    >>> point = AlarmsAtDetection(0.5, 0.7, 40, 4e-3, 1e-3, 1e-2, 3e-3, 5e-3)
+    >>> counts = {"n_target": 40, "n_background": 10_000, "background_area_km2": 0.04}
+    >>> observed = replace(predicted, **counts, at_detection=(point,))
+    >>> rows = far_at_detection_rows(RowMaker("roc", "panel", "cem/pixel"), predicted, observed)
+    >>> [(r.metric, round(r.value)) for r in rows]
+    [('far_predicted@pd0.5', 1160), ('far_measured@pd0.5', 1000), ('far_difference@pd0.5', 160)]
+    """
+    density = samples_per_km2(observed)
+    rows: list[Result] = []
+    for point in observed.at_detection:
+        names = [f"far_{side}@pd{point.pd:g}" for side in _SIDES]
+        if math.isnan(density):
+            rows += make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names[1])
+            continue
+        left: Known | Lack | None = None
+        if predicted is not None:
+            left = Lack(
+                Cause.BEYOND_CURVE, f"the predicted curve does not pass P_D {point.pd:g} within its range of P_FA"
+            )
+            if not math.isnan(p := _pfa_at(predicted, predicted.pd, point.pd)):
+                low, high = (_pfa_at(predicted, limit, point.pd) for limit in (predicted.pd_upper, predicted.pd_lower))
+                # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
+                ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
+                ends = (p, p) if np.isnan(predicted.pd_lower).any() else ends
+                left = p * density, (ends[0] * density, ends[1] * density)
+        right = point.pfa * density, (point.pfa_lower * density, point.pfa_upper * density)
+        reason = _in_words(point, observed, density)
+        rows += side_by_side(make, names, left, right, unit=PER_AREA, n=observed.n_target, reason=reason)
+    return rows
+
+
+Known = tuple[float, tuple[float, float]]  # a value and its interval
+
+
+class Lack(NamedTuple):
+    """Why a side has no value."""
+
+    cause: Cause
+    reason: str
+
+
+_SIDES = ("predicted", "measured", "difference")
+
+
+def side_by_side(
+    make: RowMaker,
+    names: Sequence[str],
+    predicted: Known | Lack | None,
+    measured: Known | Lack | None,
+    *,
+    unit: str = "1",
+    n: int | None = None,
+    reason: str = "",
+) -> list[Result]:
+    """Rows of both sides and of their difference, SKIPPED where a side lacks its value; none of a side that is None."""
+    rows: list[Result] = []
+    values: list[Known] = []
+    for name, side, count, words in ((names[0], predicted, None, ""), (names[1], measured, n, reason)):
+        if isinstance(side, Lack):
+            rows += make.skipped(side.cause, side.reason, name)
+        elif side is not None:
+            values.append(side)
+            rows.append(make.row(name, *side, unit=unit, n=count, reason=words))
+    if predicted is None or measured is None:
+        return rows
+    if len(values) < 2:
+        lack = next(side for side in (measured, predicted) if isinstance(side, Lack))
+        return rows + make.skipped(lack.cause, lack.reason, names[2])
+    (p, p_ends), (o, o_ends) = values
+    interval = difference_interval(p, p_ends, o, o_ends)
+    return [*rows, make.row(names[2], p - o, interval, unit=unit, n=n)]
+
+
+def first_detection_rows(make: RowMaker, observed: RocCurve) -> list[Result]:
+    """``alarms_before_first`` (:func:`~hyperval.processing.roc.alarms_before_first`), where it was counted.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-2, 1e-1])
+    >>> curve = RocCurve(pfa, pfa, pfa, pfa, -pfa, "object", 7, 10_000, alarms_before_first=3)
+    >>> [(r.metric, r.value) for r in first_detection_rows(RowMaker("roc", "panel", "cem/object"), curve)]
+    [('alarms_before_first', 3.0)]
+    """
+    if observed.alarms_before_first is None:
+        return []
+    reason = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
+    reason += "favours targets of many pixels or pieces"
+    count = observed.alarms_before_first
+    return [make.row("alarms_before_first", float(count), n=observed.n_target, reason=reason)]
+
+
+def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, pfa: float) -> list[Result]:
+    """``joint_pfa``, ``joint_pd`` and ``pd_inside_joint_region`` ``@1e-2``.
+
+    The rectangle of the first two intervals holds the true (P_FA, P_D) of the measured threshold with 95 %
+    probability: two independent statements at level sqrt(0.95) each.  That the background set the threshold does no
+    harm, since its own share above it has a beta distribution that the exact interval holds, and the targets had no
+    part in it.  The last row is 1 where the predicted curve (without its band) passes through the rectangle.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-3, 1e-2, 1e-1])
+    >>> pd, alarms = np.array([0.3, 0.6, 0.9]), np.array([10, 100, 1000])
+    >>> curve = RocCurve(pfa, pd, pfa, pfa, -pfa, "pixel", 40, 10_000, None, alarms)
+    >>> rows = joint_rows(RowMaker("roc", "panel", "cem/pixel"), curve, curve, 1e-2)
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('joint_pfa@1e-2', 0.01), ('joint_pd@1e-2', 0.6), ('pd_inside_joint_region@1e-2', 1.0)]
+    """
+    alarms, at = alarms_on_grid(observed, pfa), np.flatnonzero(np.abs(observed.pfa - pfa) <= 1e-9 * pfa)
+    if alarms is None or not observed.n_target or not observed.n_background:
+        return []
+    label, n, m = scientific(pfa), observed.n_background, observed.n_target
+    detected = round(float(observed.pd[at[-1]]) * m)
+    region = joint_region(detected, m, alarms, n)
+    reason = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; both at 95 % together"
+    pfa_interval, pd_interval = (region.pfa_lower, region.pfa_upper), (region.pd_lower, region.pd_upper)
+    rows = [
+        make.row(f"joint_pfa@{label}", region.pfa, interval=pfa_interval, n=n, reason=reason),
+        make.row(f"joint_pd@{label}", region.pd, interval=pd_interval, n=m, reason=reason),
+    ]
+    if predicted is None:
+        return rows
+    first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
+    ends = [0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in pfa_interval]
+    name = f"pd_inside_joint_region@{label}"
+    if region.pd_upper - region.pd_lower > 0.9:
+        why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"
+        return rows + make.skipped(Cause.VACUOUS, why, name)
+    # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
+    inside = ends[1] >= region.pd_lower and ends[0] <= region.pd_upper
+    return [*rows, make.row(name, float(inside), n=m)]
+
+
+def _in_words(point: AlarmsAtDetection, observed: RocCurve, density: float) -> str:
+    text = f"{point.alarms} alarms on {observed.background_area_km2:.4g} km2; at this threshold as it stands "
+    text += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
+    if point.alarms == 0 and observed.n_background:
+        text += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
+    return text
+
+
+def _pfa_at(curve: RocCurve, values: np.ndarray, pd: float) -> float:
+    """P_FA at which a rising curve reaches ``pd``, NaN where it does not on its range."""
+    known = np.isfinite(values)
+    pfa, value = np.append(curve.pfa[known], 1.0), np.append(values[known], 1.0)
+    value = np.maximum.accumulate(value)
+    reached = np.flatnonzero(value >= pd)
+    if known.sum() == 0 or reached[0] == 0:
+        return math.nan
+    i = int(reached[0])
+    step = value[i] - value[i - 1]
+    part = (pd - value[i - 1]) / step
+    return float(np.exp(np.log(pfa[i - 1]) + part * (np.log(pfa[i]) - np.log(pfa[i - 1]))))
+
+
+def predicted_area(curve: RocCurve, area: RocArea) -> tuple[float, tuple[float, float]]:
+    """Area of a predicted curve and of the limits of its band; without a band the interval is a point."""
+    value = curve_area(curve, area)
+    low, high = (curve_area(curve, area, limit) for limit in (curve.pd_lower, curve.pd_upper))
+    if math.isnan(low) or math.isnan(high):
+        return value, (value, value)
+    return value, (min(low, value), max(high, value))
+
+
+def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | None) -> list[Result]:
+    """``auc_predicted``, ``auc_measured``, ``auc_difference`` and the same of the partial and log-weighted areas.
+
+    The names of partial areas end in their range of P_FA.  The predicted interval is that of the curve's band, as
+    if its errors went together over the whole curve; the measured one is explained in its reason.  The difference
+    (predicted - measured) has the interval of :func:`~hyperval.compare.spectra.difference_interval`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from hyperval.processing.roc import empirical_roc, with_summary
+    >>> rng = np.random.default_rng(0)
+    >>> target, background = rng.normal(2.0, 1.0, 40), rng.normal(size=20_000)
+    >>> measured = with_summary(empirical_roc(target, background), target, background, rng=rng)
+    >>> rows = area_rows(RowMaker("roc", "panel", "cem/pixel"), measured, measured)
+    >>> [(r.metric, round(r.value, 2)) for r in rows]
+    [('auc_predicted', 0.94), ('auc_measured', 0.94), ('auc_difference', 0.0), ('partial_auc_predicted@0..1e-1',
+    0.59), ('partial_auc_measured@0..1e-1', 0.59), ('partial_auc_difference@0..1e-1', -0.0),
+    ('log_auc_predicted@1e-3..1e-1', 0.36), ('log_auc_measured@1e-3..1e-1', 0.36),
+    ('log_auc_difference@1e-3..1e-1', 0.0)]
+    """
+    rows: list[Result] = []
+    for full, area in AREAS.items():
+        name, _, span = full.partition("@")
+        names = [f"{name}_{side}" + (f"@{span}" if span else "") for side in _SIDES]
+        left: Known | Lack | None = None
+        right: Known | Lack | None = None
+        n, reason = None, ""
+        if predicted is not None:
+            left = predicted_area(predicted, area)
+            if math.isnan(left[0]):
+                left = Lack(Cause.BEYOND_CURVE, f"the predicted curve does not reach the range P_FA {span or '0..1'}")
+        if observed is not None:
+            n, right = observed.n_target, _why_not(observed, area, span)
+            if (found := observed.areas.get(full)) is not None:
+                right, reason = (found.value, (found.lower, found.upper)), found.method
+        rows += side_by_side(make, names, left, right, n=n, reason=reason)
+    return rows
+
+
+def _why_not(observed: RocCurve, area: RocArea, span: str) -> Lack:
+    n = observed.n_background
+    if area.logarithmic and n is not None and observed.areas:
+        words = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {span}; 10 are needed"
+        return Lack(Cause.FEW_ALARMS, words)
+    return Lack(Cause.NO_SCORES, "the measured curve comes without its scores, so its area has no interval")
+
+
+ALWAYS = (1e-1, 1e-2, 1e-3)
+IF_BACKGROUND_ALLOWS = (1e-4, 1e-5, 1e-6)
+LEAST_END = 0.5  # a curve that stops below this P_FA has no area to speak of
+# A measured interval wider than this accepts nearly any prediction: one target alone gives 0.975 or more.
+WIDEST_INTERVAL = 0.9
+METRICS = (
+    "pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval",
+)  # fmt: skip
+VERDICTS = ("pd_equivalent", "pd_equivalence")
+# The two readings of (3.30-3.33) are told apart where their P_D differ by more than this.
+SAME_READING = 1e-3
+
+
+def limits_at(curve: RocCurve, pfa: float) -> tuple[float, float]:
+    """95 % limits of P_D at ``pfa``; NaN outside the curve."""
+    return float(detection_at(curve, pfa, curve.pd_lower)), float(detection_at(curve, pfa, curve.pd_upper))
+
+
+def equivalent(interval: tuple[float, float], margin: float) -> bool:
+    """Two one-sided tests: the whole 95 % interval of the difference lies inside +-``margin``.
+
+    That rejects "the difference is at least the margin" on both sides at the 2.5 % level.  No difference
+    found is not equivalence: a wide interval fails.  Source: Schuirmann, J. Pharmacokinet. Biopharm. 15, 657, 1987.
+    """
+    if not 0.0 < margin < 1.0:
+        raise UsageError(f"equivalence margin {margin:g}", expected="a difference of probability between 0 and 1")
+    return -margin < interval[0] and interval[1] < margin
+
+
+def equivalence(interval: tuple[float, float], margin: float) -> tuple[float, str]:
+    """The three outcomes of a comparison with a margin: 1 equivalent, -1 different, 0 undecided, and the word.
+
+    Different is a 95 % interval of the difference that lies wholly beyond 0: with many targets a difference may be
+    certain and yet within the margin, which is then equivalent for the purpose, and the word says both.
+    """
+    apart = interval[0] > 0.0 or interval[1] < 0.0
+    if equivalent(interval, margin):
+        return 1.0, "equivalent, though not the same" if apart else "equivalent"
+    return (-1.0, "different") if apart else (0.0, "undecided")
+
+
+def compare_roc(
+    predicted: RocCurve | None,
+    observed: RocCurve | None,
+    *,
+    subject: str,
+    method: str,
+    pfa: Sequence[float] | None = None,
+    equivalence_margin: float | None = None,
+) -> list[Result]:
+    """Rows at each false-alarm probability, named METRIC@1e-2 and the like.
+
+    ``pd_predicted`` and ``pd_measured`` with their intervals, ``pd_difference`` (predicted - measured) with its
+    interval, and 1 or 0 for
+
+    - ``pd_inside_interval``: 0 lies in the 95 % interval of the difference, i.e. the predicted P_D lies in the
+      measured interval widened by the predicted half-width *in quadrature*.  That the two intervals
+      overlap (widths added) is not enough.  Where the predicted curve has no width it is the next rule;
+    - ``pd_inside_measured_interval``: the predicted P_D lies in the measured interval as it stands;
+    - ``pd_equivalent`` (with ``equivalence_margin``): two one-sided tests, :func:`equivalent`; and
+      ``pd_equivalence``: 1 equivalent, -1 different, 0 undecided, :func:`equivalence`.
+
+    ``pd_predicted_preset`` and ``pd_inside_interval_preset`` read the predicted curve at the preset P_FA of (3.30),
+    that of the worst class alone, where that differs from the P_FA of the whole background (3.33).
+
+    Default probabilities: 1e-1, 1e-2, 1e-3 always, and 1e-4 to 1e-6 where the background is large enough to
+    expect 10 alarms.  A probability that the background or a curve does not reach gives SKIPPED rows.
+    The verdicts (but not the values) are SKIPPED too where the measured interval is wider than 0.9, as with a
+    single target object: a test that nothing can fail is no test.
+    With what a measured curve knows beyond its points come the areas, false
+    alarms per km2 and joint regions; ``auc_difference`` of bare curves is over
+    their common range of P_FA and has no interval.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-3, 1e-2, 1e-1, 1.0])
+    >>> predicted = RocCurve(pfa, pfa**0.2, pfa**0.25, pfa**0.15, -pfa, preset_pfa=pfa / 2.0)
+    >>> observed = RocCurve(pfa, pfa**0.3, pfa**0.4, pfa**0.25, -pfa, "pixel", 40, 10_000)
+    >>> rows = compare_roc(predicted, observed, subject="panel", method="cem/pixel", pfa=[1e-2])
+    >>> [(r.metric, round(r.value, 3)) for r in rows if r.metric.startswith("pd")]
+    [('pd_predicted@1e-2', 0.398), ('pd_measured@1e-2', 0.251), ('pd_difference@1e-2', 0.147),
+    ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
+    0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
+    """
+    make = RowMaker("roc", subject, method)
+
+    def rows(predicted: RocCurve, observed: RocCurve) -> list[Result]:
+        if predicted.unit != observed.unit:
+            raise UsageError(
+                f"{subject}: the predicted curve counts by {predicted.unit}, the measured by {observed.unit}"
+            )
+        background = observed.n_background
+        levels = tuple(pfa) if pfa is not None else ALWAYS
+        if pfa is None:
+            levels += tuple(x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS)
+        out: list[Result] = []
+        for level in levels:
+            out += _at(make, predicted, observed, level, equivalence_margin)
+            if not background or level * background >= LEAST_EXPECTED_ALARMS:
+                out += [*far_row(make, observed, level), *joint_rows(make, predicted, observed, level)]
+        out += [*far_at_detection_rows(make, predicted, observed), *first_detection_rows(make, observed)]
+        return out + (area_rows if observed.areas else _bare)(make, predicted, observed)
+
+    return make.compared(predicted, observed, rows)
+
+
+def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> list[Result]:
+    label = scientific(pfa)
+    names = [f"{m}@{label}" for m in (*METRICS, *(VERDICTS if margin is not None else ()))]
+    n, background = observed.n_target, observed.n_background
+    if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
+        reason = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
+        reason += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
+        return make.skipped(Cause.FEW_ALARMS, reason, *names)
+    p, o = float(detection_at(predicted, pfa)), float(detection_at(observed, pfa))
+    if math.isnan(p) or math.isnan(o):
+        side = "predicted" if math.isnan(p) else "measured"
+        return make.skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
+    p_ends, o_ends = limits_at(predicted, pfa), limits_at(observed, pfa)
+    if any(map(math.isnan, p_ends)):  # a curve without a band is a curve without width
+        p_ends = (p, p)
+    out = side_by_side(make, names, (p, p_ends), (o, o_ends), n=n)
+    if o_ends[1] - o_ends[0] > WIDEST_INTERVAL:
+        why = f"the measured interval {o_ends[0]:.2g} to {o_ends[1]:.2g}"
+        why += f" from {n} {observed.unit}{'' if n == 1 else 's'}" if n is not None else ""
+        return out + make.skipped(Cause.VACUOUS, f"{why} accepts nearly any prediction", *names[3:])
+    ends = out[2].lower, out[2].upper
+    # An unknown measured interval must not read as "outside": the verdict itself is unknown.
+    known = math.nan if any(map(math.isnan, o_ends)) else 1.0
+    about = Effect(p - o, *ends)
+    out.append(make.row(names[3], known * (ends[0] <= 0.0 <= ends[1]), n=n, about=about))
+    out.append(make.row(names[4], known * (o_ends[0] <= p <= o_ends[1]), n=n))
+    if margin is not None:
+        words, about = f"margin {margin:g}", replace(about, accepted=partial(_within, margin))
+        code, word = equivalence(ends, margin)
+        out.append(make.row(names[5], known * equivalent(ends, margin), n=n, reason=words, about=about))
+        out.append(make.row(names[6], known * code, n=n, reason=f"{word} by a {words}", about=about))
+    return [*out, *_preset_rows(make, predicted, pfa, (p, p_ends), (o, o_ends), n)]
+
+
+def _within(margin: float, level: float) -> tuple[float, float]:
+    """The range of a difference of P_D, whatever the level."""
+    return -margin, margin
+
+
+def _preset_rows(
+    make: RowMaker,
+    predicted: RocCurve,
+    pfa: float,
+    swept: tuple[float, tuple[float, float]],
+    measured: tuple[float, tuple[float, float]],
+    n: int | None,
+) -> list[Result]:
+    """P_D of (3.32) at the preset of (3.30) without (3.33), where that is another P_D.
+
+    A class that gives ``pfa`` alone, at its part of the scene, gives less in all: the preset lies at a higher
+    threshold and the P_D is lower.
+    """
+    if predicted.preset_pfa is None:
+        return []
+    order = np.argsort(predicted.preset_pfa, kind="stable")
+    axis = np.maximum(predicted.preset_pfa[order], 1e-300)
+    if not axis[0] <= pfa <= axis[-1]:
+        return []
+    preset = replace(predicted, pfa=axis, pd=predicted.pd[order])
+    limits = predicted.pd_lower[order], predicted.pd_upper[order]
+    value, low, high = (float(detection_at(preset, pfa, y)) for y in (None, *limits))
+    if abs(value - swept[0]) < SAME_READING:
+        return []
+    ends = difference_interval(value, (low, high), *measured)
+    label = scientific(pfa)
+    known = not any(math.isnan(x) for x in measured[1])
+    inside = float(ends[0] <= 0.0 <= ends[1]) if known else math.nan
+    words = f"(3.32) at the preset, without (3.33): {swept[0]:.3g} with it, measured {measured[0]:.3g}"
+    return [
+        make.row(f"pd_predicted_preset@{label}", value, (low, high), reason=words),
+        make.row(
+            f"pd_inside_interval_preset@{label}", inside, n=n, reason=words, about=Effect(value - measured[0], *ends)
+        ),
+    ]
+
+
+def _bare(make: RowMaker, predicted: RocCurve, observed: RocCurve) -> list[Result]:
+    """The difference of areas of curves without scores."""
+    low = max(float(predicted.pfa[0]), float(observed.pfa[0]))
+    if low >= 0.1 or min(float(predicted.pfa[-1]), float(observed.pfa[-1])) < LEAST_END:
+        why = f"the curves do not both reach from P_FA below 0.1 to {LEAST_END:g}"
+        return make.skipped(Cause.BEYOND_CURVE, why, "auc_difference")
+    area = RocArea(low, 1.0)
+    gap = curve_area(predicted, area) - curve_area(observed, area)
+    why = f"area of both curves over P_FA {low:.2g} to 1; no interval from curves alone"
+    return [make.row("auc_difference", gap, n=observed.n_target, reason=why)]
