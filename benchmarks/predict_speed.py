@@ -21,7 +21,7 @@ from scipy.stats import norm
 
 from hyperval.atmosphere import atmospheric_terms
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import predict
+from hyperval.model import predict
 from hyperval.processing.roc_model import false_alarm_grid
 from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario

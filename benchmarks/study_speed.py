@@ -28,11 +28,11 @@ from predict_speed import TEXT
 from hyperval.atmosphere.terms import spaced
 from hyperval.config import parse_yaml, validate
 from hyperval.executors import Parcel, in_order, parcel, workers
-from hyperval.predict import predict
+from hyperval.model import Origins, evaluations, predict, read, with_values
 from hyperval.processing.roc_model import false_alarm_grid
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.study.evaluate import Evaluator, Sky, make_ready
+from hyperval.study.evaluate import Evaluator
 
 RANGE, FILL = "atmosphere.meteorological_range_km", "scene.targets.plank.fill.fixed"
 ERROR, SIGNAL = "sensor_changes.calibration_error_percent", "sensor_changes.signal_factor"
@@ -59,12 +59,11 @@ def full(piece: tuple[Parcel, Columns]) -> tuple[float, float]:
     """Evaluate some points in full; a number that follows from all of them, and the processor time [s]."""
     start = time.process_time()
     evaluator, columns = piece[0].open(), piece[1]
-    size = len(next(iter(columns.values())))
-    batch = evaluator.batch(evaluator.base, columns, size)
-    names = evaluator.base.setup.classes
-    total = sum(float(batch.radiance(s).sum()) for s in (*names, "plank"))
-    total += sum(float(batch.snr(s, calibration).sum()) for s in names for calibration in (True, False))
-    total += float(batch.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())
+    total, names = 0.0, evaluator.world.stated.classes
+    for _, e in evaluations(with_values(evaluator.world, columns)):
+        total += sum(float(e.radiance(s).sum()) for s in (*names, "plank"))
+        total += sum(float(e.snr(s, calibration).sum()) for s in names for calibration in (True, False))
+        total += float(e.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())
     return total, time.process_time() - start
 
 
@@ -103,9 +102,10 @@ def main() -> None:
     data, lines = parse_yaml(TEXT)
     scenario = validate(Scenario, data, lines, "benchmark")
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 8192
-    still = Evaluator(make_ready(scenario, Sky()), Sky())
-    sky = Sky(nodes={RANGE.split(".")[1]: tuple(spaced("meteorological_range_km", 5.0, 50.0, 7).tolist())})
-    hazy = Evaluator(make_ready(scenario, sky, show_progress=True), sky)
+    still = Evaluator(read(scenario, Origins(show_progress=False)))
+    nodes = {RANGE.split(".")[1]: tuple(spaced("meteorological_range_km", 5.0, 50.0, 7).tolist())}
+    hazy = Evaluator(read(scenario, Origins(show_progress=False), nodes=nodes))
+    hazy.world.stated.atmosphere.prepare([], True)
     print("evaluations a second; 360 bands, 5 classes, radiance, SNR, ROC of 181 points; one BLAS thread a worker")
     head = ("predict", "1, cpu", "ratio", "2, cpu", "scaling", "1, wall", "2, wall")
     print(f"{'design':26s}" + "".join(f"{h:>9s}" for h in head))

@@ -45,7 +45,7 @@ def job(name: str) -> Callable[[], object]:
         from hyperval.campaign.one import run_campaign
 
         return lambda: [run_campaign(one, show_progress=False) for one in jobs_of(Path(name))]
-    from hyperval.predict import predict
+    from hyperval.model import predict
     from hyperval.scenario import load_scenario
 
     scenario = load_scenario(name)

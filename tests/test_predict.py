@@ -12,12 +12,11 @@ from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict, without_calibration_error
-from hyperval.prediction import filters
-from hyperval.prediction.batch import detection_bands
-from hyperval.prediction.cases import terms_in_memory
-from hyperval.prediction.input import spectrum_error_covariance
-from hyperval.prediction.inputs import Sources, SurfaceStatistics
+from hyperval.model import Origins, filters, predict, without_calibration_error
+from hyperval.model.detection import detection_bands
+from hyperval.model.inputs import spectrum_error_covariance
+from hyperval.model.surfaces import Sources, SurfaceStatistics
+from hyperval.model.world import terms_in_memory
 from hyperval.processing.filters import LinearFilter, matched_filter_weights
 from hyperval.processing.roc_model import detection_at
 from hyperval.products import PredictedProducts, background_of

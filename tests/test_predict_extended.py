@@ -9,8 +9,8 @@ import pytest
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict
-from hyperval.prediction.departure import fill_distribution
+from hyperval.model import Origins, predict
+from hyperval.model.fills import fill_distribution
 from hyperval.processing.elm import darkest_level
 from hyperval.processing.roc_model import detection_at
 from hyperval.products import background_of
@@ -194,7 +194,7 @@ def test_saturation_is_said():
 
 
 def test_blur_of_the_sensor_serves_where_a_geometry_states_none(tmp_path):
-    from hyperval.prediction.cases import with_sensor_blur
+    from hyperval.model.world import with_sensor_blur
     from hyperval.sensor.specification import load_sensor
 
     fill = "fill: {geometry: {side_m: 1, gsd_m: 1%s}}}"

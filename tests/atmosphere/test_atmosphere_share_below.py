@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from hyperval.atmosphere import AtmosphericState
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario
 
 STATE = {

@@ -8,7 +8,7 @@ import pytest
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import load_model
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario
 from hyperval.scene.radiance import mean_radiance
 from hyperval.spectra.axis import SpectralAxis

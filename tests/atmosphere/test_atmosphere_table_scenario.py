@@ -11,7 +11,7 @@ import pytest
 from hyperval.atmosphere import AtmosphericTable, atmospheric_terms, read_table, write_table
 from hyperval.atmosphere.table import PATH_ERROR, QUANTITIES
 from hyperval.errors import InputError, UsageError
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.scenario import load_scenario
 from hyperval.spectra.axis import SpectralAxis
 

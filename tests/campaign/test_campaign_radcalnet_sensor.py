@@ -19,7 +19,7 @@ from hyperval.campaign.dry_run import dry_run
 from hyperval.campaign.job import read_texts
 from hyperval.campaign.schema import DayScenarios, day_scenarios
 from hyperval.imagery import write_cube
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.results import Cause
 from hyperval.run import Run, read_rows
 from hyperval.sensor.specification import load_sensor
@@ -69,7 +69,7 @@ def overpasses(tmp_path, monkeypatch):
         (data / name).mkdir(parents=True)
     monkeypatch.setenv("HYPERVAL_DATA", str(data))
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # the stand-in for the engine lives in this process
-    monkeypatch.setattr("hyperval.prediction.cases.atmospheric_terms", terms)
+    monkeypatch.setattr("hyperval.model.world.atmospheric_terms", terms)
     campaign = shutil.copytree(FOLDER, tmp_path / "campaign") / "campaign.yaml"
     (text, *_) = read_texts(campaign)
     for mark in text.named.to_fill_in:

@@ -17,10 +17,10 @@ from small_campaign import SmallCampaign
 SCRIPT = """
 import os, sys
 from small_campaign import stand_in_atmosphere
-import hyperval.atmosphere, hyperval.imagery.cube, hyperval.prediction.cases, hyperval.processing.statistics
+import hyperval.atmosphere, hyperval.imagery.cube, hyperval.model.world, hyperval.processing.statistics
 from hyperval import cli
 
-hyperval.atmosphere.atmospheric_terms = hyperval.prediction.cases.atmospheric_terms = stand_in_atmosphere
+hyperval.atmosphere.atmospheric_terms = hyperval.model.world.atmospheric_terms = stand_in_atmosphere
 if "CORES" in os.environ:
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(os.environ["CORES"])])
 if "LINES" in os.environ:

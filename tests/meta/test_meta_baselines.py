@@ -60,7 +60,7 @@ def sound_campaign(small_collection: Path, tmp_path_factory: pytest.TempPathFact
     folder = tmp_path_factory.mktemp("sound") / "small"
     shutil.copytree(small_collection, folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.prediction.cases.atmospheric_terms", stand_in_atmosphere)
+        patch.setattr("hyperval.model.world.atmospheric_terms", stand_in_atmosphere)
         return accepted_of(campaign_numbers(SmallCampaign(folder)), {})
 
 
@@ -79,7 +79,7 @@ def filter_sign(patch: Patch) -> None:
         right = solved_filter(detector, *arguments, **named)
         return _turned(right) if detector == "cem" else right
 
-    patch.setattr("hyperval.prediction.filters.solved_filter", turned)
+    patch.setattr("hyperval.model.filters.solved_filter", turned)
     patch.setitem(LINEAR_DETECTORS, "cem", lambda *a: _turned(matched_filter_weights(*a)))
 
 
@@ -129,9 +129,9 @@ def band_order(patch: Patch) -> None:
 
 def no_variance_of_fill(patch: Patch) -> None:
     """(3.12) without its Var(f) term."""
-    from hyperval.prediction.departure import moments
+    from hyperval.model.fills import moments
 
-    patch.setattr("hyperval.prediction.departure.moments", lambda p, t: fixed_fill(moments(p, t).mean))
+    patch.setattr("hyperval.model.fills.moments", lambda fill, thesis: fixed_fill(moments(fill, thesis).mean))
 
 
 def deviation_for_variance(patch: Patch) -> None:
@@ -146,7 +146,7 @@ def deviation_for_variance(patch: Patch) -> None:
 def aerosol(patch: Patch) -> None:
     """An aerosol optical depth of 0.25 in place of 0.2."""
     patch.setattr(
-        "hyperval.prediction.cases.atmospheric_terms",
+        "hyperval.model.world.atmospheric_terms",
         lambda state, **k: stand_in_atmosphere(state.model_copy(update={"aot550": 1.25 * state.aot550})),
     )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +18,8 @@ import yaml
 from hyperval import api
 from hyperval.atmosphere import AtmosphericTable, write_table
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict, predictions
-from hyperval.prediction.departure import PATHS, ColumnKind, Departure, batch_column, combined, every_path, input_path
-from hyperval.prediction.uncertainty import given_of
+from hyperval.model import PATHS, Origins, every_path, predict, predictions, read, reads_again, value_at
+from hyperval.model.world import find
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.statistics import ClassStatistics, Components
@@ -226,7 +225,8 @@ def studied(folder: Path, variant: str, scenario: Scenario, values: Mapping[str,
     keys = [tuple(o["name"].split("/")) for o in outputs]
     outputs = [{**o, "name": f"o{k}"} for k, o in enumerate(outputs)]
     # What is a column of numbers stands there beside the stated value, which must not disturb it.
-    listed = {p: [setting(scenario, p)] * (batch_column(scenario, p).kind != "anew") + [v] for p, v in values.items()}
+    stated = read(scenario).stated
+    listed = {p: [setting(scenario, p)] * (not reads_again(stated, p)) + [v] for p, v in values.items()}
     study = {
         "schema": 1, "name": "paths", "scenario": file_of(variant), "design": {"kind": "one-at-a-time"},
         "inputs": [{"name": f"i{k}", "path": p, "values": v} for k, (p, v) in enumerate(listed.items())],
@@ -313,10 +313,11 @@ def same_line(path: str, value: float) -> dict[str, float] | None:
 
 def paths_of(variant: str, scenario: Scenario, *, of_file: bool) -> list[str]:
     """The paths to move; a detector of many draws, which takes a hundred times longer, has one of each sort."""
-    paths = [p for p in every_path(given_of(scenario)) if in_file(scenario, p) is of_file]
+    paths = [p for p in every_path(read(scenario)) if in_file(scenario, p) is of_file]
     if variant != "ACE":
         return paths
-    sorts = {(batch_column(scenario, p).kind if of_file else re.sub(r"\[.*\]", "*", p)): p for p in reversed(paths)}
+    stated = read(scenario).stated
+    sorts = {(find(stated, p)[0].field if of_file else re.sub(r"\[.*\]", "*", p)): p for p in reversed(paths)}
     anew = ["scene.classes.[soil].spectrum.constant", "processing.seed", "processing.samples"]
     return [*sorts.values(), *(anew if of_file else [])]
 
@@ -324,7 +325,7 @@ def paths_of(variant: str, scenario: Scenario, *, of_file: bool) -> list[str]:
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, variant):
     scenario = variant_of(folder, variant)
-    given, origins, whole = given_of(scenario), Origins(), variant in WHOLE
+    world, origins, whole = read(scenario), Origins(), variant in WHOLE
     paths = paths_of(variant, scenario, of_file=True)
     values: dict[str, Any] = {}
     truths = {}
@@ -336,7 +337,7 @@ def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, var
                 continue
             except UsageError:  # a state that the table does not have
                 with pytest.raises(UsageError):
-                    predict(scenario, origins, departure=input_path(given, path).to(np.asarray(there[0])))
+                    predict(scenario, origins, truth={path: there[0]})
         refused.add(re.sub(r"\[.*\]", "*", path))
     assert refused <= {
         "schema", "scene.classes.*.fraction", "atmosphere.water_vapour_g_cm2", "atmosphere.ozone_atm_cm",
@@ -345,12 +346,11 @@ def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, var
     }, "moved by nothing that this suite knows"  # fmt: skip
     wrong = []
     plain = [p for p, v in values.items() if not isinstance(v, list)]
-    truly = (input_path(given, p).to(np.asarray(values[p])) for p in plain)
-    moved = predictions(scenario, truly, origins, object_curves=whole)
+    moved = predictions(scenario, ({p: values[p]} for p in plain), origins, object_curves=whole)
     for path, found in zip(plain, moved, strict=True):
         if difference(numbers(found), numbers(truths[path])) > EQUAL:
             wrong.append(f"moved: {path} at {values[path]}")
-    moving = {p: v for p, v in values.items() if whole or batch_column(scenario, p).kind != "anew"}
+    moving = {p: v for p, v in values.items() if whole or not reads_again(world.stated, p)}
     # Each state of the light is a run of the engine, and is made for each scenario that is read anew.
     of_light = {p: v for p, v in moving.items() if whole and p.startswith("atmosphere.")}
     rest = {p: v for p, v in moving.items() if p not in of_light}
@@ -363,42 +363,41 @@ def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, var
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_an_input_moved_among_others_alone_and_in_the_file_gives_the_same(folder, variant):
     scenario = variant_of(folder, variant)
-    given, origins, whole = given_of(scenario), Origins(), variant in WHOLE
+    world, origins, whole = read(scenario), Origins(), variant in WHOLE
     paths = paths_of(variant, scenario, of_file=False)
     sort = {p: re.sub(r"\[.*\]", "*", p) for p in paths}
     assert set(sort.values()) <= set(PATHS)
 
-    def seen(there: Scenario, departure: Departure | None = None) -> dict[Key, np.ndarray]:
-        return numbers(predict(there, origins, departure=departure, object_curves=whole))
+    def seen(there: Scenario, truth: Mapping[str, Any] | None = None) -> dict[Key, np.ndarray]:
+        return numbers(predict(there, origins, truth=truth, object_curves=whole))
 
-    def together(truths: Iterable[Departure]) -> list[dict[Key, np.ndarray]]:
+    def together(truths: Iterable[Mapping[str, Any]]) -> list[dict[Key, np.ndarray]]:
         return [numbers(p) for p in predictions(scenario, truths, origins, object_curves=whole)]
 
-    at = {p: input_path(given, p) for p in paths}
-    values = {p: away_from(at[p].nominal) for p in paths}
+    at = {p: np.asarray(value_at(world, p)[0], dtype=float) for p in paths}
+    values = {p: away_from(at[p]).reshape(at[p].shape or 1) for p in paths}
     stated, wrong, moving = seen(scenario), [], set()
-    unmoved = [p for p in paths if variant != "ACE" and np.all(np.isfinite(at[p].nominal))]
-    for path, here in zip(unmoved, together(at[p].to(np.asarray(at[p].nominal, float)) for p in unmoved), strict=True):
+    unmoved = [p for p in paths if variant != "ACE" and np.all(np.isfinite(at[p]))]
+    for path, here in zip(unmoved, together({p: at[p]} for p in unmoved), strict=True):
         if difference(here, stated) > EQUAL:
             wrong.append(f"{path}: at the value that stands there")
-    for (path, value), here in zip(values.items(), together(at[p].to(v) for p, v in values.items()), strict=True):
-        if whole and difference(here, seen(scenario, at[path].to(value))) > EQUAL:
+    for (path, value), here in zip(values.items(), together({p: v} for p, v in values.items()), strict=True):
+        if whole and difference(here, seen(scenario, {path: value})) > EQUAL:
             wrong.append(f"{path}: alone")
         entries = twin(scenario, path, value)
         if entries and difference(here, seen(with_settings(scenario, entries))) > EQUAL:
             wrong.append(f"{path}: {entries}")
-        if (line := same_line(path, float(value.ravel()[0]))) is not None and scenario.formulation == "corrected":
-            both = combined(*(input_path(given, p).to(np.array([v])) for p, v in line.items()))
-            if difference(here, seen(scenario, both)) > EQUAL:
-                wrong.append(f"{path}: {line}")
+        line = same_line(path, float(value.ravel()[0])) if scenario.formulation == "corrected" else None
+        if line is not None and difference(here, seen(scenario, line)) > EQUAL:
+            wrong.append(f"{path}: {line}")
         if difference(here, stated) > EQUAL:
             moving.add(sort[path])
     assert not wrong
     assert variant != "base" or moving == set(sort.values())
 
 
-def test_every_column_of_a_batch_is_moved(folder):
-    """A kind of column that no variant moves would go without a comparison."""
-    scenarios = [variant_of(folder, v) for v in VARIANTS]
-    moved = {batch_column(s, p).kind for s in scenarios for p in every_path(given_of(s))}
-    assert moved >= set(get_args(ColumnKind)) - {"pfa"}
+def test_every_field_of_the_world_is_moved(folder):
+    """A field that no variant moves would go without a comparison."""
+    worlds = [read(variant_of(folder, v)) for v in VARIANTS]
+    moved = {find(world.stated, p)[0].field for world in worlds for p in every_path(world)}
+    assert moved == {path.field for path in PATHS.values()}

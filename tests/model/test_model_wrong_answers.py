@@ -10,9 +10,7 @@ from scipy.special import ndtri
 from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import Origins, predict, predictions
-from hyperval.prediction.departure import input_path
-from hyperval.prediction.uncertainty import given_of
+from hyperval.model import Origins, predict, predictions, read, value_at
 from hyperval.products import PredictedProducts, background_of
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
@@ -81,8 +79,8 @@ def test_budget_of_a_field_spectrum_holds_what_the_surroundings_do(form):
     """Half the difference of two truths, for every subject; by D_A alone asphalt's radiance had 8 % less."""
     u = "uncertainty: {field_spectra: [{subject: asphalt, relative: 0.05}]}\n"
     s = scenario(u, small=f"small\nformulation: {form}")
-    p, at = run(s), input_path(given_of(s, ORIGINS), "surfaces.[asphalt].mean")
-    up, down = (run(s, departure=at.to(f * np.asarray(at.nominal))) for f in (1.05, 0.95))
+    p, path = run(s), "surfaces.[asphalt].mean"
+    up, down = (run(s, truth={path: f * value_at(read(s, ORIGINS), path)[0]}) for f in (1.05, 0.95))
     for product in ("radiance", "snr", "reflectance"):
         for name, estimate in getattr(p, product).items():
             half = 0.5 * np.abs(getattr(up, product)[name].mean - getattr(down, product)[name].mean)
@@ -114,11 +112,11 @@ def test_interval_of_detection_follows_every_direction(entry, path, step, axis, 
     """
     s = scenario(f"uncertainty: {{{entry}}}\n", **{"[cem]": "[cem], elm: none"})
     origins = replace(ORIGINS, axis=axis)
-    curve, at = predict(s, origins).roc["tenth", "cem", "pixel"], input_path(given_of(s, origins), path)
-    inner, nominal = np.abs(ndtri(curve.pd)) < 2.0, np.broadcast_to(at.nominal, len(axis))
+    curve, stated = predict(s, origins).roc["tenth", "cem", "pixel"], value_at(read(s, origins), path)[0]
+    inner, nominal = np.abs(ndtri(curve.pd)) < 2.0, np.broadcast_to(stated, len(axis))
     sd = step * nominal
     ends = np.concatenate([nominal + np.diag(sd), nominal - np.diag(sd)])
-    moved = predictions(s, map(at.to, ends), origins, object_curves=False)
+    moved = predictions(s, ({path: end} for end in ends), origins, object_curves=False)
     up, down = np.split(np.array([ndtri(p.roc["tenth", "cem", "pixel"].pd[inner]) for p in moved]), 2)
     gradient = 0.5 * (up - down) / sd[:, None]
     gap = (axis.centre_nm[:, None] - axis.centre_nm) / 10.0  # AXIS has bands so far apart that they are independent
@@ -164,8 +162,9 @@ def test_an_error_of_the_target_moves_ace_as_far_as_errors_of_its_bands_do():
     )
     origins, key = replace(ORIGINS, axis=axis), ("tenth", "ace", "pixel")
     curve = predict(s, origins, object_curves=False).roc[key]
-    inner, at = np.abs(ndtri(curve.pd)) < 1.0, input_path(given_of(s, origins), "surfaces.[plank].mean")
-    moved = [at.to(at.nominal + sign * np.diag(0.1 * at.nominal)[k]) for sign in (1, -1) for k in range(len(axis))]
+    inner, path = np.abs(ndtri(curve.pd)) < 1.0, "surfaces.[plank].mean"
+    stated = value_at(read(s, origins), path)[0]
+    moved = [{path: stated + sign * np.diag(0.1 * stated)[k]} for sign in (1, -1) for k in range(len(axis))]
     z = np.array([ndtri(p.roc[key].pd[inner]) for p in predictions(s, moved, origins, object_curves=False)])
     up, down = np.split(z, 2)
     width = (ndtri(curve.pd_upper) - ndtri(curve.pd_lower))[inner] / (2.0 * 1.959964)

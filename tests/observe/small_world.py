@@ -12,8 +12,8 @@ from rasterio.crs import CRS
 
 from hyperval.collection import CollectionSection, Detection
 from hyperval.imagery import write_cube
+from hyperval.model import Sources
 from hyperval.observe import Observed, observe
-from hyperval.prediction.inputs import Sources
 from hyperval.scenario import SpectrumSource
 from hyperval.spectra.axis import SpectralAxis
 

@@ -11,9 +11,9 @@ from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, background_spread
 from hyperval.collection import EmpiricalLineSource
 from hyperval.errors import UsageError
 from hyperval.imagery import open_cube
+from hyperval.model import Sources
 from hyperval.observe import empirical_line
 from hyperval.observe.detection import _ring
-from hyperval.prediction.inputs import Sources
 from hyperval.processing import region_statistics
 from hyperval.products import EstimatedPart
 

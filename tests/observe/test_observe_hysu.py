@@ -10,8 +10,8 @@ import rasterio
 
 from hyperval import datasets
 from hyperval.campaign.job import job_of
+from hyperval.model import Sources
 from hyperval.observe import observe
-from hyperval.prediction.inputs import Sources
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml"
 IMAGE = "hysu/published/full/DLR_HySU_HS_full.tif"

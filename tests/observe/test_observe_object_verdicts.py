@@ -8,7 +8,7 @@ from small_world import AXIS, BACKGROUND, BANDS, TARGET, World, background_sprea
 
 from hyperval.compare import compare_products
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario
 
 LINES, SAMPLES, FILL, SPREAD = 96, 96, 0.12, 0.05

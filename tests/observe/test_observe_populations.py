@@ -7,8 +7,8 @@ import pytest
 
 from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import UsageError
+from hyperval.model import Sources
 from hyperval.observe import open_place, pipeline
-from hyperval.prediction.inputs import Sources
 from hyperval.scenario import CovarianceSource, SpectrumSource, Surface
 
 

@@ -18,9 +18,8 @@ from hyperval.campaign.schema import DayScenarios, day_scenarios
 from hyperval.collection_files import RadCalNetSource
 from hyperval.compare import compare_spectra
 from hyperval.errors import InputError, UsageError
+from hyperval.model import Origins, predict
 from hyperval.observe import observe_radcalnet
-from hyperval.predict import Origins, predict
-from hyperval.prediction.departure import Departure
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
@@ -65,8 +64,8 @@ def test_it_is_what_comes_back_of_the_light_outside():
 
 def test_the_level_of_the_sunlight_cancels_and_the_path_does_not():
     plain = predict(scenario(), Origins(axis=AXIS, engine=terms)).toa_reflectance["sand"].mean
-    for d, gain in ((Departure(irradiance=1.05), 0.0), (Departure(path=1.1), 0.01)):
-        moved = predict(scenario(), Origins(axis=AXIS, engine=terms), departure=d).toa_reflectance["sand"].mean
+    for truth, gain in (({"light.irradiance": 1.05}, 0.0), ({"light.path": 1.1}, 0.01)):
+        moved = predict(scenario(), Origins(axis=AXIS, engine=terms), truth=truth).toa_reflectance["sand"].mean
         assert moved - plain == pytest.approx(gain, abs=1e-12)
     budget = {"solar_irradiance_relative": 0.05, "engine": {"relative": 0.0, "path_relative": 0.1}}
     found = predict(scenario(uncertainty=budget), Origins(axis=AXIS, engine=terms))
@@ -176,7 +175,7 @@ def test_a_campaign_over_a_day(day, monkeypatch):
     path = day / "campaign.yaml"
     path.write_text(yaml.safe_dump(campaign))
     assert summary(dry_run([path])) == ["day: ready"]
-    monkeypatch.setattr("hyperval.prediction.cases.atmospheric_terms", lambda state, **_: terms(state))
+    monkeypatch.setattr("hyperval.model.world.atmospheric_terms", lambda state, **_: terms(state))
     report = run_campaign(jobs_of(path)[0], show_progress=False)
     (row,) = [r for r in report.table if r.planned and r.metric == "bias_ratio"]
     expected = (0.1 + 0.72 * 0.25 / (1.0 - 0.2 * 0.25)) / 0.29 - 1.0

@@ -8,8 +8,8 @@ from small_world import AXIS, BACKGROUND, BANDS, TARGET, World
 
 from hyperval.collection import CollectionSection, PathRadiance
 from hyperval.errors import UsageError
+from hyperval.model.surfaces import correlation
 from hyperval.observe import path_estimate
-from hyperval.prediction.inputs import correlation
 from hyperval.products import SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis
 from small_campaign import stand_in_atmosphere
@@ -103,7 +103,7 @@ def test_one_other_site_needs_the_path_radiance(sites, monkeypatch):
 
 
 def test_path_radiance_is_what_a_scenario_sees_of_black_ground(tmp_path, monkeypatch):
-    monkeypatch.setattr("hyperval.prediction.cases.atmospheric_terms", stand_in_atmosphere)
+    monkeypatch.setattr("hyperval.model.world.atmospheric_terms", stand_in_atmosphere)
     text = """
 schema: 1
 name: air

@@ -6,20 +6,12 @@ import re
 
 import numpy as np
 import pytest
-from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
+from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.predict import Origins
-from hyperval.prediction.input import (
-    UncertainInput,
-    covariance_directions,
-    directions,
-    drawn_truths,
-    form_covariance,
-    form_in_words,
-)
-from hyperval.prediction.inputs import correlation
-from hyperval.prediction.uncertainty import given_of, inputs_of
+from hyperval.model import UncertainInput, drawn_truths, inputs_of, read, value_at
+from hyperval.model.inputs import covariance_directions, directions, form_covariance, form_in_words
+from hyperval.model.surfaces import correlation
 from hyperval.scenario import Scenario, SpectralForm, Uncertainty
 
 EVERYTHING = (
@@ -54,7 +46,7 @@ uncertainty:
 
 
 def inputs(s: Scenario) -> dict[str, UncertainInput]:
-    found = inputs_of(given_of(s, Origins(axis=AXIS, engine=engine)))
+    found = inputs_of(read(s, ORIGINS))
     assert len({i.name for i in found}) == len(found)
     return {i.name: i for i in found}
 
@@ -68,7 +60,7 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
     plain = s.model_copy(update={"uncertainty": Uncertainty()})
     blind = {"solar azimuth", "view zenith angle", "sensor altitude", "ground height"}  # to the stand-in engine
     for name, item in found.items():
-        off = run(plain, departure=item.moved(1.0))
+        off = run(plain, truth=item.moved(1.0))
         moved = [
             not np.allclose(off.radiance["tenth"].mean, base.radiance["tenth"].mean, rtol=1e-9),
             not np.allclose(off.snr["panel"].mean, base.snr["panel"].mean, rtol=1e-9),
@@ -76,15 +68,16 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
         ]
         assert any(moved) != (name in blind), name
         assert item.correlation
-    draws = [run(plain, departure=truth) for truth in drawn_truths(list(found.values()), 3, 1)]
+    draws = [run(plain, truth=truth) for truth in drawn_truths(list(found.values()), 3, 1)]
     assert len({float(d.radiance["grass"].mean[0]) for d in draws}) == 3
 
 
 def test_draws_are_the_same_for_the_same_seed():
     found = list(inputs(scenario(EVERYTHING)).values())
     (a,), (b,) = (drawn_truths(found, 1, 7) for _ in range(2))
-    assert dict(a.settings) == dict(b.settings)
-    np.testing.assert_array_equal(a.spectra["plank"], b.spectra["plank"])
+    assert list(a) == list(b)
+    for path, value in a.items():
+        np.testing.assert_array_equal(value, b[path])
 
 
 def test_directions_give_back_the_covariance_of_each_form():
@@ -102,8 +95,10 @@ def test_directions_give_back_the_covariance_of_each_form():
         norms = (rows**2).sum(axis=1)
         assert np.all(np.diff(norms) <= 1e-15) or name == "random"
     assert covariance_directions(np.zeros((3, 3))).shape == (0, 3)
-    # Less than a millionth of the variance is left out, and no more directions are kept than that needs.
-    assert covariance_directions(np.diag([1.0, 1e-3, 1e-5, 1e-7, 1e-9])).shape == (3, 5)
+    # Less than a millionth of the variance is left out, and no more directions are followed than that needs.
+    rows = covariance_directions(np.diag([1.0, 1e-3, 1e-5, 1e-7, 1e-9]))
+    assert rows.shape == (5, 5)
+    assert UncertainInput("x", "scene", "fill", np.zeros(5), rows).size == 3
     with pytest.raises(UsageError, match="needs a sensor with arms"):
         directions(sd, SpectralForm(correlation="arms"), AXIS)
 
@@ -111,8 +106,8 @@ def test_directions_give_back_the_covariance_of_each_form():
 def test_drawn_field_spectrum_has_the_covariance_that_is_stated():
     item = inputs(scenario(EVERYTHING))["field spectrum of plank"]
     rng = np.random.default_rng(11)
-    x = np.array([item.drawn(rng).spectra["plank"] for _ in range(4000)])
     plain = scenario(EVERYTHING)
+    x = np.array([item.drawn(rng)[item.path] for _ in range(4000)]) - value_at(read(plain, ORIGINS), item.path)
     base = run(plain).reflectance["tenth"]  # the plank fills a tenth: its error times 0.1
     stated = base.budget["field spectrum"]
     # Standard deviation of 4,000 draws: standard error 1.1 %; the host (asphalt) states no error here.

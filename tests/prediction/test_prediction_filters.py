@@ -1,20 +1,16 @@
-"""Filters of many settings: what one leaves in memory does not reach the next; matrices without an inverse."""
+"""Filters of many truths: what one leaves in memory does not reach the next; matrices without an inverse."""
 
 import numpy as np
 import pytest
 
-from hyperval.errors import UsageError
-from hyperval.prediction.background import Settings, View, ground_of, seen_classes
-from hyperval.prediction.filters import Designer
-from hyperval.prediction.inputs import SurfaceStatistics
-from hyperval.scenario import Processing
+from hyperval.model import Evaluation, Origins, World, read, with_values
+from hyperval.scenario import Scenario
+from hyperval.scene.statistics import ClassStatistics
+from hyperval.spectra.axis import SpectralAxis
 
-B, CLASSES = 5, ["soil", "grass"]
-
-
-def surfaces(spread: np.ndarray) -> dict[str, SurfaceStatistics]:
-    means = {"soil": np.linspace(0.1, 0.3, B), "grass": np.linspace(0.05, 0.5, B) ** 2}
-    return {n: SurfaceStatistics(n, m, (1 + i) * spread, "made") for i, (n, m) in enumerate(means.items())}
+B, CLASSES, DETECTORS = 5, ("soil", "grass"), ("cem", "cem-correlation", "smf")
+AXIS = SpectralAxis(np.linspace(450.0, 850.0, B), np.full(B, 10.0))
+MEANS = {"soil": np.linspace(0.1, 0.3, B), "grass": np.linspace(0.05, 0.5, B) ** 2, "paint": np.linspace(0.6, 0.4, B)}
 
 
 def spread(seed: int = 0) -> np.ndarray:
@@ -22,57 +18,48 @@ def spread(seed: int = 0) -> np.ndarray:
     return a @ a.T
 
 
-def reflectance_domain(fractions: np.ndarray, of: dict[str, SurfaceStatistics]) -> Settings:
-    u = len(fractions)
-    first = ground_of(of, CLASSES, fractions[0])
-    grounds = (first, *(ground_of(of, CLASSES, f) for f in fractions[1:]))
-    view = View(None, np.array([g.average for g in grounds])[:, None, :], None, 0.1, "corrected", None)
-    return Settings(view, fractions, np.ones((u, 2)), grounds, np.arange(u)).at(np.arange(B), CLASSES)
+def world(fractions: np.ndarray, covariance: np.ndarray, means: dict[str, np.ndarray] = MEANS) -> World:
+    """Truths of area fractions (U, 2) in the reflectance domain."""
+    measured = {n: ClassStatistics(n, AXIS, m, (1 + i) * covariance, 99) for i, (n, m) in enumerate(means.items())}
+    scenario = Scenario.model_validate({
+        "name": "s",
+        "scene": {
+            "classes": [{"name": n, "fraction": 0.5, "spectrum": {"measured": n}} for n in CLASSES],
+            "targets": [{"name": "paint", "host": "soil", "spectrum": {"measured": "paint"}, "fill": {"fixed": 0.1}}],
+        },
+        "processing": {"detectors": list(DETECTORS), "elm": "none"},
+    })  # fmt: skip
+    moved = {f"scene.classes.{n}.fraction": fractions[:, m] for m, n in enumerate(CLASSES)}
+    return with_values(read(scenario, Origins(AXIS, measured)), moved)
 
 
-def test_filters_do_not_depend_on_the_settings_before():
+def test_filters_do_not_depend_on_the_truths_before():
     fractions = np.array([[0.7, 0.3], [0.7, 0.3], [0.2, 0.8], [1.0, 0.0]])
-    wanted = np.broadcast_to(np.linspace(0.6, 0.4, B), (4, B))
-    detectors = ("cem", "cem-correlation", "smf")
 
     def weights(rows: list[int]) -> list[np.ndarray]:
-        at = reflectance_domain(fractions[rows], surfaces(spread()))
-        pairs = [(d, wanted[rows]) for d in detectors]
-        filters, problems = Designer(Processing(), CLASSES, B).design(at, seen_classes(at), pairs)
-        assert not problems
-        return [f.weights for f in filters]
+        e = Evaluation(world(fractions[rows], spread()))
+        found = [e.filters["paint", d][0].weights[e.which] for d in DETECTORS]
+        assert not e.problems
+        return found
 
     together, backwards = weights([0, 1, 2, 3]), weights([3, 2, 1, 0])
-    for d in range(len(detectors)):
+    for d in range(len(DETECTORS)):
         np.testing.assert_array_equal(together[d], backwards[d][::-1])
         for u in range(4):
             np.testing.assert_array_equal(together[d][u], weights([u])[d][0])
-
-
-def test_variances_of_the_surroundings_are_the_diagonal():
-    ground = reflectance_domain(np.array([[0.7, 0.3]]), surfaces(spread())).grounds[0]
-    assert ground.variances() == pytest.approx(np.diag(ground.covariance), rel=1e-13)
 
 
 def test_a_background_without_an_inverse_is_refused_and_the_next_one_is_right():
     copied = spread()
     copied[1], copied[:, 1] = copied[0], copied[:, 0]
     copied[1, 1] = copied[0, 0]
-    singular = surfaces(copied)
-    for s in singular.values():
-        s.mean[1] = s.mean[0]
-    wanted = np.linspace(0.6, 0.4, B)[None]
-    designer = Designer(Processing(), CLASSES, B)
-
-    def design(of: dict[str, SurfaceStatistics]):
-        at = reflectance_domain(np.array([[0.7, 0.3]]), of)
-        return designer.design(at, seen_classes(at), [("cem", wanted)])
-
-    alone = design(surfaces(spread()))[0][0].weights
-    filters, problems = design(singular)
-    assert isinstance(problems[0], UsageError)
-    assert "rank 4 of 5 bands" in str(problems[0])
-    assert np.isnan(filters[0].weights).all()
-    again, problems = design(surfaces(spread()))
-    assert not problems
-    np.testing.assert_array_equal(again[0].weights, alone)
+    same = {n: np.where(np.arange(B) == 1, m[0], m) for n, m in MEANS.items()}
+    fractions = np.array([[0.7, 0.3]])
+    alone = Evaluation(world(fractions, spread())).filters["paint", "cem"][0].weights
+    singular = Evaluation(world(fractions, copied, same))
+    assert np.isnan(singular.filters["paint", "cem"][0].weights).all()
+    assert "rank 4 of 5 bands" in str(singular.problems[0])
+    again = Evaluation(world(fractions, spread()))
+    np.testing.assert_array_equal(again.filters["paint", "cem"][0].weights, alone)
+    mean = fractions[0] @ [MEANS[n] for n in CLASSES]
+    assert alone[0] @ (MEANS["paint"] - mean) == pytest.approx(1.0, rel=1e-9)

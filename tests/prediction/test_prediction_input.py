@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
+from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.predict import Origins
-from hyperval.prediction.departure import Departure, input_path
-from hyperval.prediction.input import drawn_truths, number_input, one_at_a_time, spectral_input
-from hyperval.prediction.uncertainty import given_of, inputs_of
+from hyperval.model import Origins, drawn_truths, inputs_of, number_input, read, spectral_input, value_at
 from hyperval.scenario import RelativeUncertainty
 from hyperval.settings import with_settings
 from hyperval.uncertainty.attribution.ranking import assumed_inputs
 
 B = len(AXIS)
 SCENE = scenario()
-GIVEN = given_of(SCENE, Origins(axis=AXIS, engine=engine))
+WORLD = read(SCENE, ORIGINS)
 KEY = ("tenth", "cem", "pixel")
 
 
@@ -38,10 +35,10 @@ KEY = ("tenth", "cem", "pixel")
     ],
 )
 def test_what_stands_at_a_path_and_that_nothing_moves_where_it_stays(path, nominal):
-    at = input_path(GIVEN, path)
-    np.testing.assert_allclose(np.ravel(at.nominal), np.ravel(nominal))
-    if np.all(np.isfinite(at.nominal)):
-        same = run(SCENE, departure=at.to(np.asarray(at.nominal)))
+    at = value_at(WORLD, path)[0]
+    np.testing.assert_allclose(np.ravel(at), np.ravel(nominal))
+    if np.all(np.isfinite(at)):
+        same = run(SCENE, truth={path: at})
         np.testing.assert_allclose(same.roc[KEY].pd, run(SCENE).roc[KEY].pd, rtol=1e-9)
 
 
@@ -57,24 +54,27 @@ def test_what_stands_at_a_path_and_that_nothing_moves_where_it_stays(path, nomin
     ],
 )
 def test_a_value_at_a_path_is_the_setting_of_the_scenario(path, value, setting):
-    found = run(SCENE, departure=input_path(GIVEN, path).to(np.array([value])))
+    found = run(SCENE, truth={path: value})
     there = run(with_settings(SCENE, setting))
     np.testing.assert_allclose(found.roc[KEY].pd, there.roc[KEY].pd, rtol=1e-9)
     np.testing.assert_allclose(found.radiance["grass"].mean, there.radiance["grass"].mean, rtol=1e-12)
 
 
 def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
-    assert input_path(GIVEN, "atmosphere.aot550").to(np.array([-1.0])).settings["atmosphere.aot550"] == 0.0
-    assert input_path(GIVEN, "sensor.noise").to(np.array([-2.0])).noise_factor == pytest.approx(1e-3)
-    dark = input_path(GIVEN, "surfaces.asphalt.mean").to(np.full(B, -0.5)).spectra["asphalt"]
-    np.testing.assert_allclose(dark, -GIVEN.surfaces["asphalt"].mean)
+    def far_below(path: str):
+        item = number_input(WORLD, "x", "scene", path, 1.0)
+        return item.moved(-1e6)[path]
+
+    assert far_below("atmosphere.aot550") == 0.0
+    assert far_below("sensor.noise") == pytest.approx(1e-3)
+    np.testing.assert_array_equal(far_below("surfaces.asphalt.mean"), np.zeros(B))
 
 
 @pytest.mark.parametrize(
     ("path", "words"),
     [
         ("surfaces.nobody.mean", "no such surface"),
-        ("surfaces.plank.tail_dof", "no class 'plank'"),
+        ("surfaces.plank.tail_dof", "no such class"),
         ("fraction.plank", "no such class"),
         ("fill.nobody", "fill.nobody"),
         ("blur", "geometry"),
@@ -84,45 +84,44 @@ def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
 )
 def test_a_path_that_leads_nowhere_is_refused(path, words):
     with pytest.raises(UsageError, match=words):
-        input_path(GIVEN, path)
+        value_at(WORLD, path)
 
 
 def test_a_path_that_is_nearly_one_is_told_which():
     with pytest.raises(UsageError, match=r"did you mean line\.dark"):
-        input_path(GIVEN, "line.darker")
+        value_at(WORLD, "line.darker")
 
 
 def test_light_needs_an_atmosphere():
     with pytest.raises(UsageError, match="no atmosphere"):
-        input_path(given_of(scenario(""), Origins(axis=AXIS)), "light.irradiance")
+        value_at(read(scenario(""), Origins(axis=AXIS)), "light.irradiance")
 
 
 def test_a_factor_on_all_light_and_one_over_wavelength_have_the_spread_that_is_stated():
-    item = number_input(GIVEN, "light", "atmosphere", "light.irradiance", 0.3)
-    draws = np.array([t.irradiance for t in drawn_truths([item], 4000, 2)])
+    item = number_input(WORLD, "light", "atmosphere", "light.irradiance", 0.3)
+    draws = np.array([t["light.irradiance"] for t in drawn_truths([item], 4000, 2)])
     assert draws.std() == pytest.approx(0.3, rel=0.06)  # 4,000 draws: five standard errors
     form = RelativeUncertainty.model_validate({"relative": 0.02, "correlation_nm": 300})
-    wide = spectral_input(GIVEN, "gain", "sensor", "sensor.gain", 0.02, form)
-    total = sum((wide.direction(k, 1.0).recorded_gain - 1.0) ** 2 for k in range(wide.size))
+    wide = spectral_input(WORLD, "gain", "sensor", "sensor.gain", 0.02, form)
+    total = sum((wide.direction(k, 1.0)["sensor.gain"] - 1.0) ** 2 for k in range(wide.size))
     np.testing.assert_allclose(np.sqrt(total), 0.02, rtol=1e-5)
     assert wide.size > 1
 
 
 def test_one_at_a_time_goes_up_and_down_along_the_leading_directions():
     form = RelativeUncertainty.model_validate({"relative": 0.02, "correlation": "random"})
-    wide = spectral_input(GIVEN, "gain", "sensor", "sensor.gain", 0.02, form)
-    steps = one_at_a_time([wide])
-    assert [s.direction for s in steps] == list(range(B))
-    up, down = steps[1].truths
-    np.testing.assert_allclose(np.asarray(up.recorded_gain) + np.asarray(down.recorded_gain), 2.0)
-    assert isinstance(up, Departure)
+    wide = spectral_input(WORLD, "gain", "sensor", "sensor.gain", 0.02, form)
+    assert wide.size == B
+    up, down = (wide.direction(1, z)["sensor.gain"] for z in (1.0, -1.0))
+    np.testing.assert_allclose(up + down, 2.0)
+    assert np.flatnonzero(up != 1.0).tolist() == [1]
 
 
 def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate():
     text = ATMOSPHERE + "uncertainty: {noise: {relative: 0.1}, fractions: [{subject: grass, absolute: 0.1}]}\n"
-    given = given_of(scenario(text), Origins(axis=AXIS, engine=engine))
-    assumed = {i.path for i in assumed_inputs(given)}
-    assert not assumed & {i.path for i in inputs_of(given)}
+    world = read(scenario(text), ORIGINS)
+    assumed = {i.path for i in assumed_inputs(world)}
+    assert not assumed & {i.path for i in inputs_of(world)}
     assert {"sensor.gain", "surfaces.[grass].mean", "surfaces.[panel].mean"} <= assumed
     assert "surfaces.[plank].mean" not in assumed
-    assert all(i.source == "usual" for i in assumed_inputs(given))
+    assert all(i.source == "usual" for i in assumed_inputs(world))

@@ -9,8 +9,8 @@ import pytest
 from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
-from hyperval.predict import Origins, predict
-from hyperval.prediction.uncertainty import with_law_limits
+from hyperval.model import Origins, predict
+from hyperval.model.propagate import with_law_limits
 from hyperval.processing import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import Scenario

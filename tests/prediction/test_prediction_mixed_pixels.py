@@ -9,9 +9,7 @@ from scipy.special import stdtr
 from test_prediction_mixtures import drawn, of_region, two_clusters
 from uncertain_scene import AXIS, scenario
 
-from hyperval.predict import Origins, predict
-from hyperval.prediction.cases import batch_of, case_of
-from hyperval.prediction.departure import Departure, StatisticsDeparture
+from hyperval.model import Evaluation, Origins, predict, read, with_values
 from hyperval.processing.roc_model import ClassScores, Host, RocScores, mixing, object_detection_probability
 from hyperval.scene.builtin import builtin_class
 
@@ -37,7 +35,7 @@ def scene(fill: str = "{fixed: 0.1}", tail: object = "null", detectors: str = "c
 
 def run(of, components=None, **kwargs):
     origins = Origins(AXIS, {"field": of_region(components)})
-    return predict(of, origins, **kwargs), case_of(of, origins, Departure())
+    return predict(of, origins, **kwargs), Evaluation(read(of, origins))
 
 
 def drawn_host(host, dof, n, rng):
@@ -51,11 +49,10 @@ def drawn_host(host, dof, n, rng):
     return of.mean + np.sqrt(GAIN[host]) * away
 
 
-def host_exceedance(curve, made, case, detector, host):
+def host_exceedance(curve, made, there, detector, host):
     """P(score > x) of the host's class alone at the thresholds of a curve: its part of (3.33)."""
-    batch = batch_of([case])
-    scores = batch.scores("tenth", detector).classes
-    own = [j for j, law in enumerate(batch.settings.grounds[0].laws) if law.owner == batch.class_names.index(host)]
+    scores, stated = there.scores("tenth", detector).classes, there.stated
+    own = [j for j, law in enumerate(stated.laws) if law.owner == stated.classes.index(host)]
     total, part = 0.0, scores.fraction[0, own] / scores.fraction[0, own].sum()
     for j, p in zip(own, part, strict=True):
         m, s, nu = scores.mean[0, j], scores.sd[0, j], scores.dof[0, j]
@@ -69,10 +66,10 @@ def host_exceedance(curve, made, case, detector, host):
 def test_an_empty_pixel_passes_as_often_as_its_host(dof, detector):
     # The fill of 1e-9 leaves the score where it is: what remains is the quadrature over the tails.
     for fill in ("{fixed: 1e-9}", "{mean: 1e-8, sd: 1e-9}"):
-        made, case = run(scene(fill, dof, detector))
+        made, there = run(scene(fill, dof, detector))
         for unit in ("pixel", "object"):
             curve = made.roc["tenth", detector, unit]
-            expected = host_exceedance(curve, made, case, detector, "asphalt")
+            expected = host_exceedance(curve, made, there, detector, "asphalt")
             some = expected > 1e-9
             assert some.sum() > 100
             assert curve.pd[some] == pytest.approx(expected[some], rel=2e-5)
@@ -81,14 +78,14 @@ def test_an_empty_pixel_passes_as_often_as_its_host(dof, detector):
 @pytest.mark.parametrize("dof", [2.2, 4.0, 9.0])
 @pytest.mark.parametrize("fill", [1e-3, 1e-2])
 def test_a_little_target_takes_little_from_the_host(dof, fill):
-    made, case = run(scene(f"{{fixed: {fill}}}", dof))
+    made, there = run(scene(f"{{fixed: {fill}}}", dof))
     curve = made.roc["tenth", "cem", "pixel"]
-    least = (1.0 - fill) ** dof * host_exceedance(curve, made, case, "cem", "asphalt")
+    least = (1.0 - fill) ** dof * host_exceedance(curve, made, there, "cem", "asphalt")
     assert np.all(curve.pd >= (1.0 - 1e-6) * least)
 
 
 def test_one_class_alone_never_falls_below_its_own_false_alarms():
-    # The case of the report: P_D was 2.7e-7 at P_FA = 1e-3 and 8e-190 at 1e-6.
+    # The there of the report: P_D was 2.7e-7 at P_FA = 1e-3 and 8e-190 at 1e-6.
     text = scene("{fixed: 0.001}", 4)
     alone = text.model_copy(update={"scene": text.scene.model_copy(update={"classes": [
         c.model_copy(update={"fraction": 1.0}) for c in text.scene.classes if c.name == "asphalt"]})})  # fmt: skip
@@ -109,15 +106,15 @@ def test_a_full_pixel_is_normal():
 def test_detections_are_those_of_drawn_pixels(dof, host, fill):
     # 1,000,000 pixels; thresholds within 4.5 standard deviations: by chance fails in 5e-4 of all runs together.
     components, n, rng = two_clusters(dof if host == "grass" else np.inf), 1_000_000, np.random.default_rng(11)
-    made, case = run(
+    made, there = run(
         scene(f"{{fixed: {max(fill, 1e-9)}}}", dof if host == "asphalt" else "null", host=host), components
     )
-    curve, group = made.roc["tenth", "cem", "pixel"], batch_of([case]).groups[0]
-    filters, plank = group.filters["plank", "cem"][0], case.setup.surfaces["plank"]
+    curve = made.roc["tenth", "cem", "pixel"]
+    filters, plank = there.filters["plank", "cem"][0], there.stated.surfaces["plank"]
     behind = drawn_host(host, dof, n, rng)
     own = plank.mean + rng.standard_normal((n, BANDS)) @ np.linalg.cholesky(plank.covariance + 1e-15 * np.eye(BANDS)).T
     pixels = fill * own + (1.0 - fill) * behind
-    scores = pixels[:, group.bands] @ filters.weights[0] - filters.offset[0]
+    scores = pixels[:, there.bands] @ filters.weights[0] - filters.offset[0]
     for level in (0.5, 0.1, 1e-2, 1e-3, 1e-4):
         at = int(np.argmin(np.abs(np.log(curve.pfa / level))))
         p = curve.pd[at]
@@ -143,8 +140,8 @@ def test_ace_sees_the_same_pixels(dof, host):
     # 400,000 pixels and 4,000 draws of the model: within 4.5 standard deviations of both (its error as stated).
     components, n, rng = two_clusters(dof if host == "grass" else np.inf), 400_000, np.random.default_rng(12)
     of = scene("{fixed: 0.03}", dof if host == "asphalt" else "null", "ace", host)
-    made, case = run(of, components)
-    curve, ground = made.roc["tenth", "ace", "pixel"], case.setup.surfaces
+    made, there = run(of, components)
+    curve, ground = made.roc["tenth", "ace", "pixel"], there.stated.surfaces
     names, fractions = ("grass", "asphalt"), (0.7, 0.3)
     mean = sum(f * ground[k].mean for f, k in zip(fractions, names, strict=True))
     away = [ground[k].mean - mean for k in names]
@@ -165,9 +162,9 @@ def test_ace_sees_the_same_pixels(dof, host):
 
 def test_texture_finer_than_the_pixel_goes_by_the_fill_and_not_its_square():
     def variance(fill, fine=0.0):
-        moved = Departure(statistics={"plank": StatisticsDeparture(fine_texture=fine)})
-        case = case_of(scene(f"{{fixed: {fill}}}"), Origins(AXIS, {"field": of_region(None)}), moved)
-        return batch_of([case]).scores("tenth", "cem").sd[0] ** 2
+        world = read(scene(f"{{fixed: {fill}}}"), Origins(AXIS, {"field": of_region(None)}))
+        moved = with_values(world, {"surfaces.plank.fine_texture": np.array([fine])})
+        return Evaluation(moved).scores("tenth", "cem").sd[0] ** 2
 
     full, empty = variance(1.0), variance(1e-12)
     for fine, part in ((0.0, 0.09), (0.5, 0.195), (1.0, 0.3)):

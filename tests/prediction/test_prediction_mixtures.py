@@ -9,9 +9,7 @@ import pytest
 from uncertain_scene import AXIS, scenario
 
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict, predictions
-from hyperval.prediction.cases import batch_of, case_of
-from hyperval.prediction.departure import Departure, StatisticsDeparture
+from hyperval.model import Evaluation, Origins, predict, predictions, read, value_at
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.statistics import ClassStatistics, Components
 from hyperval.simulate.surface import sampler
@@ -79,8 +77,7 @@ def test_false_alarms_are_those_of_drawn_pixels(dof, tail):
     components, rng = two_clusters(dof), np.random.default_rng(1)
     of = mixed("auto", tail).model_copy(deep=True)
     curve, _ = curves(of_region(components), of)
-    case = case_of(of, Origins(AXIS, {"field": of_region(components)}), Departure())
-    group = batch_of([case]).groups[0]
+    group = Evaluation(read(of, Origins(AXIS, {"field": of_region(components)})))
     filters = group.filters["plank", "cem"][0]
     n, asphalt = 400_000, builtin_class("asphalt", AXIS)
     grass = drawn(components, int(0.7 * n), rng)
@@ -102,7 +99,8 @@ def test_ace_of_two_truths_sees_the_objects_of_each():
         "        - {name: loose, fill: {mean: 0.15, sd: 0.05}}\n": "",
         "detectors: [cem]": "elm: none, samples: 300, detectors: [ace]",
     }
-    truths = [Departure(), Departure(fill={"tenth": -0.006})]
+    stated = value_at(read(scenario("", **small), Origins(AXIS)), "fill.tenth")[0]
+    truths = [{}, {"fill.tenth": stated - 0.006}]
     both = [made.roc["tenth", "ace", "object"].pd for made in predictions(scenario("", **small), truths, Origins(AXIS))]
     (alone,) = predictions(scenario("", **small), truths[1:], Origins(AXIS))
     np.testing.assert_allclose(both[1], alone.roc["tenth", "ace", "object"].pd, rtol=1e-9)
@@ -114,10 +112,9 @@ def test_ace_counts_the_same_clusters():
     of = mixed(detectors="ace")
     made = predict(of, Origins(AXIS, {"field": of_region(components)}))
     curve = made.roc["tenth", "ace", "pixel"]
-    case = case_of(of, Origins(AXIS, {"field": of_region(components)}), Departure())
     n = 200_000
     asphalt, target = builtin_class("asphalt", AXIS), builtin_class("yellow-paint-plank", AXIS).mean
-    ground = case.setup.surfaces
+    ground = read(of, Origins(AXIS, {"field": of_region(components)})).stated.surfaces
     rest = asphalt.mean + rng.standard_normal((int(0.3 * n), BANDS)) @ np.linalg.cholesky(asphalt.covariance).T
     pixels = np.concatenate([drawn(components, n - len(rest), rng), rest])
     mean = 0.7 * ground["grass"].mean + 0.3 * ground["asphalt"].mean
@@ -139,10 +136,11 @@ def test_ace_counts_the_same_clusters():
 def test_a_class_spreads_with_its_components():
     wide = two_clusters().stretched(2.0)
     assert wide.covariance == pytest.approx(4.0 * two_clusters().covariance)
-    truth = Departure(statistics={"grass": StatisticsDeparture(factor=4.0)})
     origins = Origins(AXIS, {"field": of_region(two_clusters())})
-    surface = case_of(mixed(), origins, truth).setup.surfaces["grass"]
-    assert surface.components.covariance == pytest.approx(surface.covariance, rel=1e-9)
+    found = predict(mixed(), origins, truth={"surfaces.grass.spread": 2.0})
+    parts = found.distribution["grass"].clusters
+    of_parts = sum(w * (c + np.outer(away, away)) for w, away, c, _ in parts)
+    assert of_parts == pytest.approx(found.reflectance["grass"].pixel_covariance, rel=1e-9)
 
 
 def test_what_is_not_there_is_refused():

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.special import polygamma
-from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
+from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, engine, run, scenario
 
-from hyperval.predict import Origins
-from hyperval.prediction.departure import true_scenario
-from hyperval.prediction.monte_carlo import _drawn_estimate, emulator, quantities, tolerance
-from hyperval.prediction.uncertainty import drawn_covariance, given_of, inputs_of
+from hyperval.model import Origins, inputs_of, read
+from hyperval.model.inputs import drawn_covariance
+from hyperval.model.propagate import _drawn_estimate, emulator, quantities, tolerance
 from hyperval.processing import WHOLE, curve_area
 from hyperval.processing.roc_model import detection_at
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import FalseAlarmGrid, Scenario, Uncertainty
+from hyperval.settings import with_settings
 
 KEY = ("tenth", "cem", "pixel")
 SMALL = """
@@ -62,9 +62,9 @@ def test_the_budget_that_predict_adds_up_is_that_of_a_prediction_for_every_direc
     s = with_method("linear", SMALL + "  sensor_gain: {relative: 0.01, correlation: random}\n")
     stated, plain = run(s), s.model_copy(update={"uncertainty": Uncertainty()})
     total = {(p, n): np.zeros(len(AXIS)) for p in ("radiance", "snr", "reflectance") for n in getattr(stated, p)}
-    for item in inputs_of(given_of(s, Origins(axis=AXIS, engine=engine))):
+    for item in inputs_of(read(s, ORIGINS)):
         for k in range(item.size):
-            up, down = (run(plain, departure=item.direction(k, z)) for z in (1.0, -1.0))
+            up, down = (run(plain, truth=item.direction(k, z)) for z in (1.0, -1.0))
             for p, n in total:
                 total[p, n] += (0.5 * (getattr(up, p)[n].mean - getattr(down, p)[n].mean)) ** 2
     for (p, n), variance in total.items():
@@ -135,25 +135,29 @@ def test_nothing_uncertain_needs_no_draw():
     assert "propagation" not in p.provenance
 
 
+def moved(item, z: float) -> dict[str, float]:
+    return {path: float(value[0]) for path, value in item.moved(z).items()}
+
+
 def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
     s = scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, water_vapour_g_cm2: 0.5, solar_zenith_deg: 2}\n")
-    inputs = inputs_of(given_of(s, Origins(axis=AXIS, engine=engine)))
+    inputs = inputs_of(read(s, ORIGINS))
     made = emulator(s, inputs, engine, AXIS)
     assert made.runs == 8  # stated, two for each of three fields, one check
     assert 0.0 < made.error[1] <= made.error[0] < 0.01
     for item in inputs:
         for z in (-(3.0**0.5), 0.0, 3.0**0.5):
-            state = true_scenario(s, item.moved(z)).atmosphere
+            state = with_settings(s, moved(item, z)).atmosphere
             exact = engine(state).at_bands(AXIS)
             np.testing.assert_allclose(made(state).direct, exact.direct, rtol=1e-9)
             np.testing.assert_allclose(made(state).at_bands(AXIS).path_radiance, exact.path_radiance, rtol=1e-9)
-        state = true_scenario(s, item.moved(1.0)).atmosphere
+        state = with_settings(s, moved(item, 1.0)).atmosphere
         np.testing.assert_allclose(made(state).direct, engine(state).at_bands(AXIS).direct, rtol=2e-3)
 
 
 def test_an_input_at_the_end_of_its_range_is_interpolated_from_the_other_side():
     s = scenario((ATMOSPHERE + "uncertainty: {aot550: 0.1}\n").replace("aot550: 0.2,", "aot550: 0.0,"))
-    made = emulator(s, inputs_of(given_of(s, Origins(axis=AXIS, engine=engine))), engine, AXIS)
+    made = emulator(s, inputs_of(read(s, ORIGINS)), engine, AXIS)
     assert made.runs == 3
     p = run(s.model_copy(update={"uncertainty": s.uncertainty.model_copy(update={"method": "both", "samples": 40})}))
     assert np.all(np.isfinite(p.radiance["grass"].standard_uncertainty))
@@ -168,20 +172,19 @@ def test_separation_of_a_drawn_covariance_follows_its_pivot():
     s = root @ root.T
     d = rng.standard_normal(bands)
     stated = d @ np.linalg.solve(s, d)
+    path = "surfaces.[a].covariance"
     x = np.array(
-        [d @ np.linalg.solve(drawn_covariance(s, n, rng).covariance, d) / stated * (n - 1) for _ in range(3000)]
+        [d @ np.linalg.solve(drawn_covariance("a", s, n, rng)[path], d) / stated * (n - 1) for _ in range(3000)]
     )
     assert x.mean() == pytest.approx(n - bands, abs=4.5 * np.sqrt(2 * (n - bands) / 3000))
     assert x.var() == pytest.approx(2 * (n - bands), rel=4.5 * np.sqrt(2.3 / 3000))
     # The logarithm of one standard deviation scatters by half of what that of chi-square does.
-    given = given_of(
-        scenario("uncertainty: {sampled_statistics: [{subject: asphalt, effective_n: 200}]}"), Origins(AXIS)
-    )
-    (spread,) = (item for item in inputs_of(given) if item.path.endswith("spread"))
+    world = read(scenario("uncertainty: {sampled_statistics: [{subject: asphalt, effective_n: 200}]}"), Origins(AXIS))
+    (spread,) = (item for item in inputs_of(world) if item.path.endswith("spread"))
     assert spread.rows[0, 0] == pytest.approx(0.5 * np.sqrt(polygamma(1, 99.5)), rel=0.01)
-    few = drawn_covariance(s, 12, rng)  # too few for a matrix: one factor
-    assert few.covariance is None
-    assert few.factor > 0
+    few = drawn_covariance("a", s, 12, rng)  # too few for a matrix: one factor
+    assert list(few) == ["surfaces.[a].spread"]
+    assert few["surfaces.[a].spread"] > 0
 
 
 def test_area_of_a_curve_and_tolerance_of_a_limit():

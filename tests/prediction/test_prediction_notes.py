@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.prediction.cases import engine_notes, unstated_notes
+from hyperval.model.notes import engine_notes, unstated_notes
 from hyperval.scenario import Uncertainty
 
 

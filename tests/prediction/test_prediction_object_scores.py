@@ -7,8 +7,7 @@ import pytest
 
 from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict, predictions
-from hyperval.prediction.departure import Departure
+from hyperval.model import Origins, predict, predictions, read, value_at
 from hyperval.processing.filters import design_filter
 from hyperval.processing.roc_model import ClassScores, class_threshold, greatest_class_false_alarm
 from hyperval.products import background_of
@@ -135,13 +134,11 @@ def test_same_seed_same_draws():
 def test_each_of_several_truths_has_the_objects_of_its_own_scene():
     # The first truth of a batch once lent its fills to all others.
     scenario = scenario_of(place="position_m: [0, 0],", there="position_m: [0, 1.0],")
-    truths = [
-        Departure(),
-        Departure(fill={"square": 0.2}),
-        Departure(settings={"scene.targets.plank.subjects.[square].fill.geometry.psf_fwhm_pixels": 3.0}),
-        Departure(spectra={"other": 0.1}),
-        Departure(spectra={"grass": 0.1}),
-    ]
+    world = read(scenario, Origins(axis=AXIS))
+    moves = [("fill.square", 0.2), ("surfaces.other.mean", 0.1), ("surfaces.grass.mean", 0.1)]
+    more, brighter, greener = ({path: value_at(world, path)[0] + step} for path, step in moves)
+    blurred = {"scene.targets.plank.subjects.[square].fill.geometry.psf_fwhm_pixels": 3.0}
+    truths = [{}, more, blurred, brighter, greener]
     together = list(predictions(scenario, truths, Origins(axis=AXIS), objects=300))
     for truth, one in zip(truths, together, strict=True):
         (alone,) = predictions(scenario, [truth], Origins(axis=AXIS), objects=300)

@@ -8,8 +8,8 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 
 from hyperval.compare import chi_square_full
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import Origins, predict
-from hyperval.prediction.object_scores import HOST, PLACE, Shares, host_covariance, mixed, place_covariance, shares_of
+from hyperval.model import Origins, predict
+from hyperval.model.objects import HOST, PLACE, Shares, host_covariance, mixed, place_covariance, shares_of
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis

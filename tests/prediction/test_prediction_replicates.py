@@ -12,8 +12,8 @@ from scipy import stats
 
 from hyperval.config import validate
 from hyperval.errors import InputError, UsageError
-from hyperval.predict import Origins, predict
-from hyperval.prediction.inputs import Sources, band_error_covariance, mean_error_covariance, replicate_statistics
+from hyperval.model import Origins, predict
+from hyperval.model.surfaces import Sources, band_error_covariance, mean_error_covariance, replicate_statistics
 from hyperval.scenario import Replicates, Scenario, SpectrumSource, Surface
 from hyperval.spectra.axis import SpectralAxis, band_average
 

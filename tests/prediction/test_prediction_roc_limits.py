@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
-from hyperval.prediction.uncertainty import with_bands
+from hyperval.model.propagate import with_bands
 from hyperval.products import RocCurve
 
 KEY = ("s", "cem", "pixel")

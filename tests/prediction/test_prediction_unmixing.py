@@ -9,9 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure
-from hyperval.prediction.inputs import Sources
-from hyperval.prediction.unmixing import UnmixedSubject, labelled, predicted_areas, predicted_classification
+from hyperval.model import Origins, UnmixedSubject, labelled, predicted_areas, predicted_classification
 from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
@@ -30,7 +28,7 @@ def scenario(fill, pixels=1):
     return Scenario.model_validate({"name": "s", "scene": scene})
 
 
-def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariances=None, draws=4000, departure=None,
+def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariances=None, draws=4000, truth=None,
               clusters=(), objects=1, ring=10**6):  # fmt: skip
     grass = SpectralEstimate(GRASS, np.zeros((B, B)), spread)
     prediction = PredictedProducts(
@@ -39,8 +37,8 @@ def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariance
     words, error = ("paint 1 m", "paint 1 m", "paint"), (uncertainty, 300.0, "")
     subject = UnmixedSubject(*words, np.full(B, 0.3), *error, objects, 1.0, ring)
     found = predicted_areas(
-        scenario(fill), prediction, [subject], np.ones(B, bool), covariances or {"fcls": None}, 4.0,
-        Sources(AXIS, {}, lambda name: name), draws=draws, departure=departure,
+        scenario(fill), Origins(AXIS), truth or {}, prediction, [subject], np.ones(B, bool),
+        covariances or {"fcls": None}, 4.0, draws=draws,
     )  # fmt: skip
     return found["paint 1 m", method]
 
@@ -59,10 +57,10 @@ def test_spread_is_the_linear_error_where_no_limit_binds():
 
 
 def test_a_truth_with_another_fill_or_material_is_unmixed_with_the_endmembers_as_they_were():
-    smaller = predicted({"fixed": 0.4}, departure=Departure(fill={"paint 1 m": -0.08}))
+    smaller = predicted({"fixed": 0.4}, truth={"fill.[paint 1 m]": 0.32})
     assert smaller.area_m2 == pytest.approx(4.0 * 0.32, abs=0.01)
     # A target a tenth of the way to the background looks like nine tenths of its area.
-    greener = predicted({"fixed": 0.4}, departure=Departure(spectra={"paint": 0.1 * (GRASS - 0.3)}))
+    greener = predicted({"fixed": 0.4}, truth={"surfaces.paint.mean": 0.3 + 0.1 * (GRASS - 0.3)})
     assert greener.area_m2 == pytest.approx(0.9 * 1.6, abs=0.01)
 
 
@@ -111,7 +109,8 @@ def test_whole_objects_have_their_own_fills():
 def test_a_scenario_with_light_is_left_out():
     made = scenario({"fixed": 0.4})
     lit = made.model_copy(update={"atmosphere": object()})
-    assert predicted_areas(lit, PredictedProducts(AXIS), [], np.ones(B, bool), {"fcls": None}, 1.0, None) == {}
+    nothing = PredictedProducts(AXIS)
+    assert predicted_areas(lit, Origins(AXIS), {}, nothing, [], np.ones(B, bool), {"fcls": None}, 1.0) == {}
     assert labelled("fcls", "") == "fcls"
 
 

@@ -7,7 +7,7 @@ from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
@@ -25,6 +25,7 @@ def engine(state: AtmosphericState) -> AtmosphericTerms:
     return smooth_terms(blue, haze, sunlight() * mu, direct, gas)
 
 
+ORIGINS = Origins(axis=AXIS, engine=engine)
 SCENE = """
 schema: 1
 name: small
@@ -60,4 +61,4 @@ def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
 
 def run(s: Scenario, **kwargs) -> PredictedProducts:
     """The prediction on the ten bands."""
-    return predict(s, Origins(axis=AXIS, engine=engine), **kwargs)
+    return predict(s, ORIGINS, **kwargs)

@@ -9,7 +9,7 @@ import pytest
 from spectra_shells import CORRELATION, NM, hypernets
 
 from hyperval.errors import InputError
-from hyperval.prediction.inputs import Sources, covariance_in_bands
+from hyperval.model.surfaces import Sources, covariance_in_bands
 from hyperval.scenario import SpectrumSource
 from hyperval.spectra.axis import SpectralAxis, band_average
 from hyperval.spectra.networks import read_hypernets

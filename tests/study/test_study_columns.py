@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.predict import predict
-from hyperval.prediction.detection import detect
+from hyperval.model import Evaluation, predict, read, settled, with_values
+from hyperval.model.detection import detect
+from hyperval.model.world import column_of
 from hyperval.settings import setting, with_settings
-from hyperval.study.evaluate import Evaluator, Sky, _tidy, make_ready, of_batch
+from hyperval.study.evaluate import Evaluator, of_truths
 from hyperval.study.schema import Output
 
 EQUAL = 1e-9  # relative; P_D down to 1e-12
@@ -18,7 +19,7 @@ DEFAULTS = {"calibration_error_percent": 1.0, "bits": 12, "signal_factor": 1.0, 
 
 
 def evaluator_of(scenario) -> Evaluator:
-    return Evaluator(make_ready(scenario, Sky()), Sky())
+    return Evaluator(read(scenario))
 
 
 def difference_from_predict(scenario, changes) -> float:
@@ -26,30 +27,23 @@ def difference_from_predict(scenario, changes) -> float:
 
     The first point is the scenario as it stands, the others have the changes; what is no number is read anew.
     """
-    evaluator = evaluator_of(scenario)
-    anew = {p: v for p, v in changes.items() if evaluator.column(p).kind == "anew"}
-    ready = evaluator.variant(anew)
-    moved = {p: v for p, v in changes.items() if p not in anew}
-    stated = {p: setting(ready.setup.scenario, p) if has(ready.setup.scenario, p) else None for p in moved}
-    columns = {}
-    for path, value in moved.items():
-        columns[path] = np.empty(3, dtype=object)
-        columns[path][:] = [DEFAULTS.get(path.rsplit(".", 1)[-1], stated[path]), value, value]
-        columns[path] = _tidy(columns[path])
-    batch = evaluator.batch(ready, columns, 3)
+    stated = read(scenario)
+    there = {p: DEFAULTS.get(p.rsplit(".", 1)[-1], setting(scenario, p) if has(scenario, p) else None) for p in changes}
+    columns = {p: column_of([there[p], v, v]) for p, v in changes.items()}
     worst = 0.0
-    for point in (0, 2):
-        there = {p: DEFAULTS.get(p.rsplit(".", 1)[-1], stated[p]) if point == 0 else v for p, v in moved.items()}
-        prediction = predict(with_settings(ready.setup.scenario, there))
-        setting_number = batch.points.setting[point]
-        pairs = [(batch.radiance(s)[setting_number], e.mean) for s, e in prediction.radiance.items() if s != "plank"]
-        pairs += [(batch.snr(s)[setting_number], prediction.snr[s].mean) for s in batch.class_names if prediction.snr]
-        for (subject, detector, unit), curve in prediction.roc.items():
-            found = detect(batch, points=range(3))[point].roc[subject, detector, unit]
-            pairs.append((found.pd, curve.pd))
-        for ours, theirs in pairs:
-            known = np.isfinite(theirs) & (np.abs(theirs) > 1e-12)
-            worst = max(worst, float(np.max(np.abs(ours[known] / theirs[known] - 1.0), initial=0.0)))
+    for index, part in settled(with_values(stated, columns)):
+        e = Evaluation(part)
+        each = detect(e, points=range(len(e)))
+        for u, point in enumerate(index.tolist()):
+            at = there if point == 0 else changes
+            prediction = predict(with_settings(scenario, at))
+            pairs = [(e.radiance(s)[u], p.mean) for s, p in prediction.radiance.items() if s != "plank"]
+            pairs += [(e.snr(s)[u], prediction.snr[s].mean) for s in e.stated.classes if prediction.snr]
+            found = each[u].roc
+            pairs += [(found[key].pd, curve.pd) for key, curve in prediction.roc.items()]
+            for ours, theirs in pairs:
+                known = np.isfinite(theirs) & (np.abs(theirs) > 1e-12)
+                worst = max(worst, float(np.max(np.abs(ours[known] / theirs[known] - 1.0), initial=0.0)))
     return worst
 
 
@@ -118,20 +112,20 @@ def test_points_of_a_batch_do_not_disturb_each_other(scenario):
 
 def test_areas_against_quadrature(scenario):
     """AUC in closed form, with Gaussian and t backgrounds, against the area under the finely drawn curve."""
-    evaluator = evaluator_of(with_settings(scenario, {"scene.targets.plank.fill": {"mean": 0.03, "sd": 0.01}}))
-    batch = evaluator.batch(evaluator.base, {"scene.classes.asphalt.tail_dof": np.array([2.5, 6.0, 40.0])}, 3)
-    scores = batch.scores("plank", "cem")
+    world = read(with_settings(scenario, {"scene.targets.plank.fill": {"mean": 0.03, "sd": 0.01}}))
+    e = Evaluation(with_values(world, {"scene.classes.asphalt.tail_dof": np.array([2.5, 6.0, 40.0])}))
+    scores = e.scores("plank", "cem")
     pfa = np.concatenate([np.geomspace(1e-10, 0.01, 2000, endpoint=False), np.linspace(0.01, 1.0 - 1e-9, 20001)])
     area = np.trapezoid(scores.detection(pfa[None, :]), pfa, axis=1)
     np.testing.assert_allclose(scores.auc(), area, atol=2e-5)
 
 
 def test_false_alarms_at_a_detection_probability_is_the_inverse(scenario):
-    evaluator = evaluator_of(with_settings(scenario, {"scene.targets.plank.fill": {"mean": 0.1, "sd": 0.03}}))
-    batch = evaluator.batch(evaluator.base, {"scene.targets.plank.gain": np.array([0.5, 2.0])}, 2)
+    world = read(with_settings(scenario, {"scene.targets.plank.fill": {"mean": 0.1, "sd": 0.03}}))
+    e = Evaluation(with_values(world, {"scene.targets.plank.gain": np.array([0.5, 2.0])}))
     ask = Output(name="x", kind="log10-pfa", subject="plank", pd=0.7)
-    log_pfa = of_batch(batch, ask, None)
-    back = batch.scores("plank", "cem").detection(10.0 ** log_pfa[:, None])
+    log_pfa = of_truths(e, ask, None)
+    back = e.scores("plank", "cem").detection(10.0 ** log_pfa[:, None])
     np.testing.assert_allclose(back[:, 0], 0.7, rtol=1e-9)
 
 

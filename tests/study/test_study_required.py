@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from hyperval.predict import predict
+from hyperval.model import predict, read
 from hyperval.settings import with_settings
-from hyperval.study.evaluate import Evaluator, Sky, make_ready
+from hyperval.study.evaluate import Evaluator
 from hyperval.study.plan import _bracket, answers, scan_values
 from hyperval.study.schema import Output, Required
 
@@ -17,7 +17,7 @@ SNR = Output(name="snr", kind="snr", subject="asphalt", band_nm=550)
 
 @pytest.fixture
 def evaluator(scenario) -> Evaluator:
-    return Evaluator(make_ready(scenario, Sky()), Sky())
+    return Evaluator(read(scenario))
 
 
 def asked(**changes) -> Required:

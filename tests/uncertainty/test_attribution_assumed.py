@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.predict import Origins
-from hyperval.prediction.uncertainty import given_of
+from hyperval.model import Origins, read
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.uncertainty.attribution.ranking import assumed_inputs
@@ -25,7 +24,7 @@ def names(*classes, targets=(), **changes) -> list[str]:
         "processing": {"elm": "none", "detectors": []},
         **changes,
     })  # fmt: skip
-    return [i.name for i in assumed_inputs(given_of(scenario, Origins(axis=AXIS, engine=stand_in_atmosphere)))]
+    return [i.name for i in assumed_inputs(read(scenario, Origins(axis=AXIS, engine=stand_in_atmosphere)))]
 
 
 def test_a_reflectance_image_has_neither_air_nor_noise_of_a_sensor():

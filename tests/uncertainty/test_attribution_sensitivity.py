@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure
+from hyperval.model import UncertainInput
 from hyperval.uncertainty.attribution import run
 from hyperval.uncertainty.attribution.ranking import Candidate
 from hyperval.uncertainty.attribution.run import quadratic_design, sensitivity_indices
@@ -70,13 +70,13 @@ def test_inputs_are_checked_together_with_both_signs_of_each():
     names = ("ground", "path")
 
     def reason(name):
-        move = SimpleNamespace(at=lambda direction, units: [Departure(**{name: 1.0 + 0.01 * units})])
-        return SimpleNamespace(candidate=Candidate(name, "sensor", None, True), at=move.at)
+        item = UncertainInput(name, "sensor", f"light.{name}", np.ones(1), np.full((1, 1), 0.01))
+        return SimpleNamespace(candidate=Candidate(name, "sensor", None, True), members=(item,))
 
     reasons, seen = [reason(name) for name in names], []
 
     def evaluate(truths, words, show_progress):
-        seen.extend((float(t.ground), float(t.path)) for (t,) in truths)
+        seen.extend((float(t["light.ground"][0]), float(t["light.path"][0])) for (t,) in truths)
         return [(None, np.array([g + p])) for g, p in seen]
 
     single = {(r.candidate, sign): np.array([2.0 + 0.01 * sign]) for r in reasons for sign in (1, -1)}

@@ -7,8 +7,7 @@ import pytest
 from uncertain_scene import AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict
-from hyperval.prediction.departure import Departure
+from hyperval.model import Origins, predict
 from hyperval.settings import with_settings
 from hyperval.uncertainty.planted import NotPlantable, PlantedError, planted_errors, planted_prediction
 
@@ -86,7 +85,7 @@ def test_a_spectrum_may_end_before_a_shifted_band(tmp_path):
     s = with_settings(SCENE, {"scene.panels.panel.spectrum": {"file": str(tmp_path / "panel.csv")}})
     predict(s, options)  # one band at the end may lack
     with pytest.raises(UsageError, match="does not cover"):
-        predict(s, options, departure=Departure(wavelength_shift_nm=5.0))
+        predict(s, options, truth={"sensor.wavelength_shift_nm": 5.0})
     found, _ = planted_prediction(s, BY_NAME["wavelengths + 5 nm"], options)
     assert np.all(found.radiance["panel"].mean[:-2] > 0.0)
     assert np.all(found.radiance["grass"].mean > 0.0)
@@ -201,7 +200,7 @@ def test_without_an_atmosphere_light_is_not_planted_and_the_line_is_that_of_the_
 
 
 def test_an_error_of_a_path_that_leads_nowhere_names_it():
-    lost = PlantedError("nothing", lambda given: {"surfaces.nobody.mean": 0.1})
+    lost = PlantedError("nothing", lambda world: {"surfaces.nobody.mean": 0.1})
     with pytest.raises(NotPlantable, match=r"surfaces\.nobody"):
         planted_prediction(SCENE, lost, Origins(axis=AXIS, engine=engine))
 

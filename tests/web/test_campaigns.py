@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from web_browser import NEEDS_BROWSER, WIDER_THAN_SCREEN, careful_page, picture, serious
 from web_server import serve
 
-import hyperval.predict
+import hyperval.model.forward
 from hyperval import api
 from hyperval.cli import app as command
 from hyperval.figures import Drawing
@@ -106,8 +106,8 @@ def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
 @NEEDS_BROWSER
 def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run, browser, monkeypatch):
     observed, compared = threading.Event(), threading.Event()
-    predict = hyperval.predict.predict
-    monkeypatch.setattr("hyperval.predict.predict", lambda *a, **k: observed.wait(60) and predict(*a, **k))
+    predict = hyperval.model.forward.predict
+    monkeypatch.setattr("hyperval.model.forward.predict", lambda *a, **k: observed.wait(60) and predict(*a, **k))
     monkeypatch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: compared.wait(60) and [])
     monkeypatch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
     monkeypatch.setattr("hyperval.report.html.further_figures", lambda *_: [])

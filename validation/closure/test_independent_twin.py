@@ -14,7 +14,7 @@ from solver_nodes import run_solver_at
 
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
 from hyperval.atmosphere.solar import distance_on_day, extraterrestrial_irradiance
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra.axis import SpectralAxis, band_average

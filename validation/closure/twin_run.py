@@ -9,8 +9,8 @@ from pathlib import Path
 from hyperval.campaign.job import SIMULATED, job_of
 from hyperval.campaign.schema import Campaign
 from hyperval.compare import compare_products
+from hyperval.model import Origins, predict
 from hyperval.observe import observe
-from hyperval.predict import Origins, predict
 from hyperval.results import ResultTable, of_campaign
 from hyperval.scenario import load_scenario
 from hyperval.simulate import SceneFile, load_scene, simulate

@@ -185,7 +185,7 @@ def rows_of(number: int, seed: int) -> list[Result]:
         classes = {name: builtin_class(name, sensor.axis) for name in scene.materials()}
         inputs = SimulationInputs(sensor, terms(scene.atmosphere).at_bands(sensor.axis), classes)
         simulate(scene, folder / "collection", inputs=inputs, show_progress=False)
-        stack.enter_context(patch("hyperval.prediction.cases.atmospheric_terms", lambda state, **_: terms(state)))
+        stack.enter_context(patch("hyperval.model.world.atmospheric_terms", lambda state, **_: terms(state)))
         stack.enter_context(patch.multiple(detection, REPLICATES=1000, POWER_DRAWS=20))
         stack.enter_context(patch.object(products, "compare_covariance", of_classes))
         report = run_campaign(job_of(folder / "campaign.yaml"), show_progress=False)

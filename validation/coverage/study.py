@@ -32,8 +32,8 @@ from world import B as BANDS
 import hyperval
 from hyperval.compare import compare_products, detection
 from hyperval.executors import in_order, worker_count, workers
+from hyperval.model import Origins, predict
 from hyperval.observe.site_spectra import spectral_estimate
-from hyperval.predict import Origins, predict
 from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.processing.sample import (

@@ -1,30 +1,33 @@
 """Equations 3.21-3.29 on the arrays that the forward model runs through, against matrices written out.
 
-Two settings of light, noise, area fractions and surroundings go through the model together; each is worked out by
+Two truths of light, noise, area fractions and surroundings go through the model together; each is worked out by
 itself here, with diagonal matrices and inverses as the equations are printed.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.prediction.background import Settings, View, ground_of, seen_classes, stacked, stacked_noise
-from hyperval.prediction.filters import (
+from hyperval.model import Evaluation, Origins, World, read, with_values
+from hyperval.model.filters import (
     FILL_NODES,
-    Designer,
-    Material,
-    law_scores,
+    class_scores,
     lit_surface,
     noise_of,
-    responses,
     target_population,
+    target_scores,
 )
-from hyperval.prediction.inputs import SurfaceStatistics
-from hyperval.scenario import ElmPanels, Processing
+from hyperval.model.surfaces import SurfaceStatistics
+from hyperval.scenario import Scenario
 from hyperval.scene.fill import beta_fill
+from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.noise import NoiseModel
+from hyperval.spectra.axis import SpectralAxis
 
 B = 4
 RNG = np.random.default_rng(3280)
@@ -52,24 +55,46 @@ def surface(name: str, mean: float, spread: float) -> SurfaceStatistics:
 
 SURFACES = {s.name: s for s in (surface("soil", 0.2, 0.02), surface("grass", 0.35, 0.03), surface("plank", 0.55, 0.02))}
 TERMS, NOISE = (some_terms(3.0), some_terms(2.0)), (some_noise(1.0), some_noise(0.5))
-MATERIAL = Material("plank", 1, np.array([1.0, 0.4]), np.array([1.0, 0.8]))
+BEAM, SKY = np.array([1.0, 0.4]), np.array([1.0, 0.8])
+AXIS = SpectralAxis(np.linspace(450.0, 900.0, B), np.full(B, 10.0))
+SCENARIO = {
+    "name": "two",
+    "sensor": "prospectir-vs",
+    "atmosphere": {"aot550": 0.0, "sensor_altitude_km": 1, "solar_zenith_deg": 30, "solar_azimuth_deg": 0,
+                   "day_of_year": 200},
+    "scene": {
+        "classes": [{"name": n, "fraction": 0.5, "spectrum": {"measured": n}} for n in ("soil", "grass")],
+        "targets": [{"name": "plank", "host": "grass", "spectrum": {"measured": "plank"}, "fill": {"fixed": 0.3}}],
+    },
+    "processing": {"detectors": ["cem"], "bands": {"drop_bad": False, "windows_only": False}},
+}  # fmt: skip
 
 
-def both() -> Settings:
-    grounds = tuple(ground_of(SURFACES, ["soil", "grass"], f) for f in FRACTIONS)
-    view = View(
-        stacked(TERMS, B),
-        np.array([g.average for g in grounds])[:, None, :],
-        stacked_noise(NOISE, B),
-        np.array(KAPPA)[:, None, None],
-        "corrected",
-        ElmPanels(),
+def both(**more: np.ndarray) -> World:
+    """The two truths."""
+    measured = {n: ClassStatistics(n, AXIS, s.mean, s.covariance, 40) for n, s in SURFACES.items()}
+    sensor = SimpleNamespace(
+        axis=AXIS, noise=lambda axis, operation: NOISE[0], true_axis=lambda axis, operation: axis,
+        specification=SimpleNamespace(psf=None),
+    )  # fmt: skip
+    origins = Origins(
+        AXIS, measured, engine=lambda state: replace(TERMS[int(state.aot550 > 0)], fwhm_nm=AXIS.fwhm_nm), sensor=sensor
     )
-    return Settings(view, FRACTIONS, GAINS, grounds, np.arange(2))
+    moved = {
+        "atmosphere.aot550": np.array([0.0, 0.5]),
+        "sensor_changes.signal_factor": np.array([1.0, 0.5]),
+        "sensor_changes.calibration_error_percent": np.array([0.5, 0.25]),
+        "scene.adjacency.effective_neighbours": 1.0 / np.array(KAPPA),
+        "scene.targets.plank.illumination.beam": BEAM,
+        "scene.targets.plank.illumination.sky_view": SKY,
+    }
+    for m, name in enumerate(("soil", "grass")):
+        moved |= {f"scene.classes.{name}.fraction": FRACTIONS[:, m], f"scene.classes.{name}.gain": GAINS[:, m]}
+    return with_values(read(Scenario.model_validate(SCENARIO), origins), moved | more)
 
 
 class Plain:
-    """One setting, by the equations one after the other."""
+    """One truth, by the equations one after the other."""
 
     def __init__(self, u: int):
         self.t, self.noise, self.kappa, self.g = TERMS[u], NOISE[u], KAPPA[u], GAINS[u]
@@ -112,17 +137,15 @@ class Plain:
         return (1 - back) * ((1 - q) * beam + q * sky) + back * sky
 
 
-def designed(at: Settings):
-    seen = seen_classes(at)
-    level = at.levels(SURFACES["plank"].mean[None])
-    wanted = [("cem", ((level - seen.offset) / seen.gain)[:, 0])]
-    filters, problems = Designer(Processing(), ["soil", "grass"], B).design(at, seen, wanted)
-    assert not problems
-    return seen, filters[0]
+def designed():
+    e = Evaluation(both())
+    filters, _, _ = e.filters["plank", "cem"]
+    assert not e.problems
+    return e, filters
 
 
-def test_3_22_to_3_25_filters_of_two_settings():
-    _, filters = designed(both())
+def test_3_22_to_3_25_filters_of_two_truths():
+    _, filters = designed()
     for u in (0, 1):
         w, mu = Plain(u).filter()
         assert filters.weights[u] == pytest.approx(w, rel=1e-9)
@@ -130,9 +153,8 @@ def test_3_22_to_3_25_filters_of_two_settings():
 
 
 def test_3_27_and_3_29_scores_of_the_classes():
-    at = both()
-    seen, filters = designed(at)
-    means, sds = law_scores(at, seen, filters)
+    e, filters = designed()
+    means, sds = class_scores(e.background, e.seen, filters)
     for u in (0, 1):
         w, mu = Plain(u).filter()
         for m, (mean, covariance) in enumerate(Plain(u).classes()):
@@ -140,15 +162,16 @@ def test_3_27_and_3_29_scores_of_the_classes():
             assert sds[u, m] ** 2 == pytest.approx(w @ covariance @ w, rel=1e-9)  # (3.29)
 
 
-@pytest.mark.parametrize("count", [3, 40])
-def test_3_11_surroundings_by_their_matrix_and_by_the_classes(count):
-    """Grounds of a small batch have a Sigma_ave each, those of a large one go through the classes together."""
+@pytest.mark.parametrize("alike", [True, False])
+def test_3_11_surroundings_by_their_matrix_and_by_the_classes(alike):
+    """Truths of one background have a Sigma_ave, others go through the classes together."""
     rng = np.random.default_rng(311)
-    fractions = rng.dirichlet([1.0, 2.0], count)
-    grounds = tuple(ground_of(SURFACES, ["soil", "grass"], f) for f in fractions)
-    view = View(None, np.array([g.average for g in grounds])[:, None, :], None, 0.1, "corrected", None)
-    v = rng.normal(size=(count, 3, B))
-    found = Settings(view, fractions, np.ones((count, 2)), grounds, np.arange(count)).surroundings(v)
+    fractions = np.tile(FRACTIONS[:1], (2, 1)) if alike else FRACTIONS
+    moved = {f"scene.classes.{n}.fraction": fractions[: 1 if alike else 2, m] for m, n in enumerate(("soil", "grass"))}
+    v = rng.normal(size=(2, 3, B))
+    e = Evaluation(both(**moved))
+    assert e.bands.size == B
+    found = e.background.surroundings(v)
     means = np.array([SURFACES[n].mean for n in ("soil", "grass")])
     for u, f in enumerate(fractions):
         sigma = sum(
@@ -156,22 +179,24 @@ def test_3_11_surroundings_by_their_matrix_and_by_the_classes(count):
             for p, n, m in zip(f, ("soil", "grass"), means, strict=True)
         )
         assert found[u] == pytest.approx(np.diag(v[u] @ sigma @ v[u].T), rel=1e-11)
+        assert np.diag(e.background.covariance(u)) == pytest.approx(np.diag(sigma), rel=1e-11)
+        around = e.background.around()
+        assert around[u if len(around) > 1 else 0] == pytest.approx(np.diag(sigma), rel=1e-11)
 
 
 def test_3_26_and_3_28_scores_of_target_pixels_in_their_own_light():
-    at = both()
-    seen, filters = designed(at)
-    found = responses(at, seen, filters, MATERIAL)
+    e, filters = designed()
+    found = target_scores(e.view, e.background, e.seen, filters, e.material(0, e.world))
     fills, gains = np.array([[0.0, 0.3, 1.0]]), np.array([1.0, 3.0])
     means, sds = found.at(fills, gains, np.arange(2))
     own, host = SURFACES["plank"], SURFACES["grass"]
     for u in (0, 1):
         one = Plain(u)
         w, mu = one.filter()
-        light = one.light(MATERIAL.beam[u], MATERIAL.sky[u])
+        light = one.light(BEAM[u], SKY[u])
         for i, f in enumerate(fills[0]):
             rho = f * light * own.mean + (1 - f) * host.mean  # (3.10)
-            under = f * MATERIAL.sky[u] * own.mean + (1 - f) * host.mean
+            under = f * SKY[u] * own.mean + (1 - f) * host.mean
             lit = np.diag(light) @ own.covariance @ np.diag(light)
             inside = f**2 * gains[u] * lit + (1 - f) ** 2 * one.g[1] * host.covariance  # (3.12)
             mean, covariance = one.seen(rho, under, inside, one.g[1])
@@ -180,7 +205,8 @@ def test_3_26_and_3_28_scores_of_target_pixels_in_their_own_light():
 
 
 def test_3_7_light_on_a_target_in_the_shade():
-    lit, under, factor = lit_surface(both(), MATERIAL)
+    e = Evaluation(both())
+    lit, under, factor = lit_surface(e.view, e.material(0, e.world))
     light = Plain(1).light(0.4, 0.8)
     assert np.asarray(factor)[:, 0] == pytest.approx(np.array([np.ones(B), light]))
     assert lit[1, 0] == pytest.approx(light * SURFACES["plank"].mean)
@@ -188,9 +214,8 @@ def test_3_7_light_on_a_target_in_the_shade():
 
 
 def test_3_12_target_pixels_of_random_fill():
-    at, fill = both(), beta_fill(0.4, 0.1)
-    seen = seen_classes(at)
-    found = target_population(at, seen, 1, MATERIAL, fill, 3.0)
+    e, fill = Evaluation(both()), beta_fill(0.4, 0.1)
+    found = target_population(e.view, e.background, e.seen, 1, e.material(0, e.world), fill, 3.0)
     one, own, host = Plain(1), SURFACES["plank"], SURFACES["grass"]
     light = one.light(0.4, 0.8)
     d = light * own.mean - host.mean
@@ -200,25 +225,24 @@ def test_3_12_target_pixels_of_random_fill():
     assert found.covariance == pytest.approx(inside, rel=1e-9)
     rho, under = host.mean + 0.4 * d, host.mean + 0.4 * (0.8 * own.mean - host.mean)
     mean, covariance = one.seen(rho, under, inside, one.g[1])
-    slope, around = seen.slope[1], at.grounds[1].covariance
+    slope, around = e.seen.slope[1], e.background.covariance(1)
     whole = inside * np.outer(slope, slope) + around * np.outer(found.around, found.around) + np.diag(found.noise)
     assert found.mean == pytest.approx(mean, rel=1e-9)
     assert whole == pytest.approx(covariance, rel=1e-9)
 
 
 def test_3_16_to_3_19_noise_at_a_retrieved_reflectance():
-    at = both()
-    one = Plain(1)
+    e, one = Evaluation(both()), Plain(1)
     rho = np.array([0.1, 0.2, 0.4, 0.6])
     expected = one.noise.variance(one.b + one.k * rho) / one.k**2
-    assert noise_of(at, seen_classes(at), 1, rho) == pytest.approx(expected, rel=1e-10)
+    assert noise_of(e.view, e.seen, 1, rho) == pytest.approx(expected, rel=1e-10)
 
 
 def test_3_28_by_monte_carlo():
     """200,000 pixels of drawn fills through light, noise and filter; |z| of mean and variance < 5, failure 1e-6."""
-    rng, at, n = np.random.default_rng(3281), both(), 200_000
-    seen, filters = designed(at)
-    found = responses(at, seen, filters, MATERIAL)
+    rng, n = np.random.default_rng(3281), 200_000
+    e, filters = designed()
+    found = target_scores(e.view, e.background, e.seen, filters, e.material(0, e.world))
     fill, one = beta_fill(0.3, 0.1), Plain(1)
     means, sds = found.at(fill.values[None], np.full(1, 1.0), np.array([1]))
     mean = float(fill.weights @ means[0])

@@ -13,7 +13,7 @@ from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.products import background_of
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class

@@ -21,8 +21,8 @@ from hyperval.compare import compare_products
 from hyperval.envi_header import header_beside
 from hyperval.hdf5 import check_hdf5
 from hyperval.imagery import EnviRaster, needs_header, open_raster, record
-from hyperval.predict import Origins
-from hyperval.predict import predict as predict_scenario
+from hyperval.model import Origins
+from hyperval.model import predict as predict_scenario
 from hyperval.products import Products
 from hyperval.report.outputs import write_outputs
 from hyperval.results import of_campaign
@@ -96,8 +96,8 @@ def predict(
 
     Parameters
     ----------
-    objects, object_curves : of :func:`hyperval.predict.predict`
-    origins : entries of :class:`hyperval.predict.Origins`, such as ``axis``
+    objects, object_curves : of :func:`hyperval.model.predict`
+    origins : entries of :class:`hyperval.model.Origins`, such as ``axis``
 
     Raises
     ------

@@ -23,11 +23,11 @@ from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, InputError
 from hyperval.imagery.rasters import needs_header
 from hyperval.metrics import foreign
+from hyperval.model import Sources
 from hyperval.observe.detection import target_groups
 from hyperval.observe.place import IMAGE, SCENE, Place, check_line_for_detection, open_place
 from hyperval.observe.site_spectra import observe_radcalnet
 from hyperval.paths import matching
-from hyperval.prediction.inputs import Sources
 from hyperval.scenario import Scenario, SpectrumSource, builtin_scenarios
 from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
@@ -457,7 +457,7 @@ def _never_met(name: str, text: Text) -> list[Item]:
         return []
     from hyperval.campaign.one import never_met, outcomes
     from hyperval.campaign.sides import collected, predicted_side
-    from hyperval.predict import predict
+    from hyperval.model import predict
     from hyperval.results import row_name
 
     with collected(Job(campaign, text.path, text.named.files), show_progress=False) as side:

@@ -7,7 +7,7 @@ from pathlib import Path
 from hyperval.campaign.provenance import record_of
 from hyperval.compare.products import product_rows
 from hyperval.datasets import InputLog
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.report import RunReport, write_outputs
 from hyperval.results import ResultTable, of_campaign
 from hyperval.scenario import load_scenario

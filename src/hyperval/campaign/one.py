@@ -18,11 +18,9 @@ from hyperval.campaign.sides import Collected, collected, header_notes, joined, 
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError
 from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
+from hyperval.model import Truth, inputs_of, predictions, read
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
-from hyperval.predict import predictions
-from hyperval.prediction.departure import Departure, departs
-from hyperval.prediction.uncertainty import given_of, inputs_of
 from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.products import PredictedProducts, Products
 from hyperval.progress import step
@@ -32,7 +30,7 @@ from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.uncertainty.attribution.ranking import assumed_inputs
 from hyperval.uncertainty.attribution.residuals import few_objects
-from hyperval.uncertainty.attribution.run import ScenarioModel, Truth, attribute, attribution_rows
+from hyperval.uncertainty.attribution.run import ScenarioModel, Truths, attribute, attribution_rows
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
@@ -47,7 +45,7 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
     whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
     draws = OBJECT_DRAWS if whole else False
 
-    def of_truths(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[PredictedProducts]:
+    def of_truths(scenario: Scenario, truths: Sequence[Truth]) -> Iterator[PredictedProducts]:
         # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and
         # not what takes draws of its own for each of a hundred truths.
         closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
@@ -60,16 +58,16 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
     def still(scenario: Scenario) -> PredictedProducts:
         known = next((p for s, p in as_stated if s is scenario), None)
         if known is None:
-            known = next(of_truths(scenario, [Departure()]))
+            known = next(of_truths(scenario, [{}]))
             as_stated.append((scenario, known))
         return known
 
-    def moved_side(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[PredictedProducts]:
-        moved = of_truths(scenario, [truth for truth in truths if departs(truth)])
+    def moved_side(scenario: Scenario, truths: Sequence[Truth]) -> Iterator[PredictedProducts]:
+        moved = of_truths(scenario, [truth for truth in truths if truth])
         for truth in truths:
-            yield next(moved) if departs(truth) else still(scenario)
+            yield next(moved) if truth else still(scenario)
 
-    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truth]) -> Iterator[Products]:
+    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truths]) -> Iterator[Products]:
         sides = [moved_side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(scenarios)]
         for parts in zip(*sides, strict=True):
             yield joined(side, scenarios, parts)
@@ -83,12 +81,12 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
             changed.collection, detection, side.inputs.resolve, before=before, show_progress=show_progress
         ).observation
 
-    given = [given_of(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
+    worlds = [read(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
     attribution = attribute(
         ScenarioModel(side.scenarios, predicted, measured_again),
         observation,
-        [inputs_of(g) for g in given],
-        [assumed_inputs(g) for g in given],
+        [inputs_of(world) for world in worlds],
+        [assumed_inputs(world) for world in worlds],
         side.campaign.attribution,
         budgeted=prediction,
         show_progress=show_progress,
@@ -121,7 +119,7 @@ def run_campaign(
                     with_observed(side.observed)
             predictions = []
             if predicts:
-                from hyperval.predict import predict
+                from hyperval.model import predict
 
                 with step_of(job.campaign.name, "predict"):
                     predictions = [

@@ -18,8 +18,7 @@ from hyperval.campaign.sides import collected, predicted_side
 from hyperval.errors import MissingDataError
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.metrics import Evidence
-from hyperval.predict import predict
-from hyperval.prediction.departure import Departure
+from hyperval.model import Truth, predict
 from hyperval.progress import track
 from hyperval.report.run import (
     ACCEPTED,
@@ -137,7 +136,8 @@ def power_table(
         def judged_with(error: PlantedError | None) -> list[Result]:
             predictions, truths, refused = [], [], []
             for scenario, plain, own in zip(scenarios, stated, origins, strict=True):
-                prediction, truth = plain, Departure()
+                prediction = plain
+                truth: Truth = {}
                 if error is not None:
                     try:
                         prediction, truth = planted_prediction(scenario, error, own, objects=True)

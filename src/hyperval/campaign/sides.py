@@ -35,6 +35,7 @@ from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
 from hyperval.imagery.acquisition import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
 from hyperval.imagery.truth import TargetObject
+from hyperval.model import Truth, geometry_of, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.observe.detection import scored_pixels, target_groups
@@ -42,9 +43,6 @@ from hyperval.observe.mixtures import RegionLaws
 from hyperval.observe.place import Place
 from hyperval.observe.spread import class_sets
 from hyperval.observe.truth_images import fills_of
-from hyperval.prediction.departure import Departure, geometry_of, pixels_of_object
-from hyperval.prediction.inputs import Sources
-from hyperval.prediction.unmixing import predicted_areas, predicted_classification
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.laws import exceedance_of_distance
 from hyperval.processing.roc import average_roc
@@ -63,8 +61,7 @@ from hyperval.scene.fill import touched_counts
 from hyperval.storage import scratch_folder
 
 if TYPE_CHECKING:
-    from hyperval.predict import Origins
-    from hyperval.prediction.inputs import Read
+    from hyperval.model import Origins, Read
 
 
 def with_measured_fractions(scenario: Scenario, place: Place | None) -> Scenario:
@@ -311,7 +308,7 @@ class Collected:
     def origins(self, scenario: Scenario, show_progress: bool | None) -> Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
         observed = self.observed
-        from hyperval.predict import Origins
+        from hyperval.model import Origins
 
         return Origins(
             observed.observation.axis, self._laws.statistics(scenario), self.resolver(scenario),
@@ -382,7 +379,7 @@ def _simulate(reference: str, inputs: Inputs, scratch: Path, show_progress: bool
 
 
 def predicted_side(
-    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[Departure] | None = None
+    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[Truth] | None = None
 ) -> PredictedProducts:
     """What is compared: the predictions, and those that need to know how the campaign looks at its collection.
 
@@ -390,7 +387,7 @@ def predicted_side(
 
     Parameters
     ----------
-    truths : how the truth departs from each scenario, that of the predictions; None: not at all
+    truths : what is moved in each scenario, as in the predictions; None: nothing
     """
     detected = side.observed.detected
     nominal = detected.nominal_area_m2 if detected is not None else {}
@@ -501,26 +498,26 @@ def _classification(side: Collected, prediction: PredictedProducts) -> Mapping[t
 
 
 def _areas(
-    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[Departure] | None
+    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[Truth] | None
 ) -> dict[tuple[str, str], Abundance]:
     """The areas that unmixing would find, by (subject, method); empty where the campaign does not unmix."""
     out: dict[tuple[str, str], Abundance] = {}
     unmixed, detection = side.observed.unmixed, side.campaign.detection
     if unmixed is None or detection is None or detection.unmixing is None:
         return out
-    truths = truths or [Departure() for _ in side.scenarios]
+    truths = truths or [{} for _ in side.scenarios]
     for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
         out |= predicted_areas(
             scenario,
+            side.origins(scenario, None),
+            truth,
             prediction,
             unmixed.subjects,
             unmixed.bands,
             unmixed.covariances,
             unmixed.pixel_area_m2,
-            Sources(prediction.axis, side.observed.statistics, side.resolver(scenario)),
             draws=detection.unmixing.draws,
             seed=detection.unmixing.seed,
-            departure=truth,
         )
     return out
 

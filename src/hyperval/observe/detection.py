@@ -24,9 +24,8 @@ from hyperval.errors import InputError, UsageError
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
+from hyperval.model import Sources, UnmixedSubject, labelled
 from hyperval.observe.place import IMAGE, SCENE, Place
-from hyperval.prediction.inputs import Sources
-from hyperval.prediction.unmixing import UnmixedSubject, labelled
 from hyperval.processing.alarm_blocks import (
     ANOMALY_LEVELS,
     FEWEST_FOR_A_CURVE,

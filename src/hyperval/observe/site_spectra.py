@@ -26,9 +26,8 @@ from hyperval.collection import (
 from hyperval.collection_files import BandTableFile, RadCalNetSource
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery import Cube
+from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.paths import checked_file
-from hyperval.predict import Origins, predict
-from hyperval.prediction.inputs import Sources, band_error_covariance, correlation
 from hyperval.processing.line import EmpiricalLine, MeasuredPanel, darkest_pixel_panel, fit_elm
 from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.statistics import darkest_values

@@ -186,7 +186,7 @@ def adjacency_slope(
     """
     rho, s = np.asarray(reflectance, dtype=float), terms.spherical_albedo
     if formulation == "thesis":
-        return np.broadcast_to(terms.adjacency / (1.0 - s), rho.shape)
+        return np.asarray(terms.adjacency / (1.0 - s) + np.zeros_like(rho))
     trapping = 1.0 - s * np.asarray(average_reflectance, dtype=float)
     return np.asarray((terms.direct * s * rho + terms.adjacency) / trapping**2)
 

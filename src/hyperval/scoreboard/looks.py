@@ -20,9 +20,9 @@ from hyperval.campaign.schema import Campaign
 from hyperval.collection import Detection
 from hyperval.compare.products import product_rows
 from hyperval.compare.spectra import RowMaker
+from hyperval.model import Sources
 from hyperval.observe import Observed
 from hyperval.observe.detection import scored_pixels, target_groups
-from hyperval.prediction.inputs import Sources
 from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.detectors import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
 from hyperval.processing.objects import object_scores, values_on

@@ -22,7 +22,7 @@ from scipy import constants
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.errors import HypervalError, UsageError
-from hyperval.predict import Origins, predict
+from hyperval.model import Origins, predict
 from hyperval.processing.roc_model import detection_at
 from hyperval.products import PredictedProducts, RocCurve
 from hyperval.progress import track

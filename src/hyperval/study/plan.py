@@ -17,13 +17,14 @@ from scipy.optimize.elementwise import find_root
 from hyperval.atmosphere.terms import spaced
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import PFA, batch_column
+from hyperval.model import Origins, World, read, reads_again
+from hyperval.model.world import column_of, plain
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.scene.radiance import mean_radiance
 from hyperval.settings import with_settings
-from hyperval.study.evaluate import Columns, Evaluator, Sky, check_outputs, engine_on, few_states, make_ready
+from hyperval.study.evaluate import PFA, Columns, Evaluator, check_outputs
 from hyperval.study.schema import Input, Move, Output, Required, StudyFile
-from hyperval.study.tables import Column, StudyPoints, column_of, listed, moved, plain
+from hyperval.study.tables import Column, StudyPoints, listed, moved
 
 Array = npt.NDArray[np.float64]
 _MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
@@ -69,15 +70,15 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
         log.add((study.folder / study.scenario).resolve(), study.scenario)
     points = StudyPoints(study)
     try_values(study, scenario)
-    sky, anew = _sky(study, scenario)
-    base = make_ready(scenario, sky, show_progress=show_progress)
-    check_outputs(study.outputs, scenario, base.setup.used.axis)
+    states, nodes = _states(study, scenario)
+    world = read(scenario, Origins(show_progress=False), nodes=nodes)
+    world.stated.atmosphere.prepare(states, show_progress)
+    check_outputs(study.outputs, scenario, world.stated.axis)
     for reference in _references(scenario):
         log.resolve(reference)
-    evaluator = Evaluator(base, sky, anew)
-    plan = Plan(study, scenario, points, evaluator, (), {}, log)
+    plan = Plan(study, scenario, points, Evaluator(world), (), {}, log)
     plan = replace(plan, notes=tuple(_notes(plan)))
-    return replace(plan, sky_error=_sky_error(plan) if sky.nodes else {})
+    return replace(plan, sky_error=_sky_error(plan) if nodes else {})
 
 
 def _scenario(study: StudyFile) -> Scenario:
@@ -125,19 +126,19 @@ def _values_to_try(item: Input | Required) -> list[Any]:
     return tries if len(tries) <= _MOST_TRIED or values.dtype == object else [min(tries), max(tries)]
 
 
-def _sky(study: StudyFile, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
-    """States of the atmosphere that the study needs, and entries that have to be read anew for each value."""
+def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
+    """States of the atmosphere that the study needs, entries that differ in each; or nodes of entries to go between."""
     if scenario.atmosphere is None:
-        return Sky(), frozenset()
+        return [], {}
     moving: list[tuple[Input | Required, Move, str]] = []
     items: list[Input | Required] = [*study.inputs, *study.required]
     for item in items:
         for move in item.targets:
-            column = batch_column(scenario, move.path)
-            if column.kind == "atmosphere":
-                moving.append((item, move, column.key))
+            room, _, key = move.path.partition(".")
+            if room == "atmosphere" and key not in ("engine", "table"):
+                moving.append((item, move, key))
     if not moving:
-        return Sky(), frozenset()
+        return [{}], {}
     alone = study.design.kind == "one-at-a-time"
     values = {}
     for item, _, _ in moving:
@@ -146,18 +147,17 @@ def _sky(study: StudyFile, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
     if all(v is not None for v in values.values()):
         count = int(np.prod([len(v or ()) for v in values.values()]))
         if alone or count <= study.atmosphere.above:
-            return _listed_states(values, moving, alone), frozenset()
-    anew = frozenset(m.path for i, m, _ in moving if isinstance(i, Input) and _words(i))
+            return _listed_states(values, moving, alone), {}
     nodes = {}
     for item, move, key in moving:
-        if move.path in anew:
-            continue
+        if isinstance(item, Input) and _words(item):
+            continue  # read again for each
         ends = np.sort(move.offset + move.factor * np.array([float(v) for v in _values_to_try(item)]))
         different = np.unique(ends)
         few = isinstance(item, Input) and item.random is None and different.size <= study.atmosphere.nodes
         low, high = float(different[0]), float(different[-1])
         nodes[key] = tuple((different if few else spaced(key, low, high, study.atmosphere.nodes)).tolist())
-    return Sky(nodes=nodes), anew
+    return [], nodes
 
 
 def _words(item: Input) -> bool:
@@ -167,23 +167,29 @@ def _words(item: Input) -> bool:
 
 def _listed_states(
     values: Mapping[str, list[Any] | None], moving: list[tuple[Input | Required, Move, str]], alone: bool
-) -> Sky:
+) -> list[Mapping[str, Any]]:
     combinations = [
         c for c in product(*(v or [] for v in values.values())) if not alone or sum(x is not None for x in c) <= 1
     ]
     columns = {name: column_of(of) for name, of in zip(values, zip(*combinations, strict=True), strict=True)}
     states = moved({item.name: _as_input(item) for item, _, _ in moving}, columns)
-    return Sky(states={key: states[move.path] for _, move, key in moving})
+    each = {key: states[move.path].tolist() for _, move, key in moving}
+    rows = [
+        {k: plain(v) for k, v in zip(each, row, strict=True) if v is not None}
+        for row in zip(*each.values(), strict=True)
+    ]
+    return list({repr(sorted(row.items())): row for row in rows}.values())
 
 
 def _notes(plan: Plan) -> list[str]:
     notes = []
     items: list[Input | Required] = [*plan.study.inputs, *plan.study.required]
     paths = [m.path for i in items for m in i.targets]
-    anew = [p for p in paths if plan.evaluator.column(p).kind == "anew"]
+    stated = plan.evaluator.world.stated
+    anew = [p for p in paths if p != PFA and reads_again(stated, p)]
     if anew:
         notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
-    for key, nodes in plan.evaluator.sky.nodes.items():
+    for key, nodes in stated.atmosphere.nodes.items():
         notes.append(f"atmosphere.{key} is interpolated between engine runs at " + ", ".join(f"{x:.4g}" for x in nodes))
     return notes
 
@@ -210,16 +216,12 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     Relative error of the radiance over ground of 0.3 where the two-way gas transmittance is above 0.1 (worst and
     rms), and the absolute error of every output, the other inputs as at the first points of the design.
     """
-    study, evaluator = plan.study, plan.evaluator
-    base, nodes = evaluator.base, evaluator.sky.nodes
-    count = study.atmosphere.checked
+    study, stated = plan.study, plan.evaluator.world.stated
+    between, count = stated.atmosphere, study.atmosphere.checked
     rng = np.random.default_rng([study.design.seed, 6])
-    states = {k: _between(np.array(n), rng.random(count)) for k, n in nodes.items()}
-    assert plan.scenario.atmosphere is not None  # noqa: S101 - there is a table
-    assert base.terms is not None  # noqa: S101
-    engine = engine_on(base.setup)
-    exact = few_states(plan.scenario.atmosphere, engine, states)
-    ours, theirs = base.terms(states, count), exact(states, count)
+    states = {f"atmosphere.{k}": _between(np.array(n), rng.random(count)) for k, n in between.nodes.items()}
+    exact = replace(between, nodes={}, runs={})
+    ours, theirs = between(states, count), exact(states, count)
 
     seen = theirs.gas_transmittance > _LEAST_GAS
     radiance, expected = (mean_radiance(terms, _GROUND, _GROUND)[seen] for terms in (ours, theirs))
@@ -228,14 +230,14 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     columns = plan.columns(0, min(count, len(plan.points)))
     short = len(next(iter(columns.values())))
     columns = {p: c[np.arange(count) % short] for p, c in columns.items()}
-    columns |= {f"atmosphere.{k}": v for k, v in states.items()}
+    columns |= states
     for question in study.required:
         middle = 0.5 * sum(question.between)
         for m in question.targets:
-            if evaluator.column(m.path).kind != "atmosphere":
+            if m.path not in states:
                 columns[m.path] = np.full(count, m.offset + m.factor * middle)
-    a, _ = evaluator.values(columns, study.outputs)
-    b, _ = replace(evaluator, base=replace(base, terms=exact)).values(columns, study.outputs)
+    a, _ = plan.evaluator.values(columns, study.outputs)
+    b, _ = Evaluator(World(replace(stated, atmosphere=exact, kept={}))).values(columns, study.outputs)
     for k, output in enumerate(study.outputs):
         errors[f"output {output.name}"] = float(np.max(np.abs(a[:, k] - b[:, k])))
     return errors

@@ -14,7 +14,7 @@ import hyperval
 from hyperval.campaign.provenance import command_without_output, package_versions, provenance
 from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
-from hyperval.predict import Origins
+from hyperval.model import Origins, predict
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.progress import track
 from hyperval.run import Run
@@ -147,8 +147,6 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
 
 
 def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | None) -> None:
-    from hyperval.predict import predict
-
     study = plan.study
     prediction = predict(plan.scenario, Origins(show_progress=show_progress))
     names = write_tables(table, folder, show_progress=show_progress)

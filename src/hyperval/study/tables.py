@@ -23,6 +23,7 @@ from scipy.stats import qmc
 
 import hyperval
 from hyperval.errors import UsageError
+from hyperval.model.world import column_of
 from hyperval.progress import track
 from hyperval.run import harmless
 from hyperval.storage import write_text
@@ -46,22 +47,6 @@ def listed(item: Input) -> Column | None:
     if item.values is None:
         return None
     return column_of(item.values)
-
-
-def column_of(values: Sequence[Any]) -> Column:
-    """Values as a column: numbers as floats, anything else as objects."""
-    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-        return np.array(values, dtype=float)
-    items = np.empty(len(values), dtype=object)
-    for i, value in enumerate(values):  # one by one: lists of one length are not rows of a matrix
-        items[i] = value
-    return items
-
-
-def plain(value: Any) -> Any:
-    """A value as a model takes it: a whole number where it is one."""
-    value = value.item() if hasattr(value, "item") else value
-    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def drawn(distribution: Random, u: Array) -> Array:

@@ -14,16 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict
-from hyperval.prediction.departure import Departure, Given, combined, input_path
-from hyperval.prediction.uncertainty import given_of
+from hyperval.model import Origins, Truth, World, predict, read, value_at
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import BUILTIN_NAMES, builtin_mean
-from hyperval.settings import with_settings
 
 Array = npt.NDArray[np.float64]
-Values = Mapping[str, Any]  # dotted path -> value that stands there
 
 NORMAL_DOF = 1e6  # degrees of freedom of tails that are left out
 
@@ -44,23 +40,25 @@ class PlantedError:
     """
 
     name: str
-    values: Callable[[Given], Values] = lambda given: {}
+    values: Callable[[World], Truth] = lambda world: {}
     line: tuple[float, float] | None = None
 
-    def departure(self, given: Given) -> Departure:
-        """The truth of the model with the error.
+    def truth(self, world: World) -> Truth:
+        """What truly stands where with the error.
 
         Raises
         ------
         NotPlantable : the scenario has nothing of the kind.
         """
         try:
-            values = self.values(given) if self.line is None else _off_line(given, *self.line)
-            return combined(*(input_path(given, path).to(np.asarray(value)) for path, value in values.items()))
+            values = self.values(world) if self.line is None else _off_line(world, *self.line)
+            for path in values:
+                value_at(world, path)
         except NotPlantable:
             raise
         except UsageError as error:
             raise NotPlantable(error.what) from error
+        return values
 
 
 def planted_errors() -> tuple[PlantedError, ...]:
@@ -92,18 +90,15 @@ def planted_errors() -> tuple[PlantedError, ...]:
 
 def planted_prediction(
     scenario: Scenario, error: PlantedError, origins: Origins | None = None, *, objects: bool | int = False
-) -> tuple[PredictedProducts, Departure]:
+) -> tuple[PredictedProducts, Truth]:
     """The prediction of a scenario with one error planted, its budget as stated; and the truth behind it.
 
     Raises
     ------
     NotPlantable : the scenario has nothing of the kind.
     """
-    truth = error.departure(given_of(scenario, origins))
-    # Entries of the file differ in the scenario itself: the budget may move the same ones from there.
-    planted = with_settings(scenario, truth.settings)
-    prediction = predict(planted, origins, departure=replace(truth, settings={}), objects=objects)
-    return _seen(prediction, scenario, error), truth
+    truth = error.truth(read(scenario, origins))
+    return _seen(predict(scenario, origins, truth=truth, objects=objects), scenario, error), truth
 
 
 def _seen(prediction: PredictedProducts, scenario: Scenario, error: PlantedError) -> PredictedProducts:
@@ -114,9 +109,9 @@ def _seen(prediction: PredictedProducts, scenario: Scenario, error: PlantedError
     return replace(prediction, reflectance=seen)
 
 
-def _times(path: str, factor: float) -> Callable[[Given], Values]:
-    def values(given: Given) -> Values:
-        nominal = np.asarray(input_path(given, path).nominal, dtype=float)
+def _times(path: str, factor: float) -> Callable[[World], Truth]:
+    def values(world: World) -> Truth:
+        nominal = np.asarray(value_at(world, path)[0], dtype=float)
         if not np.any(nominal):
             raise NotPlantable(f"{path} is 0")
         return {path: factor * nominal}
@@ -124,12 +119,12 @@ def _times(path: str, factor: float) -> Callable[[Given], Values]:
     return values
 
 
-def _shifted(*, bands: float = 0.0, nm: float = 0.0) -> Callable[[Given], Values]:
+def _shifted(*, bands: float = 0.0, nm: float = 0.0) -> Callable[[World], Truth]:
     """True band centres off by a part of each band's width, or by so much; spectra may end before such a band."""
 
-    def values(given: Given) -> Values:
-        moves: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * given.axis.fwhm_nm + nm}
-        scene = given.scenario.scene
+    def values(world: World) -> Truth:
+        moves: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * world.stated.axis.fwhm_nm + nm}
+        scene = world.stated.scenario.scene
         for key in ("classes", "panels", "sites", "targets"):
             for s in getattr(scene, key):
                 if s.spectrum.measured is None:
@@ -139,81 +134,81 @@ def _shifted(*, bands: float = 0.0, nm: float = 0.0) -> Callable[[Given], Values
     return values
 
 
-def _spread(factor: float) -> Callable[[Given], Values]:
+def _spread(factor: float) -> Callable[[World], Truth]:
     """Standard deviation of every class."""
-    return lambda given: {f"surfaces.[{c.name}].spread": factor for c in given.scenario.scene.classes}
+    return lambda world: {f"surfaces.[{c.name}].spread": factor for c in world.stated.scenario.scene.classes}
 
 
-def _without_tails(given: Given) -> Values:
-    paths = [f"surfaces.[{c.name}].tail_dof" for c in given.scenario.scene.classes]
-    heavy = {path: NORMAL_DOF for path in paths if input_path(given, path).nominal < NORMAL_DOF}
+def _without_tails(world: World) -> Truth:
+    paths = [f"surfaces.[{c.name}].tail_dof" for c in world.stated.scenario.scene.classes]
+    heavy = {path: NORMAL_DOF for path in paths if value_at(world, path)[0] < NORMAL_DOF}
     if not heavy:
         raise NotPlantable("no class has tails")
     return heavy
 
 
-def _class_means_exchanged(given: Given) -> Values:
+def _class_means_exchanged(world: World) -> Truth:
     """Those of the two classes that cover most."""
-    classes = sorted(given.scenario.scene.classes, key=lambda c: -c.fraction)
+    classes = sorted(world.stated.scenario.scene.classes, key=lambda c: -c.fraction)
     if len(classes) < 2:
         raise NotPlantable("there is one class")
     a, b = classes[0].name, classes[1].name
-    return _means(given, {a: b, b: a})
+    return _means(world, {a: b, b: a})
 
 
-def _darker_targets(given: Given) -> Values:
-    return {path: 0.8 * np.asarray(input_path(given, path).nominal) for path in _target_means(given).values()}
+def _darker_targets(world: World) -> Truth:
+    return {path: 0.8 * value_at(world, path)[0] for path in _target_means(world).values()}
 
 
-def _target_spectra_exchanged(given: Given) -> Values:
+def _target_spectra_exchanged(world: World) -> Truth:
     """Each target has the spectrum of the next one."""
-    names = list(_target_means(given))
+    names = list(_target_means(world))
     if len(names) < 2:
         raise NotPlantable("there is one target")
-    return _means(given, dict(zip(names, (*names[1:], names[0]), strict=True)))
+    return _means(world, dict(zip(names, (*names[1:], names[0]), strict=True)))
 
 
-def _other_material(given: Given) -> Values:
+def _other_material(world: World) -> Truth:
     """Of the built-in materials the one that is least like the target."""
     moves = {}
-    others = [builtin_mean(n, given.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
-    for name, path in _target_means(given).items():
-        own = given.surfaces[name].mean
+    others = [builtin_mean(n, world.stated.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
+    for name, path in _target_means(world).items():
+        own = world.stated.surfaces[name].mean
         gaps = [float(np.nanmean((mean - own) ** 2)) for mean in others]
         moves[path] = others[int(np.argmax(gaps))]
     return moves
 
 
-def _fine_texture(given: Given) -> Values:
+def _fine_texture(world: World) -> Truth:
     """All of the targets' spread."""
-    names = [name for name in _target_means(given) if np.any(given.surfaces[name].covariance)]
+    names = [name for name in _target_means(world) if np.any(world.stated.surfaces[name].covariance)]
     if not names:
         raise NotPlantable("no target has a spread")
     return {f"surfaces.[{name}].fine_texture": 1.0 for name in names}
 
 
-def _target_means(given: Given) -> dict[str, str]:
+def _target_means(world: World) -> dict[str, str]:
     """Target -> path of its mean spectrum."""
-    paths = {t.name: f"surfaces.[{t.name}].mean" for t in given.scenario.scene.targets}
+    paths = {t.name: f"surfaces.[{t.name}].mean" for t in world.stated.scenario.scene.targets}
     if not paths:
         raise NotPlantable("there is no target")
     return paths
 
 
-def _means(given: Given, taken: Mapping[str, str]) -> Values:
+def _means(world: World, taken: Mapping[str, str]) -> Truth:
     """Path of a mean -> that of another surface, where that is known."""
     moves = {}
     for name, other in taken.items():
-        own, there = given.surfaces[name].mean, given.surfaces[other].mean
+        own, there = world.stated.surfaces[name].mean, world.stated.surfaces[other].mean
         moves[f"surfaces.[{name}].mean"] = np.nan_to_num(np.where(np.isfinite(there), there, own))
     return moves
 
 
-def _off_line(given: Given, gain: float, offset: float) -> Values:
+def _off_line(world: World, gain: float, offset: float) -> Truth:
     """An empirical line that is off for the detectors; where reflectance was collected, in the surfaces' own."""
-    if given.scenario.atmosphere is None:
+    if world.stated.scenario.atmosphere is None:
         return {"sensor.gain": gain, "sensor.offset": offset}
-    if given.scenario.processing.elm == "none":
+    if world.stated.scenario.processing.elm == "none":
         raise NotPlantable("there is no empirical line")
     return {"line.gain": gain, "line.offset": offset}
 

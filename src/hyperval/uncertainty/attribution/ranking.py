@@ -15,9 +15,8 @@ import scipy
 from scipy import linalg
 
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Given
-from hyperval.prediction.input import Kind, UncertainInput, form_in_words, number_input, spectral_input
-from hyperval.prediction.uncertainty import AEROSOL, SURROUNDINGS, WATER, field_spectrum_of, inputs_of
+from hyperval.model import UncertainInput, World, inputs_of, number_input, spectral_input
+from hyperval.model.inputs import AEROSOL, SURROUNDINGS, WATER, Kind, field_spectrum_of, form_in_words
 from hyperval.scenario import SpectralForm
 from hyperval.uncertainty.attribution.residuals import ENOUGH, Stack
 
@@ -39,40 +38,40 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
 )
 
 
-def assumed_inputs(given: Given) -> list[UncertainInput]:
+def assumed_inputs(world: World) -> list[UncertainInput]:
     """Every input of a scenario that may be off and whose uncertainty it does not state, with a usual one."""
-    stated = {item.path for item in inputs_of(given)}
-    return [item for item in _usual(given) if item.path not in stated]
+    stated = {item.path for item in inputs_of(world)}
+    return [item for item in _usual(world) if item.path not in stated]
 
 
-def _usual(given: Given) -> list[UncertainInput]:
-    unmoved = _unmoved(given)
-    inputs = [_part(given, *row) for row in _PARTS if row[2] not in unmoved]
-    if given.scenario.atmosphere is not None:
+def _usual(world: World) -> list[UncertainInput]:
+    unmoved = _unmoved(world)
+    inputs = [_part(world, *row) for row in _PARTS if row[2] not in unmoved]
+    if world.stated.scenario.atmosphere is not None:
         path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
         inputs.append(
-            number_input(given, "wavelength shift", "sensor", path, np.array([SHIFT_NM]), source="usual", words=words)
+            number_input(world, "wavelength shift", "sensor", path, np.array([SHIFT_NM]), source="usual", words=words)
         )
-    classes = given.scenario.scene.classes
+    classes = world.stated.scenario.scene.classes
     for c in classes:
-        inputs.append(_part(given, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD))
-    inputs += _spectra(given)
+        inputs.append(_part(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD))
+    inputs += _spectra(world)
     for c in classes if len(classes) > 1 else ():
         if 0 < c.fraction < 1:
-            inputs.append(_part(given, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION))
+            inputs.append(_part(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION))
             if len(classes) == 2:
                 break  # the other one's is the same input
     return inputs
 
 
-def _part(given: Given, name: str, kind: Kind, path: str, part: float) -> UncertainInput:
-    one = number_input(given, name, kind, path, np.zeros(1), source="usual", words=f"{100 * part:g} %")
+def _part(world: World, name: str, kind: Kind, path: str, part: float) -> UncertainInput:
+    one = number_input(world, name, kind, path, np.zeros(1), source="usual", words=f"{100 * part:g} %")
     return replace(one, rows=part * np.atleast_1d(np.asarray(one.nominal, dtype=float))[None, :])
 
 
-def _unmoved(given: Given) -> set[str]:
+def _unmoved(world: World) -> set[str]:
     """Paths of usual inputs that this scenario does not have."""
-    scenario, state = given.scenario, given.scenario.atmosphere
+    scenario, state = world.stated.scenario, world.stated.scenario.atmosphere
     paths = set()
     if state is None:
         paths |= {"light.surroundings", "sensor.noise"}
@@ -88,17 +87,17 @@ def _unmoved(given: Given) -> set[str]:
     return paths
 
 
-def _spectra(given: Given) -> list[UncertainInput]:
+def _spectra(world: World) -> list[UncertainInput]:
     """Mean spectra that the collection itself does not vouch for.
 
     Those of targets are left out: mixed with their hosts they look like their fill, which is there already.
     """
-    scene, form = given.scenario.scene, SpectralForm(correlation_nm=SURFACE_NM)
+    scene, form = world.stated.scenario.scene, SpectralForm(correlation_nm=SURFACE_NM)
     inputs = []
     for s in (*scene.classes, *scene.panels, *scene.sites):
         if s.spectrum.measured is None:
-            sd = SURFACE * np.nan_to_num(given.surfaces[s.name].mean)
-            one = spectral_input(given, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
+            sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
+            one = spectral_input(world, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
             words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
             inputs.append(replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words))
     return inputs

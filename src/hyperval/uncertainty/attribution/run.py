@@ -26,8 +26,7 @@ import scipy
 
 from hyperval.compare.spectra import RowMaker, scientific
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure, combined
-from hyperval.prediction.input import UncertainInput
+from hyperval.model import Truth, UncertainInput, together
 from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import Products, background_of
 from hyperval.progress import track
@@ -261,7 +260,7 @@ def _renewed(numbers: Sequence[ComparedQuantity], observed: Products) -> list[Co
 
 
 Observe = Callable[[Mapping[str, Any]], Products]
-Truth = Sequence[Departure]  # one departure for each scenario
+Truths = Sequence[Truth]  # what is moved in each scenario
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,16 +275,16 @@ class ScenarioModel:
     """
 
     scenarios: Sequence[Scenario]
-    predict: Callable[[Sequence[Scenario], Sequence[Truth]], Iterator[Products]]
+    predict: Callable[[Sequence[Scenario], Sequence[Truths]], Iterator[Products]]
     observe: Observe | None = None
 
-    def products_of(self, truths: Sequence[Truth]) -> Iterator[Products]:
+    def products_of(self, truths: Sequence[Truths]) -> Iterator[Products]:
         """Products of the scenarios as they stand when the truth is another one."""
         return self.predict(self.scenarios, truths)
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
-        return next(self.predict(scenarios, [[Departure() for _ in scenarios]]))
+        return next(self.predict(scenarios, [[{} for _ in scenarios]]))
 
 
 LEVELS = (1e-2, 1e-3)
@@ -404,10 +403,8 @@ class _Reason:
     def size(self) -> int:
         return min(max(m.size for m in self.members if m is not None), MOST_DIRECTIONS)
 
-    def at(self, direction: int, units: float) -> list[Departure]:
-        return [
-            Departure() if m is None or direction >= m.size else m.direction(direction, units) for m in self.members
-        ]
+    def at(self, direction: int, units: float) -> list[Truth]:
+        return [{} if m is None or direction >= m.size else m.direction(direction, units) for m in self.members]
 
 
 def attribute(
@@ -481,7 +478,7 @@ class _Evaluation:
     def __init__(self, model: ScenarioModel, stack: Stack, numbers: Sequence[ComparedQuantity]):
         self._model, self._stack, self._numbers = model, stack, numbers
 
-    def __call__(self, truths: Sequence[Truth], title: str, show: bool | None) -> list[tuple[Array, Array]]:
+    def __call__(self, truths: Sequence[Truths], title: str, show: bool | None) -> list[tuple[Array, Array]]:
         predictions = track(self._model.products_of(truths), title, len(truths), show=show)
         return [(self._stack.predicted(p), np.array([q.read(p) for q in self._numbers])) for p in predictions]
 
@@ -518,13 +515,11 @@ def _indices(
     leading = set(np.argsort(-share, kind="stable")[:MOST_TOGETHER])
     design = quadratic_design(len(reasons))
     values = [base, *(single[r.candidate, 1] for r in reasons), *(single[r.candidate, -1] for r in reasons)]
-    joint: dict[int, list[Departure]] = {}
+    joint: dict[int, list[Truth]] = {}
     for i, j in combinations(range(len(reasons)), 2):
         a, b = reasons[i], reasons[j]
         if {i, j} <= leading and not a.candidate.kind == b.candidate.kind == ATMOSPHERE:
-            together = _together([a, b], [1.0, 1.0])
-            if together is not None:
-                joint[len(values)] = together
+            joint[len(values)] = _at_once([a, b], [1.0, 1.0])
         values.append(single[a.candidate, 1] + single[b.candidate, 1] - base)
     rng = np.random.default_rng(0)
     points, checks = [], []
@@ -532,10 +527,8 @@ def _indices(
         z = rng.choice([-1.0, 1.0], size=len(reasons))
         engine = [i for i, r in enumerate(reasons) if r.candidate.kind == ATMOSPHERE]
         z[engine[1:]] = 0.0
-        together = _together(reasons, z)
-        if together is not None:
-            points.append(z)
-            checks.append(together)
+        points.append(z)
+        checks.append(_at_once(reasons, z))
     values_of = [q for _, q in evaluate([*joint.values(), *checks], "reasons: pairs of inputs", show_progress)]
     for place, value in zip(joint, values_of, strict=False):
         values[place] = value
@@ -543,13 +536,13 @@ def _indices(
     return sensitivity_indices(design, np.array(values), (np.array(points), np.array(there)) if points else None)
 
 
-def _together(reasons: Sequence[_Reason], units: Sequence[float] | Array) -> list[Departure] | None:
-    """Several inputs at once; None where two of them set the same entry."""
-    moved = [r.at(0, z) for r, z in zip(reasons, units, strict=True) if z]
-    try:
-        return [combined(*parts) for parts in zip(*moved, strict=True)]
-    except UsageError:
-        return None
+def _at_once(reasons: Sequence[_Reason], units: Sequence[float] | Array) -> list[Truth]:
+    """Several inputs at once, each along its leading direction."""
+    out: list[Truth] = []
+    for members in zip(*(r.members for r in reasons), strict=True):
+        moves = [(m, m.moved(z)) for m, z in zip(members, units, strict=True) if m is not None and z]
+        out.append(together(moves))
+    return out
 
 
 _EVERYTHING = "every input"

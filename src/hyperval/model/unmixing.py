@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure, fills_of_objects, true_scenario
-from hyperval.prediction.inputs import Sources, correlation, cut
+from hyperval.model.fills import fills_of_objects
+from hyperval.model.surfaces import correlation, cut
+from hyperval.model.world import Origins, Truth, World, read, settled, with_truths
 from hyperval.processing.classification import ClassLaw, class_features, feature_bands, predicted_error
 from hyperval.processing.filters import PositiveDefinite, fully_constrained
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
@@ -59,16 +60,16 @@ def labelled(method: str, endmembers: str) -> str:
 
 def predicted_areas(
     scenario: Scenario,
+    origins: Origins,
+    truth: Truth,
     prediction: PredictedProducts,
     subjects: Iterable[UnmixedSubject],
     bands: npt.NDArray[np.bool_],
     covariances: Mapping[str, Array | None],
     pixel_area_m2: float,
-    sources: Sources,
     *,
     draws: int = 400,
     seed: int = 0,
-    departure: Departure | None = None,
 ) -> dict[tuple[str, str], Abundance]:
     """Mean and spread of the area that unmixing would find, by (subject, method).
 
@@ -81,25 +82,23 @@ def predicted_areas(
 
     Parameters
     ----------
+    truth : dotted path -> what truly stands there; the endmembers stay what they are
     prediction : of the same truth
     covariances : method -> (F, F) weights of the fit, None for equal ones
-    departure : how the truth departs from the scenario; the endmembers stay what they are
     """
     if scenario.atmosphere is not None:
         return {}
-    truth = departure or Departure()
-    scenario = true_scenario(scenario, truth)
+    world = settled(with_truths(read(scenario, origins), [truth]))[0][1]
     index = np.flatnonzero(bands)
     noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
-    populations = {(t.name, p.name): (t, p) for t in scenario.scene.targets for p in t.populations}
+    populations = {(t.name, p.name): (t, p) for t in world.targets_at(0) for p in t.populations}
     out = {}
     for number, item in enumerate(subjects):
         population = populations.get((item.scenario_target, item.population))
         if population is None:
             continue
         rng = np.random.default_rng([seed, number])
-        other = np.broadcast_to(truth.spectra.get(population[0].name, 0.0), item.spectrum.shape)
-        pixels, endmembers = _objects(*population, item, prediction, sources, index, draws, rng, other)
+        pixels, endmembers = _objects(*population, item, prediction, world, index, draws, rng)
         for method, factor in noise.items():
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
             area = abundance.sum(axis=1) * pixel_area_m2
@@ -115,16 +114,14 @@ def _objects(
     population: TargetSubject,
     item: UnmixedSubject,
     prediction: PredictedProducts,
-    sources: Sources,
+    world: World,
     index: npt.NDArray[np.intp],
     draws: int,
     rng: np.random.Generator,
-    other: Array,
 ) -> tuple[Array, Array]:
-    """Pixels (draws, n, F) of drawn objects and the endmembers (draws, 2, F) that each is unmixed with.
-
-    ``other`` : (B,) by how much the target's reflectance truly differs from its endmember.
-    """
+    """Pixels (draws, n, F) of drawn objects and the endmembers (draws, 2, F) that each is unmixed with."""
+    number, stated = world.surface(target.name), world.stated
+    moved = world.mean[0, number] - stated.mean[number]  # what the reflectance truly differs from its endmember
     host = prediction.reflectance[target.host]
     known = prediction.distribution.get(target.host, PixelDistribution())
     law = ClassLaw(host.mean[index], _full_rank(cut(host.pixel_covariance, index)), known.tail_dof)
@@ -133,15 +130,15 @@ def _objects(
         for part, offset, covariance, dof in known.clusters
     ]
     spectrum = item.spectrum[index]
-    spread = ClassLaw(np.zeros(index.size), _full_rank(cut(sources.surface(target).covariance, index)))
+    spread = ClassLaw(np.zeros(index.size), _full_rank(cut(stated.surfaces[target.name].covariance, index)))
     fills = fills_of_objects(population.fill)
     f = fills[rng.integers(fills.shape[0], size=draws)][..., None]
     shape = f.shape[:2]
     background = _of_host(laws or [(1.0, law)], shape, rng)
     material = _from_pool(spread, shape, rng)
-    material += spectrum + other[index]
+    material += spectrum + moved[index]
     if item.relative_uncertainty > 0:
-        material += _errors(item, sources.axis, index, draws, rng)[:, None]
+        material += _errors(item, stated.axis, index, draws, rng)[:, None]
     around = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))
     endmembers = np.stack([np.broadcast_to(spectrum, around.shape), around], axis=1)
     material -= background

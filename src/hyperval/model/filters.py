@@ -1,9 +1,7 @@
-"""Filters of many settings (3.21-3.25) and the scores of the classes (3.27, 3.29).
+"""Filters of U truths (3.21-3.25) and the scores of classes (3.27, 3.29) and of target pixels (3.26, 3.28).
 
-For each setting the background's covariance is put together packed, in memory that is used again, and factorised
-once; everything that goes through matrices that settings share goes through them together.
-
-Scores of target pixels against the fill, in many settings (3.9, 3.10, 3.26, 3.28).
+For each truth the background's covariance is put together packed, in memory that is used again, and factorised once;
+everything that goes through matrices that truths share goes through them together.
 """
 
 from __future__ import annotations
@@ -11,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.prediction.background import Ground, Seen, Settings
+from hyperval.model.light import Background, Light, Seen, at_rows, spread
 from hyperval.processing.classification import (
     feature_covariance,
     features,
@@ -49,7 +47,7 @@ Index = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Filters:
-    """Linear detectors of U settings: score = weights . x - offset.
+    """Linear detectors of U truths: score = weights . x - offset.
 
     ``weights`` (U, F), ``offset`` (U,); NaN where there is none.
     """
@@ -58,7 +56,7 @@ class Filters:
     offset: Array
 
     def rows(self, index: Index) -> Filters:
-        """The settings that ``index`` names."""
+        """Of some truths."""
         return Filters(self.weights[index], self.offset[index])
 
 
@@ -80,7 +78,7 @@ class Population:
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """The background of one setting, as its filter's covariance is put together.
+    """The background of one truth, as its filter's covariance is put together.
 
     Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
     divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
@@ -128,7 +126,7 @@ class Mixture:
 
 @dataclass(frozen=True)
 class FilterBase:
-    """What filters of one setting are built on, in the features chosen (3.21-3.25).
+    """What filters of one truth are built on, in the features chosen (3.21-3.25).
 
     Attributes
     ----------
@@ -158,45 +156,36 @@ class FilterBase:
 
 
 class Designer:
-    """Filters of the settings for targets and detectors, the matrices of each setting factorised once.
+    """Filters of the truths for targets and detectors, the matrices of each truth factorised once.
 
     Parameters
     ----------
-    processing : features, classes of the filter
-    classes : names of the background classes
-    size : F, number of the detector's bands
+    chosen : (M,) which classes the filter is made of
     """
 
-    def __init__(self, processing: Processing, classes: Sequence[str], size: int):
-        self.processing = processing
-        names = processing.filter_classes
-        self._chosen = np.array([not names or n in names for n in classes])
-        self._size = size
+    def __init__(self, processing: Processing, chosen: npt.NDArray[np.bool_], size: int):
+        self.processing, self._chosen, self._size = processing, chosen, size
         # Memory of two matrices: the covariance of the latest light without its noise, and one to factorise.
         self._still, self._matrix = np.empty((2, size * (size + 1) // 2))
         self._latest: Mixture | None = None
-        self._mixed: tuple[Array, bytes, Array] | None = None
-        self._around: tuple[Ground, Array] | None = None
 
-    def mixture(self, at: Settings, seen: Seen, u: int) -> Mixture:
-        """The background that the filter of setting ``u`` is built on (3.8, 3.11 of what is seen)."""
-        ground = at.grounds[at.which[u]]
-        fractions = np.where(self._chosen, at.fractions[u], 0.0)
-        chosen = fractions > 0.0
-        fractions = fractions[chosen] / (1.0 if self._chosen.all() else fractions.sum())
-        reflectance = self._reflectance(ground, fractions * at.gains[u][chosen], chosen)
-        around, means, noise = seen.around[u][chosen], seen.means[u][chosen], seen.noise[u][chosen]
-        mean, slope = fractions @ means, seen.slope[u]
-        under = np.sqrt(fractions)[:, None] / slope
+    def mixture(self, of: Background, seen: Seen, u: int) -> Mixture:
+        """The background that the filter of one truth is built on (3.8, 3.11 of what is seen)."""
+
+        def row(values: Array) -> Array:
+            return values[u if len(values) > 1 else 0]  # type: ignore[no-any-return]
+
+        fractions = np.where(self._chosen, row(of.fraction), 0.0)
+        used = fractions > 0.0
+        if not self._chosen.all():
+            fractions = fractions / fractions.sum()
+        reflectance = of.packed(fractions * row(of.gain), u)
+        f, slope, means = fractions[used], row(seen.slope), row(seen.means)[used]
+        mean, under = f @ means, np.sqrt(f)[:, None] / slope
         return Mixture(
-            mean,
-            reflectance,
-            self._surroundings(ground),
-            slope,
-            under * around,
-            under * (means - mean),
-            fractions @ noise / slope**2,
-        )
+            mean, reflectance, of.packed_surroundings(u), slope, under * row(seen.around)[used], under * (means - mean),
+            f @ row(seen.noise)[used] / slope**2,
+        )  # fmt: skip
 
     def base(self, mixture: Mixture, noise_at: Callable[[Array], Array]) -> FilterBase:
         """The mixture in the features, factorised; ``noise_at`` gives the noise at a retrieved reflectance (F,).
@@ -215,22 +204,19 @@ class Designer:
         )
 
     def design(
-        self,
-        at: Settings,
-        seen: Seen,
-        wanted: Sequence[tuple[str, Array]],
+        self, light: Light, of: Background, seen: Seen, truths: int, wanted: Sequence[tuple[str, Array]]
     ) -> tuple[list[Filters], dict[int, UsageError]]:
-        """Filters for pairs of detector and spectrum as seen (U, F); setting -> what is wrong with it."""
-        each = [Filters(np.full((len(at), self._size), np.nan), np.full(len(at), np.nan)) for _ in wanted]
+        """Filters for pairs of detector and spectrum as seen (U or 1, F); truth -> what is wrong with it."""
+        each = [Filters(np.full((truths, self._size), np.nan), np.full(truths, np.nan)) for _ in wanted]
         problems: dict[int, UsageError] = {}
-        for u in range(len(at)):
-            mixture = self.mixture(at, seen, u)
-            spectra = [(detector, spectrum[u]) for detector, spectrum in wanted]
+        for u in range(truths):
+            spectra = [(detector, spectrum[u if len(spectrum) > 1 else 0]) for detector, spectrum in wanted]
             try:
+                mixture = self.mixture(of, seen, u)
                 if self.processing.features is None:
                     filters = self._solved(mixture, spectra)
                 else:
-                    base = self.base(mixture, lambda r, u=u: noise_of(at, seen, u, r))  # type: ignore[misc]
+                    base = self.base(mixture, lambda r, u=u: noise_of(light, seen, u, r))  # type: ignore[misc]
                     filters = [base.filter(detector, spectrum) for detector, spectrum in spectra]
             except UsageError as error:
                 problems[u] = error
@@ -256,23 +242,6 @@ class Designer:
             for i, d, x in zip(members, differences, self._solutions(matrix, differences), strict=True):
                 out[i] = solved_filter(spectra[i][0], d, x, mixture.mean)
         return [out[i] for i in range(len(spectra))]
-
-    def _reflectance(self, ground: Ground, weights: Array, chosen: npt.NDArray[np.bool_]) -> Array:
-        """(P,) sum over classes of w_m Sigma_m, packed; kept while weights and covariances stay."""
-        stack = ground.stack
-        whole = np.zeros(chosen.size)
-        whole[chosen] = weights
-        key = whole.tobytes()
-        if self._mixed is None or self._mixed[0] is not stack or self._mixed[1] != key:
-            self._mixed = stack, key, whole @ stack
-        return self._mixed[2]
-
-    def _surroundings(self, ground: Ground) -> Array:
-        """(P,) Sigma_ave of (3.11), packed; kept while the ground stays."""
-        if self._around is None or self._around[0] is not ground:
-            within = self._reflectance(ground, ground.fractions, np.ones(ground.fractions.size, bool)).copy()
-            self._around = ground, add_products(within, np.sqrt(ground.fractions)[:, None] * ground.between)
-        return self._around[1]
 
     def _solutions(self, mixture: Mixture, right: Array) -> Array:
         """(K, F) solutions x of covariance x = right (K, F).
@@ -311,34 +280,33 @@ def _refusal(mixture: Mixture) -> UsageError:
     return UsageError("the background matrix is singular to working precision")
 
 
-def noise_of(at: Settings, seen: Seen, u: int, reflectance: Array) -> Array:
-    """Noise variance (F,) of a retrieved reflectance (F,) in setting ``u`` (3.16-3.19)."""
-    gain, offset = seen.gain[u, 0], seen.offset[u, 0]
-    return np.asarray(at.view.row(u).noise_variance(offset + gain * reflectance) / gain**2)
+def noise_of(light: Light, seen: Seen, u: int, reflectance: Array) -> Array:
+    """Noise variance (F,) of a retrieved reflectance (F,) in one truth (3.16-3.19)."""
+    gain, offset = (x[u if len(x) > 1 else 0, 0] for x in (seen.gain, seen.offset))
+    return np.asarray(light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
 
 
-def law_scores(at: Settings, seen: Seen, filters: Filters) -> tuple[Array, Array]:
+def class_scores(of: Background, seen: Seen, filters: Filters) -> tuple[Array, Array]:
     """theta_m and sigma_m (U, J) of the laws that the background's classes are made of (3.27, 3.29).
 
     A component of a class lies off its mean and has a covariance of its own; noise and surroundings are those of
     the class.  A linear filter makes a normal law normal and a t law a t law: the scores have a closed form.
     """
-    w, laws = filters.weights, at.grounds[0].laws
-    owner = np.array([law.owner for law in laws])
-    means = (np.einsum("uf,umf->um", w, seen.means) - filters.offset[:, None])[:, owner]  # (3.27)
-    variances = np.einsum("uf,umf->um", w**2, seen.noise)[:, owner]
+    w, laws = filters.weights, of.laws
+    owner, truths = np.array([law.owner for law in laws]), len(filters.weights)
+
+    def wide(values: Array) -> Array:
+        return np.broadcast_to(values, (truths, *values.shape[1:]))
+
+    means = (np.einsum("uf,umf->um", w, wide(seen.means)) - filters.offset[:, None])[:, owner]  # (3.27)
+    variances = np.einsum("uf,umf->um", w**2, wide(seen.noise))[:, owner]
     through = (w * seen.slope)[:, None, :]
     for j, law in enumerate(laws):
-
-        def covariance(ground: Ground, number: int = j) -> Array:
-            return ground.laws[number].covariance
-
-        gain = at.gains[:, law.owner]
-        variances[:, j] += gain * at.spread(through, covariance)[:, 0]
+        gain, stretch = of.gain[:, law.owner], of.stretch[:, law.owner]
+        variances[:, j] += gain * spread(through, law.covariance, stretch)[:, 0]
         if law.offset is not None:
-            away = np.array([g.laws[j].offset for g in at.grounds])[at.which]
-            means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], away)
-    variances += at.surroundings(w[:, None, :] * seen.around)[:, owner]
+            means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset))
+    variances += of.surroundings(w[:, None, :] * seen.around)[:, owner]
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)
 
 
@@ -355,7 +323,7 @@ def _spline() -> CubicSpline:
 
 @dataclass(frozen=True)
 class Responses:
-    """Score moments against the fill, for R settings of light, sensor and ground.
+    """Score moments against the fill, in R truths.
 
     Attributes
     ----------
@@ -398,23 +366,36 @@ class Responses:
 
 @dataclass(frozen=True)
 class Material:
-    """A target, its host and its light.
+    """A target, its host and its light, in U truths.
 
     Attributes
     ----------
-    name, host : of the target, number of its host's class
-    beam, sky : (U,) parts of the light in the open that reach it
+    mean : (U or 1, F) its reflectance
+    covariance, stretch : (F, F), and (U or 1, F or 1) factor on both sides of it
+    fine_texture : (U or 1,) part of it whose texture is finer than the target's part of a pixel
+    host : number of its host's class
+    beam, sky : (U or 1,) parts of the light in the open that reach it
     error : (F, F) error covariance of its spectrum; None where nothing is stated
     """
 
-    name: str
+    mean: Array
+    covariance: Array
+    stretch: Array
+    fine_texture: Array
     host: int
     beam: Array
     sky: Array
     error: Array | None = None
 
+    def row(self, u: int) -> Material:
+        """Of one truth."""
+        at = np.array([u])
+        names = ("mean", "stretch", "fine_texture", "beam", "sky")
+        changes: dict[str, Any] = {n: at_rows(getattr(self, n), at) for n in names}
+        return replace(self, **changes)
 
-def lit_surface(at: Settings, material: Material) -> tuple[Array, Array, Array | float]:
+
+def lit_surface(light: Light, material: Material) -> tuple[Array, Array, Array | float]:
     """A target under its own light, as a surface in the open would have to be to look like it (ground term of 3.7).
 
     Returns
@@ -422,70 +403,67 @@ def lit_surface(at: Settings, material: Material) -> tuple[Array, Array, Array |
     (U or 1, 1, F) mean of that surface, (U or 1, 1, F) reflectance times sky view, what the light from the
     surroundings meets (D_B of 3.11), and (U, 1, F) light over that in the open, 1 without shade
     """
-    own = at.means([material.name])
-    factor = at.view.light(material.beam[:, None, None], material.sky[:, None, None])
+    own = material.mean[:, None, :]
+    factor = light.shade(material.beam[:, None, None], material.sky[:, None, None])
     if np.ndim(factor) == 0:
         return own, own, factor
     return own * factor, own * material.sky[:, None, None], factor
 
 
-def responses(at: Settings, seen: Seen, filters: Filters, material: Material) -> Responses:
+def target_scores(light: Light, of: Background, seen: Seen, filters: Filters, material: Material) -> Responses:
     """Score statistics of pixels of which the target fills f, at FILL_NODES (3.26, 3.28).
 
     Each fill has its own mean, noise and adjacency; Var(f) comes in by the average over the fill.
     """
-    view, number = at.view, material.host
-    lit, under_sky, factor = lit_surface(at, material)
-    host = at.class_means()[:, number : number + 1]
-    level = at.levels(target_pixel_reflectance(FILL_NODES, lit, host))  # (3.9), (3.10)
+    number, w = material.host, filters.weights
+    lit, under_sky, factor = lit_surface(light, material)
+    host = of.means[:, number : number + 1]
+    truths, bands = w.shape
+
+    def wide(values: Array) -> Array:
+        return np.broadcast_to(values, (truths, *values.shape[1:]))
+
+    level = light.level(target_pixel_reflectance(FILL_NODES, lit, host))  # (3.9), (3.10)
     line = TwoPanelLine(seen.gain, seen.offset)
-    w = filters.weights
-    means = np.einsum("uf,ukf->uk", w, retrieved_reflectance(line, level)) - filters.offset[:, None]  # (3.26)
+    means = np.einsum("uf,ukf->uk", w, wide(retrieved_reflectance(line, level))) - filters.offset[:, None]  # (3.26)
     through = (w * seen.slope)[:, None, :]
     lit_through = through * factor
-    rest = np.einsum("ukf,uf->uk", view.noise_variance(level) / seen.gain**2, w**2)  # noise of (3.28)
+    rest = np.einsum("ukf,uf->uk", wide(light.noise_variance(level) / seen.gain**2), w**2)  # noise of (3.28)
     # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
-    shape = (len(at), 1, w.shape[1])
-    ends = np.concatenate([np.broadcast_to(host, shape), np.broadcast_to(under_sky, shape)], axis=1)
-    v = w[:, None, :] * view.adjacency_slope(ends) / seen.gain
-    v = v * np.sqrt(at.gains[:, number, None, None] * view.adjacency_weight())
-    parts = at.surroundings(np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
+    ends = np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in (host, under_sky)], axis=1)
+    v = w[:, None, :] * light.adjacency_slope(ends) / seen.gain
+    v = v * np.sqrt(of.gain[:, number, None, None] * light.kappa)
+    parts = of.surroundings(np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
     zero, one, both = parts[:, :1], parts[:, 1:2], parts[:, 2:]
     g = FILL_NODES
     rest = rest + (1.0 - g) ** 2 * zero + g**2 * one + g * (1.0 - g) * (both - zero - one)
-    error = np.zeros(len(at))
+    error = np.zeros(truths)
     if material.error is not None:
-        error = np.sqrt(np.einsum("ukf,ukf->u", lit_through @ material.error, lit_through))
-    own = at.spread(lit_through, lambda x: x.surfaces[material.name].covariance)[:, 0]
-    behind = at.spread(through, lambda x: x.covariances[number])[:, 0]
-    fine = np.array([g.surfaces[material.name].fine_texture for g in at.grounds])[at.which]
-    return Responses(means, own, at.gains[:, number] * behind, rest, error, fine)
+        error = np.sqrt(spread(lit_through, material.error)[:, 0])
+    own = spread(lit_through, material.covariance, material.stretch)[:, 0]
+    behind = spread(through, of.covariances[number], of.stretch[:, number])[:, 0]
+    fine = np.broadcast_to(material.fine_texture, (truths,))
+    return Responses(means, own, of.gain[:, number] * behind, rest, error, fine)
 
 
 def target_population(
-    at: Settings, seen: Seen, u: int, material: Material, fill: FillDistribution, target_gain: float
+    light: Light, of: Background, seen: Seen, u: int, material: Material, fill: FillDistribution, target_gain: float
 ) -> Population:
-    """Target pixels of setting ``u`` by the moments of their fill (3.12)."""
-    one = at.rows(np.array([u]))
-    row, number = one.view, material.host
-    here = Material(material.name, number, material.beam[u : u + 1], material.sky[u : u + 1])
-    mean, sky, light = lit_surface(one, here)
-    lit, under = mean[0, 0], sky[0, 0]
-    ground = one.grounds[one.which[0]]
-    own, host = ground.surfaces[material.name].covariance, ground.means[number]
-    if np.ndim(light):
-        factor = np.asarray(light)[0, 0]
-        own = own * factor[:, None] * factor
-    gain = float(one.gains[0, number])
+    """Target pixels of one truth by the moments of their fill (3.12)."""
+    row, number, here = light.row(u), material.host, material.row(u)
+    one = of.rows(np.array([u]))
+    mean, sky, shade = lit_surface(light.rows(np.array([u])), here)
+    lit, under, host = mean[0, 0], sky[0, 0], one.means[0, number]
+    factor = (here.stretch[0] * (np.asarray(shade)[0, 0] if np.ndim(shade) else 1.0)) * np.ones(lit.size)
+    own, stretch = material.covariance * np.outer(factor, factor), one.stretch[0, number] * np.ones(lit.size)
+    gain = float(one.gain[0, number])
     covariance = target_pixel_covariance(
-        fill.mean, fill.variance, lit, own, host, ground.covariances[number],
-        target_gain=target_gain, host_gain=gain,
-        fine_texture=ground.surfaces[material.name].fine_texture, formulation=row.formulation,
+        fill.mean, fill.variance, lit, own, host, one.covariances[number] * np.outer(stretch, stretch),
+        target_gain=target_gain, host_gain=gain, fine_texture=float(here.fine_texture[0]),
+        formulation=light.formulation,
     )  # fmt: skip
-    level = one.levels(target_pixel_reflectance(fill.mean, lit, host)[None])[0, 0]
+    level = row.level(target_pixel_reflectance(fill.mean, lit, host))
     under_sky = target_pixel_reflectance(fill.mean, under, host)
-    k, offset = seen.gain[u, 0], seen.offset[u, 0]
-    weight = np.sqrt(gain * np.asarray(row.adjacency_weight()).reshape(-1)[0])
-    around = row.adjacency_slope(under_sky[None, None])[0, 0] / k * weight
-    noise = row.noise_variance(level[None, None])[0, 0] / k**2
-    return Population(covariance, around, (level - offset) / k, noise)
+    k, offset = (x[u if len(x) > 1 else 0, 0] for x in (seen.gain, seen.offset))
+    around = row.adjacency_slope(under_sky) / k * np.sqrt(gain * row.kappa.reshape(-1)[0])
+    return Population(covariance, around, (level - offset) / k, row.noise_variance(level) / k**2)

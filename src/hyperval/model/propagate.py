@@ -1,13 +1,15 @@
-"""Propagation by draws of the inputs, with an emulator in place of the engine.
+"""What uncertain inputs do to the products: along directions, by draws, and how the two ways compare.
 
-Every product of a prediction as numbers, drawn and linearised, and how the two ways of propagation compare.
+Every row of an error is the change of a product by one standard uncertainty along one direction of one input.
+Errors of the background's laws, where they were fitted to pixels of an image, come by leaving out its parts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,28 +18,253 @@ from scipy.special import ndtr, ndtri
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.terms import InterpolatedTerms, interpolated_terms
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure, state_value, true_scenario
-from hyperval.prediction.input import UncertainInput, drawn_truths, one_at_a_time
+from hyperval.model.detection import Evaluation
+from hyperval.model.filters import class_scores
+from hyperval.model.inputs import UncertainInput, drawn_truths
+from hyperval.model.light import Background, light_of, seen_classes
+from hyperval.model.world import Origins, Truth, World, read, settled, state_entries, state_value, with_truths
+from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.processing.intervals import Z95
+from hyperval.processing.laws import jackknife_directions
 from hyperval.processing.roc import WHOLE, curve_area
-from hyperval.processing.roc_model import detection_at
-from hyperval.products import PredictedProducts, RocCurve, SpectralEstimate
+from hyperval.processing.roc_model import ClassScores, detection_at, false_alarm_grid, log_false_alarm
+from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario
+from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, ...]
+RocKey = tuple[str, str, str]
+Change = tuple[Array, Array]  # by one standard uncertainty up, and down
+_CURVES = 2048  # drawn for the limits of a ROC curve
+DRAWN_SHIFT = 1.0  # standard deviations: beyond, even parts of directions moved alone do not add up to that of all
+_SHIFT = 0.3  # of a standard deviation: 95 % intervals that are off by it hold 94 %, and ever fewer beyond
+_SEEN = 1e-6  # of a probit: below it a change is rounding
+_INNER = 3.0  # probits of P_D between which it is looked for
+
+
+def combined(
+    changes: Sequence[tuple[str, Array]], covariances: Mapping[str, Array], bands: int
+) -> tuple[Array, dict[str, Array]]:
+    """Error covariance (B, B) and budget from independent sources.
+
+    Parameters
+    ----------
+    changes : sources with their (B,) changes per standard uncertainty, fully correlated between bands; a source of
+        several directions stands once for each
+    covariances : source -> (B, B)
+    """
+    budget: dict[str, Array] = {}
+    if not changes and not covariances:
+        return _nothing(bands), budget
+    total = np.zeros((bands, bands))
+    if changes:
+        rows = np.nan_to_num(np.stack([change for _, change in changes]))
+        total += rows.T @ rows
+        for source, d in zip((name for name, _ in changes), rows, strict=True):
+            budget[source] = np.hypot(budget[source], d) if source in budget else np.abs(d)
+    for source, covariance in covariances.items():
+        c = known(covariance)
+        total += c
+        budget[source] = np.sqrt(np.diag(c))
+    return total, budget
+
+
+def known(covariance: Array) -> Array:
+    """The matrix with 0 where nothing is known; unchanged, and not copied, where all is."""
+    return covariance if np.isfinite(np.sum(covariance)) else np.nan_to_num(covariance)
+
+
+@lru_cache(maxsize=8)
+def _nothing(bands: int) -> Array:
+    """Zeros (B, B) that all estimates without an error share; not to be written to."""
+    zero = np.zeros((bands, bands))
+    zero.setflags(write=False)
+    return zero
+
+
+def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Change]]) -> dict[RocKey, RocCurve]:
+    """The curves with 95 % intervals of P_D from drawn curves.
+
+    Each draw moves a whole curve along all directions of all inputs at once: by as many times the change that one
+    standard uncertainty up or down makes of it, in probit.  A ROC curve rises with P_FA; a draw that does not,
+    being extrapolated, is put in rising order, which brings it nearer to any curve that rises (Chernozhukov,
+    Fernandez-Val & Galichon, Biometrika 96, 559, 2009), and so are the limits.
+
+    Parameters
+    ----------
+    changes : key -> for each direction the changes (K,) of probit P_D by one standard uncertainty up and down
+    """
+    return {key: _with_limits(curve, changes.get(key, ())) for key, curve in roc.items()}
+
+
+def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Change]]) -> dict[RocKey, float]:
+    """How far both signs of the errors move a curve the same way, in standard deviations of its probit, at most.
+
+    Half the sum of the changes up and down, over all directions, is by how much the mean of draws would be off the
+    stated curve if the directions did not hold each other back; it says how far one evaluation up and down of each
+    can be trusted.
+    """
+    shifts = {}
+    for key, pairs in changes.items():
+        up, down = (np.array([pair[i] for pair in pairs]) for i in (0, 1))
+        inner = np.abs(probit(roc[key].pd)) < _INNER
+        sd = np.sqrt(((0.5 * (up - down)) ** 2).sum(axis=0))[inner] if pairs else np.zeros(0)
+        if np.any(sd > _SEEN):
+            shift = np.abs(0.5 * (up + down).sum(axis=0))[inner]
+            shifts[key] = float(np.max(shift[sd > _SEEN] / sd[sd > _SEEN]))
+    return shifts
+
+
+def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], samples: int) -> list[str]:
+    """Words for intervals that shifts of the mean make rough, and for those that are drawn for it."""
+    named = {key: f"{' '.join(key)} ({shift:.2g})" for key, shift in shifts.items() if shift > _SHIFT}
+    rough = [name for key, name in named.items() if key not in drawn]
+    notes = []
+    if drawn:
+        notes.append(
+            f"P_D intervals from {samples} draws of the budget, as errors shift the mean by more than its standard "
+            f"deviation, or would if each came alone: {', '.join(named[key] for key in drawn)}"
+        )
+    if rough:
+        notes.append(
+            "the errors shift the mean of P_D (in standard deviations of its probit, at most), which its interval "
+            f"holds roughly: {', '.join(rough)}; draw the budget for more: uncertainty: {{method: both}}"
+        )
+    return notes
+
+
+def _with_limits(curve: RocCurve, changes: Sequence[Change]) -> RocCurve:
+    if not any(np.any(part) for pair in changes for part in pair):
+        return curve
+    up, down = (np.array([pair[i] for pair in changes]) for i in (0, 1))
+    c = _normal_draws(len(changes))
+    z, even = probit(curve.pd), 0.5 * (up - down)
+    drawn = np.sort(z + np.maximum(c, 0.0) @ up + np.maximum(-c, 0.0) @ down, axis=1)
+    # The even part has its limits in closed form: the draws say by how much the whole differs from it.
+    half, plain = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
+    (low, high), (even_low, even_high) = (np.quantile(x, [0.025, 0.975], axis=0) for x in (drawn, plain))
+    low, high = (ndtr(np.sort(x)) for x in (low - even_low + z - half, high - even_high + z + half))
+    return replace(curve, pd_lower=np.minimum(low, curve.pd), pd_upper=np.maximum(high, curve.pd))
+
+
+@lru_cache(maxsize=8)
+def _normal_draws(directions: int) -> Array:
+    """(N, directions) standard normal numbers, evenly spread (Sobol, scrambled), the same for all curves."""
+    from scipy.stats import qmc  # a quarter of a second with what it loads, which a certain scenario does not need
+
+    draws = np.asarray(ndtri(qmc.Sobol(directions, seed=12).random(_CURVES)))
+    draws.setflags(write=False)
+    return draws
+
+
+def probit(p: Array) -> Array:
+    """Phi^-1 of probabilities, kept finite."""
+    return np.asarray(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))
+
+
+Filter = tuple[str, str]
+
+
+def worlds_without(scenario: Scenario, origins: Origins, truth: Truth) -> Iterable[Sequence[World]]:
+    """For each region whose law is known from its pixels, the scenario as it truly is without each part of them."""
+    if origins.left_out is None or not scenario.scene.targets or not _linear(scenario):
+        return
+    # A part may leave a mixture with fewer components than the class asks for.
+    classes = [c.model_copy(update={"mixture": "auto"}) if c.has_mixture else c for c in scenario.scene.classes]
+    free = scenario.model_copy(update={"scene": scenario.scene.model_copy(update={"classes": classes})})
+    for region, without in origins.left_out():
+        measured = origins.measured or {}
+        parts = (read(free, replace(origins, measured={**measured, region: part})) for part in without)
+        yield [settled(with_truths(world, [truth]))[0][1] for world in parts]
+
+
+def law_directions(e: Evaluation, regions: Iterable[Sequence[World]]) -> dict[Filter, Array]:
+    """(target, linear detector) -> (D, K) changes of ln P_FA (3.33) at the thresholds of its curve.
+
+    One for each part of each region, independent of each other; the square root of the sum of their squares is the
+    standard error that the pixels leave.  The filters stay: they look at both sides through the same weights.
+
+    Parameters
+    ----------
+    e : the scenario as it truly is, its first truth
+    """
+    grid = e.scenario.processing.false_alarm_grid
+    pfa = false_alarm_grid(grid.lowest, grid.per_decade)
+    names = [(t, d) for t in e.targets for d in _linear(e.scenario)]
+    thresholds = {(t.name, d): e.scores(t.populations[0].name, d).thresholds(pfa[None])[0] for t, d in names}
+    directions: dict[Filter, list[Array]] = {key: [] for key in thresholds}
+    for region in regions:
+        values: dict[Filter, list[Array]] = {key: [] for key in thresholds}
+        for world in region:
+            laws = _law_scores(e, world)
+            for key, x in thresholds.items():
+                rows = laws[key].rows(np.zeros(x.size, int))
+                values[key].append(log_false_alarm(x, rows)[0])
+        for key, each in values.items():
+            directions[key].append(jackknife_directions(each))
+    return {key: np.concatenate(parts) for key, parts in directions.items() if parts}
+
+
+def _law_scores(e: Evaluation, world: World) -> dict[Filter, ClassScores]:
+    """Scores of the background's laws of another world by the filters of the first truth of an evaluation."""
+    of = Background.of(world, e.bands)
+    seen, own = seen_classes(light_of(world).at(e.bands), of), e.which[:1]
+    fraction, dof = np.atleast_2d(world.law_fraction), np.atleast_2d(world.law_dof)
+    return {
+        key: ClassScores(fraction, *class_scores(of, seen, f.rows(own)), dof) for key, (f, _, _) in e.filters.items()
+    }
+
+
+def with_law_errors(
+    exceedance: Mapping[Filter, ExceedanceCurve], directions: Mapping[Filter, Array]
+) -> dict[Filter, ExceedanceCurve]:
+    """The predicted curves, with 95 % limits where the law was fitted to pixels."""
+    curves = dict(exceedance)
+    for key, of_curve in directions.items():
+        half, p = Z95 * np.sqrt((of_curve**2).sum(axis=0))[::-1], curves[key].probability
+        curves[key] = replace(curves[key], lower=p * np.exp(-half), upper=np.minimum(p * np.exp(half), 1.0))
+    return curves
+
+
+def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:
+    """The curve with the limits of P_FA at its thresholds taken into those of P_D.
+
+    Where the background has more alarms than the law says, the threshold of a P_FA lies higher and P_D lower: the
+    limits are the curve drawn against those of P_FA, in quadrature with the curve's own, in probit.
+    """
+    z, low, high = (probit(pd) for pd in (curve.pd, curve.pd_lower, curve.pd_upper))
+    # Limits of P_FA rise with it; far out, where the law says little, they need not.
+    less = np.maximum.accumulate(np.log(alarms.lower[::-1]))
+    more = np.minimum.accumulate(np.log(alarms.upper))[::-1]
+    at = np.log(curve.pfa)
+    up = z + np.hypot(high - z, np.maximum(_read(at, less, z) - z, 0.0))
+    down = z - np.hypot(z - low, np.maximum(z - _read(at, more, z), 0.0))
+    return replace(curve, pd_lower=ndtr(np.maximum.accumulate(down)), pd_upper=ndtr(np.maximum.accumulate(up)))
+
+
+def _read(at: Array, x: Array, z: Array) -> Array:
+    """A curve z over x, both rising, at places ``at``; beyond its ends with the slope over ``at`` there."""
+    below, above = (z[1] - z[0]) / (at[1] - at[0]), (z[-1] - z[-2]) / (at[-1] - at[-2])
+    inside = np.interp(at, x, z)
+    return np.asarray(inside + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
+
+
+def _linear(scenario: Scenario) -> list[str]:
+    return [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
+
 
 FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
-SPECTRA = ("radiance", "reflectance", "snr", "toa_reflectance")
+_SPECTRA = ("radiance", "reflectance", "snr", "toa_reflectance")
 PROBABILITIES = ("P_D", "AUC")
 
 
 def quantities(p: PredictedProducts) -> dict[Key, Array]:
     """(product, subject, ...) -> (n,) numbers: bands of spectra, P_D at each of FALSE_ALARMS, scores and areas."""
     out: dict[Key, Array] = {}
-    for product in SPECTRA:
+    for product in _SPECTRA:
         for subject, estimate in getattr(p, product).items():
             out[product, subject] = estimate.mean
     for (subject, detector), score in p.scores.items():
@@ -69,7 +296,7 @@ class Draws:
     """
 
     values: Mapping[Key, Array]
-    curves: Mapping[Key, Array]
+    curves: Mapping[RocKey, Array]
     samples: int
     seed: int
 
@@ -91,7 +318,7 @@ def limits(draws: Array) -> tuple[Array, Array]:
 def draw_products(predictions: Iterable[PredictedProducts], seed: int) -> Draws:
     """Products of predictions of drawn truths."""
     values: dict[Key, list[Array]] = {}
-    curves: dict[Key, list[Array]] = {}
+    curves: dict[RocKey, list[Array]] = {}
     count = 0
     for p in predictions:
         count += 1
@@ -99,8 +326,8 @@ def draw_products(predictions: Iterable[PredictedProducts], seed: int) -> Draws:
             values.setdefault(key, []).append(numbers)
         for name, curve in p.roc.items():
             curves.setdefault(name, []).append(curve.pd)
-    whole, lines = ({k: np.stack(v) for k, v in each.items()} for each in (values, curves))
-    return Draws(whole, lines, count, seed)
+    lines = {k: np.stack(v) for k, v in curves.items()}
+    return Draws({k: np.stack(v) for k, v in values.items()}, lines, count, seed)
 
 
 @dataclass(frozen=True)
@@ -124,23 +351,23 @@ class Linear:
 def linearise(
     stated: PredictedProducts,
     inputs: Sequence[UncertainInput],
-    predicted: Callable[[Iterable[Departure]], Iterator[PredictedProducts]],
+    predicted: Callable[[Iterable[Truth]], Iterator[PredictedProducts]],
 ) -> Linear:
     """Linearised propagation of all products (JCGM 100:2008, 5.1).
 
     Spectra have it in ``stated``, with every direction of every input.  For scores and curves it is made of central
     differences over one standard uncertainty along each direction.
     """
-    base = quantities(next(predicted([Departure()])))
+    base = quantities(next(predicted([{}])))
     variance = {key: np.zeros(values.shape) for key, values in base.items()}
-    if any(key[0] not in SPECTRA for key in variance):
-        steps = one_at_a_time(inputs)
-        moved = (quantities(p) for p in predicted(truth for step in steps for truth in step.truths))
+    if any(key[0] not in _SPECTRA for key in variance):
+        steps = (item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0))
+        moved = (quantities(p) for p in predicted(steps))
         for up, down in zip(moved, moved, strict=True):
             for key, total in variance.items():
-                if key[0] not in SPECTRA:
+                if key[0] not in _SPECTRA:
                     total += (0.5 * (scaled(key, up[key]) - scaled(key, down[key]))) ** 2
-    for product in SPECTRA:
+    for product in _SPECTRA:
         for subject, estimate in getattr(stated, product).items():
             variance[product, subject] = estimate.standard_uncertainty**2
     return Linear(base, variance)
@@ -259,39 +486,35 @@ def emulator(
         sampling, for bands that move
     """
 
-    def run(at: Scenario) -> AtmosphericTerms:
-        assert at.atmosphere is not None  # noqa: S101 - asked for where there is light
-        terms = engine(at.atmosphere)
+    state = scenario.atmosphere
+    assert state is not None  # noqa: S101 - asked for where there is light
+
+    def run(changes: Mapping[str, Any]) -> AtmosphericTerms:
+        terms = engine(with_settings(state, state_entries(state, changes)))
         return terms if axis is None else replace(terms.at_bands(axis), fwhm_nm=axis.fwhm_nm)
 
-    stated = run(scenario)
+    stated = run({})
     axes: dict[str, Array] = {}
-    runs, moving = [stated], []
+    runs, moving = [stated], {}
     for item in inputs:
         room, _, name = item.path.partition(".")
         if room != "atmosphere":
             continue
-        assert scenario.atmosphere is not None  # noqa: S101 - inputs of the atmosphere
-        values = [state_value(scenario.atmosphere, name)]
+        values = [state_value(state, name)]
         for z in (-_NODE, _NODE):
-            there = true_scenario(scenario, item.moved(z))
-            assert there.atmosphere is not None  # noqa: S101
-            value = _beside(name, values[0], state_value(there.atmosphere, name))
+            value = float(item.moved(z)[item.path][0])
             # A node at the end of the range may be the stated value.
             if all(abs(value - v) > 1e-12 for v in values):
                 values.append(value)
-                runs.append(run(there))
+                runs.append(run({name: value}))
         if len(values) > 1:
             axes[name] = np.array(values)
-            moving.append(item)
+            moving[name] = float(item.moved(1.0)[item.path][0])
     if not axes:
         return Emulator(None, stated, 1, (0.0, 0.0))
     fast = Emulator(interpolated_terms(axes, runs, star=True, bounded=False), stated, len(runs) + 1, (0.0, 0.0))
-    off = scenario
-    for item in moving:
-        off = true_scenario(off, item.moved(1.0))
-    assert off.atmosphere is not None  # noqa: S101
-    return replace(fast, error=_error(fast(off.atmosphere), run(off)))
+    off = with_settings(state, state_entries(state, moving))
+    return replace(fast, error=_error(fast(off), run(moving)))
 
 
 def _error(guess: AtmosphericTerms, truth: AtmosphericTerms) -> tuple[float, float]:
@@ -302,7 +525,7 @@ def _error(guess: AtmosphericTerms, truth: AtmosphericTerms) -> tuple[float, flo
     return float(relative.max()), float(np.median(relative))
 
 
-Again = Callable[..., Iterator[PredictedProducts]]  # of departed truths, under ``stand_in`` as the engine
+Again = Callable[..., Iterator[PredictedProducts]]  # of other truths, under ``stand_in`` as the engine
 
 
 @dataclass(frozen=True)
@@ -338,8 +561,8 @@ def propagate(
 
     Parameters
     ----------
-    stated : the prediction without a departure; None draws alone
-    again : predictions, without a budget, of departed truths under an engine
+    stated : the prediction as stated; None draws alone
+    again : predictions, without a budget, of other truths under an engine
     engine, axis : of the atmosphere; bands on which its terms are interpolated, None for the engine's own sampling
 
     Raises
@@ -384,7 +607,7 @@ def with_intervals(stated: PredictedProducts, propagation: Propagated, method: s
         which = ", ".join(sorted({" ".join(k[1:]) for k in differs}))
         notes.append(f"P_D intervals from the draws, where linearisation differs by more than the tolerance: {which}")
     spectra = {}
-    for product in SPECTRA:
+    for product in _SPECTRA:
         estimates = getattr(stated, product)
         if method == "monte-carlo":
             estimates = {s: _drawn_estimate(e, propagation.draws.sd((product, s))) for s, e in estimates.items()}

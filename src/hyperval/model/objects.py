@@ -25,18 +25,17 @@ import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
-from hyperval.prediction.batch import Batch, Group
-from hyperval.prediction.cases import Setup
-from hyperval.prediction.departure import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
-from hyperval.prediction.filters import FILL_NODES, Responses, lit_surface
-from hyperval.prediction.inputs import correlation, cut
+from hyperval.model.detection import Evaluation
+from hyperval.model.fills import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
+from hyperval.model.filters import FILL_NODES, Responses, lit_surface
+from hyperval.model.surfaces import correlation, cut
 from hyperval.processing.elm import retrieved_reflectance
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.processing.roc_model import Host
@@ -80,31 +79,31 @@ class InputDraws:
         return int(self.blur.size)
 
 
-def input_draws(batch: Batch, uncertainty: Uncertainty, bands: Index, steps: int) -> InputDraws:
+def input_draws(e: Evaluation, u: int, uncertainty: Uncertainty, steps: int) -> InputDraws:
     """Draws of what the scenario calls uncertain; one row of zeros when nothing is.
 
     Rows come in pairs of opposite sign, so that means carry no sampling error to first order.
 
     Parameters
     ----------
-    bands : of the detector
+    u : the truth as it stands
     steps : scalar inputs of light and sensor
     """
     error = uncertainty.collected_reflectance
-    spectrum_error = {t.name: cut(batch.errors[t.name], bands) for t in batch.targets if t.name in batch.errors}
+    spectrum_error = {t.name: cut(e.errors[t.name], e.bands) for t in e.targets if t.name in e.errors}
     uncertain = steps or spectrum_error or error or uncertainty.psf_fwhm_pixels or uncertainty.position_m
     if not uncertain:
         return InputDraws({}, {}, np.zeros((1, 0)), np.zeros(1))
-    rng = np.random.default_rng([batch.scenario.processing.seed, 7])
+    rng = np.random.default_rng([e.scenario.processing.seed, 7])
     spectra = {name: _normal(rng, covariance) for name, covariance in spectrum_error.items()}
     collected = {}
     if error is not None:
-        shape = correlation(batch.axis.select(bands), error.correlation_nm)
+        shape = correlation(e.axis.select(e.bands), error.correlation_nm)
         scaled, shifted = _normal(rng, shape), _normal(rng, shape)
-        surfaces = batch.settings.grounds[0].surfaces
+        means = e.world.rows(np.array([u])).mean[0][:, e.bands]
         collected = {
-            t.name: error.relative * scaled * surfaces[t.name].mean[bands] + error.absolute * shifted
-            for t in batch.targets
+            t.name: error.relative * scaled * means[e.world.surface(t.name)] + error.absolute * shifted
+            for t in e.targets
         }
     widths = ndtri((np.arange(_WIDTHS) + 0.5) / _WIDTHS)
     blur = rng.permutation(np.resize(widths / widths.std(), ROWS))
@@ -154,88 +153,35 @@ class Response:
         return np.asarray(self.mean(f)), np.sqrt(np.clip(self.variance(f), 0.0, None))
 
 
-def response_nodes(batch: Batch, points: Index, target: str, detector: str, holds: int) -> tuple[Array, Array]:
-    """(P, 9) means and variances at FILL_NODES of some evaluations (3.26, 3.28).
+def response_nodes(e: Evaluation, truths: Index, target: int, detector: str, holds: int) -> tuple[Array, Array]:
+    """(P, 9) means and variances at FILL_NODES in some truths (3.26, 3.28).
 
-    By the filter that looks for ``target``, of pixels that hold target number ``holds``.
+    By the filter that looks for target number ``target``, of pixels that hold number ``holds``.
     """
-    means, variances = np.empty((2, points.size, FILL_NODES.size))
-    for g in batch.groups:
-        here = np.flatnonzero(np.isin(batch.points.setting[points], g.numbers))
-        if here.size:
-            rows, r = batch.responses_to(g, holds, g.filters[target, detector][0], points[here])
-            means[here] = r.means[rows]
-            variances[here] = r.variances(batch.points.of(batch.points.gain, holds)[points[here]], rows)
-    return means, variances
+    rows, response = e.responses(target, detector, holds)
+    gain = e.world.of_target("target_gain", holds)[truths]
+    return response.means[rows[truths]], response.variances(gain, rows[truths])
 
 
-class Evaluations:
-    """Filters and responses of some evaluations of a batch, of which the first is the scenario as it stands.
-
-    After it come those with one scalar input up by its standard uncertainty, then as many with it down.
-    """
-
-    def __init__(self, batch: Batch, points: Index):
-        self.batch, self.points = batch, points
-
-    @cached_property
-    def group(self) -> Group:
-        """The group of the first evaluation."""
-        return next(g for g in self.batch.groups if self.batch.points.setting[self.points[0]] in g.numbers)
-
-    @cached_property
-    def row(self) -> int:
-        """Number of its setting in the group."""
-        return int(np.searchsorted(self.group.numbers, self.batch.points.setting[self.points[0]]))
-
-    def number(self, target: str) -> int:
-        """Number of a target in the scene."""
-        return next(i for i, t in enumerate(self.batch.targets) if t.name == target)
-
-    def weights(self, target: str, detector: str) -> Array:
-        """(F,) of the filter that looks for a target."""
-        return np.asarray(self.group.filters[target, detector][0].weights[self.row])
-
-    def slope(self, target: str) -> Array:
-        """(F,) change of what the detector sees per change of a target's reflectance, under its own light."""
-        t = self.batch.targets[self.number(target)]
-        view, slope = self.group.at.view.row(self.row), self.group.seen.slope[self.row]
-        light = t.illumination
-        return np.asarray(slope * (view.light(light.beam, light.sky_view) if light else 1.0))
-
-    def responses(self, target: str, detector: str, holds: str) -> list[Response]:
-        """Of all evaluations, by the filter that looks for ``target``, for pixels that hold another or the same."""
-
-        def made() -> list[Response]:
-            points = self.points if target == holds else self.points[:1]
-            nodes = response_nodes(self.batch, points, target, detector, self.number(holds))
-            return [Response.through(*one) for one in zip(*nodes, strict=True)]
-
-        return self.batch.once(("response", target, detector, holds, int(self.points[0])), made)
-
-
-def predicted_object_scores(
-    batch: Batch, points: Index, targets: Sequence[Target], draws: int | None = None
-) -> dict[Key, ObjectScores]:
+def predicted_object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dict[Key, ObjectScores]:
     """(subject, detector) -> draws of the greatest score over the pixels of an object (3.26, 3.28 for objects).
 
     Linear detectors alone.  The pixels of an object are independent given their fills and the inputs.
 
     Parameters
     ----------
-    points : of the batch: the scenario as it stands, then evaluations with one scalar input up by its standard
+    truths : the one whose objects are looked for, then those with one input of light or sensor up by its standard
         uncertainty, then as many with it down
-    targets : of the scenario as it stands
     draws : of each object where no input is uncertain; default: as many as there would be with uncertain inputs
     """
-    here, uncertainty = Evaluations(batch, points), batch.scenario.uncertainty
-    drawn = input_draws(batch, uncertainty, here.group.bands, (points.size - 1) // 2)
-    thesis, seed = batch.scenario.formulation == "thesis", batch.scenario.processing.seed
-    linear = [d for d in batch.scenario.processing.detectors if d in LINEAR_DETECTORS]
+    u, uncertainty = int(truths[0]), e.scenario.uncertainty
+    drawn, targets = input_draws(e, u, uncertainty, (truths.size - 1) // 2), e.world.targets_at(u)
+    thesis, seed = e.scenario.formulation == "thesis", e.scenario.processing.seed
+    linear = [d for d in e.scenario.processing.detectors if d in LINEAR_DETECTORS]
+    names = [t.name for t in targets]
     out: dict[Key, ObjectScores] = {}
-    for target in targets:
-        number = here.number(target.name)
-        laws = host_laws(batch, number, points[0])
+    for number, target in enumerate(targets):
+        laws = host_laws(e, number, u)
         for population in target.populations:
             beside = [] if thesis else neighbours_of(target, population, targets)
             wanted = Objects(
@@ -244,16 +190,41 @@ def predicted_object_scores(
             )  # fmt: skip
             numbers = drawn_numbers(wanted, drawn.blur)
             for name, more in zip(linear, numbers.more, strict=True):
-                mean, sd = _pixel_scores(here, target.name, [t.name for t, _ in beside], name, drawn, numbers)
-                host_mean, host_sd = here.responses(target.name, name, target.name)[0].at(np.zeros(1))
-                host = batch.host(number, name, points[:1], numbers.rest.reshape(1, -1), host_mean, host_sd**2)
+                own = _responses(e, truths, number, name, number)
+                mean, sd = _pixel_scores(e, own, number, [names.index(t.name) for t, _ in beside], name, drawn, numbers,
+                                         truths)  # fmt: skip
+                host_mean, host_sd = own[0].at(np.zeros(1))
+                host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), host_mean, host_sd**2)
                 out[population.name, name] = greatest_scores(mean, sd, host, numbers, more)
     return out
 
 
-def host_laws(batch: Batch, number: int, point: int) -> Laws:
-    """Parts and degrees of freedom of the laws of a target's host in one evaluation; none: one normal law."""
-    _, parts, dof = batch.host_laws(number)
+def _responses(e: Evaluation, truths: Index, target: int, detector: str, holds: int) -> list[Response]:
+    """Of some truths, by the filter that looks for ``target``, for pixels that hold another or the same."""
+    nodes = response_nodes(e, truths, target, detector, holds)
+    return [Response.through(*one) for one in zip(*nodes, strict=True)]
+
+
+def _row(values: Array, u: int) -> Array:
+    return values[u if len(values) > 1 else 0]  # type: ignore[no-any-return]
+
+
+def _weights(e: Evaluation, u: int, target: int, detector: str) -> Array:
+    """(F,) of the filter that looks for a target in one truth."""
+    weights = e.filters[e.targets[target].name, detector][0].weights
+    return np.asarray(weights[int(e.which[u])])
+
+
+def _slope(e: Evaluation, u: int, target: int) -> Array:
+    """(F,) change of what the detector sees per change of a target's reflectance, under its own light."""
+    v, of = int(e.which[u]), e.world.of_target
+    shade = e.view.row(v).shade(float(of("beam", target)[u]), float(of("sky_view", target)[u]))
+    return np.asarray(_row(e.seen.slope, v) * shade)
+
+
+def host_laws(e: Evaluation, number: int, point: int) -> Laws:
+    """Parts and degrees of freedom of the laws of a target's host in one truth; none: one normal law."""
+    _, parts, dof = e.host_laws(number)
     laws = tuple(zip(parts.tolist(), dof[point if dof.shape[0] > 1 else 0].tolist(), strict=True))
     return () if laws == ((1.0, math.inf),) else laws
 
@@ -353,7 +324,7 @@ def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tup
     shape = (blur.size, objects.columns)
     geometry = population.fill.geometry
     if thesis or (geometry is None and population.fill.listed is None):
-        fill = moments(population, thesis) if thesis else fill_distribution(population.fill)
+        fill = moments(population.fill, thesis) if thesis else fill_distribution(population.fill)
         alone = fill.values[:, None]
         return alone, np.zeros((*alone.shape, 0)), rng.choice(fill.values.size, shape, p=fill.weights)
     n = pixels_of_object(population.fill)
@@ -394,21 +365,22 @@ def _half_diagonal(geometry: Geometry) -> float:
 
 
 def _pixel_scores(
-    here: Evaluations, target: str, beside: Sequence[str], name: str, drawn: InputDraws, numbers: Numbers
-) -> tuple[Array, Array]:
+    e: Evaluation, responses: Sequence[Response], target: int, beside: Sequence[int], name: str, drawn: InputDraws,
+    numbers: Numbers, truths: Index,
+) -> tuple[Array, Array]:  # fmt: skip
     """(S, R, n) mean score of each pixel, and (L, n) its standard deviation at each place (3.26, 3.28)."""
-    fills = numbers.fills
-    own, *moved = here.responses(target, name, target)
+    fills, u = numbers.fills, int(truths[0])
+    own, *moved = responses
     mean, sd = own.at(fills)
-    steps, weights = len(moved) // 2, here.weights(target, name)
+    steps, weights = len(moved) // 2, _weights(e, u, target, name)
     # What the inputs and the neighbours add to the mean is linear in what they are by.
     parts = [0.5 * (up.at(fills)[0] - down.at(fills)[0]) for up, down in zip(moved[:steps], moved[steps:], strict=True)]
-    by = [*drawn.steps.T, _departure(here, weights, target, drawn)]
+    by = [*drawn.steps.T, _change(e, u, weights, target, drawn)]
     parts.append(fills)
     if beside:
         host_mean, host_sd = own.at(0.0)
-        full = [here.responses(target, name, other)[0].at(1.0) for other in beside]
-        by += [m + _departure(here, weights, o, drawn) - host_mean for (m, _), o in zip(full, beside, strict=True)]
+        full = [_responses(e, truths[:1], target, name, other)[0].at(1.0) for other in beside]
+        by += [m + _change(e, u, weights, o, drawn) - host_mean for (m, _), o in zip(full, beside, strict=True)]
         parts += list(np.moveaxis(numbers.others, -1, 0))
         sd = numbers.shared_sd(sd**2, host_sd, np.array([s for _, s in full]))
     return _mean_draws(mean, np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places), sd
@@ -446,52 +418,49 @@ def greatest_scores(mean: Array, sd: Array, host: Host | None, numbers: Numbers,
     return ObjectScores((mean + away + own * numbers.host + left * more).max(axis=2))
 
 
-def _departure(here: Evaluations, weights: Array, target: str, drawn: InputDraws) -> Array:
+def _change(e: Evaluation, u: int, weights: Array, target: int, drawn: InputDraws) -> Array:
     """(S,) change of the score of a pixel full of the target, by the errors of its spectrum."""
-    out = np.zeros(drawn.rows)
-    if target in drawn.spectra:
-        out = out + drawn.spectra[target] @ (weights * here.slope(target))
-    if target in drawn.collected:
-        out = out + drawn.collected[target] @ weights
+    out, name = np.zeros(drawn.rows), e.targets[target].name
+    if name in drawn.spectra:
+        out = out + drawn.spectra[name] @ (weights * _slope(e, u, target))
+    if name in drawn.collected:
+        out = out + drawn.collected[name] @ weights
     return out
 
 
-def object_scores_of_truths(
-    batch: Batch, setups: Sequence[Setup], draws: int | None = None
-) -> list[dict[Key, ObjectScores]]:
-    """The draws of :func:`predicted_object_scores` for each evaluation of a batch; ``setups`` are its truths.
+def object_scores_of_truths(e: Evaluation, draws: int | None = None) -> list[dict[Key, ObjectScores]]:
+    """The draws of :func:`predicted_object_scores` for every truth, nothing of which is uncertain.
 
     Where replicates leave the spectrum of a target uncertain, each has draws of that too.
     """
-    points: npt.NDArray[np.intp] = np.arange(len(setups))
-    if any(target.name in batch.errors for target in batch.targets):
-        each = enumerate(setups)
-        return [predicted_object_scores(batch, np.array([p]), s.scenario.scene.targets, draws) for p, s in each]
-
-    @cache
-    def nodes(target: str, detector: str, holds: int) -> tuple[Array, Array]:
-        return response_nodes(batch, points, target, detector, holds)
-
-    numbers_of = {target.name: i for i, target in enumerate(batch.targets)}
-    linear = [d for d in batch.scenario.processing.detectors if d in LINEAR_DETECTORS]
-    out: list[dict[Key, ObjectScores]] = [{} for _ in setups]
-    for number, target in enumerate(batch.targets):
-        alike: dict[tuple[int, Laws], list[int]] = {}
-        for point, setup in enumerate(setups):
-            alike.setdefault((id(setup.room), host_laws(batch, number, point)), []).append(point)
+    truths: npt.NDArray[np.intp] = np.arange(len(e))
+    if any(target.name in e.errors for target in e.targets):
+        return [predicted_object_scores(e, truths[p : p + 1], draws) for p in truths]
+    linear = [d for d in e.scenario.processing.detectors if d in LINEAR_DETECTORS]
+    scenes, names = [e.world.targets_at(int(p)) for p in truths], e.stated.names["target"]
+    thesis, seed = e.scenario.formulation == "thesis", e.scenario.processing.seed
+    out: list[dict[Key, ObjectScores]] = [{} for _ in truths]
+    for number in range(len(e.targets)):
+        alike: dict[tuple[str, Laws], list[int]] = {}
+        for point, targets in enumerate(scenes):
+            fills = "" if targets == e.targets else repr([p.fill for t in targets for p in t.populations])
+            alike.setdefault((fills, host_laws(e, number, point)), []).append(point)
         for (_, laws), members in alike.items():
-            setup = setups[members[0]]
-            for population in setup.scenario.scene.targets[number].populations:
-                beside = _beside(setup, setup.scenario.scene.targets[number], population)
-                wanted = _objects(setup, population, beside, laws, len(linear), draws)
+            targets = scenes[members[0]]
+            for population in targets[number].populations:
+                beside = [] if thesis else neighbours_of(targets[number], population, targets)
+                wanted = Objects(
+                    population, tuple(s for _, s in beside), 0.0, None, draws or ROWS * COLUMNS, thesis, laws,
+                    len(linear), seed,
+                )  # fmt: skip
                 numbers = _few_numbers(wanted) if draws else drawn_numbers(wanted, np.zeros(1))
                 for name, more in zip(linear, numbers.more, strict=True):
-                    own = [moments[members] for moments in nodes(target.name, name, number)]
+                    at = np.array(members)
+                    own = response_nodes(e, at, number, name, number)
                     share, bare = numbers.rest.reshape(1, -1), [moments[:, 0] for moments in own]
-                    host = batch.host(number, name, np.array(members), share, *bare)
-                    full = [nodes(target.name, name, numbers_of[t.name]) for t, _ in beside]
-                    beside_them = [(m[members], v[members]) for m, v in full]
-                    scores = _scores(own[0], own[1], beside_them, host, numbers, more)
+                    host = e.host(number, name, at, share, *bare)
+                    full = [response_nodes(e, at, number, name, names.index(t.name)) for t, _ in beside]
+                    scores = _scores(own[0], own[1], full, host, numbers, more)
                     for point, one in zip(members, scores, strict=True):
                         out[point][population.name, name] = one
     return out
@@ -518,56 +487,31 @@ def _scores(
         yield made[key]
 
 
-def _beside(setup: Setup, target: Target, population: TargetSubject) -> list[tuple[Target, TargetSubject]]:
-    key, scenario = ("beside", population.name), setup.scenario
-    if scenario.formulation == "thesis":
-        return []
-    if key not in setup.room:
-        setup.room[key] = neighbours_of(target, population, scenario.scene.targets)
-    beside: list[tuple[Target, TargetSubject]] = setup.room[key]
-    return beside
-
-
-def _objects(
-    setup: Setup, population: TargetSubject, beside: Sequence[tuple[Target, TargetSubject]], laws: Laws,
-    detectors: int, draws: int | None,
-) -> Objects:  # fmt: skip
-    scenario = setup.scenario
-    return Objects(
-        population, tuple(s for _, s in beside), 0.0, None, draws or ROWS * COLUMNS,
-        scenario.formulation == "thesis", laws, detectors, scenario.processing.seed,
-    )  # fmt: skip
-
-
 @lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
 def _few_numbers(objects: Objects) -> Numbers:
     """The same numbers each time that a population is asked for."""
     return drawn_numbers(objects, np.zeros(1))
 
 
-def expected_scores(batch: Batch, points: Index) -> dict[tuple[str, str, str], float]:
-    """(what lies there, target, detector) -> expected score [1], of linear detectors in the first of ``points``.
+def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
+    """(what lies there, target, detector) -> expected score [1], of linear detectors in the first truth.
 
     What lies there is a class, a panel, a site or a population of any target, whichever target the filter looks
     for.  The score is linear in what the detector sees, and that in the reflectance: the mean score of a population
     is that of its mean fill.  A surface whose spectrum lacks bands of the detector has none.
     """
-    here, point = Evaluations(batch, points[:1]), int(points[0])
-    group, row = here.group, here.row
-    at, setting = group.at.rows(np.array([row])), batch.points.setting[point]
-    surfaces = batch.settings.grounds[batch.settings.which[setting]].surfaces
-    scene = batch.scenario.scene
-    means = {s.name: surfaces[s.name].mean[group.bands] for s in (*scene.classes, *scene.panels, *scene.sites)}
-    for number, target in enumerate(batch.targets):
-        beam, sky = (batch.points.of(part, number)[points[:1]] for part in (batch.points.beam, batch.points.sky))
-        lit = lit_surface(at, batch.material(number, beam, sky, group.bands))[0][0, 0]
-        for p, population in enumerate(target.populations):
-            fill = batch.fill_of(point, number, p).mean
-            means[population.name] = target_pixel_reflectance(fill, lit, means[target.host])
-    seen = retrieved_reflectance(at.view.line(), at.levels(np.array(list(means.values()))))[0]
+    v, first, scene = int(e.which[0]), e.world.rows(np.array([0])), e.scenario.scene
+    pure = (*scene.classes, *scene.panels, *scene.sites)
+    means = {s.name: first.mean[0, first.surface(s.name), e.bands] for s in pure}
+    for number, (t, _, population) in enumerate(e.stated.populations):
+        lit = lit_surface(e.view.rows(np.array([v])), e.material(t, first))[0][0, 0]
+        fill = e.fill_of(0, number).mean
+        means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
+    view = e.view.row(v)
+    seen = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))
     out: dict[tuple[str, str, str], float] = {}
-    for (looks_for, detector), (filters, _, _) in group.filters.items():
-        scores = seen @ filters.weights[row] - filters.offset[row]
+    for (looks_for, detector), (filters, _, _) in e.filters.items():
+        scores = seen @ filters.weights[v] - filters.offset[v]
         expected = zip(means, scores.tolist(), strict=True)
         out |= {(name, looks_for, detector): score for name, score in expected if np.isfinite(score)}
     return out

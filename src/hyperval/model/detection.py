@@ -1,0 +1,675 @@
+"""Scores and ROC curves of every target population, in U truths at once (3.26-3.33).
+
+Truths that share light, sensor and classes share their filters; everything else goes through arrays.
+ACE has no closed form: conditional Monte Carlo, one truth after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr, ndtri
+
+from hyperval.errors import UsageError
+from hyperval.model.fills import Fills
+from hyperval.model.filters import (
+    Designer,
+    FilterBase,
+    Filters,
+    Material,
+    Population,
+    Responses,
+    class_scores,
+    noise_of,
+    target_population,
+    target_scores,
+)
+from hyperval.model.light import Background, Light, Seen, at_rows, light_of, seen_classes
+from hyperval.model.surfaces import cut
+from hyperval.model.world import World, distinct, settled
+from hyperval.processing.ace_model import (
+    AceSpace,
+    Exceedance,
+    ace_exceedance,
+    ace_space,
+    ace_threshold,
+    exceedance_at,
+)
+from hyperval.processing.elm import retrieved_reflectance
+from hyperval.processing.filters import LINEAR_DETECTORS
+from hyperval.processing.roc_model import ClassScores, Host, RocScores, false_alarm_grid
+from hyperval.products import ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
+from hyperval.scenario import Scenario, Target, TargetSubject
+from hyperval.scene.fill import FillDistribution, fixed_fill
+from hyperval.spectra.axis import SpectralAxis, in_window
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Made = TypeVar("Made")
+
+
+class Evaluation:
+    """U truths of what was read once; quantities are computed when asked for.
+
+    Parameters
+    ----------
+    world : settled (:func:`hyperval.model.world.settled`)
+    errors : target -> (B, B) error covariance of its spectrum
+    shift : (U or 1,) by how many standard deviations of the score the targets depart from their spectra
+    """
+
+    def __init__(self, world: World, errors: Mapping[str, Array] | None = None, shift: Array | float = 0.0):
+        self.world, self.stated, self.errors = world, world.stated, errors or {}
+        self.shift = np.broadcast_to(shift, (world.size,))
+        self.first, self.which = world.distinct()
+        self.at = world.rows(self.first)
+        self.light = light_of(self.at)
+        self._made: dict[Any, Any] = {}
+
+    def __len__(self) -> int:
+        return self.world.size
+
+    @property
+    def scenario(self) -> Scenario:
+        """What all truths share: names, processing."""
+        return self.stated.scenario
+
+    @property
+    def axis(self) -> SpectralAxis:
+        """The bands as they are labelled."""
+        return self.stated.axis
+
+    @property
+    def targets(self) -> list[Target]:
+        """The targets of the scene."""
+        return self.stated.targets
+
+    # ---- spectra -------------------------------------------------------------------------------------------
+
+    def radiance(self, subject: str) -> Array:
+        """Mean radiance of a class, panel or site in each truth (U, B) (3.7) [uW cm-2 sr-1 nm-1]."""
+        number = self.world.surface(subject)
+        level = self.once(("radiance", subject), lambda: self.light.level(self.at.mean[:, number : number + 1])[:, 0])
+        return self.of_truths(level)
+
+    def snr(self, subject: str, calibration: bool = True) -> Array:
+        """SNR of a class, panel or site in each truth (U, B) (3.20) [1]; with C_R or without."""
+        noise, number = self.light.noise, self.world.surface(subject)
+        if noise is None:
+            raise UsageError("the scenario has no sensor noise", mend="name an atmosphere and a sensor")
+        level = self.light.level(self.at.mean[:, number : number + 1])
+        snr = self.once(("snr", subject, calibration), lambda: noise.snr(level, calibration=calibration)[:, 0])
+        return self.of_truths(snr)
+
+    def of_truths(self, values: Array) -> Array:
+        """(U, ...) of values (V or 1, ...) of the truths with other light."""
+        return values[self.which] if len(values) > 1 else np.broadcast_to(values, (len(self), *values.shape[1:]))
+
+    # ---- detection -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def usable(self) -> npt.NDArray[np.bool_]:
+        """(V or 1, B) bands with light, on which all that the detectors need is known."""
+        names = [*self.stated.classes, *self.stated.names["target"]]
+        means = self.at.mean[:, [self.world.surface(n) for n in names]]
+        usable = self.light.lit()[:, 0] & np.isfinite(means).all(axis=1)
+        for spectrum in self.stated.signatures.values():
+            usable = usable & np.isfinite(spectrum)
+        return usable
+
+    @cached_property
+    def bands(self) -> Index:
+        """(F,) of the detectors."""
+        return detection_bands(self.scenario, self.axis, self.usable[0])
+
+    @cached_property
+    def view(self) -> Light:
+        """The light on the bands of the detectors."""
+        return self.light.at(self.bands)
+
+    @cached_property
+    def background(self) -> Background:
+        """The classes on the bands of the detectors."""
+        return Background.of(self.at, self.bands)
+
+    @cached_property
+    def seen(self) -> Seen:
+        """The classes as the detectors see them."""
+        return seen_classes(self.view, self.background)
+
+    @cached_property
+    def designer(self) -> Designer:
+        """Of the filters; its memory serves the next truths of the same scenario."""
+        processing, key = self.scenario.processing, ("designer", self.bands.tobytes())
+        if key not in self.stated.kept:
+            names = processing.filter_classes
+            chosen = np.array([not names or n in names for n in self.stated.classes])
+            self.stated.kept[key] = Designer(processing, chosen, self.bands.size)
+        designer: Designer = self.stated.kept[key]
+        return designer
+
+    @cached_property
+    def _designed(self) -> tuple[dict[tuple[str, str], tuple[Filters, Array, Array]], dict[int, UsageError]]:
+        linear = [d for d in self.scenario.processing.detectors if d in LINEAR_DETECTORS]
+        names = [(t.name, d) for t in self.targets for d in linear]
+        wanted = [(d, self.looked_for(t)) for t, d in names]
+        filters, problems = self.designer.design(self.view, self.background, self.seen, self.first.size, wanted)
+        return {n: (f, *class_scores(self.background, self.seen, f)) for n, f in zip(names, filters, strict=True)}, {
+            int(u): problems[v] for u, v in enumerate(self.which) if v in problems
+        }
+
+    @property
+    def filters(self) -> Mapping[tuple[str, str], tuple[Filters, Array, Array]]:
+        """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
+        return self._designed[0]
+
+    @property
+    def problems(self) -> Mapping[int, UsageError]:
+        """Truth -> why it has no filter; none where no filter was asked for."""
+        return self._designed[1] if "_designed" in vars(self) else {}
+
+    def looked_for(self, target: str) -> Array:
+        """(V or 1, F) what a filter looks for, in the units of the image."""
+        signature = self.stated.signatures[target][None, self.bands]
+        return retrieved_reflectance(self.view.library_line, self.view.level(signature))[:, 0]
+
+    def material(self, target: int, at: World) -> Material:
+        """A target with its host, its light and the error of its spectrum, in some truths."""
+        t, bands = self.targets[target], self.bands
+        number, stretch = at.surface(t.name), at.stretch[:, at.surface(t.name)]
+        error = cut(self.errors[t.name], bands) if t.name in self.errors else None
+        key = "cut", t.name, bands.tobytes()
+        if key not in self.stated.kept:
+            self.stated.kept[key] = cut(self.stated.surfaces[t.name].covariance, bands)
+        return Material(
+            at.mean[:, number, bands], self.stated.kept[key], stretch[:, bands] if stretch.shape[1] > 1 else stretch,
+            at.column("fine_texture")[:, number], self.stated.classes.index(t.host), at.column("beam")[:, target],
+            at.column("sky_view")[:, target], error,
+        )  # fmt: skip
+
+    def population_at(self, u: int, target: int, fill: FillDistribution) -> Population:
+        """Pixels of one target as the detector sees them in a truth, by the moments of their fill (3.12)."""
+        material = self.material(target, self.world.rows(np.array([u])))
+        v, gain = int(self.which[u]), float(self.world.of_target("target_gain", target)[u])
+        return target_population(self.view, self.background, self.seen, v, material, fill, gain)
+
+    def fill_of(self, u: int, number: int) -> FillDistribution:
+        """Fill of a population in a truth."""
+        fills = self.fills(number)
+        row = u if len(fills.values) > 1 else 0
+        return FillDistribution(fills.values[row], fills.weights[row if len(fills.weights) > 1 else 0])
+
+    def fills(self, number: int, objects: bool = False) -> Fills:
+        """Fills of the pixels of a population, or of the pixels of its objects."""
+        return self.once(("fills", number, objects), lambda: self.world.fills(number, objects))
+
+    def scores(self, population: str, detector: str) -> RocScores:
+        """What the ROC of a target population needs in each truth (3.26-3.29), pixel by pixel."""
+        return self.once(("scores", population, detector), lambda: self._scores(population, detector, False))
+
+    def object_scores(self, population: str, detector: str) -> RocScores:
+        """The same where an object is detected when one of its pixels is."""
+        return self.once(("objects", population, detector), lambda: self._scores(population, detector, True))
+
+    def _scores(self, population: str, detector: str, objects: bool) -> RocScores:
+        number, target, _ = self.population(population)
+        fills = self.fills(number, objects)
+        rows, response = self.responses(target, detector, target)
+        gain = self.world.of_target("target_gain", target)
+        means, sds = response.at(fills.values, gain, rows, self.shift)
+        bare = response.means[rows, 0], response.variances(gain, rows)[:, 0]
+        classes, which = self.once(("classes", target, detector), lambda: self._classes(target, detector))
+        host = self.host(target, detector, np.arange(len(self)), 1.0 - fills.values, *bare)
+        if fills.shape is None:
+            return RocScores(classes, which, means, sds, np.broadcast_to(fills.weights, means.shape), None, host)
+        each = (means.reshape(len(self), *fills.shape), sds.reshape(len(self), *fills.shape))
+        return RocScores(classes, which, means, sds, np.full(means.shape, np.nan), each, host)
+
+    def host(
+        self, target: int, detector: str, truths: Index, share: Array, mean: Array, variance: Array
+    ) -> Host | None:
+        """The host of a target in some truths, as :class:`Host` has it; None: one normal law in all."""
+        laws, parts, _ = self.host_laws(target)
+        classes, which = self.once(("classes", target, detector), lambda: self._classes(target, detector))
+        scores = classes.rows(which[truths]).of(laws)
+        host = Host(share, mean, variance, replace(scores, fraction=np.broadcast_to(parts, scores.mean.shape)))
+        return None if host.normal.all() else host
+
+    def host_laws(self, target: int) -> tuple[Index, Array, Array]:
+        """(C,) which of the background's laws a target's host is made of, their parts, and (U or 1, C) dof."""
+        owner = self.stated.classes.index(self.targets[target].host)
+        laws = [j for j, law in enumerate(self.stated.laws) if law.owner == owner]
+        return np.array(laws), np.array([self.stated.laws[j].weight for j in laws]), self.world.law_dof[:, laws]
+
+    def _classes(self, target: int, detector: str) -> tuple[ClassScores, Index]:
+        """Scores of the background's laws for each different combination of light, classes and tails."""
+        _, means, sds = self.filters[self.targets[target].name, detector]
+        dof, fraction = self.world.law_dof, self.at.law_fraction
+        first, which = distinct([self.which, *(dof.T if len(dof) > 1 else ())], len(self))
+        light = self.which[first]
+        tails = np.broadcast_to(at_rows(dof, first), (first.size, dof.shape[1]))
+        fractions = np.broadcast_to(at_rows(fraction, light), (first.size, fraction.shape[1]))
+        return ClassScores(fractions, means[light], sds[light], tails), which
+
+    def responses(self, looks_for: int, detector: str, holds: int) -> tuple[Index, Responses]:
+        """Which row each truth has (U,), and scores against the fill of pixels that hold a target, by the filter that
+        looks for the same or another.
+        """
+
+        def made() -> tuple[Index, Responses]:
+            first, rows = self.world.distinct([self.targets[holds].name])
+            light = self.which[first]
+            view, of, seen = self.view.rows(light), self.background.rows(light), self.seen.rows(light)
+            filters = self.filters[self.targets[looks_for].name, detector][0].rows(light)
+            return rows, target_scores(view, of, seen, filters, self.material(holds, self.world.rows(first)))
+
+        return self.once(("responses", looks_for, detector, holds), made)
+
+    def population(self, name: str) -> tuple[int, int, TargetSubject]:
+        """Number of the population of that name and of its target, and what the scenario says of it."""
+        for number, (target, _, population) in enumerate(self.stated.populations):
+            if population.name == name:
+                return number, target, population
+        raise UsageError(f"no target population {name!r}")
+
+    def once(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What ``make`` gives, made the first time that ``key`` is asked for."""
+        if key not in self._made:
+            self._made[key] = make()
+        made: Made = self._made[key]
+        return made
+
+
+def evaluations(
+    world: World, errors: Mapping[str, Array] | None = None, shift: Array | float = 0.0
+) -> list[tuple[Index, Evaluation]]:
+    """All truths, those together that share what is read and the bands of their detectors; numbers of each part."""
+    out: list[tuple[Index, Evaluation]] = []
+    shifts = np.broadcast_to(shift, (world.size,))
+    for index, part in settled(world):
+        whole = Evaluation(part, errors, shifts[index])
+        patterns, group = np.unique(whole.usable, axis=0, return_inverse=True)
+        if len(patterns) == 1:
+            out.append((index, whole))
+            continue
+        group = group.reshape(-1)[whole.which]
+        for i in range(len(patterns)):
+            rows = np.flatnonzero(group == i)
+            out.append((index[rows], Evaluation(part.rows(rows), errors, shifts[index[rows]])))
+    return sorted(out, key=lambda numbered: int(numbered[0][0]))
+
+
+def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+    """Indices of the bands that the detectors use (Psi of unit rows, 3.21).
+
+    ``usable`` (B,) is False where a spectrum or the light is lacking.  Raises UsageError when none is left.
+    """
+    choice = scenario.processing.bands
+    keep = usable.copy()
+    if choice.drop_bad:
+        keep &= axis.good
+    if choice.windows_only:
+        keep &= in_window(axis.centre_nm)
+    if choice.ranges:
+        keep &= np.any([(axis.centre_nm >= a) & (axis.centre_nm <= b) for a, b in choice.ranges], axis=0)
+    for name, listed in (("channels", choice.channels), ("bad_channels", choice.bad_channels)):
+        if listed and max(listed) >= keep.size:
+            raise UsageError(
+                f"processing.bands.{name}: band {max(listed)} of {keep.size}",
+                expected=f"numbers from 0 to {keep.size - 1}",
+            )
+        if listed:
+            here = np.isin(np.arange(keep.size), listed)
+            keep &= here if name == "channels" else ~here
+    if not keep.any():
+        raise UsageError("no band is left for detection", mend="widen processing: bands")
+    return np.flatnonzero(keep)
+
+
+# P_D in probit is smooth in the fill: Chebyshev nodes over the fills that occur.
+_NODES = 7
+# Most of a pixel's draws are plain; the others reach where it has the false alarms of its host alone.
+_DECADES = (0.0, 0.0, 0.0, 0.0, 3.0, 6.0)
+
+
+@dataclass(frozen=True)
+class AceScores:
+    """Scores of one population in n evaluations.
+
+    Attributes
+    ----------
+    target, background : score distributions
+    threshold : (n, K)
+    detection : unit -> (n, K) P_D
+    error : (n,) greatest standard error of P_D, of the draws
+    alarm_error : (n,) standard error of P_FA at the least of its values, as a part of it
+    """
+
+    target: Sequence[ScoreDistribution]
+    background: Sequence[ScoreDistribution]
+    threshold: Array
+    detection: dict[str, Array]
+    error: Array
+    alarm_error: Array
+
+
+@dataclass(frozen=True)
+class _AceTruth:
+    """One truth: number of it and of the target, filter base, space, and the exceedance of the background.
+
+    ``host`` : the laws of the target's host: part, pixels of host alone, degrees of freedom
+    """
+
+    u: int
+    target: int
+    base: FilterBase
+    space: AceSpace
+    background: Exceedance
+    threshold: Array
+    host: Sequence[tuple[float, Population, float]]
+
+
+def ace_scores(e: Evaluation, population: str, pfa: Array, object_curves: bool = True) -> AceScores:
+    """ACE of target pixels and background in every truth; the host of a pixel keeps its laws."""
+    number, target, _ = e.population(population)
+    of_target, background, thresholds, errors = [], [], [], []
+    detection: dict[str, list[Array]] = {unit: [] for unit in (("pixel", "object") if object_curves else ("pixel",))}
+    for u in range(len(e)):
+        one = e.once(("ace", u, target), lambda u=u: _ace_truth(e, u, target, pfa))  # type: ignore[misc]
+        fill = e.fill_of(u, number)
+        nodes, at_nodes = e.once(("ace nodes", u, target), lambda one=one: _at_nodes(e, one))  # type: ignore[misc]
+        whole, objects = _objects(e, u, number)
+        pixel = _averaged(at_nodes, nodes, fill.values[:, None], fill.weights)
+        of_target.append(_distribution(pixel))
+        background.append(_distribution(one.background))
+        thresholds.append(one.threshold)
+        detection["pixel"].append(exceedance_at(one.threshold, pixel))
+        if object_curves:
+            pd = detection["pixel"][-1]
+            if whole.shape is not None:
+                weights = np.full(objects.shape[0], 1.0 / objects.shape[0])
+                pd = exceedance_at(one.threshold, _averaged(at_nodes, nodes, objects, weights))
+            detection["object"].append(pd)
+        errors.append((max(float(x.standard_error.max()) for x in at_nodes), _alarm_error(one)))
+    each = {unit: np.array(curves) for unit, curves in detection.items()}
+    error, alarm_error = np.array(errors).T
+    return AceScores(of_target, background, np.array(thresholds), each, error, alarm_error)
+
+
+def _objects(e: Evaluation, u: int, number: int) -> tuple[Fills, Array]:
+    """Fills of the pixels of whole objects in one truth, and the same as (places, pixels)."""
+    whole = e.fills(number, True)
+    row = whole.values[u if whole.values.shape[0] > 1 else 0]
+    return whole, row.reshape(whole.shape or (-1, 1))
+
+
+def _at_nodes(e: Evaluation, one: _AceTruth) -> tuple[Array, list[Exceedance]]:
+    """Fills that span those of all populations of a target, and its exceedances there."""
+    reach = []
+    for number, (target, _, _) in enumerate(e.stated.populations):
+        if target == one.target:
+            # Those of whole objects too, even where their curve is not asked for.
+            reach += [e.fill_of(one.u, number).values, _objects(e, one.u, number)[1].ravel()]
+    every = np.concatenate(reach)
+    nodes = _nodes(float(every.min()), float(every.max()))
+    return nodes, [_at_fill(e, one, float(f)) for f in nodes]
+
+
+def _one(values: Array, u: int) -> Array:
+    """The row of a truth."""
+    return values[u if len(values) > 1 else 0]  # type: ignore[no-any-return]
+
+
+def _ace_truth(e: Evaluation, u: int, target: int, pfa: Array) -> _AceTruth:
+    processing, v, seen, of = e.scenario.processing, int(e.which[u]), e.seen, e.background
+    base = e.designer.base(e.designer.mixture(of, seen, v), lambda reflectance: noise_of(e.view, seen, v, reflectance))
+    looked_for = _one(e.looked_for(e.targets[target].name), v)
+    space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
+    fractions, dof = _one(of.law_fraction, v), _one(e.world.law_dof, u)
+    decades = np.linspace(0.0, -float(np.log10(pfa[0])), 4).tolist()
+    classes, pixels = [], []
+    for j, law in enumerate(of.laws):
+        m = law.owner
+        gain, stretch = float(_one(of.gain, v)[m]), _one(of.stretch, v)[m] * np.ones(e.bands.size)
+        mean = _one(seen.means, v)[m]
+        if law.offset is not None:
+            mean = mean + np.sqrt(gain) * _one(seen.slope, v) * stretch * law.offset
+        own = gain * law.covariance * np.outer(stretch, stretch)
+        as_part = Population(own, _one(seen.around, v)[m], mean, _one(seen.noise, v)[m])
+        pixels.append(as_part)
+        classes.append(
+            ace_exceedance(
+                space, base.of(as_part.mean), base.spread(covariance_of(as_part, e, v)), processing.samples,
+                np.random.default_rng([processing.seed, j]), None if np.isinf(dof[j]) else float(dof[j]),
+                decades=decades,
+            )
+        )  # fmt: skip
+    mixture = Exceedance(
+        classes[0].scores,
+        np.asarray(sum(f * c.probability for f, c in zip(fractions, classes, strict=True))),
+        np.sqrt(sum((f * c.standard_error) ** 2 for f, c in zip(fractions, classes, strict=True))),
+    )
+    threshold = ace_threshold(pfa, fractions.tolist(), classes)
+    numbers, parts, _ = e.host_laws(target)
+    host = [(float(part), pixels[j], float(dof[j])) for j, part in zip(numbers, parts, strict=True)]
+    return _AceTruth(u, target, base, space, mixture, threshold, host)
+
+
+def covariance_of(part: Population, e: Evaluation, v: int) -> Array:
+    """(F, F) covariance of pixels as the detector sees them under light ``v`` (3.11-3.21)."""
+    slope, surroundings = _one(e.seen.slope, v), e.background.covariance(v)
+    covariance = part.covariance * np.outer(slope, slope) + surroundings * np.outer(part.around, part.around)
+    return np.asarray(covariance + np.diag(part.noise))
+
+
+def _at_fill(e: Evaluation, one: _AceTruth, fill: float) -> Exceedance:
+    processing, v = e.scenario.processing, int(e.which[one.u])
+    pixels = e.population_at(one.u, one.target, fixed_fill(fill))
+    mean, shift, target = pixels.mean, float(e.shift[one.u]), e.targets[one.target]
+    slope = _one(e.seen.slope, v)
+    if shift and target.name in e.errors:
+        # The true target departs along the filter's own direction, by standard deviations of its score.
+        error = e.errors[target.name][np.ix_(e.bands, e.bands)]
+        w = one.base.filter("matched-filter", _one(e.looked_for(target.name), v)).weights * slope
+        mean = mean + shift * fill * (error @ w / np.sqrt(float(w @ error @ w))) * slope
+    whole, share = covariance_of(pixels, e, v), 1.0 - fill
+    number = e.stated.classes.index(target.host)
+    stretch = _one(e.background.stretch, v)[number] * np.ones(e.bands.size)
+    gain = _one(e.background.gain, v)[number]
+    class_mean = _one(e.seen.means, v)[number]
+    surface = e.background.covariances[number] * gain * np.outer(stretch, stretch)
+    by_law = []
+    for k, (part, law, dof) in enumerate(one.host):
+        # A law of the host differs from its class in mean and spread; what has its tails is what it has alone.
+        total = whole + share**2 * (law.covariance - surface) * np.outer(slope, slope)
+        tailed = share**2 * covariance_of(law, e, v) if np.isfinite(dof) else total
+        above = ace_exceedance(
+            one.space, one.base.of(mean + share * (law.mean - class_mean)), one.base.spread(tailed),
+            processing.samples, np.random.default_rng([processing.seed, 1_000_003, *([k] if k else [])]),
+            float(dof) if np.isfinite(dof) else None,
+            decades=_DECADES, normal=one.base.spread(total - tailed) if np.isfinite(dof) else None,
+        )  # fmt: skip
+        by_law.append((part, above))
+    return Exceedance(
+        by_law[0][1].scores,
+        np.asarray(sum(part * above.probability for part, above in by_law)),
+        np.sqrt(sum((part * above.standard_error) ** 2 for part, above in by_law)),
+    )
+
+
+def _alarm_error(one: _AceTruth) -> float:
+    first = int(np.searchsorted(one.background.scores, one.threshold[0]).clip(0, one.background.scores.size - 1))
+    return float(one.background.standard_error[first] / max(one.background.probability[first], 1e-300))
+
+
+def _nodes(low: float, high: float) -> Array:
+    if high - low < 1e-9:
+        return np.array([low])
+    return 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
+
+
+def _averaged(at_nodes: list[Exceedance], nodes: Array, fills: Array, weights: Array) -> Exceedance:
+    """Probability that any of the pixels with ``fills`` (K, n) passes, averaged with ``weights`` (K,)."""
+    scores, error = at_nodes[0].scores, np.max([e.standard_error for e in at_nodes], axis=0)
+    z = ndtri(np.clip([e.probability for e in at_nodes], 1e-300, 1.0 - 1e-16))  # (nodes, S)
+    if nodes.size == 1:
+        missed = (1.0 - ndtr(z[0])) ** fills.shape[1]
+        return Exceedance(scores, 1.0 - missed, error)
+    distinct, inverse = np.unique(fills.round(6), return_inverse=True)
+    table = ndtr(np.stack([np.interp(distinct, nodes, row) for row in z.T], axis=1))  # (fills, S)
+    log_missed = np.log(np.clip(1.0 - table, 1e-300, 1.0))
+    missed = np.exp(log_missed[inverse.reshape(fills.shape)].sum(axis=1))
+    return Exceedance(scores, 1.0 - weights @ missed, error)
+
+
+def _distribution(population: Exceedance) -> ScoreDistribution:
+    mean, sd = population.moments
+    density = np.clip(-np.gradient(population.probability, population.scores), 0.0, None)
+    return ScoreDistribution(mean, sd, None, population.scores, density)
+
+
+RocKey = tuple[str, str, str]
+
+# Score distributions are tabulated on this many points, over this many standard deviations either way.
+_GRID, _REACH = 201, 6.0
+
+
+@dataclass(frozen=True)
+class PredictedDetection:
+    """Scores and ROC curves of one truth, and what is to be said of them.
+
+    Attributes
+    ----------
+    curves : P_D (n, K) of all truths of the evaluation, at the false-alarm probabilities of the curves
+    expected_scores : (what lies there, target, detector) -> mean score of such a pixel [1]
+    """
+
+    scores: dict[tuple[str, str], ScoreDistribution] = field(default_factory=dict)
+    roc: dict[RocKey, RocCurve] = field(default_factory=dict)
+    exceedance: dict[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
+    object_scores: dict[tuple[str, str], ObjectScores] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    curves: Mapping[RocKey, Array] = field(default_factory=dict)
+    expected_scores: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
+
+
+def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] = (0,)) -> list[PredictedDetection]:
+    """Scores and ROC curves of all target populations (3.22-3.33) of some truths.
+
+    Raises
+    ------
+    UsageError : no filter, as the background can not be inverted.
+    """
+    processing = e.scenario.processing
+    by_point = [PredictedDetection() for _ in points]
+    notes: list[list[str]] = [[] for _ in points]
+    if not e.targets or not processing.detectors:
+        return by_point
+    if any(d in LINEAR_DETECTORS for d in processing.detectors):
+        e.filters  # noqa: B018 - designed here, refused below
+    for error in e.problems.values():
+        raise error
+    grid = processing.false_alarm_grid
+    pfa = false_alarm_grid(grid.lowest, grid.per_decade)
+    for target in e.targets:
+        for name in processing.detectors:
+            populations = [p.name for p in target.populations]
+            if name in LINEAR_DETECTORS:
+                for population in populations:
+                    _add_linear(e, by_point, points, target.name, population, name, pfa, object_curves)
+                continue
+            drawn = [ace_scores(e, population, pfa, object_curves) for population in populations]
+            for population, scores in zip(populations, drawn, strict=True):
+                _add_numerical(by_point, points, population, name, pfa, scores)
+            for note, point in zip(notes, points, strict=True):
+                worst = max(s.error[point] for s in drawn)
+                note.append(
+                    f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
+                    f"{worst:.2g}, of P_FA at {pfa[0]:.1g} {100 * drawn[0].alarm_error[point]:.2g} %"
+                )
+    return [replace(d, notes=tuple(n)) for d, n in zip(by_point, notes, strict=True)]
+
+
+def _add_linear(
+    e: Evaluation, by_point: Sequence[PredictedDetection], points: Sequence[int], target: str, population: str,
+    name: str, pfa: Array, object_curves: bool,
+) -> None:  # fmt: skip
+    scores = e.scores(population, name)
+    behind = e.once(("background", target, name), lambda: _BackgroundScores.of_scores(scores, pfa, points))
+    # Truths that move other things than this target's scores share what follows from them.
+    first, which = scores.distinct() if not object_curves else 2 * (np.arange(len(e)),)
+    threshold = behind.threshold[first]
+    pd = scores.rows(first).detection_above(threshold)
+    by_unit = {"pixel": pd}
+    if object_curves:
+        objects = e.object_scores(population, name)
+        alone = objects.objects is None and objects.means.shape == scores.means.shape
+        by_unit["object"] = pd if alone else objects.detection_above(threshold)
+    wanted, row_of = np.unique(which[list(points)], return_inverse=True)
+    some = scores.rows(first[wanted])
+    distributions = _distributions(some.mean, some.sd, some.target_density)
+    for into, point, row in zip(by_point, points, row_of.tolist(), strict=True):
+        background, preset = behind.of[int(scores.which[point])]
+        at, mine = behind.threshold[point], int(which[point])
+        into.scores[population, name] = distributions[row]
+        into.scores[background_of(population), name] = background
+        for unit, curve in by_unit.items():
+            into.roc[population, name, unit] = RocCurve(pfa, *(curve[mine],) * 3, at, unit, preset_pfa=preset)  # type: ignore[arg-type]
+        into.exceedance[target, name] = ExceedanceCurve(at[::-1], *(pfa[::-1],) * 3)
+        into.curves.update({(population, name, unit): curve[which] for unit, curve in by_unit.items()})  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class _BackgroundScores:
+    """What the background scores by one filter, which all populations of its target share.
+
+    Attributes
+    ----------
+    threshold : (n, K) of all truths
+    of : number of its laws -> distribution of their score and preset P_FA (K,), for the points that were asked for
+    """
+
+    threshold: Array
+    of: Mapping[int, tuple[ScoreDistribution, Array]]
+
+    @staticmethod
+    def of_scores(scores: RocScores, pfa: Array, points: Sequence[int]) -> _BackgroundScores:
+        threshold, at = scores.thresholds(pfa[None]), np.array(points)
+        rows, first = np.unique(scores.which[at], return_index=True)
+        some, c = scores.rows(at[first]), scores.classes.rows(rows)
+        mean = (c.fraction * c.mean).sum(axis=1)
+        sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
+        distributions = _distributions(mean, sd, some.background_density)
+        presets = some.preset(threshold[at[first]])
+        return _BackgroundScores(
+            threshold, dict(zip(rows.tolist(), zip(distributions, presets, strict=True), strict=True))
+        )
+
+
+def _add_numerical(
+    by_point: Sequence[PredictedDetection],
+    points: Sequence[int],
+    population: str,
+    name: str,
+    pfa: Array,
+    scores: AceScores,
+) -> None:
+    for into, point in zip(by_point, points, strict=True):
+        into.scores[population, name] = scores.target[point]
+        into.scores[background_of(population), name] = scores.background[point]
+        for unit, curve in scores.detection.items():
+            p, threshold = curve[point], scores.threshold[point]
+            into.roc[population, name, unit] = RocCurve(pfa, p, p, p, threshold, unit)  # type: ignore[arg-type]
+            into.curves[population, name, unit] = curve  # type: ignore[index]
+
+
+def _distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:
+    """Moments and density of a score in n evaluations."""
+    grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)
+    rows = zip(mean.tolist(), sd.tolist(), grid, density(grid), strict=True)
+    return [ScoreDistribution(m, s, None, g, d) for m, s, g, d in rows]

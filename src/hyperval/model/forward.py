@@ -1,0 +1,288 @@
+"""From a scenario to its products by statistics alone: the forward model (3.7-3.33)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.atmosphere import AtmosphericTerms
+from hyperval.model.detection import Evaluation, PredictedDetection, RocKey, detect, evaluations
+from hyperval.model.inputs import UncertainInput, inputs_of, spectrum_error_covariance, spectrum_inputs, surface_at
+from hyperval.model.notes import engine_notes, provenance_of, saturation_notes, sensor_notes, unstated_notes
+from hyperval.model.objects import expected_scores, object_scores_of_truths, predicted_object_scores
+from hyperval.model.propagate import (
+    DRAWN_SHIFT,
+    Change,
+    Propagated,
+    drawn_curve,
+    law_directions,
+    limits,
+    mean_shifts,
+    probit,
+    propagate,
+    shift_notes,
+    with_bands,
+    with_intervals,
+    with_law_errors,
+    with_law_limits,
+    worlds_without,
+)
+from hyperval.model.spectra import Row, error_rows, interpolation_input, moved_by, spectral_products
+from hyperval.model.world import Engine, Origins, Truth, World, read, settled, under, with_truths
+from hyperval.products import PixelDistribution, PredictedProducts, RocCurve
+from hyperval.scenario import Scenario, Uncertainty
+
+Array = npt.NDArray[np.float64]
+_TOGETHER = 16  # truths evaluated at once: their matrices and products are in memory together
+
+
+def predict(
+    scenario: Scenario,
+    origins: Origins | None = None,
+    *,
+    truth: Truth | None = None,
+    objects: bool | int = False,
+    object_curves: bool = True,
+) -> PredictedProducts:
+    """Predict radiance, SNR, reflectance, detector scores and ROC of a scenario (3.7-3.33).
+
+    Parameters
+    ----------
+    scenario : what to predict
+    origins : bands, measured statistics, files, engine and sensor where they are not those that the scenario says
+    truth : dotted path -> what truly stands there (:data:`hyperval.model.PATHS`); None: all is as stated
+    objects : also draw the scores of whole objects, which takes a few seconds where there are many; a number is
+        that of draws where no input is uncertain
+    object_curves : also the ROC curves of whole objects, half of the time where there are many targets
+
+    Returns
+    -------
+    Prediction.  Subjects of ``radiance`` and ``reflectance`` are classes, panels, sites and target
+    populations; ``snr`` holds each class, panel and site twice, with C_R and under
+    :func:`without_calibration_error`.  In the reflectance domain there is no radiance and no SNR.
+    A shifted spectrometer is labelled by its nominal bands.
+
+    Raises
+    ------
+    UsageError : a scenario that contradicts itself, or a covariance that cannot be inverted.
+    InputError : a file that is missing or corrupt.
+    EngineError : the atmosphere engine failed.
+    """
+    source = origins or Origins()
+    world = settled(with_truths(read(scenario, source), [truth or {}]))[0][1]
+    world = World(replace(world.stated, before=None), world.moved)
+    inputs, lit = inputs_of(world), scenario.atmosphere is not None
+    linear = [i for i in inputs if lit or not i.of_light]
+
+    def again(truths: Iterable[Truth], stand_in: Engine | None = None) -> Iterator[PredictedProducts]:
+        return _predictions(world if stand_in is None else under(world, stand_in), truths)
+
+    rows = error_rows(world, [*linear, *interpolation_input(world)])
+    products, changes = _prediction(world, rows, linear, objects, object_curves, source, truth or {})
+    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
+    method, drawn = scenario.uncertainty.method, inputs if truth is None else []
+
+    def propagated(first: PredictedProducts | None) -> Propagated:
+        shifts = any(i.path == "sensor.wavelength_shift_nm" for i in drawn)
+        u = scenario.uncertainty
+        return propagate(
+            scenario, first, drawn, again, samples=u.samples, seed=u.seed,
+            engine=lambda state: source.whole_terms(scenario, state),
+            axis=None if shifts else world.stated.true_axis, show_progress=source.show_progress,
+        )  # fmt: skip
+
+    products = _with_limits(
+        products, changes, filters,
+        lambda: propagated(None).draws.curves if method == "linear" and drawn else {},
+    )  # fmt: skip
+    if method == "linear" or not drawn:
+        return products
+    return with_intervals(products, propagated(products), method)
+
+
+def predictions(
+    scenario: Scenario,
+    truths: Iterable[Truth],
+    origins: Origins | None = None,
+    *,
+    objects: bool | int = False,
+    object_curves: bool = True,
+) -> Iterator[PredictedProducts]:
+    """Predictions of truths in which something is moved, in their order, each without a budget of its own.
+
+    Spectra are read once; truths are evaluated together.
+
+    Parameters
+    ----------
+    truths : dotted path -> what truly stands there (:data:`hyperval.model.PATHS`), of each
+    """
+    return _predictions(read(scenario, origins), truths, objects, object_curves)
+
+
+def _predictions(
+    world: World, truths: Iterable[Truth], objects: bool | int = False, object_curves: bool = True
+) -> Iterator[PredictedProducts]:
+    certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
+    world = World(replace(world.stated, scenario=certain, kept={}), world.moved)
+    waiting, errors = iter(truths), _replicate_errors(world)
+    rows = error_rows(world, spectrum_inputs(world))
+    while some := list(islice(waiting, _TOGETHER)):
+        out: dict[int, PredictedProducts] = {}
+        for index, e in evaluations(with_truths(world, some), errors):
+            detections = detect(e, object_curves=object_curves, points=range(len(e)))
+            scores = object_scores_of_truths(e, None if objects is True else objects) if objects else []
+            for u, number in enumerate(index.tolist()):
+                detection = detections[u]
+                if objects and detection.roc:
+                    detection = replace(detection, object_scores=scores[u])
+                out[number] = _joined(e, u, rows, detection)
+        yield from (out[number] for number in range(len(some)))
+
+
+def _replicate_errors(world: World) -> dict[str, Array]:
+    """Surface -> (B, B) error covariance of its mean that replicate spectra give."""
+    return {n: s.mean_error for n, s in world.stated.surfaces.items() if s.mean_error is not None}
+
+
+def spectrum_errors(world: World) -> dict[str, Array]:
+    """Subject -> (B, B) error covariance of its field spectrum.
+
+    What replicate spectra say of their own mean stands where the scenario does not say it of the subject; several
+    entries of one subject are independent.
+    """
+    stated = world.stated.scenario.uncertainty.field_spectra
+    errors = {n: c for n, c in _replicate_errors(world).items() if n not in {item.subject for item in stated}}
+    for item in stated:
+        surface = surface_at(world, item.subject)
+        one = spectrum_error_covariance(item, surface, world.stated.axis, world.stated.sensor)
+        errors[item.subject] = errors[item.subject] + one if item.subject in errors else one
+    return errors
+
+
+def _prediction(
+    world: World, rows: Mapping[tuple[str, str], Sequence[Row]], inputs: Sequence[UncertainInput],
+    objects: bool | int, object_curves: bool, origins: Origins, truth: Truth,
+) -> tuple[PredictedProducts, dict[RocKey, list[Change]]]:  # fmt: skip
+    """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
+    input; of the targets' field spectra for the one that their filter looks along.
+    """
+    stated, errors = world.stated, spectrum_errors(world)
+    light = [i for i in inputs if i.of_light and i.kind != "engine"]
+    # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
+    others = [i for i in inputs if not i.of_light and (i.subject in stated.classes or i.kind != "surface")]
+    others.sort(key=lambda i: not i.subject)
+    directions = [
+        [i.direction(k, z) for i in group for k in range(i.size)] for group in (light, others) for z in (1, -1)
+    ]
+    along = (1.0, -1.0) if any(t.name in errors for t in stated.targets) else ()
+    truths: list[Truth] = [{}, *(t for group in directions for t in group), *({} for _ in along)]
+    shift = np.concatenate([np.zeros(len(truths) - len(along)), along])
+    every = moved_by(world, truths)
+    parts = evaluations(every, errors, shift)
+    e = parts[0][1]
+    detection = detect(e, object_curves=object_curves)[0]
+    curves: dict[RocKey, Array] = {}
+    for numbers, part in parts:
+        found = detection if part is e else detect(part, object_curves=object_curves)[0]
+        for key, pd in found.curves.items():
+            curves.setdefault(key, np.empty((len(truths), pd.shape[1])))[numbers] = pd
+    if detection.roc:
+        known = worlds_without(stated.scenario, origins, truth)
+        if objects:
+            pairs, draws = len(directions[0]), None if objects is True else objects
+            steps = np.arange(1 + 2 * pairs)
+            here = e if len(e) > 2 * pairs and np.array_equal(parts[0][0][: 1 + 2 * pairs], steps) else None
+            here = here or Evaluation(every.rows(steps), errors)
+            scores = predicted_object_scores(here, steps, draws)
+            detection = replace(detection, object_scores=scores, expected_scores=expected_scores(here))
+        detection = replace(detection, exceedance=with_law_errors(detection.exceedance, law_directions(e, known)))
+    changes = {key: _changes(pd, [len(d) for d in directions[::2]], bool(along)) for key, pd in curves.items()}
+    return _joined(e, 0, rows, detection), changes
+
+
+def _changes(pd: Array, sizes: Sequence[int], along: bool) -> list[Change]:
+    """Changes (K,) of probit P_D up and down, from curves in the order of :func:`_prediction`."""
+    z, start, out = probit(pd), 1, []
+    for number, size in enumerate(sizes):
+        out += [(z[start + k] - z[0], z[start + size + k] - z[0]) for k in range(size)]
+        start += 2 * size
+        if along and number == 0:
+            out.append((z[-2] - z[0], z[-1] - z[0]))
+    return out
+
+
+def _joined(
+    e: Evaluation, u: int, rows: Mapping[tuple[str, str], Sequence[Row]], detection: PredictedDetection
+) -> PredictedProducts:
+    """One truth of an evaluation as a prediction."""
+    stated, scenario, axis = e.stated, e.scenario, e.axis
+    spectra = spectral_products(e, u, rows)
+    terms: AtmosphericTerms | None = None
+    if scenario.atmosphere is not None:
+        terms = e.light.row(int(e.which[u])).terms
+    notes = [f"formulation: {scenario.formulation}", *unstated_notes(scenario.atmosphere, scenario.uncertainty)]
+    notes += engine_notes(scenario.atmosphere, terms)
+    if detection.roc:
+        notes.append(f"detectors use {e.bands.size} of {len(axis)} bands")
+    notes += detection.notes
+    if stated.noise is not None and terms is not None:
+        notes += sensor_notes(stated) + saturation_notes(spectra.full_scale, axis)
+    world = e.world.rows(np.array([u]))
+    return PredictedProducts(
+        axis,
+        spectra.radiance,
+        spectra.snr,
+        spectra.reflectance,
+        detection.scores,
+        detection.roc,
+        object_scores=detection.object_scores,
+        exceedance=detection.exceedance,
+        distribution={name: _distribution(world, m) for m, name in enumerate(stated.classes)},
+        notes=tuple(notes),
+        provenance=provenance_of(stated, terms),
+        noise=spectra.noise,
+        full_scale=spectra.full_scale,
+        expected_scores=detection.expected_scores,
+        toa_reflectance=spectra.toa_reflectance,
+    )
+
+
+def _distribution(world: World, number: int) -> PixelDistribution:
+    """How the pixels of a class are distributed about their mean."""
+    stated = world.stated
+    name, tail = stated.classes[number], float(world.column("tail")[0, number])
+    parts = stated.surfaces[name].components
+    if parts is None:
+        return PixelDistribution(tail)
+    stretch = world.stretch[0, world.surface(name)]
+    own = parts.stretched(stretch * math.sqrt(float(world.column("class_gain")[0, number])))
+    dof = [float(world.law_dof[0, j]) for j, law in enumerate(stated.laws) if law.owner == number]
+    clusters = zip(own.weights.tolist(), own.offsets, own.covariances, dof, strict=True)
+    return PixelDistribution(tail, clusters=tuple(clusters))
+
+
+def _with_limits(
+    prediction: PredictedProducts, changes: Mapping[RocKey, list[Change]], filters: Mapping[str, str],
+    draw: Callable[[], Mapping[RocKey, Array]],
+) -> PredictedProducts:  # fmt: skip
+    """The prediction with limits of its curves.
+
+    ``filters`` : population -> the target that its filter looks for;  ``draw`` : curves (N, K) of truths drawn from
+    the budget, asked for where errors shift the mean of P_D by so much that their directions do not add up
+    """
+    roc: dict[RocKey, RocCurve] = with_bands(prediction.roc, changes)
+    shifts = mean_shifts(prediction.roc, changes)
+    drawn = draw() if any(shift > DRAWN_SHIFT for shift in shifts.values()) else {}
+    far = {key: limits(drawn[key]) for key, shift in shifts.items() if shift > DRAWN_SHIFT and key in drawn}
+    roc |= {key: drawn_curve(prediction.roc[key], interval) for key, interval in far.items()}
+    notes = shift_notes(shifts, far, len(next(iter(drawn.values()))) if drawn else 0)
+    for (population, detector, unit), curve in roc.items():
+        alarms = prediction.exceedance.get((filters[population], detector))
+        if alarms is not None and np.any(alarms.upper > alarms.probability):
+            roc[population, detector, unit] = with_law_limits(curve, alarms)
+    return replace(prediction, roc=roc, notes=(*prediction.notes, *notes))

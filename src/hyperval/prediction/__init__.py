@@ -1,1 +1,0 @@
-"""The parts of ``predict``: inputs on the axis, views of the scene, detection, uncertainty."""
