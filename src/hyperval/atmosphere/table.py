@@ -251,11 +251,8 @@ class AtmosphericTable:
             else:
                 continue
             if wrong:
-                raise UsageError(
-                    f"{name} is {given!r}, and the table was computed for {value!r}",
-                    expected=f"{name}: {value!r}",
-                    mend="change the state, or compute a table for it",
-                )
+                what, mend = f"{name} is {given!r}, and the table was computed for {value!r}", "compute a table for it"
+                raise UsageError(what, expected=f"{name}: {value!r}", mend=f"change the state, or {mend}")
 
 
 def coordinates(state: AtmosphericState) -> dict[str, float]:
@@ -606,7 +603,10 @@ def _template_file(folder: Path, first: Path) -> Path:
 def _stated(template: Path) -> tuple[dict[str, Any], list[float] | None]:
     """What the run template states, and the ground reflectances of its runs."""
     cases = read_modtran_json(template)
-    stated = stated_fields(cases[0], str(template))
+    stated, *others = (stated_fields(case, str(template)) for case in cases)
+    if any(other != stated for other in others):
+        what, expected = "its cases differ in more than the ground", "one state over ground of several reflectances"
+        raise InputError(what, where=str(template), expected=expected)
     if "meteorological_range_km" in stated:
         ground = stated.get("ground_altitude_km", 0.0)
         stated["aot550"] = aot550_from_range(stated["meteorological_range_km"], ground)
