@@ -450,8 +450,28 @@ def test_another_process_opens_a_product_for_itself(tmp_path: Path):
 def test_every_layout_names_its_source_and_a_known_unit():
     from hyperval.units import radiance_to_internal
 
+    arrays = {
+        "path",
+        "dimensions",
+        "wavelength",
+        "fwhm",
+        "good",
+        "plus",
+        "scale",
+        "divisor",
+        "offset",
+        "subtract",
+        "range",
+    }
+    stated = {
+        "product", "sensor", "quantity", "unit", "arrays", "wavelength_unit", "source", "remark", "sorts", "ignore",
+        "bad_ranges_nm", "lookup_table", "location", "geotransform", "map_info", "crs", "epsg", "corner_pixels",
+        "pixel_size", "struct_metadata", "sun_zenith", "entries",
+    }  # fmt: skip
     for tree in layouts().trees:
         assert tree.source
+        assert tree.keys() <= stated  # a key that nothing reads would change nothing
+        assert all(array.keys() <= arrays and re.fullmatch("[lsb]{3}", array.dimensions) for array in tree.arrays)
         assert tree.quantity in ("radiance", "reflectance")
         assert tree.unit == "1" or radiance_to_internal(tree.unit) > 0
     assert all(radiance_to_internal(s.radiance_unit) > 0 and s.source for s in layouts().sidecars)

@@ -565,7 +565,8 @@ def _by_number(sources: StarterSources, raster: Raster, draft: Draft, name: str)
     cube: dict[str, Any] = {"path": draft.reference(sources.cube), "quantity": quantity, "by_number": True}
     cube |= {"variable": sources.key} if sources.key else {}
     cube |= {"header": draft.reference(sources.header)} if sources.header else {}
-    collection: dict[str, Any] = {"cube": cube, "regions": [_WHOLE]}
+    regions = [_WHOLE, *({"file": draft.reference(path)} for path in sources.regions)]
+    collection: dict[str, Any] = {"cube": cube, "regions": regions}
     draft.content = _outline(sources, name, quantity, raster.size) | {"collection": collection}
     draft.guess(
         "collection", "cube", because="the file lists no wavelengths: what needs them is left out (collection.bands)"
@@ -592,7 +593,7 @@ def _by_number(sources: StarterSources, raster: Raster, draft: Draft, name: str)
         draft.folder / "target.txt",
         "# mean of the known objects, one row a band\n" + "\n".join(map(repr, mean.tolist())) + "\n",
     )
-    collection["regions"] = [_WHOLE, {"name": _KNOWN, "file": "objects.csv"}]
+    regions.append({"name": _KNOWN, "file": "objects.csv"})
     collection["targets"] = {
         "guard_pixels": 2,
         "regions": [{"material": "target", "file": "objects.csv", "regions": [f"{_SCORED} *"]}],

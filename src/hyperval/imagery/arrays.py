@@ -212,19 +212,30 @@ class MemoryStore(OpenedFile):
 class MatrixStore(MemoryStore):
     """An array of a MATLAB 5 file, read whole when it is first asked for, or of a NumPy file, which is mapped."""
 
-    def __init__(self, path: Path, name: str) -> None:
-        self.path, self.name = path, name
+    def __init__(self, path: Path, name: str, kind: str) -> None:
+        self.path, self.name, self.kind = path, name, kind
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process reads it for itself."""
-        return type(self), (self.path, self.name)
+        return type(self), (self.path, self.name, self.kind)
 
     @cached_property
     def array(self) -> Any:
         """The whole array."""
-        if _matrix_kind(self.path) == "NumPy":
-            return np.load(self.path, mmap_mode="r", allow_pickle=False)
-        return scipy.io.loadmat(self.path, variable_names=[self.name])[self.name]
+        with _readable(self.path, self.kind):
+            if self.kind == "NumPy":
+                return np.load(self.path, mmap_mode="r", allow_pickle=False)
+            return scipy.io.loadmat(self.path, variable_names=[self.name])[self.name]
+
+
+@contextmanager
+def _readable(path: Path, kind: str) -> Iterator[None]:
+    """Whatever a library stumbles over inside is an InputError."""
+    try:
+        yield
+    except Exception as error:  # each library has errors of its own
+        what = f"not a readable {kind} file: " + (str(error).split("\n", 1)[0][:200] or type(error).__name__)
+        raise InputError(what, where=str(path), mend="copy the file again") from error
 
 
 def page_array(shape: tuple[int, ...], dtype: np.dtype) -> npt.NDArray[Any]:
@@ -407,19 +418,19 @@ class ArrayRaster(Raster):
                         out[i] = self._values(piece, self._lines(first, count) | alone)[0]
         return out
 
-    def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
-        """(n, bands) values of single pixels; each block that the file is stored in is read once."""
-        out = np.empty((rows.size, self.bands), self.dtype)
-        with self.kept_open():
-            for at, piece in self._places():
-                for here in self._by_block(piece, rows, cols):
-                    top, left = int(rows[here].min()), int(cols[here].min())
-                    window = {"l": slice(top, int(rows[here].max()) + 1), "s": slice(left, int(cols[here].max()) + 1)}
-                    for bands in self._some_bands(piece):
-                        values = self._values(piece, window | {"b": bands})
-                        into = slice(at + bands.start, at + bands.stop)
-                        out[here, into] = values[:, rows[here] - top, cols[here] - left].T
-        return out
+    def _window(self, lines: slice, samples: slice) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+        for at, piece in self._places():
+            for bands in self._some_bands(piece):
+                yield at + bands.start, self._values(piece, {"l": lines, "s": samples, "b": bands})
+
+    def _together(self, rows: Index, cols: Index) -> Sequence[Index]:
+        """Those of a block of the first piece, or of lines that follow each other."""
+        block = self._block(self.pieces[0])
+        if block["l"] == 1:
+            return super()._together(rows, cols)
+        where = np.stack([rows // block["l"], cols // block["s"]])
+        order = np.lexsort(where)
+        return np.split(order, np.flatnonzero(np.any(np.diff(where[:, order]), axis=0)) + 1) if rows.size else []
 
     def _lines(self, first: int, count: int) -> dict[str, slice]:
         return {"l": slice(first, first + count), "s": slice(0, self.samples)}
@@ -443,22 +454,6 @@ class ArrayRaster(Raster):
         step = self._block(piece)["b"]
         for start in range(0, piece.size("b"), step):
             yield slice(start, min(start + step, piece.size("b")))
-
-    def _by_block(self, piece: Piece, rows: Index, cols: Index) -> list[Index]:
-        """Which pixels are read together: those of a block, or of lines that follow each other."""
-        block = self._block(piece)
-        order = np.argsort(rows, kind="stable")
-        if block["l"] == 1:
-            ordered = rows[order]
-            run = np.cumsum(np.diff(ordered, prepend=ordered[:1]) > 1)
-            most = max(1, SLAB_BYTES // (self.samples * self.bands * self.dtype.itemsize))
-            where = np.stack([run, (ordered - ordered[np.searchsorted(run, run)]) // most])
-        else:
-            where = np.stack([rows // block["l"], cols // block["s"]])
-            order = np.lexsort(where)
-            where = where[:, order]
-        edges = np.flatnonzero(np.any(np.diff(where), axis=0)) + 1
-        return [part for part in np.split(order, edges) if part.size]
 
     def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> npt.NDArray[Any]:
         """(bands, lines, samples) of a part of a piece, all of its bands where none are named."""
@@ -728,28 +723,23 @@ def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tupl
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
 
 
-def _matrix_kind(path: Path) -> str | None:
-    with open(path, "rb") as stream:
-        head = stream.read(16)
-    return next((kind for mark, kind in MATRICES.items() if head.startswith(mark)), None)
-
-
-def _matrices(path: Path) -> dict[str, tuple[int, ...]]:
+def _matrices(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     """The numeric arrays of a MATLAB or NumPy file and their shapes, without their values."""
-    kind = _matrix_kind(path)
     if kind == "MATLAB 7.3":
         check_own_values(path)
         with Hdf5Store(path).kept_open() as file:
             return {n: d.shape[::-1] for n, d in file.items() if isinstance(d, h5py.Dataset) and d.dtype.kind in "iuf"}
     if kind == "NumPy":
-        return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False).shape}
-    return {
-        name: shape for name, shape, what in scipy.io.whosmat(path) if re.match("u?int|single|double|logical", what)
-    }
+        return {path.stem: MatrixStore(path, path.stem, kind).array.shape}
+    with _readable(path, kind):
+        listed = scipy.io.whosmat(path)
+    return {name: shape for name, shape, what in listed if re.match("u?int|single|double|logical", what)}
 
 
 @reader
-def open_matrix(path: Path, variable: str | None = None, plane: tuple[int, int] | None = None) -> ArrayRaster:
+def open_matrix(
+    path: Path, kind: str, variable: str | None = None, plane: tuple[int, int] | None = None
+) -> ArrayRaster:
     """The image (lines, samples, bands) of a MATLAB (5 or 7.3) or NumPy file, or its map of the shape ``plane``.
 
     Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.
@@ -759,7 +749,7 @@ def open_matrix(path: Path, variable: str | None = None, plane: tuple[int, int] 
     InputError : none that fits, one that is too large to be read whole, or a damaged file.
     UsageError : several that could be meant, or ``variable`` is none of them.
     """
-    shapes, where = _matrices(path), str(path)
+    shapes, where = _matrices(path, kind), str(path)
     listed = ", ".join(f"{name} {' x '.join(map(str, shape))}" for name, shape in shapes.items()) or "no numbers"
     fits = [n for n, s in shapes.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
     fits = [n for n in fits if variable in (None, n)]
@@ -774,7 +764,7 @@ def open_matrix(path: Path, variable: str | None = None, plane: tuple[int, int] 
             where=where,
             mend="state name_field: which is the map" if plane else "state variable: (init: --key) which is the image",
         )
-    name, kind = fits[0], _matrix_kind(path)
+    name = fits[0]
     size = 8 * int(np.prod(shapes[name]))
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
         raise InputError(
@@ -783,26 +773,17 @@ def open_matrix(path: Path, variable: str | None = None, plane: tuple[int, int] 
             mend="save it with '-v7.3', which is read by parts, or as an ENVI cube",
         )
     tree = kind == "MATLAB 7.3"
-    store: OpenedFile = Hdf5Store(path) if tree else MatrixStore(path, name)
+    store: OpenedFile = Hdf5Store(path) if tree else MatrixStore(path, name, kind)
     axes, shape = ("bsl" if tree else "lsb"), shapes[name][:: -1 if tree else 1]
-    selection = tuple(slice(0, 1) for _ in shape)
-    dtype = store.read(name, selection).dtype
+    dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     if dtype.kind not in "iufb":
         raise InputError(f"{name!r} holds {dtype}", where=where, expected="whole or real numbers")
     piece = Piece((Term(name),), axes.replace("b", "") if plane else axes, shape, dtype.newbyteorder("="))
-    about = Description(f"array {name!r} of a {kind} file", _named_wavelengths(path, shapes, piece.size("b")))
-    return array_raster(path, store, (piece,), about)
-
-
-def _named_wavelengths(path: Path, shapes: Mapping[str, tuple[int, ...]], bands: int) -> ListedBands | None:
-    """The wavelengths that stand beside the image in its file, under a name that says so."""
-    lists: dict[re.Pattern[str], npt.NDArray[np.float64]] = {}
+    lists = {}
     for pattern in (_WAVE, _WIDTH):
-        fits = [n for n, s in shapes.items() if pattern.search(n) and max(s) == bands == int(np.prod(s))]
-        if len(fits) != 1 or bands < 2:
-            return None if pattern is _WAVE else ListedBands(lists[_WAVE])
-        tree = _matrix_kind(path) == "MATLAB 7.3"
-        store: OpenedFile = Hdf5Store(path) if tree else MatrixStore(path, fits[0])
-        whole = tuple(slice(0, n) for n in shapes[fits[0]][:: -1 if tree else 1])
-        lists[pattern] = store.read(fits[0], whole).astype(float).ravel()
-    return ListedBands(lists[_WAVE], lists[_WIDTH])
+        named = [n for n, s in shapes.items() if pattern.search(n) and max(s) == piece.size("b") == int(np.prod(s)) > 1]
+        if len(named) == 1:
+            beside = store if tree else MatrixStore(path, named[0], kind)
+            lists[pattern] = beside.read(named[0], (slice(None),) * len(shapes[named[0]])).astype(float).ravel()
+    own = ListedBands(lists[_WAVE], lists.get(_WIDTH)) if _WAVE in lists else None
+    return array_raster(path, store, (piece,), Description(f"array {name!r} of a {kind} file", own))

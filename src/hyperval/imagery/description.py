@@ -8,7 +8,7 @@ what they are said to be.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +38,7 @@ Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 Bands = SpectralAxis | Literal["numbers"] | None
 
+MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNIT = r"(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)"
 _SPREAD = r"(?:(?:\+\s*/?\s*-|±)\s*[0-9.]+\s*)?"  # half a width, as ITRES writes it
@@ -609,7 +610,28 @@ class Raster:
         return self.read_bands(first, count)[list(bands)]
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
-        """(n, bands) stored numbers of single pixels."""
+        """(n, bands) stored numbers of single pixels; those that lie close are read at once."""
+        out = np.empty((rows.size, self.bands), self.dtype)
+        with self.kept_open():
+            for here in self._together(rows, cols):
+                top, left = int(rows[here].min()), int(cols[here].min())
+                window = slice(top, int(rows[here].max()) + 1), slice(left, int(cols[here].max()) + 1)
+                for first, values in self._window(*window):
+                    out[here, first : first + len(values)] = values[:, rows[here] - top, cols[here] - left].T
+        return out
+
+    def _together(self, rows: Index, cols: Index) -> Sequence[Index]:
+        """Which pixels are read together: those of lines that follow each other."""
+        order = np.argsort(rows, kind="stable")
+        ordered = rows[order]
+        run = np.cumsum(np.diff(ordered, prepend=ordered[:1]) > 1)
+        most = max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
+        part = (ordered - ordered[np.searchsorted(run, run)]) // most
+        edges = np.flatnonzero((np.diff(run) != 0) | (np.diff(part) != 0)) + 1
+        return [part for part in np.split(order, edges) if part.size]
+
+    def _window(self, lines: slice, samples: slice) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+        """The number of a first band, and (n, lines, samples) of it and the next ones in a window."""
         raise NotImplementedError
 
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:

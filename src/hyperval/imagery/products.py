@@ -5,6 +5,7 @@ Layouts are data (``products.yaml``): which array of a tree is the image, and wh
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,12 +17,11 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
+import yaml
 from affine import Affine
-from pydantic import Field
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from hyperval.config import Model, load_model
 from hyperval.envi_header import parse_header
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.arrays import ArrayRaster, Hdf5Store, Piece, Term, array_raster, check_own_values
@@ -38,93 +38,20 @@ _HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
 Reference = str | float
 
 
-class ImageArray(Model):
-    """An array that holds some bands of the image."""
+class ProductLayout(dict[str, Any]):
+    """An entry of ``products.yaml``, whose head says what it may state; what it does not state is None."""
 
-    path: str
-    dimensions: str = Field(pattern="^[lsb]{3}$")
-    wavelength: str
-    fwhm: str | None = None
-    good: str | None = None
-    plus: tuple[str, Reference] | None = None  # a second array of the same shape that is added, and its divisor
-    scale: Reference = 1.0
-    divisor: Reference = 1.0
-    offset: Reference = 0.0
-    subtract: Reference = 0.0
-    range: tuple[Reference, Reference] | None = None
-
-
-class Tree(Model):
-    """A product whose image lies in a tree of arrays."""
-
-    product: str
-    sensor: str
-    quantity: str
-    unit: str
-    arrays: list[ImageArray] = Field(min_length=1)
-    wavelength_unit: str
-    source: str
-    remark: str | None = None
-    sorts: bool = False
-    ignore: Reference | None = None
-    bad_ranges_nm: list[str] = Field(default_factory=list)
-    lookup_table: tuple[str, str] | None = None
-    location: tuple[str, str] | None = None
-    geotransform: str | None = None
-    map_info: str | None = None
-    crs: str | None = None
-    epsg: str | None = None
-    corner_pixels: tuple[str, str, str, str] | None = None
-    pixel_size: float | None = None
-    struct_metadata: str | None = None
-    sun_zenith: str | None = None
-    entries: dict[str, str] = Field(default_factory=dict)
-
-
-class AnglesFile(Model):
-    """A file of the angles of every pixel beside an image: one array for each, or one whose bands have names."""
-
-    product: str
-    sun_zenith: str | None = None
-    image: str | None = None
-    names: str | None = None
-    source: str
-
-
-class Sidecar(Model):
-    """A product of a GeoTIFF with XML beside it."""
-
-    sensor: str
-    image: str
-    metadata: str
-    bands: str
-    wavelength: str
-    fwhm: str
-    gain: str
-    offset: str
-    wavelength_unit: str
-    radiance_unit: str
-    level: str
-    source: str
-    ignore: str | None = None
-    fill: float | None = None
-    time: str | None = None
-    sun_zenith: str | None = None
-    sun_elevation: str | None = None
-
-
-class Layouts(Model):
-    """All layouts."""
-
-    trees: list[Tree]
-    observations: list[AnglesFile]
-    sidecars: list[Sidecar]
+    def __getattr__(self, key: str) -> Any:
+        return self.get(key)
 
 
 @cache
-def layouts() -> Layouts:
-    """The layouts that come with the package."""
-    return load_model(Layouts, Path(__file__).with_name("products.yaml"))
+def layouts() -> ProductLayout:
+    """The layouts that come with the package: ``trees``, ``observations``, ``sidecars``."""
+    text = Path(__file__).with_name("products.yaml").read_text("utf-8")
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    found: ProductLayout = json.loads(json.dumps(yaml.load(text, loader)), object_hook=ProductLayout)  # noqa: S506
+    return found
 
 
 @dataclass(frozen=True)
@@ -152,10 +79,10 @@ class Values:
             found = found[part]
         return found.attrs.get(attribute) if at else found
 
-    def present(self, reference: str) -> bool:
-        """Whether the file has the array or the attribute of a reference."""
-        found = self.item(reference)
-        return found is not None if "@" in reference else isinstance(found, h5py.Dataset)
+    def holds(self, array: ProductLayout) -> bool:
+        """Whether the file has the image and the wavelengths of an array of a layout."""
+        items = [(reference, self.item(reference)) for reference in (array.path, array.wavelength)]
+        return all(found is not None if "@" in name else isinstance(found, h5py.Dataset) for name, found in items)
 
     def raw(self, reference: str) -> Any:
         """The content of a small array or an attribute, None when the file has none."""
@@ -176,7 +103,7 @@ class Values:
     def number(self, reference: Reference) -> float:
         """A number; InputError when the file has none there, or not a finite one."""
         if not isinstance(reference, str):
-            return reference
+            return float(reference)
         try:
             number = float(np.asarray(self.raw(reference)).ravel()[0])
         except (TypeError, ValueError, IndexError):
@@ -209,12 +136,9 @@ class Values:
         return dataset
 
 
-def tree_of(values: Values) -> Tree | None:
+def tree_of(values: Values) -> ProductLayout | None:
     """The layout whose images and wavelengths the file holds, None when it is none of them."""
-    for tree in layouts().trees:
-        if all(values.present(array.path) and values.present(array.wavelength) for array in tree.arrays):
-            return tree
-    return None
+    return next((tree for tree in layouts().trees if all(map(values.holds, tree.arrays))), None)
 
 
 def stated_number(attributes: Mapping[str, Any], names: Sequence[str]) -> float | None:
@@ -250,7 +174,7 @@ def open_product(path: Path) -> ArrayRaster | None:
 
 
 @contextmanager
-def _product_of(raster: Raster) -> Iterator[tuple[Tree, Values, Hdf5Store] | None]:
+def _product_of(raster: Raster) -> Iterator[tuple[ProductLayout, Values, Hdf5Store] | None]:
     """The layout and the opened file of an image, None where it is no product."""
     if not isinstance(raster, ArrayRaster) or not isinstance(raster.store, Hdf5Store):
         yield None
@@ -293,7 +217,9 @@ def location_raster(raster: Raster) -> ArrayRaster | None:
         return array_raster(raster.path, store, pieces)
 
 
-def _piece(array: ImageArray, dataset: h5py.Dataset, store: Hdf5Store, values: Values, ignore: float | None) -> Piece:
+def _piece(
+    array: ProductLayout, dataset: h5py.Dataset, store: Hdf5Store, values: Values, ignore: float | None
+) -> Piece:
     first = Term(dataset.name.strip("/"))
     if array.plus is None:
         return Piece((first,), array.dimensions, dataset.shape, dataset.dtype.newbyteorder("="))
@@ -309,7 +235,7 @@ def _piece(array: ImageArray, dataset: h5py.Dataset, store: Hdf5Store, values: V
 
 
 def _description(
-    tree: Tree,
+    tree: ProductLayout,
     values: Values,
     datasets: list[h5py.Dataset],
     pieces: tuple[Piece, ...],
@@ -329,13 +255,13 @@ def _description(
             columns[name].append(np.full(bands, number))
     wavelength = np.concatenate(columns["wavelength"])
     good = np.concatenate(columns["good"]) != 0
-    for reference in tree.bad_ranges_nm:
+    for reference in tree.bad_ranges_nm or ():
         low_high = values.raw(reference)
         if low_high is not None and np.size(low_high) == 2:
             low, high = np.sort(np.asarray(low_high, float))
             good &= ~((wavelength >= low) & (wavelength <= high))
     sensor = (values.text(tree.sensor) if tree.sensor.startswith("@") else tree.sensor) or ""
-    entries = {key: text for key, reference in tree.entries.items() if (text := values.text(reference))}
+    entries = {key: text for key, reference in (tree.entries or {}).items() if (text := values.text(reference))}
     unit, unit_notes = _unit(tree, datasets)
     width = np.concatenate(columns["fwhm"]) if len(columns["fwhm"]) == len(pieces) else None
     gain, offset = np.concatenate(columns["gain"]), np.concatenate(columns["offset"])
@@ -347,28 +273,31 @@ def _description(
         unit=unit,
         ignore_value=ignore,
         sensor=sensor,
-        sorts=tree.sorts,
+        sorts=bool(tree.sorts),
         entries=entries | ({"sensor": sensor} if sensor else {}),
         notes=(*unit_notes, *notes, *([tree.remark] if tree.remark else [])),
         sun_zenith_deg=_sun(tree, values),
     )
 
 
-def _scale(array: ImageArray, dataset: h5py.Dataset, values: Values) -> tuple[float, float]:
+def _scale(array: ProductLayout, dataset: h5py.Dataset, values: Values) -> tuple[float, float]:
     """Gain and offset of an array by its layout, else by the attributes that the CF conventions have for them."""
-    if not {"scale", "divisor", "offset", "subtract", "range", "plus"} & array.model_fields_set:
+    if not {"scale", "divisor", "offset", "subtract", "range", "plus"} & array.keys():
         gain, offset = (stated_number(dataset.attrs, (name,)) for name in ("scale_factor", "add_offset"))
         return 1.0 if gain is None else gain, offset or 0.0
     if array.range is not None:
         low, high = (values.number(r) for r in array.range)
         return (high - low) / _HIGHEST, low
-    divisor = values.number(array.divisor)
+    divisor, scale, offset, subtract = (
+        values.number(array.get(key, default))
+        for key, default in (("divisor", 1.0), ("scale", 1.0), ("offset", 0.0), ("subtract", 0.0))
+    )
     if divisor == 0:
         raise InputError(f"{array.divisor!r} is 0", where=str(values.path), expected="a number to divide by")
-    return values.number(array.scale) / divisor, values.number(array.offset) - values.number(array.subtract)
+    return scale / divisor, offset - subtract
 
 
-def _unit(tree: Tree, datasets: list[h5py.Dataset]) -> tuple[str, tuple[str, ...]]:
+def _unit(tree: ProductLayout, datasets: list[h5py.Dataset]) -> tuple[str, tuple[str, ...]]:
     """The unit of the layout; a unit that the image itself states takes its place when it is another."""
     for dataset in datasets if tree.quantity == "radiance" else ():
         for name in ("units", "Units", "unit", "Unit"):
@@ -382,7 +311,7 @@ def _unit(tree: Tree, datasets: list[h5py.Dataset]) -> tuple[str, tuple[str, ...
     return tree.unit, ()
 
 
-def _ignore(tree: Tree, values: Values, dataset: h5py.Dataset) -> float | None:
+def _ignore(tree: ProductLayout, values: Values, dataset: h5py.Dataset) -> float | None:
     if isinstance(tree.ignore, str):
         try:
             return values.number(tree.ignore)
@@ -392,7 +321,7 @@ def _ignore(tree: Tree, values: Values, dataset: h5py.Dataset) -> float | None:
     return tree.ignore if stated is None else stated
 
 
-def _position(tree: Tree, values: Values, piece: Piece) -> tuple[Affine | None, CRS | None, tuple[str, ...]]:
+def _position(tree: ProductLayout, values: Values, piece: Piece) -> tuple[Affine | None, CRS | None, tuple[str, ...]]:
     """Transform and system of the image, or of the lookup table of one in scanner geometry."""
     crs = _crs(tree, values)
     if tree.map_info is not None:
@@ -412,7 +341,7 @@ def _position(tree: Tree, values: Values, piece: Piece) -> tuple[Affine | None, 
 
 
 def _from_corners(
-    tree: Tree, values: Values, piece: Piece, crs: CRS | None
+    tree: ProductLayout, values: Values, piece: Piece, crs: CRS | None
 ) -> tuple[Affine | None, CRS | None, tuple[str, ...]]:
     """From the corners of the product, which are centres or edges of pixels: whichever gives the pixel its size."""
     west, north, east, south = (values.number(r) for r in tree.corner_pixels or ())
@@ -442,7 +371,7 @@ def _from_struct_metadata(text: str | None, piece: Piece) -> Affine | None:
     return Affine((east - west) / piece.size("s"), 0.0, west, 0.0, (south - north) / piece.size("l"), north)
 
 
-def _crs(tree: Tree, values: Values) -> CRS | None:
+def _crs(tree: ProductLayout, values: Values) -> CRS | None:
     wkt, code = values.text(tree.crs), values.text(tree.epsg)
     if wkt is None and tree.crs is not None:  # of the grid mapping of CF, which has both names for it
         wkt = values.text(tree.crs.replace("@spatial_ref", "@crs_wkt"))
@@ -454,7 +383,7 @@ def _crs(tree: Tree, values: Values) -> CRS | None:
     return crs_of_wkt(wkt)
 
 
-def _sun(tree: Tree, values: Values) -> float | None:
+def _sun(tree: ProductLayout, values: Values) -> float | None:
     """The zenith angle of the sun [degrees] that a product states for the whole image; None without."""
     found = None if tree.sun_zenith is None else values.item(tree.sun_zenith)
     try:

@@ -73,7 +73,7 @@ def open_raster(
     if beside is not None:
         return open_envi(data, beside, root)
     if kind in MATRICES.values():
-        return open_matrix(data, variable)
+        return open_matrix(data, str(kind), variable)
     if kind is not None:
         raise InputError(
             f"a {kind} file, which is not read as a cube",
@@ -122,8 +122,9 @@ def raster_of_size(path: Path, shape: tuple[int, int], root: Path | None = None,
     ``variable`` : which map of a MATLAB or NumPy file, where it holds several
     """
     path = checked_file(path, root=root, what="image file")
-    matrix = kind_of(path) in MATRICES.values() and header_beside(path) is None
-    raster = open_matrix(path, variable, shape) if matrix else open_raster(path, root=root)
+    kind = kind_of(path)
+    matrix = kind in MATRICES.values() and header_beside(path) is None
+    raster = open_matrix(path, str(kind), variable, shape) if matrix else open_raster(path, root=root)
     if raster.size[:2] != shape:
         raise InputError(
             f"the raster has {raster.lines} lines and {raster.samples} samples",

@@ -25,6 +25,7 @@ from rasterio.windows import Window
 from hyperval.envi_header import header_beside, read_header
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.description import (
+    MAX_READ_BYTES,
     Description,
     Index,
     ListedBands,
@@ -34,14 +35,13 @@ from hyperval.imagery.description import (
     wavelengths_in_names,
 )
 from hyperval.imagery.envi import crs_of, transform_of
-from hyperval.imagery.products import Sidecar, layouts
+from hyperval.imagery.products import ProductLayout, layouts
 from hyperval.paths import checked_file, read_xml
 from hyperval.units import radiance_to_internal, wavelength_to_nm
 
 MAX_BANDS = 20_000
 MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
 MAX_TILE_BYTES = 1 << 30
-MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once, and of an image that is held
 TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
 TIFF_MARKS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _ROUNDED_NM = 0.51  # half of the last digit that GDAL writes into its own domain
@@ -75,21 +75,12 @@ class TiffRaster(Raster):
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
         """(n, bands) stored numbers of single pixels."""
-        if self._pixels is not None:
-            return np.asarray(self._pixels[rows, cols])
-        out = np.empty((rows.size, self.bands), self.dtype)
-        lines = np.unique(rows)
-        # Lines that follow each other are read at once.
-        most = max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
+        return super().read_pixels(rows, cols) if self._pixels is None else np.asarray(self._pixels[rows, cols])
+
+    def _window(self, lines: slice, samples: slice) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+        size = samples.stop - samples.start, lines.stop - lines.start
         with _opened(self.path) as dataset:
-            for run in np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1) if lines.size else ():
-                for first in range(int(run[0]), int(run[-1]) + 1, most):
-                    count = min(most, int(run[-1]) + 1 - first)
-                    here = (rows >= first) & (rows < first + count)
-                    left, right = int(cols[here].min()), int(cols[here].max()) + 1
-                    stored = dataset.read(window=Window(left, first, right - left, count))
-                    out[here] = stored[:, rows[here] - first, cols[here] - left].T
-        return out
+            yield 0, dataset.read(window=Window(samples.start, lines.start, *size))
 
 
 @reader
@@ -311,7 +302,7 @@ def image_of(metadata: Path, detector: str | None = None) -> Path:
     )
 
 
-def _from_xml(sidecar: Sidecar, path: Path, image: Path, bands: int) -> Description | None:
+def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> Description | None:
     root = read_xml(path, MAX_XML_BYTES)
     items = root.findall(sidecar.bands)
     if not items:
