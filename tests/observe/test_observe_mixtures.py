@@ -51,6 +51,16 @@ def test_clusters_of_a_region(observed):
     assert np.all(np.abs(parts.offsets[order[0]] - parts.offsets[order[1]] - AWAY) < 0.2 * sd)
 
 
+def test_pixels_without_data_have_no_part_in_the_clusters_of_their_region(observed, world):
+    values, _ = clustered()
+    values[2:4, 50] = 0.0
+    world.write(values)
+    parts = RegionLaws(world.observe()).statistics(scenario("auto"))["all"].components
+    before = RegionLaws(observed).statistics(scenario("auto"))["all"].components
+    assert parts.weights == pytest.approx(before.weights, abs=0.01)
+    assert np.abs(parts.offsets - before.offsets).max() < 0.01
+
+
 def test_what_a_scenario_asks_for_is_fitted_once(observed):
     regions = RegionLaws(observed)
     first = regions.statistics(scenario(2))["all"].components

@@ -49,7 +49,6 @@ def curve(pfa=(1e-2, 1e-1)):
     [
         (lambda: with_halo(EYE > 0, -1), "halo of -1 pixels"),
         (lambda: footprint(np.zeros((3, 3), bool), 2), "the object holds no pixel"),
-        (lambda: clopper_pearson(1, 2, sides="both"), "unknown sides 'both'"),
         (lambda: correlation_filter(np.zeros(3), EYE), "the target spectrum is zero in every band"),
         (lambda: pixel_detector("sam", np.zeros(3), np.ones(3), None), "it has no direction"),
         (lambda: pixel_detector("cem", np.ones(3), np.zeros(3), None), "'cem' needs the covariance"),
@@ -133,5 +132,5 @@ def test_an_absorption_has_a_centre_where_all_of_it_is_seen(nm, radiance, found)
 
 def test_words_name_what_is_expected():
     with pytest.raises(UsageError) as caught:
-        clopper_pearson(1, 2, sides="both")
-    assert re.search(r"expected: two, lower or upper", str(caught.value))
+        clopper_pearson(1, 2, 95.0)
+    assert re.search(r"expected: a number between 0 and 1", str(caught.value))

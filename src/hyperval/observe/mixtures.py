@@ -139,12 +139,10 @@ def region_pixels(observed: Observed, region: str) -> RegionPixels:
     axis = place.cube.axis
     most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
     lines, samples = drawn_pixels(place.pixels_of(region), most, np.random.default_rng(_SEED))
-    pixels = place.cube.spectra((lines, samples))
-    if elm is not None:
-        pixels = elm.reflectance(pixels)
-    known = np.isfinite(pixels).any(axis=0)
+    pixels, valid = place.pixels_at(lines, samples, elm)
+    known = np.isfinite(pixels[valid]).any(axis=0)
     pixels = np.where(known, pixels, 0.0)
-    valid = np.isfinite(pixels).all(axis=1)
+    valid &= np.isfinite(pixels).all(axis=1)
     lead = np.flatnonzero(in_window(axis.centre_nm) & axis.good & known)
     return RegionPixels(pixels[valid], lines[valid], samples[valid], lead)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from dataclasses import field as attribute
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from hyperval.observe.site_spectra import (
     spectral_estimate,
     wavelength_notes,
 )
-from hyperval.observe.spread import TOGETHER, classification_errors, mean_error, pixel_distances
+from hyperval.observe.spread import classification_errors, mean_error, pixel_distances
 from hyperval.processing.laws import LEAST_DOF
 from hyperval.processing.line import EmpiricalLine
 from hyperval.processing.sample import SCENE, SampleStatistics, nth_pixels
@@ -186,7 +186,7 @@ def observe(
     # The filter of the model is to be made of the covariance that the filter of the image was made of.
     if detection is not None and detected is not None and detected.bank.shrinkage > 0.0:
         shrinkage = detected.bank.shrinkage
-        regions |= {n: _shrunk(s, shrinkage) for n, s in regions.items() if n in detection.background}
+        regions |= {n: s.shrunk(shrinkage) for n, s in regions.items() if n in detection.background}
     # Of the surface itself: over all bands noise dilutes what makes false alarms.
     tails = {n: d.leading_tail_dof for n, d in distribution.items() if np.isfinite(d.leading_tail_dof)}
     classes = _classes(regions, cube.axis, elm, cube.quantity, tails)
@@ -329,19 +329,10 @@ def _some_pixels(place: Place, name: str) -> Array:
     lines, samples = nth_pixels(region, np.arange(0, count, step))
     del region  # a byte a pixel
     values, n = np.empty((lines.size, place.cube.bands)), 0
-    for start in range(0, lines.size, TOGETHER):
-        some = slice(start, start + TOGETHER)
-        part = place.cube.spectra((lines[some], samples[some]))
+    for part, _ in place.valid_pixels(lines, samples):
         values[n : n + len(part)] = part
         n += len(part)
     return values[:n]
-
-
-def _shrunk(sample: SampleStatistics, intensity: float) -> SampleStatistics:
-    """With the covariance shrunk towards the same variance in every band (Ledoit & Wolf 2004)."""
-    bands = sample.covariance.shape[0]
-    level = float(np.trace(sample.covariance)) / bands
-    return replace(sample, covariance=(1.0 - intensity) * sample.covariance + intensity * level * np.eye(bands))
 
 
 def _classes(

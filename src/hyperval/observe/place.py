@@ -6,12 +6,13 @@ The regions of a collection: read from files, drawn, found by rules on spectra, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from glob import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -50,7 +51,9 @@ from hyperval.processing.statistics import Labels
 from hyperval.progress import track
 from hyperval.units import RADIANCE_UNIT
 
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
 Resolve = Callable[[str], Path]
 
 
@@ -222,6 +225,7 @@ def _between(targets: Sequence[TargetObject]) -> str:
 
 SCENE = "scene"
 IMAGE = "image"
+_TOGETHER = 2048  # pixels whose spectra are read at once
 _NEAR = "\0targets with their guard"  # among the labels: a name that no region has
 
 
@@ -311,12 +315,26 @@ class Place:
         """(lines, samples) pixels of :meth:`counted`."""
         return self.labels.mask(self.counted(name))
 
-    def pixels_at(
-        self, lines: npt.NDArray[np.intp], samples: npt.NDArray[np.intp], elm: EmpiricalLine | None = None
-    ) -> tuple[npt.NDArray[np.float64], Mask]:
+    def pixels_at(self, lines: Index, samples: Index, elm: EmpiricalLine | None = None) -> tuple[Array, Mask]:
         """(n, B) values of pixels (n,), in reflectance with a line, and (n,) which of them hold data."""
         values, usable = self.cube.marked_pixels((lines, samples))
         return values if elm is None else elm.reflectance(values), usable
+
+    def valid_pixels(
+        self, lines: Index, samples: Index, bands: npt.NDArray[Any] | None = None
+    ) -> Iterator[tuple[Array, Mask]]:
+        """Values (m, b) of those of the pixels (n,) that hold data, and which they are; some of the pixels at a time.
+
+        ``bands``: handed out, and known in every pixel; None: all, whatever they hold.
+        """
+        for start in range(0, lines.size, _TOGETHER):
+            values, valid = self.cube.marked_pixels(
+                (lines[start : start + _TOGETHER], samples[start : start + _TOGETHER])
+            )
+            if bands is not None:
+                values = values[:, bands]
+                valid &= np.isfinite(values).all(axis=1)
+            yield values[valid], valid
 
     def region(self, name: str) -> Mask:
         """The mask of a region; raises UsageError for a name that no region has."""

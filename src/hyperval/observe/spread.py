@@ -143,7 +143,6 @@ MOST_NUMBERS = 8_000_000  # pixels times bands held at once
 FEWEST_PIXELS = 200
 PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
 COMPONENTS = 6  # leading ones whose correlation on the ground is measured
-TOGETHER = 2048  # pixels that are held at once
 WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
 _TRIES = 16  # pixels drawn for each window
 QUANTILES = 160
@@ -214,17 +213,17 @@ def pixel_distances(place: Place, region: Mask, statistics: SampleStatistics) ->
     independent, part = _independence(place, region, statistics.n, bands, mean, directions, leading, rng)
     most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS)
     distances = []
-    for spectra in _some(place, region, most, rng):
-        pixels = spectra[:, bands]
-        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    lines, samples = drawn_pixels(region, most, rng)
+    order = np.lexsort((samples, lines))
+    for pixels, _ in place.valid_pixels(lines[order], samples[order], bands):
         every = squared_mahalanobis(pixels, mean, directions.vectors, directions.values)
         few = squared_mahalanobis(pixels, mean, directions.vectors[:, :leading], directions.values[:leading])
         distances.append((every, few))
     every, few = (np.concatenate(parts) for parts in zip(*distances, strict=True))
     if every.size < FEWEST_PIXELS:
         return None
-    samples = int(np.count_nonzero(region.any(axis=0)))
-    return PixelDistances(every, few, dimension, leading, statistics.n, independent, part, samples)
+    columns = int(np.count_nonzero(region.any(axis=0)))
+    return PixelDistances(every, few, dimension, leading, statistics.n, independent, part, columns)
 
 
 def exceedance_curve(values: Array) -> tuple[Array, Array]:
@@ -236,15 +235,6 @@ def exceedance_curve(values: Array) -> tuple[Array, Array]:
 
 def _fit(distances: Array, dimension: int, n: int, part: float) -> TailFit:
     return fit_tail_dof(distances, dimension, estimated_on=n, independent=part * distances.size)
-
-
-def _some(place: Place, region: Mask, most: int, rng: np.random.Generator) -> Iterator[Array]:
-    """Valid pixels (n, B) of a region drawn at random, in the order of the lines, some at a time."""
-    lines, samples = drawn_pixels(region, most, rng)
-    order = np.lexsort((samples, lines))
-    for start in range(0, order.size, TOGETHER):
-        some = order[start : start + TOGETHER]
-        yield place.cube.spectra((lines[some], samples[some]))
 
 
 def _independence(
@@ -301,15 +291,9 @@ def projected_windows(
     for row, column in correlation_windows(region, rng):
         inside = region[row : row + WINDOW, column : column + WINDOW].copy()
         lines, samples = np.nonzero(inside)
-        valid, parts = np.empty(lines.size, bool), []
-        for start in range(0, lines.size, TOGETHER):
-            part = slice(start, start + TOGETHER)
-            pixels, known = place.cube.marked_pixels((lines[part] + row, samples[part] + column))
-            pixels = pixels[:, bands]
-            valid[part] = known & np.isfinite(pixels).all(axis=1)
-            parts.append(project(pixels[valid[part]]))
-        inside[inside] = valid
-        yield np.concatenate(parts, axis=1), inside
+        parts = [(project(pixels), valid) for pixels, valid in place.valid_pixels(lines + row, samples + column, bands)]
+        inside[inside] = np.concatenate([valid for _, valid in parts])
+        yield np.concatenate([values for values, _ in parts], axis=1), inside
 
 
 def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:

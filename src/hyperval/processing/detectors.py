@@ -330,34 +330,27 @@ def moving_means(
 ) -> Iterator[tuple[Array, Mask, Array, Array]]:
     """y (F, w), pixels with data, means (F, w) of their surroundings and the pixels behind these, line by line.
 
-    The sums of the two squares over lines move along; those over samples are differences of cumulative sums.
+    The sums of the two squares are differences of cumulative sums, over lines and over samples.
 
     Parameters
     ----------
     lines : y (F + 1, w) with a last row of 1, pixels with data, and pixels that count; half a window before the first
         line and after the last are not given back
     """
-    held: deque[tuple[Array, Mask, Array]] = deque()
-    around = window.outer // 2
-    # (side, how many lines before the latest its own latest lies)
-    squares = {window.outer: 0, window.inner: around - window.inner // 2}
-    sums: dict[int, Array] = {}
+    around, inside = window.outer // 2, window.inner // 2
+    held: deque[tuple[Array, Mask]] = deque(maxlen=around + 1)
+    summed: deque[Array] = deque(maxlen=window.outer + 1)  # of all lines so far
     for y, known, counts in lines:
-        held.append((y, known, y if counts.all() else y * counts))
-        for side, behind in squares.items():
-            total = sums.setdefault(side, np.zeros(y.shape))
-            if len(held) > behind:
-                total += held[-1 - behind][2]
-            if len(held) > behind + side:
-                total -= held[-1 - behind - side][2]
-        if len(held) > window.outer:
-            held.popleft()
-        if len(held) == window.outer:
-            total = _along(sums[window.outer], window.outer) - _along(sums[window.inner], window.inner)
+        if not summed:
+            summed.append(np.zeros_like(y))
+        summed.append(summed[-1] + (y if counts.all() else y * counts))
+        held.append((y[:-1], known))
+        if len(summed) == summed.maxlen:
+            total = _along(summed[-1] - summed[0], window.outer)
+            total -= _along(summed[around + inside + 1] - summed[around - inside], window.inner)
             number = np.rint(total[-1])
             mean = total[:-1] * np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
-            middle, has, _ = held[around]
-            yield middle[:-1], has, mean, number
+            yield *held[0], mean, number
 
 
 def _along(values: Array, side: int) -> Array:

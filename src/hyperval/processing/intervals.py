@@ -6,7 +6,6 @@ The difference ratio of two sides and its error: of spectra by band, of areas.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,17 +17,13 @@ from hyperval.products import SpectralEstimate
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
-Sides = Literal["two", "lower", "upper"]
 _HALVINGS = 50
 
 
-def clopper_pearson(
-    count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95, sides: Sides = "two"
-) -> tuple[Array, Array]:
+def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
     """Exact interval of a binomial proportion.
 
-    The lower limit solves P(X >= count | p) = a, the upper P(X <= count | p) = a, with a = (1 - level)/2
-    for ``sides="two"`` and a = 1 - level for a one-sided limit; the other limit is then 0 or 1.
+    The lower limit solves P(X >= count | p) = a, the upper P(X <= count | p) = a, with a = (1 - level)/2.
     Coverage is at least ``level`` for every p.  Source: Clopper & Pearson, Biometrika 26, 404-413, 1934.
 
     Parameters
@@ -51,16 +46,10 @@ def clopper_pearson(
     """
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
     _check(k, n, level)
-    if sides not in ("two", "lower", "upper"):
-        raise UsageError(f"unknown sides {sides!r}", expected="two, lower or upper")
-    tail = (1.0 - level) / (2.0 if sides == "two" else 1.0)
+    tail = (1.0 - level) / 2.0
     # The binomial tail sums are incomplete beta functions; the end counts have their limit at 0 or 1.
     lower = np.where(k > 0, special.betaincinv(np.maximum(k, 1.0), n - k + 1.0, tail), 0.0)
     upper = np.where(k < n, special.betaincinv(k + 1.0, np.maximum(n - k, 1.0), 1.0 - tail), 1.0)
-    if sides == "lower":
-        upper = np.ones_like(lower)
-    if sides == "upper":
-        lower = np.zeros_like(upper)
     return lower, upper
 
 

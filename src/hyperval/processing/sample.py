@@ -23,7 +23,7 @@ drawn from the predicted covariance would show.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -83,8 +83,13 @@ class SampleStatistics:
     @property
     def shrunk_covariance(self) -> Array:
         """(B, B) well-conditioned covariance: (1 - a) S + a (tr S/B) I with a = :attr:`shrinkage`."""
-        a, s = self.shrinkage, self.covariance
-        return np.asarray((1.0 - a) * s + a * np.trace(s) / s.shape[0] * np.eye(s.shape[0]))
+        return self.shrunk(self.shrinkage).covariance
+
+    def shrunk(self, intensity: float) -> SampleStatistics:
+        """With the covariance shrunk towards the same variance in every band."""
+        s = self.covariance
+        level = float(np.trace(s)) / s.shape[0]
+        return replace(self, covariance=(1.0 - intensity) * s + intensity * level * np.eye(s.shape[0]))
 
 
 def statistics_of(pixels: npt.ArrayLike, *, left_out: int = 0) -> SampleStatistics:
