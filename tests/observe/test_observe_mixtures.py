@@ -7,7 +7,6 @@ import pytest
 from small_world import BANDS, background_spread
 
 from hyperval.errors import UsageError
-from hyperval.observe import RegionLaws
 from hyperval.scenario import Scenario
 
 AWAY = np.linspace(0.05, -0.08, BANDS)
@@ -43,7 +42,7 @@ def scenario(*mixtures):
 def test_clusters_of_a_region(observed):
     # 720 and 2,880 pixels: means are known to 4 % of a standard deviation, and drawn as such; five of these.
     _, patch = clustered()
-    parts = RegionLaws(observed).statistics(scenario("auto"))["all"].components
+    parts = observed.laws().statistics(scenario("auto"))["all"].components
     assert len(parts) == 2
     order = np.argsort(parts.weights)
     assert parts.weights[order] == pytest.approx([patch.mean(), 1.0 - patch.mean()], abs=0.01)
@@ -55,14 +54,14 @@ def test_pixels_without_data_have_no_part_in_the_clusters_of_their_region(observ
     values, _ = clustered()
     values[2:4, 50] = 0.0
     world.write(values)
-    parts = RegionLaws(world.observe()).statistics(scenario("auto"))["all"].components
-    before = RegionLaws(observed).statistics(scenario("auto"))["all"].components
+    parts = world.observe().laws().statistics(scenario("auto"))["all"].components
+    before = observed.laws().statistics(scenario("auto"))["all"].components
     assert parts.weights == pytest.approx(before.weights, abs=0.01)
     assert np.abs(parts.offsets - before.offsets).max() < 0.01
 
 
 def test_what_a_scenario_asks_for_is_fitted_once(observed):
-    regions = RegionLaws(observed)
+    regions = observed.laws()
     first = regions.statistics(scenario(2))["all"].components
     assert len(first) == 2
     assert regions.statistics(scenario(2))["all"].components is first
@@ -83,13 +82,13 @@ def test_too_few_pixels_are_refused_by_name(observed):
     of = scenario(8)
     of.scene.classes[:] = [one]
     with pytest.raises(UsageError, match="8 components of 9 pixels") as caught:
-        RegionLaws(observed).statistics(of)
+        observed.laws().statistics(of)
     assert "region 'corner'" in str(caught.value)
 
 
 def test_statistics_without_each_part_of_a_region(observed):
     """Sixteen parts of 225 pixels; what is left out and what is left make the whole; small regions have none."""
-    regions = RegionLaws(observed)
+    regions = observed.laws()
     ((name, without),) = regions.left_out(scenario(2))
     assert (name, len(without)) == ("all", 16)
     assert without is next(iter(regions.left_out(scenario(2))))[1]

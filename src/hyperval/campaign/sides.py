@@ -39,9 +39,8 @@ from hyperval.model import Truth, geometry_of, pixels_of_object, predicted_areas
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.observe.detection import scored_pixels, target_groups
-from hyperval.observe.mixtures import RegionLaws
 from hyperval.observe.place import Place
-from hyperval.observe.spread import class_sets
+from hyperval.observe.spread import RegionLaws, class_sets
 from hyperval.observe.truth_images import fills_of
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.laws import exceedance_of_distance
@@ -321,7 +320,7 @@ class Collected:
 
     @cached_property
     def _laws(self) -> RegionLaws:
-        return RegionLaws(self.observed)
+        return self.observed.laws()
 
 
 @contextmanager

@@ -5,9 +5,6 @@ from .detection import (
     target_areas,
     usable_bands,
 )
-from .mixtures import (
-    RegionLaws,
-)
 from .pipeline import (
     Observed,
     observe,
@@ -32,6 +29,9 @@ from .site_spectra import (
     rounding_variance,
     spectral_estimate,
     wavelength_notes,
+)
+from .spread import (
+    RegionLaws,
 )
 from .truth_images import (
     FinerGrid,

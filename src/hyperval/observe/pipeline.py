@@ -34,7 +34,7 @@ from hyperval.observe.site_spectra import (
     spectral_estimate,
     wavelength_notes,
 )
-from hyperval.observe.spread import classification_errors, mean_error, pixel_distances
+from hyperval.observe.spread import RegionLaws, classification_errors, mean_error, pixel_distances
 from hyperval.processing.laws import LEAST_DOF
 from hyperval.processing.line import EmpiricalLine
 from hyperval.processing.sample import SCENE, SampleStatistics, nth_pixels
@@ -102,6 +102,10 @@ class Observed:
     def elm(self) -> EmpiricalLine | None:
         """The empirical line, None without panels."""
         return self.surfaces.line
+
+    def laws(self) -> RegionLaws:
+        """The laws of the regions' pixels, fitted when a scenario asks for them."""
+        return RegionLaws(self.place, self.elm, self.statistics)
 
 
 def observe(
