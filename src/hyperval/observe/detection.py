@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from hyperval.collection import Bootstrap, Detection, DetectionTarget, UnmixedTarget, Unmixing
+from hyperval.collection import Detection, DetectionTarget, UnmixedTarget, Unmixing
 from hyperval.errors import InputError, UsageError
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects
@@ -144,24 +144,20 @@ def filter_bank(
     for name in detection.undesired:
         place.region(name)  # refuses a name that no region has
     undesired = np.array([in_reflectance(measured[name], elm)[0][bands] for name in detection.undesired])
-    detectors: dict[str, PixelDetector] = {}
-    forms: dict[str, tuple[str, Array | None]] = {}
-    whitener = None
+    forms = {
+        map_name(t.name, name): (name, None if name in ANOMALY_DETECTORS else spectra[t.name][bands])
+        for t in detection.targets
+        for name in detection.detectors
+    } or {name: (name, None) for name in detection.detectors}  # anomalies need no target
+    whitener = inverted = None
     with single_blas_thread():  # small matrices: more threads only wait for each other
-        inverted = None
         if not set(detection.detectors) <= set(WITHOUT_COVARIANCE):
             inverted = PositiveDefinite(covariance[np.ix_(bands, bands)])
             notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
-        for target in detection.targets:
-            spectrum = spectra[target.name][bands]
-            for name in detection.detectors:
-                key = map_name(target.name, name)
-                if key not in detectors:
-                    forms[key] = name, None if name in ANOMALY_DETECTORS else spectrum
-                    detectors[key] = pixel_detector(name, spectrum, mean[bands], inverted, undesired)
-        for name in detection.detectors if not detection.targets else ():  # anomalies, which need no target
-            forms[name] = name, None
-            detectors[name] = pixel_detector(name, None, mean[bands], inverted, undesired)
+        detectors = {
+            key: pixel_detector(name, spectrum, mean[bands], inverted, undesired)
+            for key, (name, spectrum) in forms.items()
+        }
         by_distance = any(d.quadratic == "distance" for d in detectors.values())
         if inverted is not None and (detection.local_window or by_distance):
             whitener = whitener_of(mean[bands], inverted)
@@ -299,91 +295,6 @@ def _subject(form: str, words: Mapping[str, str]) -> str:
             expected="names in braces out of " + ", ".join(sorted(words)),
         )
     return _BRACES.sub(lambda match: words[match[1]], form)
-
-
-def object_curve(
-    scores: Array,
-    objects: Mapping[str, Placed],
-    alarms: Mask,
-    classes: npt.NDArray[np.int32],
-    blocks: AlarmBlocks,
-    thresholds: PresetThresholds,
-    halo: int,
-    pixel_area_m2: float | None,
-    bootstrap: Bootstrap,
-    *,
-    by_pixel: bool = False,
-) -> RocCurve:
-    """ROC of objects, each with the greatest score over its pixels and ``halo`` pixels around them.
-
-    Without a halo a false alarm is a background pixel.  With one it is a placement of an object's footprint on
-    the background, where noise has as many chances as it has on the object; objects of different shapes each
-    bring their own placements, objects of one shape the same.
-
-    ``by_pixel``: a false alarm is every pixel outside the halos.  This is how the MUUFL Gulfport collection is
-    scored (Bullwinkle).  It favours detection: an object has as many chances as its halo has pixels, a false
-    alarm one.
-
-    Parameters
-    ----------
-    scores : (lines, samples), NaN where invalid
-    objects : the pixels that are scored, each object in its window
-    alarms, classes : (lines, samples) True on the background; number of the class of each pixel
-    blocks, thresholds : the scores of its valid pixels with their places, and what they say of every curve
-    bootstrap : over objects
-
-    Raises
-    ------
-    UsageError : the footprint fits nowhere on the background.
-    """
-    best = np.array(list(object_scores(scores, objects, halo).values()))
-    best = best[np.isfinite(best)]
-    pixels = int(np.count_nonzero(alarms))
-    if by_pixel:
-        alarms = alarms.copy()
-        for placed in objects.values():
-            (line, sample), grown = placed_with_halo(placed, halo, scores.shape)
-            alarms[line : line + grown.shape[0], sample : sample + grown.shape[1]] &= ~grown
-        blocks = AlarmBlocks.of_map(scores, alarms, classes=classes)
-        pixels = int(np.count_nonzero(alarms))
-    elif halo:
-        blocks, pixels = _placements(scores, objects, alarms, classes, halo)
-    if by_pixel or halo:
-        thresholds = preset_thresholds(blocks)
-    area = None if pixel_area_m2 is None else pixels * pixel_area_m2 / 1e6
-    curve = empirical_roc(best, thresholds, unit="object", background_area_km2=area)
-    rng = np.random.default_rng(bootstrap.seed)
-    return with_summary(curve, best, blocks, draws=bootstrap.draws, rng=rng)
-
-
-def _placements(
-    scores: Array, objects: Mapping[str, Placed], alarms: Mask, classes: npt.NDArray[np.int32], halo: int
-) -> tuple[AlarmBlocks, int]:
-    """Greatest score of every placement of the objects' footprints on the background, and the pixels looked at."""
-    parts, looked_at = [], 0
-    shapes = []
-    for name, (_, part) in objects.items():
-        shapes.append(footprint(part, halo))
-        if any(np.greater(shapes[-1].shape, scores.shape)):
-            raise UsageError(
-                f"the object {name!r} with a halo of {halo} pixels is larger than the image, {scores.shape}",
-                where="detection.halo_pixels",
-                expected="a halo that leaves background around the object",
-            )
-    # The placements of one shape count once, however many objects have it: they are the same pixels.
-    for shape in {(s.shape, s.tobytes()): s for s in shapes}.values():
-        parts.append(footprint_maxima(scores, shape, ~alarms))
-        looked_at += parts[-1][0].size * shape.size
-    maxima, lines, samples = (np.concatenate(part) for part in zip(*parts, strict=True))
-    if maxima.size == 0:
-        names = ", ".join(objects)
-        raise UsageError(
-            f"with a halo of {halo} pixels no footprint of the targets fits on the background ({names})",
-            where="detection.halo_pixels",
-        )
-    # Blocks as large on the ground as those of the pixels.
-    side = block_side(int(np.count_nonzero(alarms)))
-    return AlarmBlocks.of_places(maxima, lines, samples, side, classes[lines, samples]), looked_at
 
 
 def target_areas(place: Place, detection: Detection, maps: Mapping[str, Array]) -> tuple[Areas, Nominal]:
@@ -840,18 +751,84 @@ class _Curves:
         self.scores[subject, detector] = _moments(pixels)
         by_pixel = empirical_roc(pixels, thresholds, unit="pixel", background_area_km2=self.area_km2)
         self.roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise)
-        halo = self.detection.halo_pixels
-        if not halo:  # the model does not know what a halo may catch
-            best = object_scores(scores, objects)
+        best = object_scores(scores, objects, self.detection.halo_pixels)
+        by_object, counted, at = noise, int(np.count_nonzero(self.alarms)), thresholds
+        if self.detection.halo_pixels:
+            by_object, counted = self._placements(scores, objects)
+            at = preset_thresholds(by_object)
+        else:  # the model does not know what a halo may catch
             self.of_objects[subject, detector] = ObjectScores(np.array(list(best.values())), tuple(best))
-        area, bootstrap = self.place.pixel_area_m2, self.detection.bootstrap
-        shared = scores, objects, self.alarms, self.place.classes, noise, thresholds, halo, area, bootstrap
-        by_object = object_curve(*shared)
+        curve = self._object_curve(best, by_object, at, counted)
         if self.detection.first_detection:
-            by_object = replace(by_object, alarms_before_first=alarms_before_first(pixels, noise.scores))
-        self.roc[subject, detector, "object"] = by_object
-        if halo:
-            self.roc[subject, detector, BY_PIXEL] = object_curve(*shared, by_pixel=True)
+            curve = replace(curve, alarms_before_first=alarms_before_first(pixels, noise.scores))
+        self.roc[subject, detector, "object"] = curve
+        if self.detection.halo_pixels:
+            outside = self._outside(objects, scores.shape)
+            every = AlarmBlocks.of_map(scores, outside, classes=self.place.classes)
+            counted = int(np.count_nonzero(outside))
+            self.roc[subject, detector, BY_PIXEL] = self._object_curve(best, every, preset_thresholds(every), counted)
+
+    def _object_curve(
+        self, best: Mapping[str, float], noise: AlarmBlocks, thresholds: PresetThresholds, pixels: int
+    ) -> RocCurve:
+        """ROC of objects, each with the greatest score over its pixels and the halo around them.
+
+        Without a halo a false alarm is a background pixel.  With one it is a placement of an object's footprint on
+        the background, where noise has as many chances as it has on the object; objects of different shapes each
+        bring their own placements, objects of one shape the same.  Or it is every pixel outside the halos, as the
+        MUUFL Gulfport collection is scored (Bullwinkle): that favours detection, as an object has as many chances as
+        its halo has pixels, a false alarm one.
+
+        Parameters
+        ----------
+        noise, thresholds, pixels : scores of the false alarms, what they say of every curve, and pixels behind them
+        """
+        area, bootstrap = self.place.pixel_area_m2, self.detection.bootstrap
+        scores = np.array(list(best.values()))
+        scores = scores[np.isfinite(scores)]
+        area_km2 = None if area is None else pixels * area / 1e6
+        curve = empirical_roc(scores, thresholds, unit="object", background_area_km2=area_km2)
+        return with_summary(curve, scores, noise, draws=bootstrap.draws, rng=np.random.default_rng(bootstrap.seed))
+
+    def _outside(self, objects: Mapping[str, Placed], shape: tuple[int, ...]) -> Mask:
+        """(lines, samples) the background outside the halos of objects."""
+        outside = self.alarms.copy()
+        for placed in objects.values():
+            corner, grown = placed_with_halo(placed, self.detection.halo_pixels, shape)
+            _window(outside, corner, grown)[grown] = False
+        return outside
+
+    def _placements(self, scores: Array, objects: Mapping[str, Placed]) -> tuple[AlarmBlocks, int]:
+        """Greatest score of every placement of the objects' footprints on the background, and the pixels looked at.
+
+        Raises
+        ------
+        UsageError : the footprint fits nowhere on the background.
+        """
+        halo, parts, looked_at = self.detection.halo_pixels, [], 0
+        shapes = []
+        for name, (_, part) in objects.items():
+            shapes.append(footprint(part, halo))
+            if any(np.greater(shapes[-1].shape, scores.shape)):
+                raise UsageError(
+                    f"the object {name!r} with a halo of {halo} pixels is larger than the image, {scores.shape}",
+                    where="detection.halo_pixels",
+                    expected="a halo that leaves background around the object",
+                )
+        # The placements of one shape count once, however many objects have it: they are the same pixels.
+        for shape in {(s.shape, s.tobytes()): s for s in shapes}.values():
+            parts.append(footprint_maxima(scores, shape, ~self.alarms))
+            looked_at += parts[-1][0].size * shape.size
+        maxima, lines, samples = (np.concatenate(part) for part in zip(*parts, strict=True))
+        if maxima.size == 0:
+            names = ", ".join(objects)
+            raise UsageError(
+                f"with a halo of {halo} pixels no footprint of the targets fits on the background ({names})",
+                where="detection.halo_pixels",
+            )
+        # Blocks as large on the ground as those of the pixels.
+        side = block_side(int(np.count_nonzero(self.alarms)))
+        return AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), looked_at
 
     def add_pools(self) -> None:
         """Curves of several subjects counted together."""
