@@ -17,7 +17,7 @@ from hyperval.compare import (
 )
 from hyperval.errors import UsageError
 from hyperval.products import ExceedanceCurve, ObjectScores
-from hyperval.results import Outcome, ResultTable
+from hyperval.results import Effect, Outcome, ResultTable
 
 ROWS, COLUMNS = 200, 40
 
@@ -77,7 +77,7 @@ def test_independent_objects_give_the_exact_tests():
     u = [float(probability_integral_transform(truth[k], predicted[k].values)[0]) for k in predicted]
     # 4,000 reference sets: sd of a p-value at most 0.008, four of them 0.032.
     assert found.uniformity.p_value == pytest.approx(stats.kstest(u, "uniform").pvalue, abs=0.04)
-    inside = round(found.inside * 25)
+    inside = round(found.count.effect.value * 25)
     assert found.count.p_value == pytest.approx(stats.binom.cdf(inside, 25, 0.95), abs=0.04)
 
 
@@ -189,14 +189,17 @@ def test_one_object_has_no_spread():
 
 
 def test_a_statistic_beyond_all_draws_has_the_least_p_value_that_they_can_give():
-    beyond = detection._test(5.0, np.linspace(0.0, 1.0, 99), np.zeros((len(detection.WIDTHS), 3)))
+    beyond = detection._test(5.0, np.linspace(0.0, 1.0, 99), np.zeros((len(detection.WIDTHS), 3)), Effect(0.0))
     assert beyond.p_value == pytest.approx(0.01, rel=1e-12)
-    assert detection._test(-1.0, np.linspace(0.0, 1.0, 99), np.zeros((len(detection.WIDTHS), 3))).p_value == 1.0
+    assert (
+        detection._test(-1.0, np.linspace(0.0, 1.0, 99), np.zeros((len(detection.WIDTHS), 3)), Effect(0.0)).p_value
+        == 1.0
+    )
 
 
 def test_a_width_is_detected_at_one_percent_in_all_and_half_of_it_where_both_tails_count():
     reference, wide = np.linspace(0.0, 1.0, 2001), np.array([0.985, 0.9925, 0.9975, 2.0])[:, None]
-    assert [detection._test(0.5, reference, wide, both).detectable for both in (False, True)] == [1.5, 2.0]
+    assert [detection._test(0.5, reference, wide, Effect(0.0), both).detectable for both in (False, True)] == [1.5, 2.0]
 
 
 # Objects that are independent and predicted by a normal law have normal scores that are independent standard normal
@@ -221,10 +224,10 @@ def together(z):
 def test_a_drift_is_that_of_a_least_squares_slope(slope):
     found = together(0.3 + slope * PLACE)
     assert found.drift is not None
-    assert found.trend == pytest.approx(slope, rel=0.01)
+    assert found.drift.effect.value == pytest.approx(slope, rel=0.01)
     assert found.drift.p_value == pytest.approx(2.0 * stats.norm.sf(abs(slope) / SD), abs=0.032)
     ends = (slope - 1.959964 * SD, slope + 1.959964 * SD)
-    assert found.trend_interval == pytest.approx(ends, abs=4.0 * 0.042 * SD)
+    assert (found.drift.effect.lower, found.drift.effect.upper) == pytest.approx(ends, abs=4.0 * 0.042 * SD)
     # Rejected at 1 % in both tails together, in four cases of five: the quantiles at 0.995 and at 0.8.
     assert found.drift.detectable == pytest.approx((stats.norm.isf(0.005) + stats.norm.isf(0.2)) * SD, rel=0.06)
 
@@ -249,14 +252,12 @@ def test_a_spread_is_that_of_as_many_normal_numbers(common):
     scores = {k: np.array([m + each * (1.0 + 2.0 * x)]) for k, m, x in zip(PREDICTED, MEANS, PLACE, strict=True)}
     found, measured = judged_together(predicted, scores), each * np.std(2.0 * PLACE, ddof=1)
     low, middle, high = np.sqrt(stats.chi2.ppf([0.025, 0.5, 0.975], OBJECTS - 1) / (OBJECTS - 1)) / measured
-    assert (found.spread_interval[0], found.spread, found.spread_interval[1]) == pytest.approx(
-        (low, middle, high), rel=0.06
-    )
+    assert (found.spread.lower, found.spread.value, found.spread.upper) == pytest.approx((low, middle, high), rel=0.06)
 
 
 def test_the_number_inside_is_binomial():
     found = together(np.array([3.0, -3.0, *(OBJECTS - 2) * [0.5]]))
-    assert found.inside == pytest.approx((OBJECTS - 2) / OBJECTS)
+    assert found.count.effect.value == pytest.approx((OBJECTS - 2) / OBJECTS)
     assert found.count.p_value == pytest.approx(stats.binom.cdf(OBJECTS - 2, OBJECTS, 0.95), abs=0.014)
     # At most 1 in 40 sets has fewer inside, and none more than all.
     assert found.expected == pytest.approx((stats.binom.ppf(0.025, OBJECTS, 0.95) / OBJECTS, 1.0))

@@ -269,11 +269,11 @@ def distance_from_uniform(values: npt.ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class Test:
-    """A test by draws of the model: ``p_value``, the departure that it rejects in 80 % of draws, and its effect."""
+    """A test by draws of the model: ``p_value``, its effect, and the departure that it rejects in 80 % of draws."""
 
     p_value: float
+    effect: Effect
     detectable: float = math.nan
-    effect: Effect | None = None
 
 
 @dataclass(frozen=True)
@@ -282,31 +282,23 @@ class Together:
 
     Attributes
     ----------
-    inside : part of the objects in their predicted 95 % intervals
-    interval : exact 95 % interval of that part if the objects were independent
-    expected : 95 % range of it that the model expects, with what its objects have in common
-    count : test of so few (or fewer) inside
+    expected : 95 % range of the part inside that the model expects, with what its objects have in common
+    count : test of so few (or fewer) objects in their predicted 95 % intervals; its effect is their part, with the
+        exact interval if they were independent
     uniformity : test of so large a distance of the transform values from uniformity
     joint : test of the Mahalanobis distance of the normal scores, correlation counted, near 1 where the predicted
         spread is too wide; None for too many objects
-    trend, trend_interval : drift of the normal scores from the weakest expected object to the strongest, and the
-        95 % interval of that drift; None where all are expected alike
-    drift : its test
-    spread, spread_interval : of the normal scores about their mean, expected over measured, and its 95 % interval;
-        NaN for one object
+    drift : test of the drift of the normal scores from the weakest expected object to the strongest; None where
+        all are expected alike
+    spread : of the normal scores about their mean, expected over measured; None for one object
     """
 
-    inside: float
-    interval: tuple[float, float]
     expected: tuple[float, float]
     count: Test
     uniformity: Test
     joint: Test | None
-    trend: float
-    trend_interval: tuple[float, float]
     drift: Test | None
-    spread: float
-    spread_interval: tuple[float, float]
+    spread: Effect | None
 
 
 def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str, Array]) -> Together:
@@ -327,11 +319,11 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     >>> predicted = {name: ObjectScores(draws + i) for i, name in enumerate("abc")}
     >>> measured = {name: np.array([i + 0.5]) for i, name in enumerate("abc")}
     >>> t = judged_together(predicted, measured)
-    >>> t.inside, round(t.trend, 2), [round(x.p_value, 2) for x in (t.count, t.uniformity, t.joint, t.drift)]
-    (1.0, 0.0, [1.0, 0.06, 0.86, 1.0])
+    >>> [round(x.p_value, 2) for x in (t.count, t.uniformity, t.joint, t.drift)]
+    [1.0, 0.06, 0.86, 1.0]
     >>> scattered = {name: np.array([i - 2.0, i, i + 2.0]) for i, name in enumerate("abc")}
-    >>> wide = judged_together(predicted, scattered)
-    >>> [round(x, 2) for x in (wide.spread, *wide.spread_interval)]
+    >>> wide = judged_together(predicted, scattered).spread
+    >>> [round(x, 2) for x in (wide.value, wide.lower, wide.upper)]
     [0.54, 0.29, 0.85]
     """
     rng = np.random.default_rng(_SEED)
@@ -349,39 +341,28 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
         wider.append(np.stack([x[row[:POWER_DRAWS, None], column[:POWER_DRAWS]] for x in spread]))
         strength += [float(np.median(draws))] * scores.size
     u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
-    count, n = int(np.sum(central(u))), u.size
+    inside, n = int(np.sum(central(u))), u.size
     expected = central(reference).sum(axis=1)
-    low, high = clopper_pearson(count, n)
+    low, high = map(float, clopper_pearson(inside, n))
     span = np.quantile(expected, [0.025, 0.975], method="nearest") / n
-    outside = _test(-count, -expected, -central(wide).sum(axis=2))
-    outside = replace(
-        outside,
-        effect=Effect(count / n, float(low), float(high), partial(drawn_range, expected / n, 1.0, 0.0), decides=False),
-    )
-    distance, measured_distance = distance_from_uniform(reference), float(distance_from_uniform(u))
-    uniform = _test(measured_distance, distance, distance_from_uniform(wide))
+    share = Effect(inside / n, low, high, partial(drawn_range, expected / n, 1.0, 0.0), decides=False)
+    distances, distance = distance_from_uniform(reference), float(distance_from_uniform(u))
     # No distance of two distributions differs from a third one's by more than that of the two.
-    reach = float(np.quantile(distance, 0.95))
-    ends = max(measured_distance - reach, 0.0), min(measured_distance + reach, 1.0)
+    reach = float(np.quantile(distances, 0.95))
+    low, high = max(distance - reach, 0.0), min(distance + reach, 1.0)
+    apart = Effect(distance, low, high, partial(drawn_range, distances, 0.0, 1.0), decides=False)
     z, x = scipy.special.ndtri(u), scipy.special.ndtri(reference)
-    trend, interval, drift = _trend(z, x, np.array(strength))
     return Together(
-        count / n,
-        (float(low), float(high)),
         (float(span[0]), float(span[1])),
-        outside,
-        replace(
-            uniform, effect=Effect(measured_distance, *ends, partial(drawn_range, distance, 0.0, 1.0), decides=False)
-        ),
+        _test(-inside, -expected, -central(wide).sum(axis=2), share),
+        _test(distance, distances, distance_from_uniform(wide), apart),
         _joint_test(z, x, wide),
-        trend,
-        interval,
-        drift,
-        *_spread(z, x),
+        _drift_test(z, x, np.array(strength)),
+        _spread(z, x),
     )
 
 
-def _test(statistic: float, reference: Array, wide: Array, both: bool = False) -> Test:
+def _test(statistic: float, reference: Array, wide: Array, effect: Effect, both: bool = False) -> Test:
     """Share of the reference (R,) at or beyond the statistic, and the least of the widths that it would reject.
 
     Parameters
@@ -393,7 +374,7 @@ def _test(statistic: float, reference: Array, wide: Array, both: bool = False) -
     limit = np.quantile(reference, 1.0 - (POWER_LEVEL / 2.0 if both else POWER_LEVEL))
     power = np.mean(wide > limit, axis=1)
     seen = [f for f, share in zip(WIDTHS, power, strict=True) if share >= POWER]
-    return Test(p, min(seen, default=math.nan))
+    return Test(p, effect, min(seen, default=math.nan))
 
 
 def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
@@ -404,38 +385,37 @@ def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
     """
     if z.size > MOST_JOINED:
         return None
-    w = scipy.special.ndtri(wide)
-    half = x.shape[0] // 2
+    half, n = x.shape[0] // 2, z.size
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
     def distance(v: Array) -> Array:
         return np.asarray(np.sum((v @ inverse) * v, axis=-1))
 
-    found, reference, n = float(distance(z)), distance(x[half:]), z.size
-    test = _test(found, reference, distance(w), both=True)
-    low, high = (math.sqrt(1.0 + noncentrality(found / n, n, math.inf, part) / n) for part in (0.975, 0.025))
-    size = math.sqrt(found / n)
-    accepted = partial(drawn_range, np.sqrt(reference / n), 0.5, 0.5)
-    return replace(test, effect=Effect(size, min(low, size), max(high, size), accepted, (math.nan, test.detectable)))
+    found, reference = float(distance(z)), distance(x[half:])
+    size, *ends = (
+        math.sqrt(found / n),
+        *(math.sqrt(1.0 + noncentrality(found / n, n, math.inf, part) / n) for part in (0.975, 0.025)),
+    )
+    effect = Effect(
+        size, min(ends[0], size), max(ends[1], size), partial(drawn_range, np.sqrt(reference / n), 0.5, 0.5)
+    )
+    test = _test(found, reference, distance(scipy.special.ndtri(wide)), effect, both=True)
+    return replace(test, effect=replace(effect, detectable=(math.nan, test.detectable)))
 
 
-def _trend(z: Array, drawn_scores: Array, strength: Array) -> tuple[float, tuple[float, float], Test | None]:
-    """Drift of the normal scores along the rank of the expected score, its interval and its test."""
+def _drift_test(z: Array, drawn_scores: Array, strength: Array) -> Test | None:
+    """Drift of the normal scores along the rank of the expected score."""
     place = scipy.stats.rankdata(strength, method="dense")
     if place.max() < 2:
-        return math.nan, (math.nan, math.nan), None
+        return None
     x = (place - place.mean()) / (place.max() - 1.0)
     weight = x / float(x @ x)
-    slope = float(z @ weight)
-    drawn = drawn_scores @ weight
+    slope, drawn = float(z @ weight), drawn_scores @ weight
     low, high = (float(q) for q in np.quantile(drawn, [0.025, 0.975]))
     p = float((1 + np.sum(np.abs(drawn) >= abs(slope))) / (1 + drawn.size))
-    detectable = float(np.quantile(np.abs(drawn), 1.0 - POWER_LEVEL) - np.quantile(drawn, 1.0 - POWER))
-    interval = slope - max(high, 0.0), slope - min(low, 0.0)
-    effect = Effect(
-        slope, *interval, partial(drawn_range, np.concatenate([drawn, -drawn]), 0.5, 0.5), (-detectable, detectable)
-    )
-    return slope, interval, Test(p, detectable, effect)
+    found = float(np.quantile(np.abs(drawn), 1.0 - POWER_LEVEL) - np.quantile(drawn, 1.0 - POWER))
+    accepted = partial(drawn_range, np.concatenate([drawn, -drawn]), 0.5, 0.5)
+    return Test(p, Effect(slope, slope - max(high, 0.0), slope - min(low, 0.0), accepted, (-found, found)), found)
 
 
 def drawn_range(sizes: Array, below: float, above: float, level: float) -> tuple[float, float]:
@@ -444,12 +424,12 @@ def drawn_range(sizes: Array, below: float, above: float, level: float) -> tuple
     return (float(low) if below else math.nan), (float(high) if above else math.nan)
 
 
-def _spread(z: Array, drawn_scores: Array) -> tuple[float, tuple[float, float]]:
+def _spread(z: Array, drawn_scores: Array) -> Effect | None:
     """Standard deviation of the normal scores (n,) that draws of the model (R, n) have, over the measured one."""
     if z.size < 2 or not (measured := float(np.std(z, ddof=1))):
-        return math.nan, (math.nan, math.nan)
+        return None
     low, middle, high = np.quantile(np.std(drawn_scores, axis=-1, ddof=1), [0.025, 0.5, 0.975]) / measured
-    return float(middle), (float(low), float(high))
+    return Effect(float(middle), float(low), float(high))
 
 
 def central(values: Array) -> npt.NDArray[np.bool_]:
@@ -527,33 +507,27 @@ def _together_rows(
     low, high = sets.expected
     words = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}"
 
-    def test(metric: str, result: Test, reason: str) -> Result:
-        return make.row(
-            metric, result.p_value, n=n, detectable=result.detectable, reason=f"{reason}{lost}", about=result.effect
-        )
+    def number(metric: str, found: Effect, reason: str) -> list[Result]:
+        return [make.row(metric, found.value, (found.lower, found.upper), n=n, reason=reason)]
 
-    rows = [
-        make.row(OF_ALL[0], sets.inside, interval=sets.interval, n=n, reason=words),
-        test(OF_ALL[1], sets.count, "that so few lie inside, by the model"),
-        test(
-            OF_ALL[2],
-            sets.uniformity,
-            "Kolmogorov-Smirnov distance, against sets of objects drawn from the model",
-        ),
-    ]
+    def test(metric: str, found: Test, reason: str) -> list[Result]:
+        why = f"{reason}{lost}"
+        return [make.row(metric, found.p_value, n=n, detectable=found.detectable, reason=why, about=found.effect)]
+
+    rows = number(OF_ALL[0], sets.count.effect, words)
+    rows += test(OF_ALL[1], sets.count, "that so few lie inside, by the model")
+    why = "Kolmogorov-Smirnov distance, against sets of objects drawn from the model"
+    rows += test(OF_ALL[2], sets.uniformity, why)
     if sets.joint is None:
         why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
         rows += make.skipped(Cause.FEW_PIXELS, why, JOINT)
     else:
-        why = "Mahalanobis distance of the normal scores, against draws of the model"
-        rows.append(test(JOINT, sets.joint, why))
+        rows += test(JOINT, sets.joint, "Mahalanobis distance of the normal scores, against draws of the model")
     if sets.drift is not None:
-        why = "against draws of the model"
-        rows.append(make.row(TREND, sets.trend, interval=sets.trend_interval, n=n, reason=why))
-        rows.append(test(f"{TREND}_p_value", sets.drift, "drift of the normal scores, against draws of the model"))
-    if not math.isnan(sets.spread):
-        why = "normal scores about their mean, against draws of the model"
-        rows.append(make.row(SPREAD, sets.spread, interval=sets.spread_interval, n=n, reason=why))
+        rows += number(TREND, sets.drift.effect, "against draws of the model")
+        rows += test(f"{TREND}_p_value", sets.drift, "drift of the normal scores, against draws of the model")
+    if sets.spread is not None:
+        rows += number(SPREAD, sets.spread, "normal scores about their mean, against draws of the model")
     return rows
 
 

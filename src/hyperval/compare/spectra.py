@@ -232,11 +232,9 @@ def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Drift:
     t, y = np.asarray(years, dtype=float), np.asarray(values, dtype=float)
     if t.size < FEWEST or np.ptp(t) == 0.0:
         raise UsageError(f"a drift of {t.size} days", expected=f"{FEWEST} days or more, at different times")
-    centred = t - t.mean()
-    slope = float(centred @ y / (centred @ centred))
-    residual = y - y.mean() - slope * centred
-    scatter = math.sqrt(float(residual @ residual) / (t.size - 2))
-    half = float(scipy.stats.t.ppf(0.975, t.size - 2)) * scatter / math.sqrt(float(centred @ centred))
+    fit = scipy.stats.linregress(t, y)
+    half, slope = float(scipy.stats.t.ppf(0.975, t.size - 2)) * float(fit.stderr), float(fit.slope)
+    scatter = float(fit.stderr) * float(np.std(t)) * math.sqrt(t.size)
     return Drift(slope, slope - half, slope + half, scatter, int(t.size))
 
 

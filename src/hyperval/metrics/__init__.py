@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
@@ -73,6 +73,7 @@ class Metric:
     ----------
     section : of the table: spectral, detection, other, sensors
     name : as in the table without what follows "@"; ``*`` stands for what varies (a region, another metric)
+    products : of a comparison that have it; none where it is no metric of one, or of any
     words : what it is, for a reader of a page
     function : what computes it, within the package
     formula : in plain text
@@ -118,6 +119,7 @@ class Metric:
     two_sided: bool = False
     effect: FieldUnit | None = None
     short: str = ""
+    products: Sequence[str] = ()
 
     def fits(self, base: str) -> bool:
         """Whether this row is about a metric of that name."""
@@ -217,9 +219,6 @@ def plain_words(metric: str, product: str) -> str:
     return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
 
 
-_OF_SPECTRA = ("processing.intervals.difference_ratio", "compare.spectra", "compare.spectra")
-_SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
-_SPREAD = ("covariance", "classification")
 _PARTS = ("windows", "vnir", "swir1", "swir2", "absorption")
 
 
@@ -237,16 +236,8 @@ def foreign(name: str, product: str) -> str:
     if set(base) & set("*?"):
         return ""
     row = metric_of(name)
-    own: tuple[str, ...]
-    if row.section == "spectral":
-        of_spectra = row.function.startswith(_OF_SPECTRA) and not base.startswith("error")
-        own = _SPECTRA if of_spectra else _SPREAD
-    elif row.section == "detection":
-        own = ("abundance",) if base.startswith("area") else ("scores", "roc")
-    else:
-        return ""
-    if product not in own:
-        return f"{base!r} is a metric of {' or '.join(own)}, not of {product}"
+    if row.products and product not in row.products:
+        return f"{base!r} is a metric of {' or '.join(row.products)}, not of {product}"
     part = base.removeprefix(row.name.removesuffix("*")) if row.name.endswith("_ratio_*") else _PARTS[0]
     return "" if part in _PARTS else f"no part of the spectrum is {part!r}; one of {', '.join(_PARTS)}"
 
