@@ -267,6 +267,11 @@ class Handler(BaseHTTPRequestHandler):
         pass
 
 
+def toy_set(*files: DataFile) -> DataSet:
+    where = {"repository": "nobody/toy", "commit": "0" * 40, "licence": "CC0", "citation": "none"}
+    return DataSet(name="toy", title="Toy", files=files, **where)
+
+
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Handler]]:
     """A registry of one set, `toy`, served by this machine."""
@@ -280,7 +285,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Handler]]:
             DataFile(path, root + at, len(content[at]), hashlib.sha256(content[at]).hexdigest())
             for path, at in (("toy/a.txt", "/a.txt"), ("toy/b.chn.gz", "/b.chn"))
         )
-        toy = DataSet("toy", "Toy", "nobody/toy", "0" * 40, "CC0", "none", files)
+        toy = toy_set(*files)
         monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
         monkeypatch.setattr(datasets, "ATTEMPTS", 1)
         monkeypatch.setenv("NO_PROXY", "127.0.0.1")
@@ -316,7 +321,7 @@ def test_a_file_whose_git_blob_id_alone_is_published(server, places, monkeypatch
         "",
         "bd9dbf5aae1a3862dd1526723246b20206e5fc37",
     )
-    entry = replace(datasets.dataset("toy"), files=(blob,))
+    entry = toy_set(blob)
     monkeypatch.setattr(datasets, "registry", lambda: {"toy": entry})
     for wrong in (b"what is up, cat?", content[:-1]):
         server.content["/c.img"] = wrong
@@ -346,13 +351,13 @@ def test_felts_are_fetched_by_their_entry_and_images_of_other_content_are_refuse
     assert 1 <= len(images) <= 2
     for file in local:
         server.content[f"/{quote(file.path)}"] = b"stand-in" if file in images else (real / file.path).read_bytes()
-    monkeypatch.setattr(datasets, "registry", lambda: {name: replace(entry, files=tuple(local))})
+    monkeypatch.setattr(datasets, "registry", lambda: {name: entry.model_copy(update={"files": tuple(local)})})
     with pytest.raises(InputError, match="not the registered file"):
         datasets.fetch(name)
     assert set(datasets.missing(name)) >= {f"data:{f.path}" for f in images}
     blob = hashlib.sha1(b"blob 8\0stand-in", usedforsecurity=False).hexdigest()
     fetched = [replace(f, size=8, sha256="", git_blob=blob) if f in images else f for f in local]
-    monkeypatch.setattr(datasets, "registry", lambda: {name: replace(entry, files=tuple(fetched))})
+    monkeypatch.setattr(datasets, "registry", lambda: {name: entry.model_copy(update={"files": tuple(fetched)})})
     datasets.fetch(name)
     assert {c.state for c in datasets.verify(name)} == {"ok"}
 
@@ -455,7 +460,7 @@ def test_a_server_that_sends_next_to_nothing_is_given_up(server, places, monkeyp
 def test_no_connection_is_one_clear_error(server, monkeypatch):
     # Port 9 (discard) of the loopback address: nothing listens there.
     gone = DataFile("toy/a.txt", "http://127.0.0.1:9/a.txt", 5, "0" * 64)
-    toy = DataSet("toy", "Toy", "nobody/toy", "0" * 40, "CC0", "none", (gone,))
+    toy = toy_set(gone)
     monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
     with pytest.raises(InputError, match="cannot be downloaded: no connection") as caught:
         datasets.fetch("toy")

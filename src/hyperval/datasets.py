@@ -22,7 +22,7 @@ from importlib import resources
 from itertools import islice
 from pathlib import Path, PurePosixPath
 from time import monotonic
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from urllib.parse import quote
 
 import platformdirs
@@ -179,21 +179,21 @@ class DataFile:
         return hashlib.sha256(content).hexdigest() == self.sha256
 
 
-@dataclass(frozen=True)
-class DataSet:
-    """A data set with its licence, its citation and its files.
+class DataSet(Model):
+    """A data set with its licence, its citation and its files, as ``registry/sets.yaml`` and ``files.csv`` have it.
 
     A set that is not public has no address and no listed files: ``holder`` says who has it, ``obtain`` how to
     get it; its files stand below a folder of its name.
     """
 
-    name: str
+    name: str = ""
     title: str
-    repository: str
-    commit: str
+    repository: str = ""
+    commit: str = ""
+    upstream: str = ""
     licence: str
     citation: str
-    files: tuple[DataFile, ...]
+    files: tuple[DataFile, ...] = ()
     holder: str = ""
     obtain: str = ""
 
@@ -202,9 +202,14 @@ class DataSet:
         """Whether it can be fetched."""
         return not self.holder
 
+    @model_validator(mode="after")
+    def _has_a_place(self) -> DataSet:
+        if bool(self.repository and self.commit) == bool(self.holder and self.obtain):
+            raise ValueError("give either repository and commit, or holder and obtain")
+        return self
 
-@dataclass(frozen=True)
-class FileCheck:
+
+class FileCheck(NamedTuple):
     """What :func:`verify` found of one file."""
 
     path: str
@@ -212,25 +217,8 @@ class FileCheck:
     place: Path | None
 
 
-class _SetEntry(Model):
-    title: str
-    repository: str = ""
-    commit: str = ""
-    upstream: str = ""
-    holder: str = ""
-    obtain: str = ""
-    licence: str
-    citation: str
-
-    @model_validator(mode="after")
-    def _has_a_place(self) -> _SetEntry:
-        if bool(self.repository and self.commit) == bool(self.holder and self.obtain):
-            raise ValueError("give either repository and commit, or holder and obtain")
-        return self
-
-
 class _Sets(Model):
-    sets: dict[str, _SetEntry]
+    sets: dict[str, DataSet]
 
 
 @cache
@@ -246,12 +234,7 @@ def registry() -> Mapping[str, DataSet]:
         where = quote(row["upstream"][1:] if row["upstream"].startswith("@") else inside)
         address = f"https://raw.githubusercontent.com/{where}"
         files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), row["sha256"], row["git_blob"]))
-    return {
-        name: DataSet(
-            name, e.title, e.repository, e.commit, e.licence, e.citation, tuple(files[name]), e.holder, e.obtain
-        )
-        for name, e in entries.items()
-    }
+    return {name: e.model_copy(update={"name": name, "files": tuple(files[name])}) for name, e in entries.items()}
 
 
 def dataset(name: str) -> DataSet:

@@ -5,7 +5,7 @@ Every name that a campaign uses, looked up without a pixel's being computed: hea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -15,7 +15,6 @@ from typing import Any
 
 from hyperval.campaign.job import SIMULATED, Job, Reference, Text, read_texts
 from hyperval.campaign.schema import Campaign, DayScenarios, scenarios_of
-from hyperval.collection import Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import Location, load_yaml
 from hyperval.datasets import check_copy, how_to_get, resolve, set_on_request
@@ -67,12 +66,6 @@ class Lookup:
             expected = f"; expected: {error.expected}" if error.expected else ""
             self.add(location, f"{where}{error.what}{expected}")
 
-    def known(self, location: Location, names: Iterable[str], known: Iterable[str], noun: str) -> None:
-        """A mistake for every name of a list that is none of ``known``."""
-        listed = list(dict.fromkeys(known))
-        for i, name in enumerate(names):
-            self.one((*location, i), name, listed, noun)
-
     def one(self, location: Location, name: str, known: Sequence[str], noun: str) -> bool:
         """Whether a name is one of ``known``; a mistake where it is none."""
         if name not in known:
@@ -93,6 +86,47 @@ class CollectionNames:
     pixel_size: bool
 
 
+# Entries of a campaign that name something, and what they name; * stands for each entry of a list.
+NAMES = (
+    ("collection.leave_out.*", "region"),
+    ("collection.snr_regions.*", "region"),
+    ("collection.empirical_line.panels.*.region", "region"),
+    ("classification.classes.*", "region"),
+    ("detection.background.*", "set of pixels"),
+    ("detection.false_alarms.*", "set of pixels"),
+    ("detection.undesired.*", "region"),
+    ("detection.pools.*.subjects.*", "subject"),
+    ("detection.areas.*.target", "detection target"),
+    ("detection.areas.*.detector", "detector of this campaign"),
+    ("detection.unmixing.targets.*.target", "detection target"),
+    ("detection.unmixing.background", "region"),
+)
+
+
+def _named(content: Any, pattern: Sequence[str], at: Location = ()) -> Iterator[tuple[Location, str]]:
+    """Each text of a configuration at a pattern of its keys, and where it stands."""
+    if not pattern:
+        yield at, str(content)
+    elif pattern[0] == "*":
+        for i, item in enumerate(content):
+            yield from _named(item, pattern[1:], (*at, i))
+    elif content is not None:
+        yield from _named(getattr(content, pattern[0]), pattern[1:], (*at, pattern[0]))
+
+
+def _look_up(campaign: Campaign, lookup: Lookup, offered: CollectionNames) -> None:
+    """A mistake for each name that the collection, or the campaign itself, does not have."""
+    detection, regions = campaign.detection, offered.regions
+    known: dict[str, Sequence[str]] = {"region": regions, "set of pixels": (SCENE, IMAGE, *regions)}
+    if detection is not None:
+        known["detection target"] = [target.name for target in detection.targets]
+        known["detector of this campaign"] = detection.detectors
+        known |= {"subject": offered.subjects} if offered.subjects else {}
+    for pattern, noun in NAMES:
+        for at, name in _named(campaign, pattern.split(".")) if noun in known else ():
+            lookup.one(at, name, known[noun], "region" if noun == "set of pixels" else noun)
+
+
 def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> CollectionNames:
     """Look up everything that a campaign names of its collection; mistakes go to ``lookup``.
 
@@ -111,27 +145,26 @@ def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> Collect
             return CollectionNames(seen.axis, tuple(seen.toa_reflectance), (), True)
         return CollectionNames(None, (), (), True)
     if collection.spectra:
-        subjects = tuple(s.subject for s in collection.spectra)
-        line = collection.empirical_line
-        for i, panel in enumerate(line.panels if line else ()):
-            lookup.one(("collection", "empirical_line", "panels", i, "region"), panel.region, subjects, "site")
-        return CollectionNames(None, subjects, (), True)
+        sites = CollectionNames(None, tuple(s.subject for s in collection.spectra), (), True)
+        _look_up(campaign, lookup, sites)
+        return sites
     offered = _simulated(campaign, lookup, find) if collection.simulate else _opened(campaign, lookup, find)
     if offered is None:
         return CollectionNames(None, (), (), True)
-    regions = offered.regions
-    lookup.known(("collection", "leave_out"), collection.leave_out, regions, "region")
-    lookup.known(("collection", "snr_regions"), collection.snr_regions, regions, "region")
+    _look_up(campaign, lookup, offered)
     line = collection.empirical_line
     for i, panel in enumerate(line.panels if line else ()):
-        panel_at: Location = ("collection", "empirical_line", "panels", i)
-        lookup.one((*panel_at, "region"), panel.region, regions, "region")
-        _spectrum(lookup, (*panel_at, "spectrum"), panel.spectrum, panel.region, offered.axis, find, ())
-    if campaign.classification is not None:
-        lookup.known(("classification", "classes"), campaign.classification.classes, regions, "region")
-    if campaign.detection is not None:
-        by_number = collection.cube is not None and collection.cube.by_number
-        _detection(campaign.detection, offered, lookup, find, by_number)
+        at: Location = ("collection", "empirical_line", "panels", i, "spectrum")
+        _spectrum(lookup, at, panel.spectrum, panel.region, offered.axis, find, ())
+    detection, by_number = campaign.detection, collection.cube is not None and collection.cube.by_number
+    for i, target in enumerate(detection.targets if detection and not by_number else ()):  # those are read by bands
+        at = ("detection", "targets", i, "spectrum")
+        _spectrum(lookup, at, target.spectrum, target.name, offered.axis, find, ())
+    if detection and (detection.areas or detection.unmixing) and not offered.pixel_size:
+        lookup.add(
+            ("detection", "areas" if detection.areas else "unmixing"),
+            "areas need the ground area of a pixel, which neither the cube's map nor targets.pixel_size_m states",
+        )
     return offered
 
 
@@ -219,7 +252,7 @@ def _opened(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) -> 
         part = source.half or source.ring
         if part is not None:
             key = "half" if source.half else "ring"
-            lookup.known(("collection", "regions", i, key, "of"), [part.of], [*names, *rules], "region")
+            lookup.one(("collection", "regions", i, key, "of"), part.of, [*names, *rules], "region")
             names.append(str(source.name))
             continue
         with lookup.at("collection", "regions", i):
@@ -269,35 +302,6 @@ def _simulated(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) 
             subjects = tuple(g.name for g in scene.targets)
         return CollectionNames(axis, regions + more, subjects, True)
     return None
-
-
-def _detection(
-    detection: Detection, offered: CollectionNames, lookup: Lookup, find: Callable[[str], Path], by_number: bool
-) -> None:
-    regions = offered.regions
-    for key in ("background", "false_alarms"):
-        lookup.known(("detection", key), getattr(detection, key), (SCENE, IMAGE, *regions), "region")
-    lookup.known(("detection", "undesired"), detection.undesired, regions, "region")
-    for i, target in enumerate(() if by_number else detection.targets):  # those are read on the bands alone
-        at = ("detection", "targets", i, "spectrum")
-        _spectrum(lookup, at, target.spectrum, target.name, offered.axis, find, ())
-    if offered.subjects:
-        for i, pool in enumerate(detection.pools):
-            lookup.known(("detection", "pools", i, "subjects"), pool.subjects, offered.subjects, "subject")
-    named = [t.name for t in detection.targets]
-    for i, check in enumerate(detection.areas):
-        lookup.one(("detection", "areas", i, "target"), check.target, named, "detection target")
-        if check.detector not in detection.detectors:
-            lookup.add(("detection", "areas", i, "detector"), f"{check.detector!r} is none of detection.detectors")
-    if detection.unmixing is not None:
-        for i, item in enumerate(detection.unmixing.targets):
-            lookup.one(("detection", "unmixing", "targets", i, "target"), item.target, named, "detection target")
-        lookup.known(("detection", "unmixing", "background"), [detection.unmixing.background], regions, "region")
-    if (detection.areas or detection.unmixing) and not offered.pixel_size:
-        lookup.add(
-            ("detection", "areas" if detection.areas else "unmixing"),
-            "areas need the ground area of a pixel, which neither the cube's map nor targets.pixel_size_m states",
-        )
 
 
 def _spectrum(
