@@ -14,7 +14,7 @@ from hyperval.atmosphere import AtmosphericTerms
 from hyperval.model.detection import Evaluation, PredictedDetection, RocKey, detect, evaluations
 from hyperval.model.inputs import UncertainInput, inputs_of, spectrum_error_covariance, spectrum_inputs, surface_at
 from hyperval.model.notes import engine_notes, provenance_of, saturation_notes, sensor_notes, unstated_notes
-from hyperval.model.objects import expected_scores, object_scores_of_truths, predicted_object_scores
+from hyperval.model.objects import expected_scores, object_scores
 from hyperval.model.propagate import (
     DRAWN_SHIFT,
     Change,
@@ -135,11 +135,11 @@ def _predictions(
         out: dict[int, PredictedProducts] = {}
         for index, e in evaluations(with_truths(world, some), errors):
             detections = detect(e, object_curves=object_curves, points=range(len(e)))
-            scores = object_scores_of_truths(e, None if objects is True else objects) if objects else []
             for u, number in enumerate(index.tolist()):
                 detection = detections[u]
                 if objects and detection.roc:
-                    detection = replace(detection, object_scores=scores[u])
+                    draws = None if objects is True else objects
+                    detection = replace(detection, object_scores=object_scores(e, np.array([u]), draws))
                 out[number] = _joined(e, u, rows, detection)
         yield from (out[number] for number in range(len(some)))
 
@@ -198,7 +198,7 @@ def _prediction(
             steps = np.arange(1 + 2 * pairs)
             here = e if len(e) > 2 * pairs and np.array_equal(parts[0][0][: 1 + 2 * pairs], steps) else None
             here = here or Evaluation(every.rows(steps), errors)
-            scores = predicted_object_scores(here, steps, draws)
+            scores = object_scores(here, steps, draws)
             detection = replace(detection, object_scores=scores, expected_scores=expected_scores(here))
         detection = replace(detection, exceedance=with_law_errors(detection.exceedance, law_directions(e, known)))
     changes = {key: _changes(pd, [len(d) for d in directions[::2]], bool(along)) for key, pd in curves.items()}

@@ -23,9 +23,9 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +34,7 @@ from scipy.special import ndtri
 
 from hyperval.model.detection import Evaluation
 from hyperval.model.fills import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
-from hyperval.model.filters import FILL_NODES, Responses, lit_surface
+from hyperval.model.filters import Responses, lit_surface
 from hyperval.model.surfaces import correlation, cut
 from hyperval.processing.elm import retrieved_reflectance
 from hyperval.processing.filters import LINEAR_DETECTORS
@@ -45,7 +45,7 @@ from hyperval.scene.fill import PHASES, Neighbour, shared_pixel_fills
 from hyperval.scene.radiance import target_pixel_reflectance
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    pass
 
 
 Array = npt.NDArray[np.float64]
@@ -133,26 +133,6 @@ _TOGETHER = 32  # draws of the inputs at once: what a cache holds
 _REACH = 3.0
 
 
-@dataclass(frozen=True)
-class Response:
-    """Mean and variance of a score against the fill (3.26, 3.28), for one target and one filter."""
-
-    mean: CubicSpline
-    variance: CubicSpline
-
-    @staticmethod
-    def through(means: Array, variances: Array) -> Response:
-        """The response that takes values (9,) at FILL_NODES."""
-        from scipy.interpolate import CubicSpline  # a quarter of a second, which spectra alone do not need
-
-        return Response(CubicSpline(FILL_NODES, means), CubicSpline(FILL_NODES, variances))
-
-    def at(self, fill: npt.ArrayLike) -> tuple[Array, Array]:
-        """Mean and standard deviation of the score at fills (...)."""
-        f = np.asarray(fill, dtype=float)
-        return np.asarray(self.mean(f)), np.sqrt(np.clip(self.variance(f), 0.0, None))
-
-
 def response_nodes(e: Evaluation, truths: Index, target: int, detector: str, holds: int) -> tuple[Array, Array]:
     """(P, 9) means and variances at FILL_NODES in some truths (3.26, 3.28).
 
@@ -163,7 +143,7 @@ def response_nodes(e: Evaluation, truths: Index, target: int, detector: str, hol
     return response.means[rows[truths]], response.variances(gain, rows[truths])
 
 
-def predicted_object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dict[Key, ObjectScores]:
+def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dict[Key, ObjectScores]:
     """(subject, detector) -> draws of the greatest score over the pixels of an object (3.26, 3.28 for objects).
 
     Linear detectors alone.  The pixels of an object are independent given their fills and the inputs.
@@ -176,7 +156,7 @@ def predicted_object_scores(e: Evaluation, truths: Index, draws: int | None = No
     """
     u, uncertainty = int(truths[0]), e.scenario.uncertainty
     drawn, targets = input_draws(e, u, uncertainty, (truths.size - 1) // 2), e.world.targets_at(u)
-    thesis, seed = e.scenario.formulation == "thesis", e.scenario.processing.seed
+    certain, thesis, seed = drawn.rows == 1, e.scenario.formulation == "thesis", e.scenario.processing.seed
     linear = [d for d in e.scenario.processing.detectors if d in LINEAR_DETECTORS]
     names = [t.name for t in targets]
     out: dict[Key, ObjectScores] = {}
@@ -186,33 +166,25 @@ def predicted_object_scores(e: Evaluation, truths: Index, draws: int | None = No
             beside = [] if thesis else neighbours_of(target, population, targets)
             wanted = Objects(
                 population, tuple(s for _, s in beside), uncertainty.psf_fwhm_pixels or 0.0, uncertainty.position_m,
-                COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS, thesis, laws, len(linear), seed,
+                (draws or ROWS * COLUMNS) if certain else COLUMNS, thesis, laws, len(linear), seed,
             )  # fmt: skip
-            numbers = drawn_numbers(wanted, drawn.blur)
+            numbers = _few_numbers(wanted) if certain and draws else drawn_numbers(wanted, drawn.blur)
+            others = [names.index(t.name) for t, _ in beside]
             for name, more in zip(linear, numbers.more, strict=True):
-                own = _responses(e, truths, number, name, number)
-                mean, sd = _pixel_scores(e, own, number, [names.index(t.name) for t, _ in beside], name, drawn, numbers,
-                                         truths)  # fmt: skip
-                host_mean, host_sd = own[0].at(np.zeros(1))
-                host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), host_mean, host_sd**2)
-                out[population.name, name] = greatest_scores(mean, sd, host, numbers, more)
+                own = response_nodes(e, truths, number, name, number)
+                full = [np.array(response_nodes(e, truths[:1], number, name, o))[:, 0, -1] for o in others]
+                host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), *(nodes[:1, 0] for nodes in own))
+                # What scores alike in two truths has the same draws in both.
+                alike = [*own, *full, *(() if host is None else vars(host.laws).values())]
+                key = repr(wanted), name, b"".join(a.tobytes() for a in alike)
+                change = [_change(e, u, number, name, o, drawn) for o in (number, *others)]
+                make = partial(_greatest_scores, own, full, change, host, drawn, numbers, more)
+                out[population.name, name] = e.once(key, make)
     return out
-
-
-def _responses(e: Evaluation, truths: Index, target: int, detector: str, holds: int) -> list[Response]:
-    """Of some truths, by the filter that looks for ``target``, for pixels that hold another or the same."""
-    nodes = response_nodes(e, truths, target, detector, holds)
-    return [Response.through(*one) for one in zip(*nodes, strict=True)]
 
 
 def _row(values: Array, u: int) -> Array:
     return values[u if len(values) > 1 else 0]  # type: ignore[no-any-return]
-
-
-def _weights(e: Evaluation, u: int, target: int, detector: str) -> Array:
-    """(F,) of the filter that looks for a target in one truth."""
-    weights = e.filters[e.targets[target].name, detector][0].weights
-    return np.asarray(weights[int(e.which[u])])
 
 
 def _slope(e: Evaluation, u: int, target: int) -> Array:
@@ -364,26 +336,30 @@ def _half_diagonal(geometry: Geometry) -> float:
     return 0.5 * math.hypot(length, width) / geometry.gsd_m
 
 
-def _pixel_scores(
-    e: Evaluation, responses: Sequence[Response], target: int, beside: Sequence[int], name: str, drawn: InputDraws,
-    numbers: Numbers, truths: Index,
-) -> tuple[Array, Array]:  # fmt: skip
-    """(S, R, n) mean score of each pixel, and (L, n) its standard deviation at each place (3.26, 3.28)."""
-    fills, u = numbers.fills, int(truths[0])
-    own, *moved = responses
-    mean, sd = own.at(fills)
-    steps, weights = len(moved) // 2, _weights(e, u, target, name)
+def _greatest_scores(
+    own: tuple[Array, Array], full: Sequence[Array], change: Sequence[Array], host: Host | None, drawn: InputDraws,
+    numbers: Numbers, more: Array | None,
+) -> ObjectScores:  # fmt: skip
+    """Draws of an object by the moments of its pixels at FILL_NODES, mean and variance (P, 9) (3.26, 3.28).
+
+    ``full`` : mean and variance of pixels full of each neighbour;  ``change`` : (S,) of the mean score of pixels full
+    of the target and of each neighbour
+    """
+    means, variances = own
+    each = np.moveaxis(numbers.weights @ means.T, -1, 0)  # (P, L, n)
+    variance = np.clip(numbers.weights @ variances[0], 0.0, None)
+    steps = (len(means) - 1) // 2
     # What the inputs and the neighbours add to the mean is linear in what they are by.
-    parts = [0.5 * (up.at(fills)[0] - down.at(fills)[0]) for up, down in zip(moved[:steps], moved[steps:], strict=True)]
-    by = [*drawn.steps.T, _change(e, u, weights, target, drawn)]
-    parts.append(fills)
-    if beside:
-        host_mean, host_sd = own.at(0.0)
-        full = [_responses(e, truths[:1], target, name, other)[0].at(1.0) for other in beside]
-        by += [m + _change(e, u, weights, o, drawn) - host_mean for (m, _), o in zip(full, beside, strict=True)]
+    parts, by = [0.5 * (each[1 + k] - each[1 + steps + k]) for k in range(steps)], [*drawn.steps.T, change[0]]
+    parts.append(numbers.fills)
+    sd = np.sqrt(variance)
+    if full:
+        by += [mean + c - means[0, 0] for (mean, _), c in zip(full, change[1:], strict=True)]
         parts += list(np.moveaxis(numbers.others, -1, 0))
-        sd = numbers.shared_sd(sd**2, host_sd, np.array([s for _, s in full]))
-    return _mean_draws(mean, np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places), sd
+        host_sd, full_sd = (np.sqrt(np.clip(v, 0.0, None)) for v in (variances[0, 0], np.array(full)[:, 1]))
+        sd = numbers.shared_sd(variance, host_sd, full_sd)
+    mean = _mean_draws(each[0], np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places)
+    return greatest_scores(mean, sd, host, numbers, more)
 
 
 def _mean_draws(mean: Array, parts: Array, by: Array, places: Index) -> Array:
@@ -418,73 +394,15 @@ def greatest_scores(mean: Array, sd: Array, host: Host | None, numbers: Numbers,
     return ObjectScores((mean + away + own * numbers.host + left * more).max(axis=2))
 
 
-def _change(e: Evaluation, u: int, weights: Array, target: int, drawn: InputDraws) -> Array:
-    """(S,) change of the score of a pixel full of the target, by the errors of its spectrum."""
-    out, name = np.zeros(drawn.rows), e.targets[target].name
+def _change(e: Evaluation, u: int, looks_for: int, detector: str, holds: int, drawn: InputDraws) -> Array:
+    """(S,) change of the score of a pixel full of a target, by the errors of its spectrum."""
+    out, name = np.zeros(drawn.rows), e.targets[holds].name
+    weights = e.filters[e.targets[looks_for].name, detector][0].weights[int(e.which[u])]
     if name in drawn.spectra:
-        out = out + drawn.spectra[name] @ (weights * _slope(e, u, target))
+        out = out + drawn.spectra[name] @ (weights * _slope(e, u, holds))
     if name in drawn.collected:
         out = out + drawn.collected[name] @ weights
     return out
-
-
-def object_scores_of_truths(e: Evaluation, draws: int | None = None) -> list[dict[Key, ObjectScores]]:
-    """The draws of :func:`predicted_object_scores` for every truth, nothing of which is uncertain.
-
-    Where replicates leave the spectrum of a target uncertain, each has draws of that too.
-    """
-    truths: npt.NDArray[np.intp] = np.arange(len(e))
-    if any(target.name in e.errors for target in e.targets):
-        return [predicted_object_scores(e, truths[p : p + 1], draws) for p in truths]
-    linear = [d for d in e.scenario.processing.detectors if d in LINEAR_DETECTORS]
-    scenes, names = [e.world.targets_at(int(p)) for p in truths], e.stated.names["target"]
-    thesis, seed = e.scenario.formulation == "thesis", e.scenario.processing.seed
-    out: list[dict[Key, ObjectScores]] = [{} for _ in truths]
-    for number in range(len(e.targets)):
-        alike: dict[tuple[str, Laws], list[int]] = {}
-        for point, targets in enumerate(scenes):
-            fills = "" if targets == e.targets else repr([p.fill for t in targets for p in t.populations])
-            alike.setdefault((fills, host_laws(e, number, point)), []).append(point)
-        for (_, laws), members in alike.items():
-            targets = scenes[members[0]]
-            for population in targets[number].populations:
-                beside = [] if thesis else neighbours_of(targets[number], population, targets)
-                wanted = Objects(
-                    population, tuple(s for _, s in beside), 0.0, None, draws or ROWS * COLUMNS, thesis, laws,
-                    len(linear), seed,
-                )  # fmt: skip
-                numbers = _few_numbers(wanted) if draws else drawn_numbers(wanted, np.zeros(1))
-                for name, more in zip(linear, numbers.more, strict=True):
-                    at = np.array(members)
-                    own = response_nodes(e, at, number, name, number)
-                    share, bare = numbers.rest.reshape(1, -1), [moments[:, 0] for moments in own]
-                    host = e.host(number, name, at, share, *bare)
-                    full = [response_nodes(e, at, number, name, names.index(t.name)) for t, _ in beside]
-                    scores = _scores(own[0], own[1], full, host, numbers, more)
-                    for point, one in zip(members, scores, strict=True):
-                        out[point][population.name, name] = one
-    return out
-
-
-def _scores(
-    means: Array, variances: Array, beside: Sequence[tuple[Array, Array]], host: Host | None, numbers: Numbers,
-    more: Array | None,
-) -> Iterator[ObjectScores]:  # fmt: skip
-    """Draws of an object in P truths, by (P, 9) moments of pixels with parts of itself, and of each neighbour."""
-    rows, nodes = numbers.weights.reshape(-1, means.shape[1]), np.concatenate([means, variances])
-    moments = (nodes @ rows.T).reshape(2, len(means), *numbers.fills.shape)
-    made: dict[bytes, ObjectScores] = {}
-    for p, (mean, variance) in enumerate(moments.swapaxes(0, 1)):
-        full = np.array([(level[p, -1], spread[p, -1]) for level, spread in beside]).reshape(-1, 2)
-        of_host = None if host is None else host.rows(np.array([p]))
-        laws = b"" if of_host is None else b"".join(a.tobytes() for a in vars(of_host.laws).values())
-        key = nodes[[p, len(means) + p]].tobytes() + full.tobytes() + laws
-        if key not in made:
-            full_sd, host_sd = (np.sqrt(np.clip(v, 0.0, None)) for v in (full[:, 1], variances[p, 0]))
-            mean = mean + numbers.others @ (full[:, 0] - means[p, 0])
-            sd = numbers.shared_sd(np.clip(variance, 0.0, None), host_sd, full_sd)
-            made[key] = greatest_scores(mean[numbers.places], sd, of_host, numbers, more)
-        yield made[key]
 
 
 @lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
