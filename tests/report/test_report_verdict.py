@@ -5,13 +5,16 @@ import math
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from hyperval import cli
+from hyperval.figures import criteria_figure
 from hyperval.metrics import Evidence, explained, metric_of, plain_words
 from hyperval.report.html import same_background_once
 from hyperval.report.verdict import (
     disagrees_without_gating,
+    first_screen,
     gate_fails,
     interval_text,
     last_line,
@@ -87,10 +90,10 @@ def test_one_falsified_gate_turns_the_verdict():
     assert verdict(rows)[0] is D
 
 
-def test_a_disagreement_that_does_not_decide_is_told_and_forbids_to_agree():
+def test_a_disagreement_that_does_not_decide_is_told_and_turns_nothing():
     tone, words = verdict([row(A), informing(D, "green planks")])
-    assert tone is U
-    assert words.startswith("Met, with reservations.")
+    assert tone is A
+    assert words.startswith("Met. 1 acceptance criterion is met")
     assert "1 informational comparison is not met (mean level of the radiance: green planks)" in words
 
 
@@ -175,7 +178,7 @@ def test_the_sentence_of_a_page_says_what_the_table_says(small, tmp_path):
     small.gate("radiance")["at_most"] = 0.002  # some of it does not hold, some cannot be told
     cli.run(["-q", "validate", str(small.write()), "-o", str(tmp_path / "out")])
     page = (tmp_path / "out" / "report.html").read_text()
-    (sentence,) = re.findall(r'<p class="verdict \w+">(.*?)</p>', page, re.DOTALL)
+    (sentence,) = re.findall(r"<summary>All of it in words</summary><p>(.*?)</p>", page, re.DOTALL)
     with (tmp_path / "out" / "results.csv").open(newline="") as stream:
         gates = [r for r in csv.DictReader(stream) if r["role"] == "gate"]
     model = [r for r in gates if r["evidence"] == "model"]
@@ -195,6 +198,9 @@ def test_the_sentence_of_a_page_says_what_the_table_says(small, tmp_path):
             in_words = {"roc": "probability of detection"}.get(product, product)
             assert in_words in told[2] or product in told[2], (outcome, product)
     assert sentence.startswith("Not met.") == ("disagrees" in seen)
+    assert ('<p class="status">Not met</p>' in page) == ("disagrees" in seen)
+    failed = sum(r["outcome"] == "disagrees" for r in model)
+    assert f'<p class="lead">{failed} of {len(model)} acceptance criteria' in page
 
 
 def test_the_same_background_of_several_sizes_is_one_row():
@@ -209,3 +215,58 @@ def test_the_same_background_of_several_sizes_is_one_row():
         ("felt 3 m background and 2 alike", 1.0), ("felt 3 m", 1.0), ("felt 2 m", 1.0), ("other background", 1.1),
     ]  # fmt: skip
     assert [name for name, _ in names[4:]] == ["felt 1 m background and 1 alike"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "head"),
+    [
+        ([row(A), row(A)], "Met"),
+        ([row(A), informing(D)], "Met"),
+        ([row(A), row(U)], "Met in part"),
+        ([row(U)], "Inconclusive"),
+        ([row(D), row(A)], "Not met"),
+        ([row(S)], "Not run"),
+        ([informing(D)], "No acceptance criteria"),
+    ],
+)
+def test_the_status_is_one_word(rows, head):
+    screen = first_screen(rows)
+    assert screen.head == head
+    assert screen.steps
+    assert (screen.outcome is N) == (head == "No acceptance criteria"), "which is no warning"
+
+
+def criterion(outcome, value, subject="grass", half=0.02, **more):
+    told = {"effect": 100.0 * value, "effect_unit": "% of radiance", "ideal": 0.0}
+    told |= {"effect_lower": 100.0 * (value - half), "effect_upper": 100.0 * (value + half)}
+    told |= {"accepted_low": -5.0, "accepted_high": 5.0}
+    names = "c", "radiance", subject, "m", "median_difference_ratio_windows"
+    return Result(*names, value, role=Role.GATE, outcome=outcome, **told, **more)
+
+
+def test_criteria_are_drawn_in_units_of_the_field_with_what_is_accepted():
+    rows = [criterion(A, 0.01), criterion(D, 0.12, "lawn", detectable_low=-8.0, detectable_high=8.0)]
+    (view,) = criteria_figure(rows).views
+    (part,) = view.parts
+    assert part.y.names == ("lawn", "grass"), "the worst first"
+    assert part.y.notes == ("+12 % (10 to 14)", "+1 % (−1 to 3)")
+    assert part.x.label == "Radiance: level [% of radiance]"
+    marks = [mark for mark in part.marks if not np.isnan(next(iter(mark.columns.values()))).all()]
+    accepted, failed, met, found = marks
+    np.testing.assert_allclose([accepted.columns["left"][0], accepted.columns["right"][0]], [-5.0, 5.0])
+    np.testing.assert_allclose([failed.columns["x"][0], met.columns["x"][0]], [12.0, 1.0])
+    np.testing.assert_allclose(sorted(found.columns["x"]), [-8.0, 8.0])
+    assert {mark.label for mark in part.marks} == {"", "accepted range", "not met", "met", "smallest detectable error"}
+
+
+def test_an_effect_without_stated_uncertainty_shows_no_interval():
+    (view,) = criteria_figure([criterion(A, 0.01, half=0.0)]).views
+    assert view.parts[0].y.notes == ("+1 %",)
+
+
+def test_many_criteria_that_are_met_share_a_row():
+    rows = [criterion(A, 0.001 * i, f"subject {i}") for i in range(30)] + [criterion(D, 0.2, "lawn")]
+    (part,) = criteria_figure(rows).views[0].parts
+    assert part.y.names[-1].endswith("more, met")
+    assert len(part.y.names) < 12
+    assert criteria_figure([row(S)]) is None

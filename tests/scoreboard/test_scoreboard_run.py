@@ -26,7 +26,7 @@ def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperval.report.benchmark.benchmark_figures", lambda report: [])
+    monkeypatch.setattr("hyperval.scoreboard.one.benchmark_figures", lambda done: [])
 
 
 def rows_of(folder: Path) -> list[dict[str, str]]:

@@ -87,6 +87,14 @@ function colours(plot, scale) {
   return mapper;
 }
 
+// Names and notes of plots that stand above each other have common columns.
+const pen = document.createElement("canvas").getContext("2d");
+function borders(parts) {
+  pen.font = "12px system-ui, Liberation Sans, Arial, sans-serif";
+  const widest = (key) => Math.max(0, ...parts.flatMap((part) => part.y[key] ?? []).map((words) => pen.measureText(words).width));
+  return { left: Math.max(widest("names") * 1.06 + 18, 72), right: widest("notes") > 0 ? widest("notes") * 1.06 + 18 : 0 };
+}
+
 const named = (axis) => axis.scale === "names";
 
 function tips(mark, x, y, data) {
@@ -134,15 +142,15 @@ function notesBeside(plot, axis) {
   }), "right");
 }
 
-function legendOf(plot, entries, title, narrow) {
+function legendOf(plot, entries, title, narrow, width) {
   const labels = [...entries.keys()];
   if (labels.length === 0) return 0;
-  const items = labels.map((value) => new Bokeh.LegendItem({ label: { value }, renderers: entries.get(value) }));
-  const beside = !narrow && (labels.length > 8 || title !== "");
-  const room = Math.max(Math.floor((narrow ? 44 : 110) / (Math.max(...labels.map((l) => l.length)) + 5)), 1);
+  const items = labels.map((value) => new Bokeh.LegendItem({ label: { value: `${value}\u2003` }, renderers: entries.get(value) }));
+  const beside = !narrow && ((width > 700 && labels.length > 8) || title !== "");
+  const room = Math.max(Math.floor((width - 40) / (6.2 * Math.max(...labels.map((l) => l.length)) + 44)), 1);
   plot.add_layout(new Bokeh.Legend({
     items, click_policy: "hide", background_fill_alpha: 0, border_line_alpha: 0, label_text_color: INK, label_text_font_size: "12px",
-    title: title || null, title_text_color: INK, title_text_font_style: "normal", padding: 2, margin: 0, spacing: beside ? 1 : 14, ncols: beside ? 1 : room,
+    title: title || null, title_text_color: INK, title_text_font_style: "normal", padding: 2, margin: 0, spacing: 1, ncols: beside ? 1 : room,
   }), beside ? "right" : "above");
   return beside ? 0 : 22 * Math.ceil(labels.length / room);
 }
@@ -157,7 +165,7 @@ function plotOf(figure, part, number, shared, note) {
   const plot = Bokeh.Plotting.figure({
     sizing_mode: "stretch_width", height, tools, x_axis_type: x.scale === "log" ? "log" : "linear", y_axis_type: y.scale === "log" ? "log" : "linear",
     x_range: part.own || shared.x === undefined ? range(x, false) : shared.x, y_range: range(y, named(y)),
-    toolbar_location: narrow ? null : "right", background_fill_alpha: 0, border_fill_alpha: 0, outline_line_color: null, min_border_left: narrow ? 46 : 72,
+    toolbar_location: narrow ? null : "right", background_fill_alpha: 0, border_fill_alpha: 0, outline_line_color: null, min_border_left: inside ? 12 : narrow ? 46 : shared.borders.left, min_border_right: inside || narrow ? 8 : shared.borders.right,
   });
   if (!part.own) shared.x ??= plot.x_range;
   if (plot.toolbar) Object.assign(plot.toolbar, { logo: null, autohide: true });
@@ -185,7 +193,7 @@ function plotOf(figure, part, number, shared, note) {
   }
   if (inside) rowsInside(plot, y, x);
   else if (y.notes) notesBeside(plot, y);
-  plot.height += legendOf(plot, number === 0 || part.own ? entries : new Map(), figure.legend_title ?? "", narrow);
+  plot.height += legendOf(plot, number === 0 || part.own ? entries : new Map(), figure.legend_title ?? "", narrow, shared.width);
   if (note) plot.add_layout(new Bokeh.Title({ text: note, text_font_style: "normal", text_color: SOFT, text_font_size: "12px" }), "above");
   return plot;
 }
@@ -212,7 +220,7 @@ async function show(place, figure, chosen) {
   const view = chosen.subject === FIRST ? together(views) : one ?? views[0];
   drawnFigures.get(place)?.view?.remove?.();
   place.replaceChildren();
-  const shared = {};
+  const shared = { borders: borders(view.parts), width: place.clientWidth || 900 };
   const plots = view.parts.map((part, number) => plotOf(figure, part, number, shared, number === 0 ? view.note : ""));
   for (const [i, plot] of plots.entries()) if (i < plots.length - 1 && !view.parts[i].own && !view.parts[i + 1].own) plot.xaxis.axis_label = "";
   const whole = plots.length === 1 ? plots[0] : new Bokeh.Column({ children: plots, sizing_mode: "stretch_width" });

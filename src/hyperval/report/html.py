@@ -24,9 +24,11 @@ from markupsafe import Markup
 import hyperval
 from hyperval.errors import UsageError
 from hyperval.figures.catalogue import first_figures, further_figures
+from hyperval.figures.criteria import WORDS, criteria_figure
 from hyperval.figures.detection import many_objects_figure
 from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
 from hyperval.figures.spec import Drawing, Figure, statement
+from hyperval.figures.spectra import SPECTRA
 from hyperval.metrics import Evidence, explained
 from hyperval.products import ObservedProducts, PredictedProducts, background_of
 from hyperval.report import verdict as v
@@ -89,7 +91,7 @@ LETTERS = {
     Outcome.AGREES: "M", Outcome.DISAGREES: "N", Outcome.ERROR: "E", Outcome.UNDECIDED: "I", Outcome.SKIPPED: "S",
     Outcome.NONE: "",
 }  # fmt: skip
-_MOST_OPEN_LINES = 16  # lines before the rest is folded
+_MOST_OPEN_LINES = 6  # lines before the rest is folded
 
 
 @dataclass(frozen=True)
@@ -212,6 +214,7 @@ _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that dr
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")  # of a run, beside each other, before everything else
 _BUDGET = "radiance-budget"
 _FIRST_FIGURES = PICTURES  # that are embedded whatever else there is no room for
+_MOST_OPEN_FIGURES = 2  # of spectra and curves; the others are folded in their sections
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
 _MOST_ROWS = 60  # rows of one section that nothing was planned for
@@ -261,13 +264,19 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
     rows = list(run.table)
     sides = (run.prediction, run.observation)
-    charts = _worst_first(first_figures(sides, run.table), rows)
+    spectra = _worst_first(first_figures(sides, run.table), rows)
     many = many_objects_figure(run.score_maps, sides)
+    charts, further = spectra[:_MOST_OPEN_FIGURES], spectra[_MOST_OPEN_FIGURES:]
     charts += [many] if many is not None else []
     plots = further_figures(sides, run.table, run.eigenvalues, run.tails, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
-    folded = [one for one in plots if many is None or one.name != "object-scores"]
-    statements = {one.name: statement(one) for one in (*charts, *folded)}
+    folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
+    planned = [row for row in rows if row.planned]
+    screen = v.first_screen(rows, run.power.sentence.partition(". ")[0] + "." if run.power else "")
+    forest = criteria_figure(rows) if planned and not run.sentence else None
+    worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
+    first = [one for one in (forest, worst) if one is not None]
+    statements = {one.name: statement(one) for one in (*first, *charts, *folded)}
     embedded = _embedded(drawings, statements)
     shown = same_background_once(rows)
     sections = _sections(run, drawings, folded, embedded, shown)
@@ -279,9 +288,12 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         matrix = matrix_of(own, lambda r: r.subject, _link, _COMPARED)
         if matrix is not None:
             matrices.append((title, matrix))
-    planned = [row for row in rows if row.planned]
-    return environment().get_template("report.html.j2").render(
+    return page(
+        "report.html.j2", statements,
         run=run,
+        screen=screen,
+        forest=forest,
+        worst=worst,
         tone=tone,
         verdict=run.sentence or words,
         compares=bool(planned),
@@ -299,7 +311,6 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         budget=[chart for chart in folded if chart.name == _BUDGET],
         sections=[section for section in sections if section.name not in _REASONS],
         reasons=[section for section in sections if section.name in _REASONS],
-        **drawn_words(statements),
         undone=_undone(rows),
         notes=_all_notes(run),
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
@@ -307,8 +318,23 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         maps=len(run.score_maps),
         metrics=explained(row.metric for row in planned),
         most_open=_MOST_OPEN,
-        **common_words(),
     )  # fmt: skip
+
+
+def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | None:
+    """What shows the worst criterion, small: the difference of its spectrum, its curve, the scores of its objects."""
+    if row is None:
+        return None
+    for figure in figures:
+        if figure.section != row.product or any(part.y.names for view in figure.views for part in view.parts):
+            continue
+        own = [view for view in figure.views if view.subject.startswith(row.subject)]
+        own = own or (list(figure.views) if row.subject in ("all", "all objects", "*") else [])
+        if own:
+            parts = own[0].parts[-1:] if figure.section in SPECTRA else own[0].parts[:1]
+            title = f"{SECTIONS.get(row.product, row.product)}: {own[0].subject or row.subject}"
+            return replace(figure, name="worst", title=title, views=(replace(own[0], parts=parts),), legend="")
+    return None
 
 
 def _link(subject: str, rows: Sequence[Result]) -> str:
@@ -351,9 +377,7 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
         (remedy, [(run, f"{folders[run.campaign]}/report.html") for run in runs if run.remedy == remedy])
         for remedy in remedies
     ]
-    return environment().get_template("index.html.j2").render(
-        title=title, groups=groups, absent=absent, count=len(runs), **common_words()
-    )  # fmt: skip
+    return page("index.html.j2", title=title, groups=groups, absent=absent, count=len(runs))
 
 
 def _first_words(run: RunReport) -> tuple[Outcome, str]:
@@ -383,7 +407,7 @@ def environment() -> jinja2.Environment:
         limits=v.limits_text,
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         row_name=row_name,
-        outcome=lambda word: v.OUTCOMES[Outcome(word)],
+        outcome=lambda word: WORDS[Outcome(word)],
         nm=lambda row: f"{row.band_nm:.1f} nm" if row.per_band else "",
         breakable=_breakable,
         subject=_subject_text,
@@ -391,14 +415,6 @@ def environment() -> jinja2.Environment:
         letter=lambda row: LETTERS[row.outcome] if row.gates else LETTERS[row.outcome].lower(),
     )
     return environment
-
-
-def drawn_words(statements: Mapping[str, str]) -> dict[str, Any]:
-    """What a page with figures holds besides them: name of each -> its statement, and the scripts that draw them."""
-    return {
-        "statements": statements, "library": packed_library() if statements else (),
-        "starter": script() if statements else "", "script_hashes": page_hashes() if statements else "",
-    }  # fmt: skip
 
 
 def page_hashes() -> str:
@@ -413,16 +429,18 @@ def equivalence_margin(provenance: Mapping[str, Any]) -> float | None:
     return float(margin) if isinstance(margin, int | float) else None
 
 
-def common_words() -> dict[str, Any]:
-    """What every page says: version, when it was made, how much is listed."""
-    return {
-        "version": hyperval.__version__,
-        "generated": _generated(),
-        "most_listed": _MOST_LISTED,
-        "most_rows": _MOST_ROWS,
-        "page_script": page_script(),
-        "page_script_hash": page_script_hash(),
-    }
+def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **words: Any) -> str:
+    """One page: its template with what every page says, and the figures that it holds with the scripts that draw them.
+
+    ``drawn`` : the figures, or their statements by name, where these are known already
+    """
+    statements = dict(drawn) if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn}
+    return environment().get_template(template).render(
+        **words, statements=statements, library=packed_library() if statements else (),
+        starter=script() if statements else "", script_hashes=page_hashes() if statements else page_script_hash(),
+        version=hyperval.__version__, generated=_generated(), most_listed=_MOST_LISTED, most_rows=_MOST_ROWS,
+        page_script=page_script(),
+    )  # fmt: skip
 
 
 def _generated() -> str | None:

@@ -12,10 +12,10 @@ import numpy as np
 
 from hyperval.errors import UsageError
 from hyperval.figures.catalogue import first_figures
-from hyperval.figures.spec import Figure, statement
+from hyperval.figures.spec import Figure
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
-from hyperval.report.html import common_words, drawn_words, environment
+from hyperval.report.html import page
 from hyperval.results import WORST_FIRST, Cause, Outcome, Pair, Result, ResultTable, paired
 from hyperval.run import Run
 from hyperval.storage import whole_folder
@@ -78,7 +78,8 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
     charts = [] if len(moved) + len(changed) == 0 else _charts(a, b)
     labels = zip("AB", (a, b), _names(a.folder or Path(), b.folder or Path()), strict=True)
-    return environment().get_template("pair.html.j2").render(
+    return page(
+        "pair.html.j2", charts,
         runs=[{"label": label, "folder": name, "verdict": v.verdict(run.table),
                "counts": v.outcome_words(run.table)} for label, run, name in labels],
         changed=changed,
@@ -90,11 +91,9 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         identical=not moved and all(p.a and p.b and not p.verdict_changed for p in pairs),
         inputs=provenance_differences(a, b),
         charts=charts,
-        **drawn_words({one.name: statement(one) for one in charts}),
         figures=_figures(a, b),
         alike=_alike(a, b),
         number=v.number_text,
-        **common_words(),
     )  # fmt: skip
 
 

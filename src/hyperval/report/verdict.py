@@ -4,14 +4,28 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
-from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
+from hyperval.figures.criteria import (
+    WORDS,
+    criteria_of,
+    effect_text,
+    product_words,
+    ranked,
+    row_label,
+    short_text,
+)
+from hyperval.metrics import Evidence, Kind, metric_of, plain_words
 from hyperval.results import WORST_FIRST, Cause, Outcome, Result
 
 _MOST_NAMED = 9
 _MOST_KINDS = 5
 _LONGEST_NAME = 70
+_LEVEL = 0.01  # of the attribution: above it nothing is left to explain
+_NEARLY = 0.8  # of the greatest gain
+_PLAUSIBLE = 3.0  # standard uncertainties
+_MOST_STEPS = 3
 _KINDS = {
     Evidence.MODEL: ("acceptance criterion", "acceptance criteria"),
     Evidence.PIPELINE: ("check of the pipeline", "checks of the pipeline"),
@@ -24,17 +38,13 @@ _VERBS = (
     (Outcome.SKIPPED, "was not run", "were not run"),
     (Outcome.AGREES, "is met", "are met"),
 )
-OUTCOMES = {
-    Outcome.AGREES: "met", Outcome.DISAGREES: "not met", Outcome.ERROR: "error", Outcome.UNDECIDED: "inconclusive",
-    Outcome.SKIPPED: "not run", Outcome.NONE: "without a range",
-}  # fmt: skip
 
 
 def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
     """What the criteria conclude together, and a few sentences: what is met, what is not, what is inconclusive.
 
     Criteria that the model moves are counted apart from checks of the pipeline.  Informational comparisons that are
-    not met are named too, and "Met." needs that there is none.  Where criteria are met and a full test or the
+    not met are named too, and turn nothing.  Where criteria are met and a full test or the
     attribution rejects, a sentence says which to believe.
     """
     rows = list(rows)
@@ -47,7 +57,7 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
         words = ["Not met."]
     elif not gates:
         words = ["This campaign has no acceptance criteria."]
-        overall = Outcome.UNDECIDED if telling else Outcome.NONE
+        overall = Outcome.NONE
     elif all(row.outcome is Outcome.SKIPPED for row in gates):
         words, overall = ["Not run: no acceptance criterion was evaluated."], Outcome.SKIPPED
     elif not decided:
@@ -56,7 +66,7 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
     elif not any(row.outcome is Outcome.AGREES for row in model):
         words, overall = ["Inconclusive: no criterion of the model was decided."], Outcome.UNDECIDED
     elif overall is Outcome.AGREES:
-        words, overall = (["Met, with reservations."], Outcome.UNDECIDED) if telling else (["Met."], overall)
+        words = ["Met."]
     else:
         words, overall = ["Met in part."], Outcome.UNDECIDED
     words += [_counted([row for row in gates if row.evidence is kind], kind) for kind in _KINDS]
@@ -69,6 +79,149 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
     if unsure:
         words.append(f"{unsure} informational comparison{' is' if unsure == 1 else 's are'} inconclusive.")
     return overall, " ".join(part for part in words if part)
+
+
+@dataclass(frozen=True)
+class FirstScreen:
+    """What a page says first.
+
+    Attributes
+    ----------
+    outcome, head, lead : status in one word and in a sentence or two
+    asides : what else a reader has to know before the figures
+    products : what each is called, number of criteria by outcome, the same in words
+    worst : the criterion that stands first, None without any
+    reason : what explains the differences best, and how sure that is; empty where nothing was asked
+    steps : what to do next
+    """
+
+    outcome: Outcome
+    head: str
+    lead: str
+    asides: list[str]
+    products: list[tuple[str, list[tuple[Outcome, int]], str]]
+    worst: Result | None
+    reason: str
+    steps: list[str]
+
+
+def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
+    """Status, worst criterion, reason and next steps of a run; ``power`` : what it could have found, in words."""
+    model = [row for row in rows if row.gates and row.evidence is Evidence.MODEL]
+    told = ranked(criteria_of(rows))
+    told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
+    worst = told[0] if told else None
+    outcome, _ = verdict(rows)
+    counts = Counter(row.outcome for row in model)
+    n, noun = len(model), "acceptance criterion" if len(model) == 1 else "acceptance criteria"
+    first = f"{product_words(worst.product)}, {row_label(worst)}, {effect_text(worst)}" if worst is not None else ""
+    failed = counts[Outcome.DISAGREES] + counts[Outcome.ERROR]
+    broken = [row for row in rows if row.outcome is Outcome.ERROR]
+    if failed or broken or outcome is Outcome.DISAGREES:
+        head, lead = (
+            "Not met",
+            f"{failed} of {n} {noun} {'is' if failed == 1 else 'are'} not met" + _others(counts) + ".",
+        )
+        if not failed:
+            pipeline = [row for row in rows if gate_fails(row)]
+            lead = f"{outcome_words(pipeline)}: {_named(pipeline)}. {n} {noun} of the model: {outcome_words(model)}."
+        lead += f" Worst: {first}." if failed and first else ""
+    elif not any(row.gates for row in rows):
+        outside = sum(row.outcome is Outcome.DISAGREES for row in rows)
+        head = "No acceptance criteria"
+        lead = f"Nothing here can pass or fail. {outside} informational comparisons are outside their range."
+    elif outcome is Outcome.SKIPPED or (n and counts[Outcome.SKIPPED] == n):
+        head, lead = "Not run", f"None of {n} {noun} was evaluated."
+    elif outcome is Outcome.AGREES:
+        head, lead = "Met", ("The acceptance criterion is met." if n == 1 else f"All {n} acceptance criteria are met.")
+        lead += f" Closest to its limit: {first}." if first else ""
+    else:
+        head = "Met in part" if counts[Outcome.AGREES] else "Inconclusive"
+        lead = f"{counts[Outcome.AGREES]} of {n} {noun} are met{_others(counts, Outcome.AGREES)}."
+        lead += f" Least certain: {first}." if first else ""
+    checks = [row for row in rows if row.gates and row.evidence is Evidence.PIPELINE]
+    asides = [power] if power else []
+    asides += [_never_met(model)] if any(row.never_met for row in model) else []
+    asides += [_which_to_believe(rows)]
+    asides += [f"Checks of the processing alone: {outcome_words(checks)}."] if checks else []
+    kinds = dict.fromkeys(row.product for row in told if row.gates)
+    products = [_product(kind, [row for row in model if row.product == kind]) for kind in kinds]
+    reason = _reason(rows, worst.subject if worst else "all")
+    return FirstScreen(outcome, head, lead, [a for a in asides if a], products, worst, reason,
+                       _steps(rows, told, reason))  # fmt: skip
+
+
+def _others(counts: Mapping[Outcome, int], but: Outcome = Outcome.DISAGREES) -> str:
+    """ "; 5 inconclusive and 10 met" """
+    parts = [f"{counts[o]} {WORDS[o]}" for o in WORST_FIRST if o is not but and counts[o]]
+    return f"; {' and '.join(parts)}" if parts else ""
+
+
+def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome, int]], str]:
+    counts = Counter(row.outcome for row in rows)
+    parts = [(o, counts[o]) for o in WORST_FIRST if counts[o]]
+    words = f"all {len(rows)} {WORDS[parts[0][0]]}" if len(parts) == 1 < len(rows) else outcome_words(rows)
+    return product_words(name), parts, words
+
+
+def _reason(rows: Sequence[Result], subject: str) -> str:
+    """What explains the differences best, and how sure that is, by the likelihoods of the attribution."""
+    every = [row for row in rows if row.product == "attribution"]
+    own = [row for row in every if row.subject == subject] or [row for row in every if row.subject == "all"]
+    of = {(row.method, row.metric): row.value for row in own}
+    square, p, rest = (
+        next((value for (_, name), value in of.items() if name == metric), math.nan)
+        for metric in ("reduced_chi_square", "p_value", "p_value_explained")
+    )
+    gains = sorted(((value, name) for (name, metric), value in of.items() if metric == "likelihood_gain"), reverse=True)
+    if math.isnan(p):
+        return ""
+    said = f"reduced χ² {number_text(square, square)}"
+    if p > _LEVEL or not gains:
+        wide = "; far smaller, so that the budget may be too wide" if square < 0.5 else ""
+        return f"Nothing to explain: differences are within the stated uncertainty ({said}){wide}."
+    (gain, name), others = gains[0], gains[1:]
+    needed = of.get((name, "needed_uncertainty"), math.nan)
+    words = f"Most likely {name.replace('_', ' ')}"
+    words += f", off by {number_text(needed, needed)} times its uncertainty or step" if needed > 0 else ""
+    if others and others[0][0] > _NEARLY * gain:
+        words += f"; {others[0][1].replace('_', ' ')} explains nearly as much"
+    enough = rest > _LEVEL
+    sure = "likely" if enough and needed <= _PLAUSIBLE else "tentative" if enough else "not the whole cause"
+    left = "" if enough else f"; even the best inputs together leave differences unexplained ({said})"
+    return f"{words}{left}. How sure: {sure}."
+
+
+def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[str]:
+    """What to do, at most three lines."""
+    steps = []
+    criteria = [row for row in told if row.gates]
+    if any(row.outcome is Outcome.DISAGREES for row in criteria) and reason.startswith("Most likely"):
+        name = reason.removeprefix("Most likely ").partition(",")[0].partition(";")[0]
+        beyond = (
+            "Look beyond the inputs that were tried; the nearest is" if "not the whole cause" in reason else "Check"
+        )
+        steps.append(f"{beyond} {name}: measure it again, or state a larger uncertainty with its reason.")
+    unsure = [
+        row for row in criteria if row.outcome is Outcome.UNDECIDED
+        and all(map(math.isfinite, (row.effect_lower, row.effect_upper, row.accepted_low, row.accepted_high)))
+    ]  # fmt: skip
+    if unsure:
+        row = max(unsure, key=lambda one: one.effect_upper - one.effect_lower)
+        half, room = 0.5 * (row.effect_upper - row.effect_lower), 0.5 * (row.accepted_high - row.accepted_low)
+        steps.append(
+            f"Narrow the intervals of what is inconclusive: {product_words(row.product)} of {row_label(row)} "
+            f"is known to ±{short_text(half)} and needs better than ±{short_text(room)} ({row.effect_unit})."
+        )
+    if any(row.gates and row.outcome is Outcome.SKIPPED for row in rows):
+        steps.append("Get what is missing for the criteria that were not run: it stands under Not compared.")
+    telling = sum(disagrees_without_gating(row) for row in rows)
+    if telling and len(steps) < _MOST_STEPS:
+        those = "comparison that is" if telling == 1 else "comparisons that are"
+        steps.append(f"Look at the {telling} informational {those} not met; the status stays as it is.")
+    if not criteria and any(row.planned for row in rows):
+        steps.append("State acceptance criteria, if this campaign is to pass or fail.")
+    return steps or ["Nothing: keep these numbers as accepted."]
 
 
 def _never_met(gates: Sequence[Result]) -> str:
@@ -154,7 +307,7 @@ def disagrees_without_gating(row: Result) -> bool:
 def outcome_words(rows: Iterable[Result]) -> str:
     """Number of rows by outcome: "3 met, 1 not met, 40 without a range"."""
     count = Counter(row.outcome for row in rows)
-    return ", ".join(f"{count[key]} {name}" for key, name in OUTCOMES.items() if count[key]) or "no rows"
+    return ", ".join(f"{count[key]} {name}" for key, name in WORDS.items() if count[key]) or "no rows"
 
 
 def accepted_words(rows: Iterable[Result]) -> str:

@@ -1,16 +1,19 @@
 """The benchmark: all detectors on each campaign, and the folder with the results.
 
-Detectors of the user's own: Python files that register them.
+Detectors of the user's own: Python files that register them.  The page: detectors with ranks, campaign by campaign.
 """
 
 from __future__ import annotations
 
+import math
 import runpy
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from hyperval.campaign.job import AnyJob, Job, Waiting, jobs_of
 from hyperval.campaign.provenance import command_without_output, record_of
@@ -19,10 +22,13 @@ from hyperval.campaign.sides import Inputs, collected
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers
+from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, measured_mark, row_names
 from hyperval.observe.place import open_place
 from hyperval.progress import step, track
-from hyperval.report.benchmark import BenchmarkReport, CampaignWords, write_benchmark
+from hyperval.report.html import page
+from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
+from hyperval.run import Run
 from hyperval.scenario import Scenario
 from hyperval.scoreboard.looks import (
     EVERY_OBJECT,
@@ -38,6 +44,7 @@ from hyperval.scoreboard.ranks import MEASURES
 from hyperval.storage import sha256_of, whole_folder
 
 _LOADED: set[Path] = set()
+_TITLES = {m.name: m.title for m in MEASURES.values()}
 
 
 def load_extensions(paths: Iterable[Path]) -> None:
@@ -223,15 +230,171 @@ def _done(entries: Sequence[Entry], scheduler: str | None, show_progress: bool |
 
 
 def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, folder: Path) -> None:
-    report = BenchmarkReport(
-        ResultTable(row for d in done for row in d.rows),
-        [CampaignWords(d.name, d.title, d.simulated, tuple(d.notes)) for d in done],
-        {m.name: m.title for m in MEASURES.values()},
-    )
+    from hyperval.figures.print import drawings_of
+
     record: dict[str, Any] = {
         "command": command_without_output(),
         "seed": seed,
         "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
         "campaigns": {d.name: d.provenance for d in done},
     }
-    write_benchmark(folder, report, record)
+    figures, simulated = benchmark_figures(done), {d.name: d.simulated for d in done}
+    drawings = [one for figure in figures for one in drawings_of([figure], simulated=simulated[figure.section])]
+    files = {one.file_name: one.content for one in drawings}
+    Run(ResultTable(row for d in done for row in d.rows), record).write(folder, benchmark_page(done, figures), files)
+
+
+_MOST_SUBJECTS = 30
+_RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
+
+
+def detector_figure(name: str, rows: Sequence[Result], groups: Sequence[tuple[str, ...]]) -> Figure | None:
+    """A view for each metric on all objects: value, interval, rank with its set."""
+    here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_OBJECT and r.outcome is Outcome.NONE}
+    detectors, captions = row_names([" = ".join(g) for g in groups]), []
+    views = []
+    for metric in [m for m in _TITLES if any(metric == m for _, metric in here)]:
+        pairs = [[here.get((f"{g[0]}/object", f"{p}{metric}")) for p in ("", "rank_")] for g in groups]
+        known = [(i, row, rank) for i, (row, rank) in enumerate(pairs) if row is not None and rank is not None]
+        # Densities of false alarms are drawn on a logarithmic axis, where none stands at its left end.
+        far = metric.startswith("far")
+        positive = [v for _, row, _ in known for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
+        floor = 0.5 * min(positive, default=1.0) if far else -math.inf
+        marks, notes = [], [""] * len(groups)
+        for first in (True, False):
+            own = [(i, row, rank) for i, row, rank in known if (rank.lower <= 1) == first]
+            values = np.array([(row.value, row.lower, row.upper, i) for i, row, _ in own], float).reshape(-1, 4).T
+            columns = dict(zip(("x", "low", "high"), np.maximum(values[:3], floor), strict=True)) | {"y": values[3]}
+            label = "may be first" if first else "is not first"
+            marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
+            for i, row, rank in own:
+                notes[i] = f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]"
+                captions.append(f"{'/'.join(groups[i])} {metric} {row.value:.3g}, rank {notes[i]}")
+        none = " (none: at the left end)" if far and any(row.value == 0.0 for _, row, _ in known) else ""
+        part = Part(replace(detectors, notes=tuple(notes)), tuple(marks))
+        views.append(Panels(Axis("value", "log" if far else "linear"), (part,), _TITLES[metric] + none))
+    if not views or not groups:
+        return None
+    title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set]"
+    alt = f"Metrics of each detector on all objects of {name}. {'; '.join(captions)}."
+    return Figure(f"{name}-detectors", name, title, alt, tuple(views))
+
+
+def rank_figure(name: str, rows: Sequence[Result], groups: Sequence[tuple[str, ...]]) -> Figure | None:
+    """Ranks by subject, as a map: dark where the detector leads, with the set of ranks that are not refuted."""
+    metric = next((m for m in _RANK_METRICS if any(r.metric == f"rank_{m}" for r in rows)), None)
+    here = {(r.subject, r.method): r for r in rows if r.metric == f"rank_{metric}" and r.outcome is Outcome.NONE}
+    every = list(dict.fromkeys(s for s, _ in here))
+    subjects = every[:_MOST_SUBJECTS]
+    if metric is None or len(subjects) < 2 or not groups:
+        return None
+    cells, words, captions = [], [], []
+    for i, subject in enumerate(subjects):
+        for j, names in enumerate(groups):
+            row = here.get((subject, f"{names[0]}/object"))
+            if row is not None:
+                cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
+                words.append(f"{row.value:.0f} [{row.lower:.0f}-{row.upper:.0f}]")
+                captions.append(f"{subject}, {'/'.join(names)}: {words[-1]}")
+    columns = dict(zip(("left", "right", "bottom", "top", "value"), np.array(cells, float).T, strict=True))
+    scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
+    mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
+    more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
+    return Figure(
+        f"{name}-ranks", name,
+        f"{name}: rank [95 % set] by {_TITLES[metric]}, subjects of two objects and more{more}",
+        f"Rank of each detector by subject. {'; '.join(captions)}.",
+        (Panels(row_names([" = ".join(g) for g in groups]), (Part(row_names(subjects), (mark,)),)),),
+        head=f"{name}: rank of each detector by subject", width_in=2.6 + 1.35 * len(groups),
+    )  # fmt: skip
+
+
+def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
+    """The figures of the page."""
+    made = [make(d.name, d.rows, alike(d.rows)) for d in done for make in (detector_figure, rank_figure)]
+    return [figure for figure in made if figure is not None]
+
+
+def alike(rows: Sequence[Result]) -> list[tuple[str, ...]]:
+    """Detectors in groups that have the same value of every metric on all objects: they order the pixels alike."""
+    groups: dict[tuple[float, ...], list[str]] = {}
+    own = [r for r in rows if r.subject == EVERY_OBJECT and r.metric in _TITLES and r.outcome is Outcome.NONE]
+    for method in dict.fromkeys(r.method for r in own):
+        key = tuple(r.value for r in own if r.method == method)
+        groups.setdefault(key, []).append(method.removesuffix("/object"))
+    return [tuple(names) for names in groups.values()]
+
+
+def benchmark_page(done: Sequence[Benchmarked], figures: Sequence[Figure]) -> str:
+    """The page."""
+    skipped = [r for d in done for r in d.rows if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)]
+    entries = []
+    for item in done:
+        rows = item.rows
+        if not any(r.outcome is Outcome.NONE for r in rows):
+            continue  # named under what was not run
+        groups = alike(rows)
+        entries.append(
+            {
+                "words": item,
+                "leads": leads(rows, groups),
+                "measures": [t for m, t in _TITLES.items() if _has(rows, m)],
+                "detectors": [_detector(rows, names) for names in groups],
+                "figures": [one for one in figures if one.section == item.name],
+            }
+        )
+    count = sum(len(d.rows) for d in done)
+    return page("benchmark.html.j2", figures, entries=entries, skipped=skipped, count=count, all=len(done))
+
+
+def leads(rows: Sequence[Result], groups: Sequence[tuple[str, ...]]) -> list[str]:
+    """Who is first by each metric on all objects, and who cannot be told from the first."""
+    out = []
+    for metric, title in _TITLES.items():
+        ranks = {r.method: r for r in rows if r.subject == EVERY_OBJECT and r.metric == f"rank_{metric}"}
+        ranks = {k: r for k, r in ranks.items() if r.outcome is Outcome.NONE}
+        if not ranks:
+            continue
+        first = [" = ".join(g) for g in groups if f"{g[0]}/object" in ranks and ranks[f"{g[0]}/object"].value == 1]
+        near = [
+            " = ".join(g)
+            for g in groups
+            if (r := ranks.get(f"{g[0]}/object")) is not None and r.value > 1 and r.lower <= 1
+        ]
+        words = f"; not told from it: {', '.join(near)}" if near else "; all others are told from it"
+        out.append(f"{title}: {' and '.join(first)}{words if len(groups) > len(first) else ''}")
+    return out
+
+
+def _has(rows: Sequence[Result], metric: str) -> bool:
+    return any(r.metric == metric and r.subject == EVERY_OBJECT for r in rows)
+
+
+def _detector(rows: Sequence[Result], names: tuple[str, ...]) -> dict[str, Any]:
+    own = {r.metric: r for r in rows if r.subject == EVERY_OBJECT and r.method == f"{names[0]}/object"}
+    cells = []
+    for metric in _TITLES:
+        if not _has(rows, metric):
+            continue
+        value, rank, first = (own.get(f"{p}{metric}") for p in ("", "rank_", "first_"))
+        cells.append(
+            {
+                "value": _number(value), "interval": _span(value),
+                "rank": f"{rank.value:.0f} [{rank.lower:.0f} to {rank.upper:.0f}]" if rank else "–",
+                "first": f"{100 * first.value:.0f} %" if first else "–",
+            }
+        )  # fmt: skip
+    return {"name": " = ".join(names), "cells": cells}
+
+
+def _number(row: Result | None) -> str:
+    if row is None or not math.isfinite(row.value):
+        return "–"
+    return number_text(row.value, (row.upper - row.lower) / 2)
+
+
+def _span(row: Result | None) -> str:
+    if row is None or not math.isfinite(row.lower):
+        return ""
+    spread = (row.upper - row.lower) / 2  # two digits of it are all that value and ends are worth
+    return f"{number_text(row.lower, spread)} to {number_text(row.upper, spread)}"

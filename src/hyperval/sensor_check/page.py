@@ -28,11 +28,10 @@ from hyperval.figures.spec import (
     row_names,
     shortened,
     single,
-    statement,
 )
 from hyperval.products import PredictedProducts
 from hyperval.report import verdict as v
-from hyperval.report.html import common_words, drawn_words, environment
+from hyperval.report.html import page
 from hyperval.results import Outcome, Result
 from hyperval.run import Run
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
@@ -325,27 +324,22 @@ def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: di
     rows = list(check.table)
     listed = numbers(check.sensor.specification)
     failed = [r for r in rows if v.gate_fails(r)]
-    return (
-        environment()
-        .get_template("datasheet.html.j2")
-        .render(
-            sensor=check.sensor.specification,
-            tone=_tone(rows),
-            verdict=_verdict(rows, sum(n.assumed for n in listed), len(listed)),
-            counts=v.outcome_words(rows),
-            failed=failed,
-            known=[r for r in rows if v.disagrees_without_gating(r)],
-            facts=_facts(check.sensor),
-            numbers=listed,
-            assumed=sum(n.assumed for n in listed),
-            sections=_sections(rows, figures),
-            **drawn_words({one.name: statement(one) for one in figures}),
-            beside=bands_beside(check.sensor),
-            provenance=provenance,
-            folded=_FOLDED,
-            **common_words(),
-        )
-    )
+    return page(
+        "datasheet.html.j2", figures,
+        sensor=check.sensor.specification,
+        tone=_tone(rows),
+        verdict=_verdict(rows, sum(n.assumed for n in listed), len(listed)),
+        counts=v.outcome_words(rows),
+        failed=failed,
+        known=[r for r in rows if v.disagrees_without_gating(r)],
+        facts=_facts(check.sensor),
+        numbers=listed,
+        assumed=sum(n.assumed for n in listed),
+        sections=_sections(rows, figures),
+        beside=bands_beside(check.sensor),
+        provenance=provenance,
+        folded=_FOLDED,
+    )  # fmt: skip
 
 
 def _tone(rows: Sequence[Result]) -> str:

@@ -30,10 +30,9 @@ from hyperval.figures.spec import (
     Part,
     row_names,
     single,
-    statement,
     tones,
 )
-from hyperval.report.html import common_words, drawn_words, environment
+from hyperval.report.html import page
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
 from hyperval.study.plan import Plan
@@ -485,30 +484,25 @@ def study_page(
     """The page: figures first, then answers, knees, what moved, what was asked, and how it was evaluated."""
     study = plan.study
     questions = {q.name: q for q in study.required}
-    return (
-        environment()
-        .get_template("study.html.j2")
-        .render(
-            **common_words(),
-            study=study,
-            scenario=plan.scenario,
-            title=study.title or study.name,
-            summary=f"{len(table.values):,} points were evaluated; nothing here passes or fails. "
-            f"Tables: {', '.join(names)}.",
-            figures=figures,
-            **drawn_words({one.name: statement(one) for one in figures}),
-            from_words=f"From {names[0]}; study {study.name}, scenario {plan.scenario.name}",
-            answers=[_answer(table, f.name, questions[f.name]) for f in table.outputs if f.name in questions],
-            knees=[_knee(k) for k in knees[:_MOST_KNEES]],
-            knees_left_out=max(0, len(knees) - _MOST_KNEES),
-            inputs=[_input(i) for i in study.inputs],
-            outputs=[_output(plan, table, o) for o in study.outputs],
-            has_error=bool(plan.sky_error),
-            notes=_notes(plan),
-            reasons=_reasons(table),
-            record=record,
-        )
-    )
+    return page(
+        "study.html.j2", figures,
+        study=study,
+        scenario=plan.scenario,
+        title=study.title or study.name,
+        summary=f"{len(table.values):,} points were evaluated; nothing here passes or fails. "
+        f"Tables: {', '.join(names)}.",
+        figures=figures,
+        from_words=f"From {names[0]}; study {study.name}, scenario {plan.scenario.name}",
+        answers=[_answer(table, f.name, questions[f.name]) for f in table.outputs if f.name in questions],
+        knees=[_knee(k) for k in knees[:_MOST_KNEES]],
+        knees_left_out=max(0, len(knees) - _MOST_KNEES),
+        inputs=[_input(i) for i in study.inputs],
+        outputs=[_output(plan, table, o) for o in study.outputs],
+        has_error=bool(plan.sky_error),
+        notes=_notes(plan),
+        reasons=_reasons(table),
+        record=record,
+    )  # fmt: skip
 
 
 def _answer(table: StudyTable, name: str, question: Any) -> dict[str, Any]:

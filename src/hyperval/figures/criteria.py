@@ -1,0 +1,284 @@
+"""The forest of acceptance criteria: each as its effect in units of the field, with the range accepted for it."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hyperval.figures.spec import (
+    ACCEPTED,
+    GREY,
+    INCONCLUSIVE,
+    MET,
+    NOT_MET,
+    NOT_RUN,
+    Axis,
+    Figure,
+    Mark,
+    Panels,
+    Part,
+    row_names,
+)
+from hyperval.metrics import Evidence, Kind, metric_of, plain_words
+from hyperval.metrics import product_words as _product_words
+from hyperval.results import WORST_FIRST, Outcome, Result
+
+WORDS = {
+    Outcome.AGREES: "met", Outcome.DISAGREES: "not met", Outcome.ERROR: "error", Outcome.UNDECIDED: "inconclusive",
+    Outcome.SKIPPED: "not run", Outcome.NONE: "without a range",
+}  # fmt: skip
+_LOOKS = {
+    Outcome.DISAGREES: (NOT_MET, "square"), Outcome.ERROR: (NOT_MET, "x"), Outcome.UNDECIDED: (INCONCLUSIVE, "diamond"),
+    Outcome.AGREES: (MET, "circle"), Outcome.SKIPPED: (NOT_RUN, "triangle"),
+}  # fmt: skip
+_P_VALUE = "p-value"  # of a test, which has no size in units of the field
+_LEAST_P = 1e-6
+_MOST_ROWS = 11
+_MOST_PARTS = 5
+_HALF = 0.36  # of a row: what the accepted range fills to either side
+_REGIONS = {
+    "vnir": "400–1000 nm", "swir1": "1000–1800 nm", "swir2": "1800–2500 nm", "absorption": "absorption bands",
+    "windows": "",
+}  # fmt: skip
+_SHORT = {"%": " %", "nm": " nm", "percentage points": " pp", "difference / stated": " ×", "standard dev": " sd"}
+_PRODUCTS = {"roc": "detection", "scores": "detector scores", "abundance": "target area"}
+
+
+def told(row: Result) -> Result:
+    """A row with an effect: its value against its limits where it has no size in units of the field."""
+    if math.isfinite(row.effect):
+        return row
+    unit = _P_VALUE if metric_of(row.metric).kind is Kind.TEST else "" if row.unit == "1" else row.unit
+    return replace(
+        row, effect=row.value, effect_unit=unit, effect_lower=row.lower, effect_upper=row.upper,
+        accepted_low=row.limit_low, accepted_high=row.limit_high, ideal=math.nan,
+    )  # fmt: skip
+
+
+def excess(row: Result) -> float:
+    """How far the interval reaches out of the accepted range, in half ranges: 0 at its end, negative inside."""
+    low, high = row.accepted_low, row.accepted_high
+    ends = [end for end in (low, high) if math.isfinite(end)]
+    if not ends or math.isnan(row.effect):
+        return math.inf
+    middle = row.ideal if len(ends) == 1 and math.isfinite(row.ideal) else 0.5 * (ends[0] + ends[-1])
+    half = max(abs(ends[-1] - middle), 1e-300)
+    upper = row.effect_upper if math.isfinite(row.effect_upper) else row.effect
+    lower = row.effect_lower if math.isfinite(row.effect_lower) else row.effect
+    return max((upper - high) / half if math.isfinite(high) else -math.inf,
+               (low - lower) / half if math.isfinite(low) else -math.inf)  # fmt: skip
+
+
+def effect_text(row: Result) -> str:
+    """ "+14.5 % (−27 to 56)"; without an interval where none is stated."""
+    if row.effect_unit == _P_VALUE:
+        return f"p = {row.effect:.2g}" if row.effect >= _LEAST_P else f"p < {_LEAST_P:g}"
+    if math.isnan(row.effect):
+        return ""
+    short = next((words for unit, words in _SHORT.items() if row.effect_unit.startswith(unit)), "")
+    # Limits that no digit tells apart are no interval: nothing was stated.
+    low, high = ("" if math.isnan(end) else short_text(end) for end in (row.effect_lower, row.effect_upper))
+    interval = f" ({low} to {high})" if low != high and low and high else ""
+    return f"{short_text(row.effect, _sign(row))}{short}{interval}"
+
+
+def _sign(row: Result) -> str:
+    return "+" if row.ideal == 0.0 else ""
+
+
+def short_text(value: float, sign: str = "") -> str:
+    """A number with two or three digits.
+
+    Examples
+    --------
+    >>> short_text(-27.3), short_text(0.0141, "+")
+    ('−27', '+0.014')
+    """
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    magnitude = abs(value)
+    if magnitude < 5e-4:
+        return "0"
+    if magnitude >= 1e4:
+        return f"{value:{sign}.2g}".replace("-", "−")
+    digits = 0 if magnitude >= 20 else 1 if magnitude >= 2 else 2 if magnitude >= 0.02 else 3
+    text = f"{value:{sign}.{digits}f}"
+    return (text.rstrip("0").removesuffix(".") if digits else text).replace("-", "−")
+
+
+def product_words(product: str) -> str:
+    """A product as a reader of a figure calls it."""
+    return _PRODUCTS.get(product) or _product_words(product)
+
+
+def ranked(rows: Sequence[Result]) -> list[Result]:
+    """Rows with their effects, the worst first."""
+    return sorted(map(told, rows), key=lambda row: (WORST_FIRST.index(row.outcome), -excess(row)))
+
+
+def criteria_of(rows: Sequence[Result]) -> list[Result]:
+    """The acceptance criteria that the model moves; where there are none, informational rows with an effect."""
+    model = [row for row in rows if row.planned and row.evidence is Evidence.MODEL]
+    criteria = [row for row in model if row.gates]
+    return criteria or [
+        row for row in model
+        if math.isfinite(row.effect) and row.outcome is not Outcome.SKIPPED
+        and any(map(math.isfinite, (row.accepted_low, row.accepted_high)))
+    ]  # fmt: skip
+
+
+def _words(row: Result) -> str:
+    return plain_words(row.metric, row.product).partition(" of the ")[0]
+
+
+def row_label(row: Result, *, several: bool = False) -> str:
+    """Subject, and where in the spectrum or on the curve."""
+    subject = {"*": "all subjects", "all objects": ""}.get(row.subject, row.subject).replace("_", " ")
+    base, _, at = row.metric.partition("@")
+    region = f"P_FA {at}" if at.startswith("1e") else at.replace("-", " ")
+    region = region or _REGIONS.get(base.rsplit("_", 1)[-1], "")
+    return ", ".join(word for word in (subject, region, _words(row) if several else "") if word) or _words(row)
+
+
+def criteria_figure(rows: Sequence[Result]) -> Figure | None:
+    """Criteria as effects: a plot for each product and unit, the worst first; what is alike is folded into one row."""
+    every = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
+    groups: dict[tuple[str, str], list[Result]] = {}
+    for row in every:
+        groups.setdefault((row.product, row.effect_unit or _words(row)), []).append(row)
+    if not groups:
+        return None
+    apart = [own for own in groups.values() if own[0].outcome is not Outcome.AGREES] or list(groups.values())
+    shown = apart[:_MOST_PARTS]
+    room = [1 + sum(row.outcome is not Outcome.AGREES for row in own) for own in shown]
+    room = [min(most, len(own)) for most, own in zip(room, shown, strict=True)]
+    while sum(room) > _MOST_ROWS - len(shown) and max(room) > 1:
+        room[room.index(max(room))] -= 1
+    parts = [_part(own, most) for own, most in zip(shown, room, strict=True)]
+    rest = [row for own in groups.values() if own not in shown for row in own]
+    if rest:
+        parts.append(_shares(rest))
+    # One legend for all: marks of the first plot without a number.
+    names = {mark.label: mark for part in parts for mark in part.marks}
+    nothing = np.array([np.nan])
+    legend = [replace(mark, columns=dict.fromkeys(mark.columns, nothing), words=()) for mark in names.values()]
+    parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
+    parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
+    words = "; ".join(f"{row.product} {row_label(row)}: {WORDS[row.outcome]}, {effect_text(row)}" for row in every)
+    kind = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
+    return Figure(
+        "criteria", "criteria", f"{kind} as effects with their 95 % intervals, the worst first",
+        f"{kind} as effects in units of the field. {words}.", (Panels(Axis(), tuple(parts)),),
+    )  # fmt: skip
+
+
+def _part(own: Sequence[Result], most: int) -> Part:
+    """The plot of one product and unit: ``most`` rows by themselves, the others in one."""
+    most = len(own) if len(own) <= most + 1 else most
+    several = len({_words(row) for row in own}) > 1
+    names = [row_label(row, several=several) + " †" * row.set_after for row in own[:most]]
+    methods = [f", {row.method.partition('/')[0]}" for row in own[:most]]
+    names = [n + m * (names.count(n) > 1 and len(set(methods)) > 1) for n, m in zip(names, methods, strict=True)]
+    notes = [effect_text(row) for row in own[:most]]
+    rest, first = own[most:], own[0]
+    if rest:
+        counts = Counter(WORDS[row.outcome] for row in rest)
+        names.append(
+            f"{len(rest)} more, {', '.join(counts if len(counts) == 1 else (f'{n} {w}' for w, n in counts.items()))}"
+        )
+        values = [row.effect for row in rest if math.isfinite(row.effect)]
+        notes.append(" to ".join(short_text(v, _sign(first)) for v in (min(values), max(values))) if values else "")
+    log = first.effect_unit == _P_VALUE or (first.ideal == 1.0 and all(row.effect > 0 for row in own))
+    ends = _ends(own, log)
+    title = ": ".join(word for word in (product_words(first.product), "" if several else _words(first)) if word)
+    label = f"{title[:1].upper()}{title[1:]}" + (f" [{first.effect_unit}]" if first.effect_unit else "")
+    at = [(float(min(i, most)), row if i < most else _undetected(row)) for i, row in enumerate(own)]
+    ideal = (("x", first.ideal),) if math.isfinite(first.ideal) else ()
+    y = replace(row_names(names), notes=tuple(notes))
+    return Part(y, _marks(at, ends), ideal, Axis(label, "log" if log else "linear", ends=ends))  # type: ignore[arg-type]
+
+
+def _undetected(row: Result) -> Result:
+    """A row of those folded into one, where what could be detected is another for each."""
+    return replace(row, detectable_low=math.nan, detectable_high=math.nan)
+
+
+def _detectable(row: Result) -> tuple[float, ...]:
+    return tuple(d for d in (row.detectable_low, row.detectable_high) if math.isfinite(d))
+
+
+def _ends(rows: Sequence[Result], log: bool) -> tuple[float, float]:
+    """Ends that hold intervals, ranges and the ideal; sizes that could be detected where they are not far out."""
+    names = ("effect", "effect_lower", "effect_upper", "accepted_low", "accepted_high", "ideal")
+    values = [getattr(row, name) for row in rows for name in names]
+    values = [v for v in values if math.isfinite(v) and (v > 0 or not log)] or [0.1 if log else 0.0, 1.0]
+    low, high = min(values), max(values)
+    if rows and rows[0].effect_unit == _P_VALUE:
+        return max(0.5 * low, 0.5 * _LEAST_P), 1.0
+    if log:
+        return low / 1.15, max(high, low * 1.1) * 1.15
+    room = 0.6 * (high - low)
+    near = [d for row in rows for d in _detectable(row) if low - room <= d <= high + room]
+    low, high = min([low, *near]), max([high, *near])
+    margin = 0.05 * (high - low) or 0.5
+    return low - margin, high + margin
+
+
+def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tuple[Mark, ...]:
+    ranges = dict.fromkeys((y, row.accepted_low, row.accepted_high) for y, row in at)
+    ranges = {one: None for one in ranges if any(map(math.isfinite, one[1:]))}
+    marks = []
+    if ranges:
+        y, low, high = np.array(list(ranges), float).T
+        edges = {"left": np.where(np.isfinite(low), low, ends[0]), "right": np.where(np.isfinite(high), high, ends[1])}
+        columns = edges | {"bottom": y - _HALF, "top": y + _HALF}
+        marks.append(Mark("bars", columns, "accepted range", ACCEPTED, alpha=1.0))
+    for outcome, (colour, marker) in _LOOKS.items():
+        own = [(y, row) for y, row in at if row.outcome is outcome and math.isfinite(row.effect)]
+        if own:
+            numbers = np.array([(row.effect, row.effect_lower, row.effect_upper, y) for y, row in own], float).T
+            columns = dict(zip(("x", "low", "high", "y"), numbers, strict=True))
+            columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
+            said = tuple(f"{row_label(row)}: {effect_text(row)}" for _, row in own)
+            hollow = outcome is Outcome.UNDECIDED
+            marks.append(
+                Mark("dots", columns, WORDS[outcome], colour, marker=marker, hollow=hollow, along="x", words=said)
+            )
+    found = [(d, y) for y, row in at for d in _detectable(row) if ends[0] <= d <= ends[1]]
+    if found:
+        x, y = np.array(found).T
+        marks.append(Mark("dots", {"x": x, "y": y}, "smallest detectable error", GREY, marker="tick", along="x"))
+    return tuple(marks)
+
+
+def _shares(rest: Sequence[Result]) -> Part:
+    """What is met where something else is not: a row a product, in parts of the accepted range."""
+    products = list(dict.fromkeys(row.product for row in rest))
+    at = [(float(products.index(row.product)), own) for row in rest if (own := _share(row)) is not None]
+    names = [f"{product_words(p)} ({sum(row.product == p for row in rest)})" for p in products]
+    counts = [Counter(WORDS[row.outcome] for row in rest if row.product == p) for p in products]
+    notes = tuple("all met" if list(c) == ["met"] else ", ".join(f"{n} {w}" for w, n in c.items()) for c in counts)
+    limits = _ends([row for _, row in at], False) if at else (-100.0, 100.0)
+    y = replace(row_names(names), notes=notes)
+    return Part(y, _marks(at, limits), (("x", 0.0),), Axis("Others [% of the way to the limit]", ends=limits))
+
+
+def _share(row: Result) -> Result | None:
+    """A row in parts of its accepted range; None where that has no ends."""
+    ends = [end for end in (row.accepted_low, row.accepted_high) if math.isfinite(end)]
+    middle = 0.5 * (ends[0] + ends[-1]) if len(ends) == 2 else row.ideal if math.isfinite(row.ideal) else 0.0
+    half = abs(ends[-1] - middle) if ends else 0.0
+    if half == 0.0 or row.effect_unit == _P_VALUE:
+        return None
+
+    def part(number: float) -> float:
+        return min(max(100.0 * (number - middle) / half, -150.0), 150.0) if math.isfinite(number) else number
+
+    return replace(
+        _undetected(row), effect=part(row.effect), effect_lower=part(row.effect_lower), ideal=0.0, effect_unit="%",
+        effect_upper=part(row.effect_upper), accepted_low=part(row.accepted_low), accepted_high=part(row.accepted_high),
+    )  # fmt: skip
