@@ -41,6 +41,23 @@ def test_wavelengths_in_the_tags_of_the_bands(tmp_path: Path, values, unit: str,
     assert cube.axis.fwhm_nm == pytest.approx([9.5] * 4)
 
 
+@pytest.mark.parametrize("domain", ["ENVI", None])
+@pytest.mark.parametrize("each", [True, False])
+def test_wavelengths_in_the_domain_of_envi_or_of_the_data_set(tmp_path: Path, values, domain, each):
+    path = tagged(tmp_path / "c.tif", values, [])
+    listed = {"wavelength": [str(w) for w in CENTRE], "fwhm": ["9.5"] * 4, "bbl": ["1", "1", "0", "1"]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "r+") as out:
+            for band in range(4 if each else 1):
+                entries = {key: texts[band] if each else ",".join(texts) for key, texts in listed.items()}
+                out.update_tags(*([band + 1] if each else []), ns=domain, **{"wavelength units": "nm", **entries})
+    axis = open_cube(path, quantity="reflectance").axis
+    assert axis.centre_nm.tolist() == list(CENTRE)
+    assert axis.fwhm_nm.tolist() == [9.5] * 4
+    assert axis.good.tolist() == [True, True, False, True]
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

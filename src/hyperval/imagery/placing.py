@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -44,7 +45,7 @@ _FEWEST = 6  # cells for the three unknowns of a coordinate
 _BLOCK = 256  # lines of the table held at once
 _SIDE_CELLS = 4.0  # a polygon's sides are divided, as a straight one is bent in the raw image
 MAX_VERTICES = 1_000_000
-_AREA_PLACES = 400
+_AREA_LINES = 20  # and as many places in each
 MOST_NODES = 160_000  # of the coarse grid that a place is first looked for in
 _STEPS = 8  # of the search from the nearest node to the nearest pixel
 _FARTHEST = 1.5  # [pixel] beyond the image that a place may lie
@@ -80,39 +81,53 @@ class LookupTable:
         ------
         InputError : a point with no raw pixel near it.
         """
-        cells = np.column_stack(~self.transform @ _finite(points, where).T)
+        xy = np.asarray(points, dtype=float).reshape(-1, 2)
         if ring:
-            cells = divided(cells, where)
-        out = np.empty_like(cells)
-        blocks = np.clip(np.floor(cells[:, 1] / _BLOCK), -1, self.raster.lines // _BLOCK + 1).astype(int)
-        for block in np.unique(blocks):
-            first = max(0, int(block) * _BLOCK - RADIUS)
-            last = min(self.raster.lines, (int(block) + 1) * _BLOCK + RADIUS)
-            sample, line = self._read(first, last - first) if last > first else (np.zeros((0, 0), int),) * 2
-            for i in np.flatnonzero(blocks == block):
-                fit = _raw_at(cells[i], sample, line, first)
-                if fit is None:
-                    x, y = self.transform @ cells[i]
-                    raise _nowhere(f"({x:.2f}, {y:.2f})", "the lookup table", where)
-                out[i] = fit[0]
-        return out
+            xy = self._divided(xy, where)
+        if not np.all(np.isfinite(xy)):
+            raise InputError("coordinates that are not finite", where=where)
+        return np.array([self._place(place, where) for place in xy]).reshape(-1, 2)
 
     @cached_property
     def pixel_area_m2(self) -> float | None:
-        """Median ground area of a raw pixel [m2]: a cell's over the determinant of the fit; None when unknown."""
-        cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
-        if cell is None:
-            return None
-        rng = np.random.default_rng(0)  # places along the whole line, the same every time
-        areas = []
-        for top in np.unique(np.linspace(0, max(0, self.raster.lines - _BLOCK), 4).astype(int)):
-            sample, line = self._read(int(top), min(_BLOCK, self.raster.lines - int(top)))
-            rows, cols = np.nonzero(sample)
-            for k in rng.permutation(rows.size)[: _AREA_PLACES // 4]:
-                fit = _raw_at(np.array([cols[k] + 0.5, top + rows[k] + 0.5]), sample, line, int(top))
-                if fit is not None and fit[1] > 0:
-                    areas.append(cell / fit[1])
+        """Median ground area of a raw pixel [m2] over places along the image; None when the map unit is unknown."""
+        areas = [area for area in self._areas() if area is not None]
         return float(np.median(areas)) if areas else None
+
+    def _areas(self) -> Iterator[float | None]:
+        """Ground areas of raw pixels [m2]: a cell's over the determinant of the fit."""
+        cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
+        for line in _some_lines(self.raster.lines, _AREA_LINES) if cell is not None else ():
+            cols = np.flatnonzero(self._read(int(line), 1)[0][0])
+            for col in cols[np.linspace(0, cols.size - 1, min(_AREA_LINES, cols.size)).astype(int)]:
+                fit = self._raw_at(np.array([col + 0.5, line + 0.5]))
+                yield cell / fit[1] if fit is not None and fit[1] > 0 and cell is not None else None
+
+    def _divided(self, ring: Array, where: str) -> Array:
+        column, row = divided(np.column_stack(~self.transform @ (ring[:, 0], ring[:, 1])), where).T
+        return np.column_stack(self.transform @ (column, row))
+
+    def _place(self, xy: Array, where: str) -> Array:
+        fit = self._raw_at(np.array(~self.transform @ (float(xy[0]), float(xy[1]))))
+        if fit is None:
+            raise _nowhere(f"({xy[0]:.2f}, {xy[1]:.2f})", "the lookup table", where)
+        return fit[0]
+
+    def _raw_at(self, cell: Array) -> tuple[Array, float] | None:
+        """Raw coordinates (sample, line) at a place of the table, and raw pixels per cell; None without cells near."""
+        column, row = (int(v) for v in np.floor(np.clip(cell, -1e9, 1e9)))
+        top, left = max(0, row - RADIUS), max(0, column - RADIUS)
+        count = min(self.raster.lines, row + RADIUS + 1) - top
+        if count < 1 or not -RADIUS <= column < self.raster.samples + RADIUS:
+            return None
+        s, ln = (v[:, left : column + RADIUS + 1] for v in self._read(top, count))
+        for used in (s > 0, s != 0):
+            at_row, at_col = np.nonzero(used)
+            if at_row.size >= _FEWEST and np.ptp(at_row) > 0 and np.ptp(at_col) > 0:
+                raw = np.column_stack([np.abs(s[used]), np.abs(ln[used])]) - 0.5  # the centre of pixel 1 is at 0.5
+                place, change = _plane(at_col + left + 0.5 - cell[0], at_row + top + 0.5 - cell[1], raw)
+                return place, abs(float(np.linalg.det(change)))
+        return None
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -190,13 +205,6 @@ def divided(ring: Array, where: str) -> Array:
     return np.asarray(np.repeat(ring, parts, axis=0) + share[:, None] * np.repeat(ahead - ring, parts, axis=0))
 
 
-def _finite(points: Array, where: str) -> Array:
-    xy = np.asarray(points, dtype=float).reshape(-1, 2)
-    if not np.all(np.isfinite(xy)):
-        raise InputError("coordinates that are not finite", where=where)
-    return xy
-
-
 def _nowhere(place: str, what: str, where: str) -> InputError:
     return InputError(
         f"the place {place} has no pixel in {what}",
@@ -212,50 +220,23 @@ def _plane(x: Array, y: Array, values: Array) -> tuple[Array, Array]:
     return fit[0], fit[1:].T
 
 
-def _raw_at(cell: Array, sample: Index, line: Index, first: int) -> tuple[Array, float] | None:
-    """Raw coordinates (sample, line) at a place of the table, and raw pixels per cell; None without cells near."""
-    column, row = int(np.floor(cell[0])), int(np.floor(cell[1])) - first
-    if not (-RADIUS <= column < sample.shape[1] + RADIUS and -RADIUS <= row < sample.shape[0] + RADIUS):
-        return None
-    top, left = max(0, row - RADIUS), max(0, column - RADIUS)
-    s, ln = (v[top : row + RADIUS + 1, left : column + RADIUS + 1] for v in (sample, line))
-    for used in (s > 0, s != 0):
-        at_row, at_col = np.nonzero(used)
-        if at_row.size >= _FEWEST and np.ptp(at_row) > 0 and np.ptp(at_col) > 0:
-            raw = np.column_stack([np.abs(s[used]), np.abs(ln[used])]) - 0.5  # the centre of pixel 1 is at 0.5
-            place, change = _plane(at_col + left + 0.5 - cell[0], at_row + top + first + 0.5 - cell[1], raw)
-            return place, abs(float(np.linalg.det(change)))
-    return None
-
-
 @dataclass(frozen=True, eq=False)
 class LocationTable(LookupTable):
     """The place of every pixel of an image; used like a lookup table.
 
-    A place is found by a plane through the coordinates of the 7 x 7 pixels around the nearest one.
+    A place is found by a plane through the coordinates of the 7 x 7 pixels around the nearest one; an InputError is one
+    that no pixel lies near.
     """
 
-    def to_pixel(self, points: Array, *, where: str, ring: bool = False) -> Array:
-        """(n, 2) continuous raw coordinates (sample, line) of map coordinates (x, y).
+    def _areas(self) -> Iterator[float | None]:
+        """Ground areas of pixels [m2] over places along the image."""
+        lines, samples = (_some_lines(n, _AREA_LINES) for n in self.shape)
+        for line, sample in product(lines, samples) if self.crs is not None else ():
+            fit = self._fit(int(line), int(sample))
+            yield None if fit is None else abs(np.linalg.det(fit[1])) * math.prod(self._metres(fit[0][1]))
 
-        Raises
-        ------
-        InputError : a point that no pixel lies near.
-        """
-        xy = _finite(points, where)
-        if ring:
-            xy = _finite(divided(xy / self._pixel, where) * self._pixel, where)
-        return np.array([self._place(place, where) for place in xy]).reshape(-1, 2)
-
-    @cached_property
-    def pixel_area_m2(self) -> float | None:
-        """Median ground area of a pixel [m2] over places along the image; None when the map unit is unknown."""
-        if self.crs is None:
-            return None
-        lines, samples = (np.unique(np.linspace(0, n - 1, math.isqrt(_AREA_PLACES)).astype(int)) for n in self.shape)
-        fits = [fit for line, sample in product(lines, samples) if (fit := self._fit(int(line), int(sample)))]
-        areas = [abs(np.linalg.det(change)) * math.prod(self._metres(origin[1])) for origin, change in fits]
-        return float(np.median(areas)) if areas else None
+    def _divided(self, ring: Array, where: str) -> Array:
+        return divided(ring / self._pixel, where) * self._pixel
 
     def _metres(self, latitude: float) -> tuple[float, float]:
         """Metres of a unit of x and of y."""
@@ -373,7 +354,7 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
             expected=f"{shape[0]} lines and {shape[1]} samples, as the image, and two bands: x and y",
         )
     table = LocationTable(raster, Affine.identity(), None, shape)
-    rows = [table._xy(int(line), 1) for line in _some_lines(shape[0])]
+    rows = [table._xy(int(line), 1) for line in _some_lines(shape[0], SAMPLED_LINES)]
     x, y = (np.concatenate([row[i].ravel() for row in rows]) for i in (0, 1))
     good = table._valid(x, y)
     if not good.any():
@@ -382,8 +363,8 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     return LocationTable(raster, Affine.identity(), CRS.from_epsg(4326) if degrees else raster.crs, shape)
 
 
-def _some_lines(lines: int) -> npt.NDArray[np.intp]:
-    return np.unique(np.linspace(0, lines - 1, SAMPLED_LINES).astype(int))
+def _some_lines(lines: int, count: int) -> npt.NDArray[np.intp]:
+    return np.unique(np.linspace(0, lines - 1, count).astype(int))
 
 
 _TREES = (".nc", ".nc4", ".h5", ".hdf5", ".he5")
@@ -466,5 +447,5 @@ def _sun_in_bands(path: Path, shape: tuple[int, int]) -> Array | None:
     bands = [i for i, name in enumerate(angles.description.band_names) if SUN_ZENITH.search(name)]
     if len(bands) != 1 or angles.size[:2] != shape:
         return None
-    lines = [angles.read_bands(int(line), 1)[bands[0]].ravel() for line in _some_lines(angles.lines)]
+    lines = [angles.read_bands(int(line), 1)[bands[0]].ravel() for line in _some_lines(angles.lines, SAMPLED_LINES)]
     return np.concatenate(lines).astype(float)
