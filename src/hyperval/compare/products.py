@@ -52,12 +52,8 @@ def product_rows(products: Products, side: str) -> list[Result]:
     3.8)]
     """
     rows: list[Result] = []
-    for product, unit in (
-        ("radiance", "uW cm-2 sr-1 nm-1"),
-        ("snr", "1"),
-        ("reflectance", "1"),
-        ("toa_reflectance", "1"),
-    ):
+    for product in SPECTRA:
+        unit = "uW cm-2 sr-1 nm-1" if product == "radiance" else "1"
         for subject, estimate in getattr(products, product).items():
             make, half = RowMaker(product, subject, side), 1.96 * estimate.standard_uncertainty
             for b in np.flatnonzero(np.isfinite(estimate.mean)):
