@@ -29,7 +29,7 @@ from hyperval.model.filters import (
     target_population,
     target_scores,
 )
-from hyperval.model.light import Background, Light, Seen, at_rows, light_of, seen_classes
+from hyperval.model.light import Background, Light, Seen, at_rows, light_of, of_truth, seen_classes, wide
 from hyperval.model.surfaces import cut
 from hyperval.model.world import World, distinct, settled
 from hyperval.processing.ace_model import (
@@ -108,7 +108,7 @@ class Evaluation:
 
     def of_truths(self, values: Array) -> Array:
         """(U, ...) of values (V or 1, ...) of the truths with other light."""
-        return values[self.which] if len(values) > 1 else np.broadcast_to(values, (len(self), *values.shape[1:]))
+        return values[self.which] if len(values) > 1 else wide(values, len(self))
 
     # ---- detection -----------------------------------------------------------------------------------------
 
@@ -420,27 +420,22 @@ def _at_nodes(e: Evaluation, one: _AceTruth) -> tuple[Array, list[Exceedance]]:
     return nodes, [_at_fill(e, one, float(f)) for f in nodes]
 
 
-def _one(values: Array, u: int) -> Array:
-    """The row of a truth."""
-    return values[u if len(values) > 1 else 0]  # type: ignore[no-any-return]
-
-
 def _ace_truth(e: Evaluation, u: int, target: int, pfa: Array) -> _AceTruth:
     processing, v, seen, of = e.scenario.processing, int(e.which[u]), e.seen, e.background
     base = e.designer.base(e.designer.mixture(of, seen, v), lambda reflectance: noise_of(e.view, seen, v, reflectance))
-    looked_for = _one(e.looked_for(e.targets[target].name), v)
+    looked_for = of_truth(e.looked_for(e.targets[target].name), v)
     space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
-    fractions, dof = _one(of.law_fraction, v), _one(e.world.law_dof, u)
+    fractions, dof = of_truth(of.law_fraction, v), of_truth(e.world.law_dof, u)
     decades = np.linspace(0.0, -float(np.log10(pfa[0])), 4).tolist()
     classes, pixels = [], []
     for j, law in enumerate(of.laws):
         m = law.owner
-        gain, stretch = float(_one(of.gain, v)[m]), _one(of.stretch, v)[m] * np.ones(e.bands.size)
-        mean = _one(seen.means, v)[m]
+        gain, stretch = float(of_truth(of.gain, v)[m]), of_truth(of.stretch, v)[m] * np.ones(e.bands.size)
+        mean = of_truth(seen.means, v)[m]
         if law.offset is not None:
-            mean = mean + np.sqrt(gain) * _one(seen.slope, v) * stretch * law.offset
+            mean = mean + np.sqrt(gain) * of_truth(seen.slope, v) * stretch * law.offset
         own = gain * law.covariance * np.outer(stretch, stretch)
-        as_part = Population(own, _one(seen.around, v)[m], mean, _one(seen.noise, v)[m])
+        as_part = Population(own, of_truth(seen.around, v)[m], mean, of_truth(seen.noise, v)[m])
         pixels.append(as_part)
         classes.append(
             ace_exceedance(
@@ -462,7 +457,7 @@ def _ace_truth(e: Evaluation, u: int, target: int, pfa: Array) -> _AceTruth:
 
 def covariance_of(part: Population, e: Evaluation, v: int) -> Array:
     """(F, F) covariance of pixels as the detector sees them under light ``v`` (3.11-3.21)."""
-    slope, surroundings = _one(e.seen.slope, v), e.background.covariance(v)
+    slope, surroundings = of_truth(e.seen.slope, v), e.background.covariance(v)
     covariance = part.covariance * np.outer(slope, slope) + surroundings * np.outer(part.around, part.around)
     return np.asarray(covariance + np.diag(part.noise))
 
@@ -471,17 +466,17 @@ def _at_fill(e: Evaluation, one: _AceTruth, fill: float) -> Exceedance:
     processing, v = e.scenario.processing, int(e.which[one.u])
     pixels = e.population_at(one.u, one.target, fixed_fill(fill))
     mean, shift, target = pixels.mean, float(e.shift[one.u]), e.targets[one.target]
-    slope = _one(e.seen.slope, v)
+    slope = of_truth(e.seen.slope, v)
     if shift and target.name in e.errors:
         # The true target departs along the filter's own direction, by standard deviations of its score.
         error = e.errors[target.name][np.ix_(e.bands, e.bands)]
-        w = one.base.filter("matched-filter", _one(e.looked_for(target.name), v)).weights * slope
+        w = one.base.filter("matched-filter", of_truth(e.looked_for(target.name), v)).weights * slope
         mean = mean + shift * fill * (error @ w / np.sqrt(float(w @ error @ w))) * slope
     whole, share = covariance_of(pixels, e, v), 1.0 - fill
     number = e.stated.classes.index(target.host)
-    stretch = _one(e.background.stretch, v)[number] * np.ones(e.bands.size)
-    gain = _one(e.background.gain, v)[number]
-    class_mean = _one(e.seen.means, v)[number]
+    stretch = of_truth(e.background.stretch, v)[number] * np.ones(e.bands.size)
+    gain = of_truth(e.background.gain, v)[number]
+    class_mean = of_truth(e.seen.means, v)[number]
     surface = e.background.covariances[number] * gain * np.outer(stretch, stretch)
     by_law = []
     for k, (part, law, dof) in enumerate(one.host):

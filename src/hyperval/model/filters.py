@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.model.light import Background, Light, Seen, at_rows, spread
+from hyperval.model.light import Background, Light, Seen, at_rows, of_truth, spread, wide
 from hyperval.processing.classification import (
     feature_covariance,
     features,
@@ -171,20 +171,16 @@ class Designer:
 
     def mixture(self, of: Background, seen: Seen, u: int) -> Mixture:
         """The background that the filter of one truth is built on (3.8, 3.11 of what is seen)."""
-
-        def row(values: Array) -> Array:
-            return values[u if len(values) > 1 else 0]  # type: ignore[no-any-return]
-
-        fractions = np.where(self._chosen, row(of.fraction), 0.0)
+        fractions = np.where(self._chosen, of_truth(of.fraction, u), 0.0)
         used = fractions > 0.0
         if not self._chosen.all():
             fractions = fractions / fractions.sum()
-        reflectance = of.packed(fractions * row(of.gain), u)
-        f, slope, means = fractions[used], row(seen.slope), row(seen.means)[used]
+        reflectance = of.packed(fractions * of_truth(of.gain, u), u)
+        f, slope, means = fractions[used], of_truth(seen.slope, u), of_truth(seen.means, u)[used]
         mean, under = f @ means, np.sqrt(f)[:, None] / slope
         return Mixture(
-            mean, reflectance, of.packed_surroundings(u), slope, under * row(seen.around)[used], under * (means - mean),
-            f @ row(seen.noise)[used] / slope**2,
+            mean, reflectance, of.packed_surroundings(u), slope, under * of_truth(seen.around, u)[used],
+            under * (means - mean), f @ of_truth(seen.noise, u)[used] / slope**2,
         )  # fmt: skip
 
     def base(self, mixture: Mixture, noise_at: Callable[[Array], Array]) -> FilterBase:
@@ -210,7 +206,7 @@ class Designer:
         each = [Filters(np.full((truths, self._size), np.nan), np.full(truths, np.nan)) for _ in wanted]
         problems: dict[int, UsageError] = {}
         for u in range(truths):
-            spectra = [(detector, spectrum[u if len(spectrum) > 1 else 0]) for detector, spectrum in wanted]
+            spectra = [(detector, of_truth(spectrum, u)) for detector, spectrum in wanted]
             try:
                 mixture = self.mixture(of, seen, u)
                 if self.processing.features is None:
@@ -282,7 +278,7 @@ def _refusal(mixture: Mixture) -> UsageError:
 
 def noise_of(light: Light, seen: Seen, u: int, reflectance: Array) -> Array:
     """Noise variance (F,) of a retrieved reflectance (F,) in one truth (3.16-3.19)."""
-    gain, offset = (x[u if len(x) > 1 else 0, 0] for x in (seen.gain, seen.offset))
+    gain, offset = (of_truth(x, u)[0] for x in (seen.gain, seen.offset))
     return np.asarray(light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
 
 
@@ -295,17 +291,14 @@ def class_scores(of: Background, seen: Seen, filters: Filters) -> tuple[Array, A
     w, laws = filters.weights, of.laws
     owner, truths = np.array([law.owner for law in laws]), len(filters.weights)
 
-    def wide(values: Array) -> Array:
-        return np.broadcast_to(values, (truths, *values.shape[1:]))
-
-    means = (np.einsum("uf,umf->um", w, wide(seen.means)) - filters.offset[:, None])[:, owner]  # (3.27)
-    variances = np.einsum("uf,umf->um", w**2, wide(seen.noise))[:, owner]
+    means = (np.einsum("uf,umf->um", w, wide(seen.means, truths)) - filters.offset[:, None])[:, owner]  # (3.27)
+    variances = np.einsum("uf,umf->um", w**2, wide(seen.noise, truths))[:, owner]
     through = (w * seen.slope)[:, None, :]
     for j, law in enumerate(laws):
         gain, stretch = of.gain[:, law.owner], of.stretch[:, law.owner]
         variances[:, j] += gain * spread(through, law.covariance, stretch)[:, 0]
         if law.offset is not None:
-            means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset))
+            means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset, truths))
     variances += of.surroundings(w[:, None, :] * seen.around)[:, owner]
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)
 
@@ -420,15 +413,14 @@ def target_scores(light: Light, of: Background, seen: Seen, filters: Filters, ma
     host = of.means[:, number : number + 1]
     truths, bands = w.shape
 
-    def wide(values: Array) -> Array:
-        return np.broadcast_to(values, (truths, *values.shape[1:]))
-
     level = light.level(target_pixel_reflectance(FILL_NODES, lit, host))  # (3.9), (3.10)
     line = TwoPanelLine(seen.gain, seen.offset)
-    means = np.einsum("uf,ukf->uk", w, wide(retrieved_reflectance(line, level))) - filters.offset[:, None]  # (3.26)
+    means = (
+        np.einsum("uf,ukf->uk", w, wide(retrieved_reflectance(line, level), truths)) - filters.offset[:, None]
+    )  # (3.26)
     through = (w * seen.slope)[:, None, :]
     lit_through = through * factor
-    rest = np.einsum("ukf,uf->uk", wide(light.noise_variance(level) / seen.gain**2), w**2)  # noise of (3.28)
+    rest = np.einsum("ukf,uf->uk", wide(light.noise_variance(level) / seen.gain**2, truths), w**2)  # noise of (3.28)
     # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
     ends = np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in (host, under_sky)], axis=1)
     v = w[:, None, :] * light.adjacency_slope(ends) / seen.gain
@@ -464,6 +456,6 @@ def target_population(
     )  # fmt: skip
     level = row.level(target_pixel_reflectance(fill.mean, lit, host))
     under_sky = target_pixel_reflectance(fill.mean, under, host)
-    k, offset = (x[u if len(x) > 1 else 0, 0] for x in (seen.gain, seen.offset))
+    k, offset = (of_truth(x, u)[0] for x in (seen.gain, seen.offset))
     around = row.adjacency_slope(under_sky) / k * np.sqrt(gain * row.kappa.reshape(-1)[0])
     return Population(covariance, around, (level - offset) / k, row.noise_variance(level) / k**2)

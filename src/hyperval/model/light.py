@@ -41,6 +41,16 @@ def at_rows(values: Array, index: Index) -> Array:
     return np.asarray(values[index]) if len(values) > 1 else values
 
 
+def of_truth(values: Array, u: int) -> Array:
+    """The row of one truth, of values (U or 1, ...)."""
+    return np.asarray(values[u if len(values) > 1 else 0])
+
+
+def wide(values: Array, truths: int) -> Array:
+    """Values (U or 1, ...) with a row for each truth."""
+    return np.broadcast_to(values, (truths, *values.shape[1:]))
+
+
 def stacked(items: Sequence[T], bands: int) -> T:
     """U dataclasses as one whose arrays are (U, 1, B), so that levels (U, S, B) go through its formulas.
 
@@ -140,8 +150,8 @@ class Light:
 
     def row(self, number: int) -> Light:
         """Of one truth, its arrays (B,)."""
-        classes = self.classes and _on_arrays(self.classes, lambda x: x[number if len(x) > 1 else 0])
-        one = _on_arrays(replace(self, classes=None), lambda x: x[number if len(x) > 1 else 0, 0] if x.ndim == 3 else x)
+        classes = self.classes and _on_arrays(self.classes, lambda x: of_truth(x, number))
+        one = _on_arrays(replace(self, classes=None), lambda x: of_truth(x, number)[0] if x.ndim == 3 else x)
         return replace(one, classes=classes)
 
     def level(self, reflectance: npt.ArrayLike) -> Array:
@@ -376,7 +386,7 @@ class Background:
         """(F, F) Sigma_ave of (3.11)."""
         key = "covariance", self._key(u)
         if self.kept.get("covariance", ("",))[0] != key:
-            f, between, stretch = (x[u if len(x) > 1 else 0] for x in (self.fraction, self.between, self.stretch))
+            f, between, stretch = (of_truth(x, u) for x in (self.fraction, self.between, self.stretch))
             pairs = zip(stretch, self.covariances, strict=True)
             own = [c * (g[0] ** 2 if g.size == 1 else np.outer(g, g)) for g, c in pairs]
             total = mixture_covariance(f, between, own)
@@ -385,7 +395,7 @@ class Background:
         return matrix
 
     def _key(self, u: int) -> bytes:
-        return b"".join(x[u if len(x) > 1 else 0].tobytes() for x in (self.fraction, self.between, self.stretch))
+        return b"".join(of_truth(x, u).tobytes() for x in (self.fraction, self.between, self.stretch))
 
     def surroundings(self, vectors: Array) -> Array:
         """v Sigma_ave v^T (U, K) of vectors (U, K, F) (3.11); by the classes where truths differ in them."""
@@ -410,7 +420,7 @@ class Background:
 
     def packed(self, weights: Array, u: int) -> Array:
         """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
-        stretch = self.stretch[u if len(self.stretch) > 1 else 0]
+        stretch = of_truth(self.stretch, u)
         key = weights.tobytes() + stretch.tobytes()
         if self.kept.get("packed", ("",))[0] != key:
             if "stack" not in self.kept:
@@ -428,7 +438,7 @@ class Background:
         """(P,) Sigma_ave of (3.11) of one truth, packed; kept while it stays."""
         key = self._key(u)
         if self.kept.get("around", ("",))[0] != key:
-            f, between = (x[u if len(x) > 1 else 0] for x in (self.fraction, self.between))
+            f, between = (of_truth(x, u) for x in (self.fraction, self.between))
             within = self.packed(f, u).copy()
             self.kept["around"] = key, add_products(within, np.sqrt(f)[:, None] * between)
         values: Array = self.kept["around"][1]

@@ -35,6 +35,7 @@ from scipy.special import ndtri
 from hyperval.model.detection import Evaluation
 from hyperval.model.fills import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
 from hyperval.model.filters import Responses, lit_surface
+from hyperval.model.light import of_truth
 from hyperval.model.surfaces import correlation, cut
 from hyperval.processing.elm import retrieved_reflectance
 from hyperval.processing.filters import LINEAR_DETECTORS
@@ -183,15 +184,11 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
     return out
 
 
-def _row(values: Array, u: int) -> Array:
-    return values[u if len(values) > 1 else 0]  # type: ignore[no-any-return]
-
-
 def _slope(e: Evaluation, u: int, target: int) -> Array:
     """(F,) change of what the detector sees per change of a target's reflectance, under its own light."""
     v, of = int(e.which[u]), e.world.of_target
     shade = e.view.row(v).shade(float(of("beam", target)[u]), float(of("sky_view", target)[u]))
-    return np.asarray(_row(e.seen.slope, v) * shade)
+    return np.asarray(of_truth(e.seen.slope, v) * shade)
 
 
 def host_laws(e: Evaluation, number: int, point: int) -> Laws:

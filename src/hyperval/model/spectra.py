@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hyperval.model.detection import Evaluation
 from hyperval.model.fills import fill_distribution
 from hyperval.model.inputs import UncertainInput, number_input, spectral_directions
-from hyperval.model.light import Background, Light
+from hyperval.model.light import Background, Light, of_truth
 from hyperval.model.objects import HOST, PLACE, Shares, host_covariance, place_covariance, shares_of
 from hyperval.model.propagate import combined, known
 from hyperval.model.world import World, find, settled, with_truths
@@ -188,16 +188,14 @@ def spectral_products(e: Evaluation, u: int, rows: Mapping[tuple[str, str], Sequ
     """
     out, world = SpectralProducts(), e.world.rows(np.array([u]))
     light, v = e.light.row(int(e.which[u])), int(e.which[u])
-    of_truth = {
-        key: values[u if len(values) > 1 else 0] for key, values in e.once("spectra", lambda: mean_spectra(e)).items()
-    }
+    means = {key: of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
     each, bands = e.once("reflectances", lambda: reflectances(e.world, e.light.rows(e.which))), len(e.axis)
     around = Background.of(e.at, np.arange(bands)).covariance(v)
     pure = {*e.stated.names["surface"]} - {*e.stated.names["target"]}
     # One piece of memory for all: new pages for each matrix take longer than the numbers in it.
     *room, scratch = np.empty((1 + 2 * len(each), bands, bands))
     for number, (name, (rho, under)) in enumerate(each.items()):
-        rho, under = (x[u if len(x) > 1 else 0, 0] for x in (rho, under))
+        rho, under = (of_truth(x, u)[0] for x in (rho, under))
         of_radiance, of_reflectance = room[2 * number : 2 * number + 2]
         others: Mapping[str, Array] = {}
         if name in pure:
@@ -209,7 +207,7 @@ def spectral_products(e: Evaluation, u: int, rows: Mapping[tuple[str, str], Sequ
         for product in ("radiance", "toa_reflectance", "snr", "reflectance"):
             keys = (name, without_calibration_error(name)) if product == "snr" else (name,)
             for key in keys:
-                if (product, key) not in of_truth:
+                if (product, key) not in means:
                     continue
                 shapes, pixel = {}, None
                 if product == "radiance":
@@ -221,7 +219,7 @@ def spectral_products(e: Evaluation, u: int, rows: Mapping[tuple[str, str], Sequ
                         shapes = {s: retrieved_covariance(light.library_line, c) for s, c in shapes.items()}
                         pixel = known(retrieved_covariance(light.library_line, seen, of_reflectance))
                 total, budget = combined(rows.get((product, key), ()), shapes, bands)
-                estimate = SpectralEstimate(of_truth[product, key], total, pixel, None, budget)
+                estimate = SpectralEstimate(means[product, key], total, pixel, None, budget)
                 getattr(out, product)[key] = estimate
         if light.radiant and light.noise is not None:
             if light.noise.full_scale is not None:

@@ -210,21 +210,9 @@ def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
     return first[order], rank[codes.reshape(-1)]
 
 
-@dataclass(frozen=True)
-class Instrument:
-    """Sensor, bands and noise of one prediction.
-
-    Attributes
-    ----------
-    axis : the bands of all products, as they are labelled
-    true_axis : where they truly stand; the same object where nothing is shifted
-    noise : on ``axis``; None without a sensor
-    """
-
-    sensor: Sensor | None
-    axis: SpectralAxis
-    true_axis: SpectralAxis
-    noise: NoiseModel | None
+# Sensor; bands of all products as they are labelled, and where they truly stand, one object where nothing is shifted;
+# noise on them.
+Instrument = tuple[Sensor | None, SpectralAxis, SpectralAxis, NoiseModel | None]
 
 
 def _sensor(name: str, find: Resolve) -> Sensor:
@@ -266,7 +254,7 @@ def instrument(
             mend="name a sensor (sensor:), or run it from a campaign, whose image has bands (hyperval validate)",
         )
     if sensor is None:
-        return Instrument(None, on, on, None)
+        return None, on, on, None
     noise = sensor.noise(on, operation)
     if scenario.sensor_changes is not None:
         noise = changed_noise(noise, scenario.sensor_changes)
@@ -283,7 +271,7 @@ def instrument(
         shifted = true is not on
         on, noise = binned_axis(on, count), binned_noise(noise, count)
         true = binned_axis(true, count) if shifted else on
-    return Instrument(sensor, on, true, noise)
+    return sensor, on, true, noise
 
 
 def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
@@ -1255,19 +1243,18 @@ def read(
     source = origins or Origins()
     find_file, measured = source.find(scenario), source.measured or {}
     measured_axis = next((s.axis for s in measured.values()), None)
-    used = instrument(scenario, source.axis, measured_axis, find_file, source.sensor)
-    true = used.true_axis
+    sensor, axis, true, noise = instrument(scenario, source.axis, measured_axis, find_file, source.sensor)
     if np.any(shift_nm):
         true = SpectralAxis(true.centre_nm + shift_nm, true.fwhm_nm, true.good)
-    scenario = with_sensor_blur(scenario, used.sensor)
-    sources = Sources(true, measured, find_file, used.axis, source.read)
-    surfaces, signatures = surfaces_of(scenario, sources, replace(sources, axis=used.axis, nominal=None))
+    scenario = with_sensor_blur(scenario, sensor)
+    sources = Sources(true, measured, find_file, axis, source.read)
+    surfaces, signatures = surfaces_of(scenario, sources, replace(sources, axis=axis, nominal=None))
     around, surroundings = scenario.scene.adjacency.spectrum, None
     if around is not None:
         surroundings = without_gaps(sources.spectrum(around, "surroundings").mean)
     return World(
         Stated(
-            scenario, source, used.sensor, used.axis, true, used.noise, surfaces, signatures, surroundings,
+            scenario, source, sensor, axis, true, noise, surfaces, signatures, surroundings,
             Atmosphere(scenario, source, true, nodes or {}),
         )
     )  # fmt: skip
