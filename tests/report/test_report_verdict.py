@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval import cli
-from hyperval.figures import criteria_figure
+from hyperval.figures import campaigns_figure, criteria_figure
 from hyperval.metrics import Evidence, explained, metric_of, plain_words
 from hyperval.report.html import same_background_once
 from hyperval.report.verdict import (
@@ -270,3 +270,12 @@ def test_many_criteria_that_are_met_share_a_row():
     assert part.y.names[-1].endswith("more, met")
     assert len(part.y.names) < 12
     assert criteria_figure([row(S)]) is None
+
+
+def test_campaigns_are_one_figure_the_worst_first():
+    figure = campaigns_figure({"good": [row(A)] * 4, "bad": [row(A), row(D)], "absent": [row(S)]})
+    (part,) = figure.views[0].parts
+    assert (part.y.names, part.y.notes) == (("bad", "good"), ("1 not met, 1 met", "4 met"))
+    failed, met = part.marks
+    np.testing.assert_allclose([failed.columns["right"][0], met.columns["left"][0]], 50.0)
+    assert campaigns_figure({"absent": [row(S)]}) is None

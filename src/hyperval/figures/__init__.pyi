@@ -1,7 +1,7 @@
 """Figures: each stated once as data, drawn in a page by ``charts.js`` and on paper by ``print``."""
 
 from .catalogue import first_figures, further_figures, reason_figures
-from .criteria import criteria_figure
+from .criteria import campaigns_figure, criteria_figure
 from .detection import (
     best_counted,
     densities_figure,
@@ -45,6 +45,7 @@ __all__ = [
     "TailCurve",
     "best_counted",
     "budget_figure",
+    "campaigns_figure",
     "class_error_figure",
     "criteria_figure",
     "densities_figure",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -192,8 +192,9 @@ def _part(own: Sequence[Result], most: int) -> Part:
         )
         values = [row.effect for row in rest if math.isfinite(row.effect)]
         notes.append(" to ".join(short_text(v, _sign(first)) for v in (min(values), max(values))) if values else "")
-    log = first.effect_unit == _P_VALUE or (first.ideal == 1.0 and all(row.effect > 0 for row in own))
-    ends = _ends(own, log)
+    low, high = _ends(own, False)
+    log = first.effect_unit == _P_VALUE or (first.ideal == 1.0 and all(row.effect > 0 for row in own) and high > 3.0)
+    ends = _ends(own, True) if log else (low, high)
     title = ": ".join(word for word in (product_words(first.product), "" if several else _words(first)) if word)
     label = f"{title[:1].upper()}{title[1:]}" + (f" [{first.effect_unit}]" if first.effect_unit else "")
     at = [(float(min(i, most)), row if i < most else _undetected(row)) for i, row in enumerate(own)]
@@ -282,3 +283,28 @@ def _share(row: Result) -> Result | None:
         _undetected(row), effect=part(row.effect), effect_lower=part(row.effect_lower), ideal=0.0, effect_unit="%",
         effect_upper=part(row.effect_upper), accepted_low=part(row.accepted_low), accepted_high=part(row.accepted_high),
     )  # fmt: skip
+
+
+def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
+    """Share of each campaign's acceptance criteria by outcome, the worst campaigns first; None without any criteria."""
+    model = {name: [row.outcome for row in rows if row.gates and row.evidence is Evidence.MODEL]
+             for name, rows in tables.items()}  # fmt: skip
+    run = {name: own for name, own in model.items() if set(own) - {Outcome.SKIPPED}}
+    counts = {name: Counter(own) for name, own in sorted(
+        run.items(), key=lambda one: [-one[1].count(outcome) / len(one[1]) for outcome in WORST_FIRST]
+    )}  # fmt: skip
+    if not counts:
+        return None
+    y, start, marks = np.arange(float(len(counts))), np.zeros(len(counts)), []
+    for outcome, (colour, _) in _LOOKS.items():
+        share = np.array([100.0 * own[outcome] / own.total() for own in counts.values()])
+        if share.any():
+            edges = {"left": start, "right": start + share, "bottom": y - 0.3, "top": y + 0.3}
+            marks.append(Mark("bars", edges, WORDS[outcome], colour, alpha=1.0))
+            start = start + share
+    notes = tuple(", ".join(f"{own[o]} {WORDS[o]}" for o in WORST_FIRST if own[o]) for own in counts.values())
+    x = Axis("share of acceptance criteria [%]", ends=(0.0, 100.0))
+    part = Part(replace(row_names(list(counts)), notes=notes), tuple(marks))
+    words = "; ".join(f"{name}: {note}" for name, note in zip(counts, notes, strict=True))
+    return Figure("campaigns", "criteria", "Acceptance criteria of the model by campaign, the worst first",
+                  f"Share of acceptance criteria by outcome. {words}.", (Panels(x, (part,)),))  # fmt: skip

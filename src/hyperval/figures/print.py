@@ -130,7 +130,10 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
         canvas.suptitle(
             plain(figure.head or figure.title) + (" (simulated collection)" if simulated else ""), fontsize=10.5
         )
-    grid = canvas.add_gridspec(parts * rows, columns, height_ratios=[2, 1] * rows if parts == 2 else None)
+    ratios = [2.0, 1.0] if parts == 2 else [1.0] * parts
+    if views[0].parts[0].y.names:
+        ratios = [len(part.y.names) + 1.5 for part in views[0].parts]
+    grid = canvas.add_gridspec(parts * rows, columns, height_ratios=ratios * rows)
     for at, view in enumerate(views):
         row, column = divmod(at, columns)
         above: Axes | None = None
@@ -152,7 +155,7 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
 
 def _height_in(view: Panels) -> float:
     """Height of a row of panels [in]."""
-    rows = len(view.parts[0].y.names)
+    rows = sum(len(part.y.names) + 1.5 * (number > 0) for number, part in enumerate(view.parts))
     if not rows:
         return 1.3 + 1.2 * len(view.parts)
     return 0.5 + _ROW_IN * rows + (1.0 if view.x.scale == "names" else 0.0)

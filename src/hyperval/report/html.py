@@ -24,7 +24,7 @@ from markupsafe import Markup
 import hyperval
 from hyperval.errors import UsageError
 from hyperval.figures.catalogue import first_figures, further_figures
-from hyperval.figures.criteria import WORDS, criteria_figure
+from hyperval.figures.criteria import WORDS, campaigns_figure, criteria_figure
 from hyperval.figures.detection import many_objects_figure
 from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
 from hyperval.figures.spec import Drawing, Figure, statement
@@ -211,9 +211,12 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
 
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
-PICTURES = ("scene", "score-map-1", "score-map-1-expected")  # of a run, beside each other, before everything else
+PICTURES = (
+    "scene",
+    "score-map-1",
+    "score-map-1-expected",
+)  # of a run, beside each other, before everything else, embedded whatever happens
 _BUDGET = "radiance-budget"
-_FIRST_FIGURES = PICTURES  # that are embedded whatever else there is no room for
 _MOST_OPEN_FIGURES = 2  # of spectra and curves; the others are folded in their sections
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
@@ -297,8 +300,6 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         tone=tone,
         verdict=run.sentence or words,
         compares=bool(planned),
-        tests=any(row.outcome is Outcome.UNDECIDED or row.outcome is Outcome.DISAGREES for row in planned),
-        counts=v.outcome_words(rows),
         power=run.power,
         gated=any(row.gates for row in rows),
         power_changed=run.power.changed_files(run.provenance.get("inputs", ())) if run.power else [],
@@ -366,7 +367,7 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
             (kind_title, matrix_of([r for r in rows if r.evidence in kinds], lambda r: r.campaign, link, _COMPARED))
             for kind_title, kinds in (_NUMBERS if own[0].sentence else _MATRICES)
         ]
-        entries = [(run, *_first_words(run), f"{folders[run.campaign]}/report.html") for run in own]
+        entries = [(run, v.verdict(run.table), f"{folders[run.campaign]}/report.html") for run in own]
         together = [row for run in own for row in run.table]
         tone, words = v.verdict(together)
         if own[0].sentence:
@@ -377,12 +378,9 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
         (remedy, [(run, f"{folders[run.campaign]}/report.html") for run in runs if run.remedy == remedy])
         for remedy in remedies
     ]
-    return page("index.html.j2", title=title, groups=groups, absent=absent, count=len(runs))
-
-
-def _first_words(run: RunReport) -> tuple[Outcome, str]:
-    tone, words = v.verdict(run.table)
-    return tone, run.sentence or words
+    forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
+    drawn = [forest] if forest else []
+    return page("index.html.j2", drawn, forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
 
 
 def strict_templates(package: str) -> jinja2.Environment:
@@ -408,11 +406,9 @@ def environment() -> jinja2.Environment:
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         row_name=row_name,
         outcome=lambda word: WORDS[Outcome(word)],
-        nm=lambda row: f"{row.band_nm:.1f} nm" if row.per_band else "",
         breakable=_breakable,
         subject=_subject_text,
         anchor=anchor,
-        letter=lambda row: LETTERS[row.outcome] if row.gates else LETTERS[row.outcome].lower(),
     )
     return environment
 
@@ -449,10 +445,6 @@ def _generated() -> str | None:
     if not epoch.isdigit():
         return None
     return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
-
-
-def _severity(row: Result) -> tuple[int, str]:
-    return WORST_FIRST.index(row.outcome), row.subject
 
 
 def _undone(rows: Sequence[Result]) -> list[tuple[Outcome, str, str, list[str]]]:
@@ -503,10 +495,10 @@ def _sections(
     names += [p for p in dict.fromkeys(row.product for row in rows) if p not in names]
     sections = []
     for name in names:
-        own_drawings = [d for d in drawings if d.section == name and d.name not in _FIRST_FIGURES]
+        own_drawings = [d for d in drawings if d.section == name and d.name not in PICTURES]
         own = [row for row in rows if row.product == name]
         made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
-        planned = sorted(made, key=_severity)
+        planned = sorted(made, key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
         section = Section(
             name,
             SECTIONS.get(name, name),
@@ -549,9 +541,9 @@ def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dic
 
 
 def _rank(drawing: Drawing) -> int:
-    if drawing.name in _FIRST_FIGURES:
-        return _FIRST_FIGURES.index(drawing.name)
-    return len(_FIRST_FIGURES) + drawing.name.startswith("score-map")
+    if drawing.name in PICTURES:
+        return PICTURES.index(drawing.name)
+    return len(PICTURES) + drawing.name.startswith("score-map")
 
 
 def _under_figure(run: RunReport, product: str) -> str:
@@ -635,5 +627,6 @@ def run_drawings(run: Path, print_as: Print, curves: Curves | None = None) -> li
     margin = equivalence_margin(known.provenance) if known.provenance else None
     predicted, observed = sides
     spread = curves(predicted, observed) if curves and predicted and observed else ({}, {})
-    figures = [*first_figures(sides), *further_figures(sides, known.table, *spread, margin)]
-    return drawings_of(figures, simulated=simulated, print_as=print_as)
+    figures = [criteria_figure(list(known.table)), *first_figures(sides)]
+    figures += further_figures(sides, known.table, *spread, margin)
+    return drawings_of([one for one in figures if one], simulated=simulated, print_as=print_as)
