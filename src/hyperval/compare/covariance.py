@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from hyperval.compare.spectra import RowMaker
 from hyperval.processing.classification import bhattacharyya_distance
+from hyperval.processing.intervals import Z95
 from hyperval.processing.sample import (
     EigenDirections,
     SamplingBand,
@@ -35,7 +36,6 @@ MOST_EIGENVALUES = 30  # drawn, for figures
 SPACES = (1, 2, 3)
 FEWEST_PIXELS = 3
 _SEED = 20140501
-_NORMAL_95 = 1.96
 
 
 def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
@@ -253,7 +253,7 @@ def _noise_rows(
     noise = total[bands] + more + np.broadcast_to(observed.rounding, total.shape)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[at]
     part = noise_part(second, first, noise, sample.fewest - 1.0, kurtosis, calibration=calibration, samples=samples)
-    low, high = (part.factor + sign * _NORMAL_95 * part.uncertainty for sign in (-1.0, 1.0))
+    low, high = (part.factor + sign * Z95 * part.uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
         return make.skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")
     value, interval = part.factor**-0.5, (high**-0.5, low**-0.5)

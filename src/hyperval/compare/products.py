@@ -30,7 +30,7 @@ from hyperval.compare.detection import (
 )
 from hyperval.compare.spectra import RowMaker, compare_spectra, scientific
 from hyperval.errors import UsageError
-from hyperval.processing.alarm_blocks import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
+from hyperval.processing import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS, Z95
 from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, PredictedProducts, Products, RocCurve
 from hyperval.results import Outcome, Result
 
@@ -55,7 +55,7 @@ def product_rows(products: Products, side: str) -> list[Result]:
     for product in SPECTRA:
         unit = "uW cm-2 sr-1 nm-1" if product == "radiance" else "1"
         for subject, estimate in getattr(products, product).items():
-            make, half = RowMaker(product, subject, side), 1.96 * estimate.standard_uncertainty
+            make, half = RowMaker(product, subject, side), Z95 * estimate.standard_uncertainty
             for b in np.flatnonzero(np.isfinite(estimate.mean)):
                 at = products.axis.centre_nm[b]
                 rows.append(make.row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=at, n=estimate.n))
@@ -73,7 +73,7 @@ def product_rows(products: Products, side: str) -> list[Result]:
     for key, exceedance in products.exceedance.items():
         rows += _thresholds(RowMaker("scores", *key), exceedance)
     for key, area in products.abundance.items():
-        half = 1.96 * area.standard_uncertainty
+        half = Z95 * area.standard_uncertainty
         rows.append(RowMaker("abundance", *key).row("area", area.area_m2, half=half, unit="m2", n=area.n))
     for subject, distribution in products.distribution.items():
         rows += compare_distribution(None, distribution, subject=subject)

@@ -10,7 +10,7 @@ The empirical line of a collection, with the errors of its panels.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -591,10 +591,8 @@ def observe_radcalnet(source: RadCalNetSource, resolve: Callable[[str], Path]) -
         errors = {ROUNDING: rounding}
         if not source.shared_inputs:
             errors[NETWORK] = np.outer(stated, stated) * correlation(axis, source.correlation_nm)
-        budget = {name: np.sqrt(np.diag(c)) for name, c in errors.items()}
-        out[source.subject.format(site=day.site, time=time)] = SpectralEstimate(
-            day.values[row, bands], np.sum(list(errors.values()), axis=0), budget=budget, stated=stated
-        )
+        estimate = spectral_estimate(day.values[row, bands], errors)
+        out[source.subject.format(site=day.site, time=time)] = replace(estimate, stated=stated)
     notes = [f"bands are taken as {source.fwhm_nm:g} nm wide: the network's file does not state their width"]
     if source.shared_inputs:
         notes.append("both sides start from the same surface and state: their errors are not in the difference")

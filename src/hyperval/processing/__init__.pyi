@@ -1,6 +1,8 @@
 """ELM, features, detectors and ROC, for statistics and for pixels (3.21-3.33)."""
 
 from .alarm_blocks import (
+    ANOMALY_LEVELS,
+    LEAST_EXPECTED_ALARMS,
     AlarmBlocks,
     block_side,
     exceedance_curve,
@@ -153,9 +155,11 @@ from .wavelength_check import (
 )
 
 __all__ = [
+    "ANOMALY_LEVELS",
     "AREAS",
     "DETECTORS",
     "FEATURES",
+    "LEAST_EXPECTED_ALARMS",
     "LOCAL_DETECTORS",
     "MAX_THREADS",
     "OXYGEN_RESIDUAL",
