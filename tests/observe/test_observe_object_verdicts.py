@@ -31,7 +31,7 @@ UNCERTAIN
 def collection(folder, seed, *, spectrum_error=0.0, dof=None):
     """A world of 60 planted pixels; its paint may differ from the library, its ground may have heavy tails."""
     rng = np.random.default_rng(seed)
-    scene = rng.multivariate_normal(np.zeros(BANDS), background_spread(), (LINES, SAMPLES))
+    scene = rng.multivariate_normal(np.zeros(BANDS), background_spread(), (LINES, SAMPLES), method="cholesky")
     if dof is not None:
         scene *= np.sqrt((dof - 2.0) / rng.chisquare(dof, (LINES, SAMPLES, 1)))
     scene += BACKGROUND
@@ -117,7 +117,7 @@ def test_false_alarms_of_a_true_background(tmp_path):
 def test_heavy_tails_show_and_a_fitted_tail_mends_them(tmp_path):
     world = collection(tmp_path, 24, dof=3.0)
     normal, fitted = rows_of(world), rows_of(world, tail=", tail_dof: measured")
-    # Fixed seed: the ratio of t3 to normal tails at this level is 0.73, the interval's half-width a quarter of it.
+    # Fixed seed, and draws that are the same on every processor: over eight seeds the ratio is 0.21 to 0.74, 0.70 here.
     assert normal["pfa_ratio@1e-2"].upper < 1.0
     ratio = fitted["pfa_ratio@1e-2"]
     assert ratio.lower < 1.0 < ratio.upper
