@@ -196,9 +196,9 @@ def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
         page.locator("#threshold").fill("800")
         picture(page, "map")
         page.locator("#map-canvas").click(position={"x": 20, "y": 20})
-        page.wait_for_selector("#pixel figure .bk-Column, #pixel .bk-Figure")
+        page.wait_for_selector("#pixel .bk-Column")
         assert page.locator("#line").input_value() == page.locator("#sample").input_value() == "6"
-        assert "pixel (6, 6)" in page.locator("#pixel [role=img]").get_attribute("aria-label")
+        assert "pixel (6, 6)" in page.locator("#pixel .chart").get_attribute("aria-label")
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)
             assert serious(page) == []

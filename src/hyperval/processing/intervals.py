@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy import special
+from scipy.optimize.elementwise import find_root
 
 from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
@@ -18,6 +19,23 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
 _HALVINGS = 50
+_MISSED = 1e-6  # of the probability: farther from it is no quantile
+
+
+def _beta_quantile(a: Array, b: Array, probability: float) -> Array:
+    """Where the beta law of ``a`` and ``b`` (greater than 0, broadcast) has the cumulative ``probability``.
+
+    SciPy's inverse misses rare arguments (twice the quantile at a = 1000, b = 1.3e8): what does not lead back to the
+    probability is found again as the root of the cumulative.
+    """
+    found = special.betaincinv(a, b, probability)
+    missed = np.abs(special.betainc(a, b, found) - probability) > _MISSED * probability
+    if np.any(missed):
+        a, b, found = (np.array(x) for x in np.broadcast_arrays(a, b, found))
+        ends = np.zeros(missed.sum()), np.ones(missed.sum())
+        root = find_root(lambda x, a, b: special.betainc(a, b, x) - probability, ends, args=(a[missed], b[missed]))
+        found[missed] = root.x
+    return np.asarray(found)
 
 
 def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
@@ -48,8 +66,8 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     _check(k, n, level)
     tail = (1.0 - level) / 2.0
     # The binomial tail sums are incomplete beta functions; the end counts have their limit at 0 or 1.
-    lower = np.where(k > 0, special.betaincinv(np.maximum(k, 1.0), n - k + 1.0, tail), 0.0)
-    upper = np.where(k < n, special.betaincinv(k + 1.0, np.maximum(n - k, 1.0), 1.0 - tail), 1.0)
+    lower = np.where(k > 0, _beta_quantile(np.maximum(k, 1.0), n - k + 1.0, tail), 0.0)
+    upper = np.where(k < n, _beta_quantile(k + 1.0, np.maximum(n - k, 1.0), 1.0 - tail), 1.0)
     return lower, upper
 
 
@@ -69,8 +87,8 @@ def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
     tail = (1.0 - level) / 2.0
     rest = np.maximum(n - k, 0.0)
-    lower = np.where(k > 0.0, special.betaincinv(k + 0.5, rest + 0.5, tail), 0.0)
-    upper = np.where(rest > 0.0, special.betaincinv(k + 0.5, rest + 0.5, 1.0 - tail), 1.0)
+    lower = np.where(k > 0.0, _beta_quantile(k + 0.5, rest + 0.5, tail), 0.0)
+    upper = np.where(rest > 0.0, _beta_quantile(k + 0.5, rest + 0.5, 1.0 - tail), 1.0)
     return lower, upper
 
 

@@ -38,7 +38,7 @@ function curveAt(curve, threshold) {
   return { bounds, pd: pd ?? point.pd, pfa: pfa ?? point.pfa };
 }
 
-function show() {
+function showThreshold() {
   const [threshold, alarms] = thresholdAt(Number(slider.value) / 1000);
   const cut = ((threshold - map.low) / (map.high - map.low || 1)) * 65534 + 1;
   const picture = new ImageData(map.width, map.height);
@@ -82,7 +82,7 @@ async function begin() {
   canvas.width = map.width;
   canvas.height = map.height;
   canvas.style.width = `${Math.min(map.width * 3, 900)}px`;
-  slider.addEventListener("input", show);
+  slider.addEventListener("input", showThreshold);
   canvas.addEventListener("click", (event) => {
     const at = (offset, size, count) => Math.min(count - 1, Math.floor((offset / size) * count)) * map.step;
     const line = at(event.offsetY, canvas.clientHeight, map.height);
@@ -95,6 +95,6 @@ async function begin() {
     event.preventDefault();
     spectrum(Number(document.getElementById("line").value), Number(document.getElementById("sample").value));
   });
-  show();
+  showThreshold();
 }
 begin();
