@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hyperval.atmosphere import AtmosphericState, sixs
-from hyperval.atmosphere.sixs import NODES_NM, Monochromatic, angstrom_law, sixs_terms
+from hyperval.atmosphere import AerosolMix, AtmosphericState, sixs
+from hyperval.atmosphere.sixs import NODES_NM, Monochromatic, aerosol_extinction, angstrom_law, sixs_terms
 
 STATE = {
     "aot550": 0.3, "sensor_altitude_km": 1000.0, "solar_zenith_deg": 30.0, "solar_azimuth_deg": 0.0,
@@ -22,31 +22,45 @@ def test_the_law():
 
 def test_each_node_is_run_with_the_depth_of_the_law(monkeypatch, tmp_path):
     """The depth at 550 nm that each run is given, times what the type makes of it, is that of the law."""
-    extinction = (NODES_NM / 550.0) ** -0.8
+    given = {}
 
-    def parse(text):
+    def run(text):
         lines = text.split("\n")
-        nm = float(lines[-7]) * 1e3
-        depth = 0.0 if lines[3] == "0" else float(lines[6])
-        own = depth * float(np.interp(nm, NODES_NM, extinction))
-        return Monochromatic(0.05 + 0.1 * own, 0.9, 0.9, 0.1, 0.1, own, 1.0)
+        if lines[3] == "4":
+            given[float(lines[-7]) * 1e3] = float(lines[6])
+        return text
 
-    monkeypatch.setattr(sixs, "_run_all", lambda decks, folder, what, show: decks)
-    monkeypatch.setattr(sixs, "parse_monochromatic", parse)
+    monkeypatch.setattr(sixs, "_run_all", lambda decks, folder, what, show: [run(d) for d in decks])
+    monkeypatch.setattr(sixs, "parse_monochromatic", lambda text: Monochromatic(0.05, 0.9, 0.9, 0.1, 0.1, 0.0, 1.0))
     monkeypatch.setattr(sixs, "sixs_fingerprint", lambda: "a stand-in")
     state = AtmosphericState(angstrom_exponent=0.2, **STATE)
     node = sixs._scattering(state, sixs._Setting(sixs.SunAndView(30.0, 0.0, 0.0), 0.0, None), tmp_path, False)
-    assert node["depth_aerosol"] == pytest.approx(0.3 * (NODES_NM / 550.0) ** -0.2, rel=1e-5)  # decks have six decimals
+    extinction = aerosol_extinction("rural")
+    law = 0.3 * (NODES_NM / 550.0) ** -0.2
+    assert [given[nm] for nm in NODES_NM] == pytest.approx(law / extinction, abs=1e-6)  # decks have six decimals
+    assert node["depth_aerosol"] == pytest.approx(law, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_extinction_of_every_type_is_what_the_solver_prints(engine_cache):
+    mix = AerosolMix(dust=0.2, water_soluble=0.3, oceanic=0.45, soot=0.05)
+    nodes = NODES_NM.tolist()
+    for aerosol in ("rural", "continental", "maritime", "urban", "desert", mix):
+        state = AtmosphericState(**{**STATE, "aerosol": aerosol})
+        for nm in (412.5, 860.0, 2250.0, 2600.0):
+            haze = sixs.Aerosol(sixs._aerosol_card(state.aerosol), 1.0, 1.0)
+            run = sixs.deck(sixs.SunAndView(0.0, 0.0, 0.0), "0\n", 0.0, None, f"-1\n{nm / 1e3:.4f}", haze)
+            printed = sixs.parse_monochromatic(sixs.run_sixs(run, engine_cache)).depth_aerosol
+            assert aerosol_extinction(aerosol)[nodes.index(nm)] == pytest.approx(printed, rel=4e-4)
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"aot550": None, "meteorological_range_km": 20.0}, "needs aot550"),
-        ({"engine": "modtran"}, "sixs alone"),
+        ({"aot550": None, "meteorological_range_km": 20.0}, "needs aot550"), ({"engine": "modtran"}, "sixs alone"),
         ({"angstrom_exponent": 5.0}, "less than or equal to 3"),
     ],
-)
+)  # fmt: skip
 def test_what_it_does_not_go_with(change, words):
     with pytest.raises(ValidationError, match=words):
         AtmosphericState(**{**STATE, "angstrom_exponent": 0.2, **change})

@@ -42,6 +42,29 @@ def test_every_node_is_on_the_solvers_grid():
     assert np.all(np.diff(sixs.NODES_NM) > 0)
 
 
+def test_a_table_of_four_decimals_gives_what_is_solved_to_a_hundred_thousandth():
+    """Straight lines in the logarithms between the wavelengths at which the solver solves, printed as it prints."""
+    solved, rng = sixs._SOLVED_NM, np.random.default_rng(4)
+    exact = {name: rng.uniform(0.02, 0.9, solved.size) for name in sixs.SCATTERED}
+    nm = np.arange(340.0, 1000.1, 2.5)
+
+    def at(values, wavelength_nm):
+        inside = np.clip(wavelength_nm, solved[0], None)
+        first = (np.log(wavelength_nm) - np.log(inside)) / np.log(solved[1] / solved[0]) * np.log(values[1] / values[0])
+        return np.exp(np.interp(np.log(inside), np.log(solved), np.log(values)) + first)
+
+    columns = np.stack([at(values, nm) for values in exact.values()], axis=1)
+    text = "\n".join(
+        f"*{w / 1e3:.4f} 1.0000 " + " ".join(f"{v:.4f}" for v in row) + "  0 *"
+        for w, row in zip(nm, columns, strict=True)
+    )
+    nodes = sixs.NODES_NM[sixs.NODES_NM < 1000.0]
+    found = sixs.solved_at(text, nodes)
+    for name, values in exact.items():
+        np.testing.assert_allclose(found[name], at(values, nodes), atol=4e-5)
+        assert np.sqrt(np.mean((found[name] - at(values, nodes)) ** 2)) < 2e-5
+
+
 def printed(reflectance="0.0155055", gas="1.00000", up="0.97465"):
     return f"""
 *       apparent reflectance  {reflectance}  appar. rad.(w/m2/sr/mic)    7.021    *

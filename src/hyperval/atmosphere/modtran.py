@@ -614,25 +614,19 @@ def _json_case(state: AtmosphericState, albedo: float, number: int, name: str) -
     if haze:
         aerosols["VIS"] = -state.aerosol_optical_depth  # negative: optical depth at 550 nm
     return {
-        "NAME": name,
-        "DESCRIPTION": "",
-        "CASE": number,
+        "NAME": name, "DESCRIPTION": "", "CASE": number, "ATMOSPHERE": atmosphere, "AEROSOLS": aerosols,
         "RTOPTIONS": {
             "MODTRN": "RT_CORRK_FAST", "LYMOLC": False, "T_BEST": False, "IEMSCT": "RT_SOLAR_AND_THERMAL",
             "IMULT": "RT_DISORT", "DISALB": False, "NSTR": STREAMS, "SOLCON": 0.0,
         },
-        "ATMOSPHERE": atmosphere,
-        "AEROSOLS": aerosols,
         "GEOMETRY": {
             "ITYPE": 3, "H1ALT": state.sensor_altitude_km, "OBSZEN": view, "IDAY": _day(state),
             "IPARM": 12, "PARM1": azimuth, "PARM2": sun,
         },
-        "SURFACE": {
-            "GNDALT": state.ground_altitude_km, "SURFTYPE": "REFL_CONSTANT", "NSURF": 1, "SURREF": albedo,
-        },
+        "SURFACE": {"GNDALT": state.ground_altitude_km, "SURFTYPE": "REFL_CONSTANT", "NSURF": 1, "SURREF": albedo},
         "SPECTRAL": {
-            "V1": FIRST_CM, "V2": LAST_CM, "DV": STEP_CM,
-            "FWHM": STEP_CM, "YFLAG": "R", "XFLAG": "W", "FLAGS": "W      ", "BMNAME": "05_2013",
+            "V1": FIRST_CM, "V2": LAST_CM, "DV": STEP_CM, "FWHM": STEP_CM, "YFLAG": "R", "XFLAG": "W",
+            "FLAGS": "W      ", "BMNAME": "05_2013",
         },
         "FILEOPTIONS": {"NOPRNT": 1, "CKPRNT": True},
     }  # fmt: skip

@@ -1,8 +1,9 @@
 """The embedded engine: 6S V2.1 at its own scattering nodes, gas apart, put together in closed form.
 
 6S solves the scattering at twenty wavelengths and interpolates.  Asking for a spectrum
-makes it print four decimals; asking for one wavelength makes it print seven.  So the nodes are asked
-for one by one without gas, gas transmittance in a table, and the terms are formed here:
+makes it print four decimals; asking for one wavelength makes it print seven, and solve three of the twenty.  So clear
+air is asked for node by node, haze as a spectrum from which the values at the nodes are found again, both without
+gas, gas transmittance in a table, and the terms are formed here:
 
     L_a = F [rho_R Tg(dry) + rho_A Tg(half water)]        F = mu0 E0 / pi
     A   = F T_down exp(-tau/mu_v) Tg
@@ -29,13 +30,13 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib import resources
 from os import cpu_count
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
-import numpy
 import numpy as np
 import numpy.typing as npt
 import scipy
@@ -60,7 +61,7 @@ from hyperval.storage import last_line, remove_left, scratch_folder, sha256_of
 
 Array = npt.NDArray[np.float64]
 
-SPACE = -1000.0
+GAS_FREE = "0\n"  # card idatm = 0: scattering only (US standard 1962 air)
 _TOP_LEVEL = (99999.0, 0.0, 210.0, 0.0, 0.0)  # 6S wants a 34th level at infinity
 
 
@@ -93,18 +94,10 @@ class Aerosol:
     depth_550_below: float
 
 
-def gas_free_atmosphere() -> str:
-    """Card idatm = 0: scattering only (US standard 1962 air)."""
-    return "0\n"
-
-
 def profile_atmosphere(profile: Profile) -> str:
     """Card idatm = 7 with the 34 levels: user columns in idatm = 8 go wrong over raised ground."""
-    rows = zip(
-        profile.altitude_km, profile.pressure_hpa, profile.temperature_k, profile.water_g_m3, profile.ozone_g_m3,
-        strict=True,
-    )  # fmt: skip
-    lines = [" ".join(f"{v:.6e}" for v in row) for row in [*rows, _TOP_LEVEL]]
+    levels = (profile.altitude_km, profile.pressure_hpa, profile.temperature_k, profile.water_g_m3, profile.ozone_g_m3)
+    lines = [" ".join(f"{v:.6e}" for v in row) for row in [*zip(*levels, strict=True), _TOP_LEVEL]]
     return "7\n" + "\n".join(lines) + "\n"
 
 
@@ -131,21 +124,16 @@ def deck(
     height_km : sensor above the ground [km]; None for space, 0 for a sensor on the ground
     spectral : "-1\\nWL" (one wavelength, um) or "-2\\nFROM TO" (table in steps of 2.5 nm)
     """
-    parts = [geometry.card(), atmosphere]
-    if aerosol is None:
-        parts.append("0\n-1\n")
-    else:
-        parts.append(f"{aerosol.card}\n0\n{aerosol.depth_550:.6f}\n")
-    parts.append(altitude_card(ground_km) + "\n")
+    haze = "0\n-1\n" if aerosol is None else f"{aerosol.card}\n0\n{aerosol.depth_550:.6f}\n"
     if height_km is None:
-        parts.append(f"{SPACE:g}\n")
+        sensor = "-1000\n"  # space
     elif height_km == 0.0:
-        parts.append("0\n")
+        sensor = "0\n"
     else:
         below = 0.0 if aerosol is None else aerosol.depth_550_below
-        parts.append(f"{altitude_card(height_km)}\n-1.0 -1.0\n{below:.6f}\n")
-    parts.append(f"{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n")
-    return "".join(parts)
+        sensor = f"{altitude_card(height_km)}\n-1.0 -1.0\n{below:.6f}\n"
+    ground = f"{altitude_card(ground_km)}\n{sensor}{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n"
+    return geometry.card() + atmosphere + haze + ground
 
 
 @dataclass(frozen=True)
@@ -173,7 +161,7 @@ class Monochromatic:
 def parse_monochromatic(text: str) -> Monochromatic:
     """Read a single-wavelength run; raises EngineError when a number is missing, NaN or asterisks."""
     number = r"\s+(\S+)"
-    reflectance = _one(text, r"apparent reflectance" + number)
+    reflectance = _all(text, r"apparent reflectance" + number)[0]
     total = _all(text, r"total\s+sca\.\s+\"\s+:" + 3 * number)
     albedo = _all(text, r"spherical albedo\s+:" + 3 * number)
     plane = re.search(r"optical depth plane:" + 3 * number, text)
@@ -184,15 +172,16 @@ def parse_monochromatic(text: str) -> Monochromatic:
 
 def parse_steps(text: str) -> tuple[Array, Array]:
     """Wavelength [nm] and two-way gas transmittance [1] of a step run."""
-    rows = re.findall(r"^\*(\d\.\d{4})\s+(\S+)", text, flags=re.MULTILINE)
+    rows = _table_rows(text)
     if len(rows) < 2:
         raise EngineError("6S printed no spectral table", expected="rows in steps of 2.5 nm")
-    table = np.array([_numbers(r) for r in rows])
-    return np.round(table[:, 0] * 1e3, 1), np.clip(table[:, 1], 0.0, 1.0)
+    return np.round(rows[:, 0] * 1e3, 1), np.clip(rows[:, 1], 0.0, 1.0)
 
 
-def _one(text: str, pattern: str) -> float:
-    return _all(text, pattern)[0]
+def _table_rows(text: str) -> Array:
+    """(n, 6) rows of a step run: wavelength [um], gas, down, up, spherical albedo, path reflectance."""
+    rows = re.findall(r"^\*(\d\.\d{4})" + 5 * r"\s+(\S+)", text, flags=re.MULTILINE)
+    return np.array([_numbers(row) for row in rows])
 
 
 def _all(text: str, pattern: str) -> list[float]:
@@ -284,7 +273,7 @@ def _library_folder(cache_folder: str) -> str | None:
 def fortran_libraries() -> list[Path]:
     """Fortran run-time libraries that SciPy and NumPy brought along, SciPy's first."""
     libraries: list[Path] = []
-    for package in (scipy, numpy):
+    for package in (scipy, np):
         base = Path(str(package.__file__)).parent
         for folder in (base.parent / f"{base.name}.libs", base / ".libs"):
             libraries += sorted(folder.glob("libgfortran-*.so.5*"))
@@ -329,12 +318,24 @@ def _start(text: str, folder: str | None) -> subprocess.CompletedProcess[str]:
     return run_program([str(sixs_path())], "6S", mend, timeout_s=_TIMEOUT_S, text=text, environment=environment)
 
 
-SCHEME = 7  # raise when the numbers in the cache change their meaning
+SCHEME = 8  # raise when the numbers in the cache change their meaning
 NODES_NM = np.array(
     [350.0, 400.0, 412.5, 442.5, 470.0, 487.5, 515.0, 550.0, 590.0, 632.5, 670.0, 695.0, 760.0, 860.0,
      1240.0, 1535.0, 1650.0, 1950.0, 2250.0, 2600.0]
 )  # fmt: skip
-GRID_NM = np.arange(340.0, 2600.0 + 1.25, 2.5)
+_STEP_NM = 2.5
+GRID_NM = np.arange(340.0, 2600.0 + 0.5 * _STEP_NM, _STEP_NM)
+# Where 6S solves; all else it interpolates.
+_SOLVED_NM = np.array(
+    [350.0, 400.0, 412.0, 443.0, 470.0, 488.0, 515.0, 550.0, 590.0, 633.0, 670.0, 694.0, 760.0, 860.0,
+     1240.0, 1536.0, 1650.0, 1950.0, 2250.0, 3750.0]
+)  # fmt: skip
+SCATTERED = ("down", "up", "spherical_albedo", "reflectance")  # as the columns of a table
+_INFRARED_NM = 1000.0
+# Tables of haze, the second to the step before a wavelength at which 6S solves: beyond it a path of 1e-4 is printed
+# with one digit.  And the fewest nodes for which a table is the shorter way.
+_TABLES_NM = ((340.0, _INFRARED_NM), (_INFRARED_NM, 2247.5), (2252.5, 2600.0))
+_FEWEST_OF_A_TABLE = 5
 
 # 6S mistreats thin aerosol under an aircraft (see docs/atmosphere.md): below these depths at 550 nm it is
 # run with this much, and the aerosol's part is scaled down: its path reflectance per depth changes by some 4 %
@@ -344,17 +345,20 @@ _LEAST_DEPTH = 0.1
 # run.  Beyond 1 um the depth is down to a tenth, so more is asked for there, within reason.
 _LEAST_ABOVE, _LEAST_ABOVE_INFRARED = 0.0015, 0.012
 _GREATEST_STAND_IN = 0.5
-_TRACE = 0.002  # the least aerosol that changes how 6S treats the molecules
-_MOLECULAR = 14  # nodes below 1 um; beyond, molecules scatter too little to be worth a run
+_TRACE, _TRACE_NM = 0.002, (412.5, 552.5)  # the least aerosol that changes how 6S treats the molecules, and where
+_SCALE_HEIGHT_KM = 2.0  # of 6S's own aerosol, and of the trace
 _GREATEST_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
-_LEAST_ABOVE = 0.0015  # and misreads a depth below the sensor this close to the total
 _LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
 
-_AEROSOL_CARDS = {"continental": "1", "maritime": "2", "urban": "3", "desert": "5"}
+_MIXES = {  # the last three as 6S has them itself
+    "rural": RURAL_MIX,
+    "continental": AerosolMix(dust=0.7, water_soluble=0.29, soot=0.01),
+    "maritime": AerosolMix(water_soluble=0.05, oceanic=0.95),
+    "urban": AerosolMix(dust=0.17, water_soluble=0.61, soot=0.22),
+}
 
 
-@dataclass(frozen=True)
-class _Setting:
+class _Setting(NamedTuple):
     """What the runs of one state share."""
 
     geometry: SunAndView
@@ -409,7 +413,7 @@ def _assemble(
     mu_v = np.cos(np.deg2rad(setting.geometry.view_zenith))
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
     unit_radiance = mu0 * solar_irradiance / np.pi
-    value = {name: _log_log(values) for name, values in node.items()}
+    value = {name: _log_log(values, GRID_NM) for name, values in node.items()}
     tau = value["depth_rayleigh"] + value.get("depth_aerosol", 0.0)
     direct_up = np.exp(-tau / mu_v)
     diffuse_up = np.maximum(value["up"] - direct_up, 0.0)
@@ -417,7 +421,8 @@ def _assemble(
     # Molecules and aerosol follow different powers of the wavelength, so each is interpolated by itself: their sum,
     # which 6S interpolates, comes out up to 2 % too large between distant nodes.
     aerosol_path, albedo = value.get("reflectance_aerosol", np.zeros(GRID_NM.size)), value["spherical_albedo"]
-    if ratio is not None and _is_rural(state):
+    # Path and albedo were compared for the rural aerosol with the colour that its type has.
+    if ratio is not None and state.aerosol == "rural" and state.angstrom_exponent is None:
         aerosol_path = aerosol_path * ratio.aerosol_path(GRID_NM)
         molecules = molecular_albedo(_whole_air(state, setting, value))
         albedo = ratio.spherical_albedo(GRID_NM, albedo, molecules, low_share(state))
@@ -466,7 +471,8 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
     """Scattering quantities at the nodes, without gas: path reflectance, transmittances, albedo, depths.
 
     Without gas 6S takes the air of the US standard 1962: ground and sensor are put where
-    that air has as many molecules above them as the state's model has.
+    that air has as many molecules above them as the state's model has.  Clear air is run node by node, haze as a
+    table of each part of the spectrum, from which its values at the nodes are found (:func:`solved_at`).
     """
     model, us62 = standard_profile(state.model), standard_profile("us-standard-1962")
     ground = altitude_of_air_column(us62, air_column(model, setting.ground_km))
@@ -474,70 +480,115 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
     if setting.height_km is not None:
         above = altitude_of_air_column(us62, air_column(model, setting.ground_km + setting.height_km))
         height = max(round(above - ground, 5), 0.001)
-    depth, fraction = state.aerosol_optical_depth, state.aerosol_fraction_below
-    inputs = {
-        "binary": sixs_fingerprint(),
-        "scheme": SCHEME,
-        "nodes_nm": NODES_NM.tolist(),
-        "geometry": setting.geometry.card(),
-        "ground_km": round(ground, 5),
-        "height_km": height,
-        "aerosol": _aerosol_card(state),
-        "depth_550": round(depth, 6),
-        "depth_550_below": round(depth * fraction, 6),
-    }
+    air = {
+        "binary": sixs_fingerprint(), "scheme": SCHEME, "nodes_nm": NODES_NM.tolist(),
+        "geometry": setting.geometry.card(), "ground_km": round(ground, 5), "height_km": height,
+    }  # fmt: skip
+
+    def outputs(runs: list[tuple[str, Aerosol | None]], what: str) -> list[str]:
+        decks = [deck(setting.geometry, GAS_FREE, ground, height, *run) for run in runs]
+        return _run_all(decks, folder, f"6S {what}", show)
+
+    def molecules() -> Arrays:
+        runs = [parse_monochromatic(t) for t in outputs([(_one_wavelength(nm), None) for nm in NODES_NM], "molecules")]
+        return {name: np.array([getattr(run, name) for run in runs]) for name in (*SCATTERED, "depth_rayleigh")}
+
+    clear = cached(folder, "molecules", air, molecules)
+    node = {("reflectance_rayleigh" if name == "reflectance" else name): values for name, values in clear.items()}
+    depth, fraction, card = state.aerosol_optical_depth, state.aerosol_fraction_below, _aerosol_card(state.aerosol)
+    if depth == 0.0:
+        return node
+    extinction = aerosol_extinction(state.aerosol)
     as_typed = np.full(NODES_NM.size, depth)  # 6S follows the aerosol type from 550 nm
-    if state.angstrom_exponent is not None and depth > 0.0:
-        inputs["angstrom_exponent"] = state.angstrom_exponent
-        as_typed = depth * angstrom_law(NODES_NM, state.angstrom_exponent) / _extinction(state, folder, show)
+    if state.angstrom_exponent is not None:
+        as_typed = depth * angstrom_law(NODES_NM, state.angstrom_exponent) / extinction
+    stand_ins = [_stand_in(d, fraction, height, nm) for d, nm in zip(as_typed, NODES_NM, strict=True)]
+    aerosols = [Aerosol(card, round(d, 6), round(d * f, 6)) for d, f in stand_ins]
 
-    def compute() -> Arrays:
-        card = _aerosol_card(state)
-        stand_ins = [_stand_in(d, fraction, height, nm) for d, nm in zip(as_typed, NODES_NM, strict=True)]
-        aerosols: list[list[Aerosol | None]] = [[None] * NODES_NM.size]
-        if depth > 0.0:
-            aerosols.append([Aerosol(card, d, d * f) for d, f in stand_ins])
-            if height is not None:
-                aerosols.append([Aerosol(card, _TRACE, _TRACE * f) for _, f in stand_ins[:_MOLECULAR]])
-        decks = [
-            deck(setting.geometry, gas_free_atmosphere(), ground, height, f"-1\n{nm / 1e3:.4f}", aerosol)
-            for run in aerosols
-            for nm, aerosol in zip(NODES_NM, run, strict=False)
-        ]
-        outputs = [parse_monochromatic(t) for t in _run_all(decks, folder, "6S scattering", show)]
-        clear, *with_aerosol = (_columns(outputs[i : i + NODES_NM.size]) for i in range(0, len(outputs), NODES_NM.size))
-        nodes = {
-            "reflectance_rayleigh": clear["reflectance"],
-            **{name: clear[name] for name in ("down", "up", "spherical_albedo", "depth_rayleigh")},
-        }
-        if not with_aerosol:
-            return nodes
-        hazy = with_aerosol[0]
-        used, share = np.array(stand_ins).T
-        total = as_typed / used  # 1 where 6S was run with the depth itself
-        below = as_typed * fraction / (used * share)
-        aerosol_part = hazy["reflectance"] - clear["reflectance"]
-        if height is not None:
-            # With aerosol 6S spreads the molecules differently over the air below an aircraft (some 2 % more of
-            # them than without): the aerosol's own part is the difference between two runs that both do so.
-            trace, m = with_aerosol[1], slice(_MOLECULAR)
-            aerosol_part[m] = (hazy["reflectance"][m] - trace["reflectance"]) * used[m] / (used[m] - _TRACE)
-            # Beyond 1 um the excess of molecules is taken as large as at the last node below it.
-            last = _MOLECULAR - 1
-            molecules = trace["reflectance"][last] - aerosol_part[last] * _TRACE / used[last]
-            excess = molecules / clear["reflectance"][last] - 1.0
-            aerosol_part[_MOLECULAR:] -= excess * clear["reflectance"][_MOLECULAR:]
-        return {
-            **nodes,
-            "reflectance_aerosol": below * np.maximum(aerosol_part, 0.0),
-            "down": clear["down"] * (hazy["down"] / clear["down"]) ** total,
-            "up": clear["up"] * (hazy["up"] / clear["up"]) ** below,
-            "spherical_albedo": clear["spherical_albedo"]
-            + total * (hazy["spherical_albedo"] - clear["spherical_albedo"]),
-            "depth_aerosol": below * hazy["depth_aerosol"],
-        }
+    def haze() -> Arrays:
+        pieces: list[tuple[slice, str]] = []
+        for low, high in _TABLES_NM:
+            first, last = np.searchsorted(NODES_NM, (low, high + _STEP_NM), "right")
+            if last - first >= _FEWEST_OF_A_TABLE and len(set(aerosols[first:last])) == 1:
+                pieces.append((slice(first, last), f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}"))
+            else:
+                pieces += [(slice(i, i + 1), _one_wavelength(NODES_NM[i])) for i in range(first, last)]
+        texts = outputs([(spectral, aerosols[at.start]) for at, spectral in pieces], "haze")
+        found = [solved_at(t, NODES_NM[at]) for (at, _), t in zip(pieces, texts, strict=True)]
+        return {name: np.concatenate([part[name] for part in found]) for name in SCATTERED}
 
-    return cached(folder, "scattering", inputs, compute)
+    asked = {"aerosol": [[a.card, a.depth_550, a.depth_550_below] for a in aerosols]}
+    hazy = cached(folder, "haze", air | asked, haze)
+    used, share = np.array(stand_ins).T
+    total = as_typed / used  # 1 where 6S was run with the depth itself
+    below = as_typed * fraction / (used * share)
+    molecular = clear["reflectance"]
+    if height is not None:
+        # With aerosol 6S spreads the molecules differently over the air below an aircraft (some 2 % more of
+        # them than without), which a trace of aerosol shows at two wavelengths.  It follows the wavelength straight.
+        trace_share = 1.0 - np.exp(-height / _SCALE_HEIGHT_KM)
+        least = Aerosol(card, _TRACE, _TRACE * trace_share)
+
+        def trace() -> Arrays:
+            runs = [(_one_wavelength(nm), aerosol) for aerosol in (None, least) for nm in _TRACE_NM]
+            texts = outputs(runs, "molecules in haze")
+            return {"reflectance": np.array([parse_monochromatic(t).reflectance for t in texts]).reshape(2, -1)}
+
+        alone, seen = cached(folder, "trace", air | {"trace": [least.card, *_TRACE_NM]}, trace)["reflectance"]
+        its_own = _TRACE * trace_share / float(np.interp(550.0, NODES_NM, used * share))
+        excess = (seen - its_own * _log_log(hazy["reflectance"], np.array(_TRACE_NM))) / (1.0 - its_own) / alone - 1.0
+        slope = (excess[1] - excess[0]) / (_TRACE_NM[1] - _TRACE_NM[0])
+        molecular = molecular * (1.0 + excess[0] + slope * (np.minimum(NODES_NM, _INFRARED_NM) - _TRACE_NM[0]))
+    return {
+        **node,
+        "reflectance_aerosol": below * np.maximum(hazy["reflectance"] - molecular, 0.0),
+        "down": clear["down"] * (hazy["down"] / clear["down"]) ** total,
+        "up": clear["up"] * (hazy["up"] / clear["up"]) ** below,
+        "spherical_albedo": clear["spherical_albedo"] + total * (hazy["spherical_albedo"] - clear["spherical_albedo"]),
+        "depth_aerosol": as_typed * fraction * extinction,
+    }
+
+
+def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
+    """What a run without gas says of the scattering at some wavelengths: (n,) of each of ``SCATTERED``.
+
+    A run at one wavelength prints seven digits.  A table prints four decimals every 2.5 nm, of straight lines in the
+    logarithms between the wavelengths at which 6S solves: the values there that come closest to all rows are known
+    to some 1e-5 (Gauss-Newton on the printed numbers; a weak pull to a straight line where no digit shows).
+
+    Raises
+    ------
+    EngineError : numbers are missing.
+    """
+    rows = _table_rows(text)
+    if not rows.size:
+        run = parse_monochromatic(text)
+        return {name: np.array([getattr(run, name)]) for name in SCATTERED}
+    nm = np.round(rows[:, 0] * 1e3, 1)
+    first, last = np.searchsorted(_SOLVED_NM, nm[0], "right") - 1, np.searchsorted(_SOLVED_NM, nm[-1])
+    solved = np.log(_SOLVED_NM[max(first, 0) : last + 1])
+
+    def between(at_nm: Array) -> Array:
+        """(rows, solved) weights of straight lines, carried on beyond the ends."""
+        x, one = np.log(at_nm), np.eye(solved.size)
+        i = np.clip(np.searchsorted(solved, x, "right") - 1, 0, solved.size - 2)
+        share = ((x - solved[i]) / (solved[i + 1] - solved[i]))[:, None]
+        return np.asarray((1.0 - share) * one[i] + share * one[i + 1])
+
+    lines, pull = between(nm), 1e-6 * np.diff(np.eye(solved.size), 2, axis=0)
+    values = {}
+    for name, printed in zip(SCATTERED, rows[:, 2:6].T, strict=True):
+        logs = np.linalg.lstsq(lines, np.log(np.maximum(printed, 2.5e-5)), rcond=None)[0]
+        for _ in range(8):
+            model = np.exp(lines @ logs)
+            miss = np.concatenate([printed - model, -pull @ logs])
+            logs = logs + np.linalg.lstsq(np.vstack([lines * model[:, None], pull]), miss, rcond=None)[0]
+        values[name] = np.exp(between(nodes_nm) @ logs)
+    return values
+
+
+def _one_wavelength(nm: float) -> str:
+    return f"-1\n{nm / 1e3:.4f}"
 
 
 def angstrom_law(wavelength_nm: Array, exponent: float) -> Array:
@@ -545,31 +596,20 @@ def angstrom_law(wavelength_nm: Array, exponent: float) -> Array:
     return np.asarray((np.asarray(wavelength_nm, dtype=float) / 550.0) ** -exponent)
 
 
-def _extinction(state: AtmosphericState, folder: Path, show: bool | None) -> Array:
-    """(nodes,) optical depth of the aerosol type over that at 550 nm, from space [1]."""
-    card, depth = _aerosol_card(state), 1.0  # printed to five decimals
-    inputs = {"binary": sixs_fingerprint(), "nodes_nm": NODES_NM.tolist(), "aerosol": card}
-
-    def compute() -> Arrays:
-        decks = [
-            deck(
-                SunAndView(0.0, 0.0, 0.0),
-                gas_free_atmosphere(),
-                0.0,
-                None,
-                f"-1\n{nm / 1e3:.4f}",
-                Aerosol(card, depth, depth),
-            )
-            for nm in NODES_NM
-        ]
-        runs = [parse_monochromatic(t) for t in _run_all(decks, folder, "6S aerosol", show)]
-        return {"depth": np.array([run.depth_aerosol for run in runs]) / depth}
-
-    return cached(folder, "extinction", inputs, compute)["depth"]
+def aerosol_extinction(aerosol: AerosolMix | str) -> Array:
+    """(nodes,) optical depth of an aerosol type over that at 550 nm [1]: its components' by their volume."""
+    nm, *components, desert = _components().T
+    mix, together = _mix(aerosol), desert
+    if mix is not None:
+        together = np.asarray([mix.dust, mix.water_soluble, mix.oceanic, mix.soot]) @ np.array(components)
+    return _log_log(together, NODES_NM, nm) / _log_log(together, np.array([550.0]), nm)
 
 
-def _columns(runs: list[Monochromatic]) -> Arrays:
-    return {f.name: np.array([getattr(run, f.name) for run in runs]) for f in fields(Monochromatic)}
+@lru_cache(maxsize=1)
+def _components() -> Array:
+    """(nodes, 6) wavelength [nm], extinction of dust, water-soluble, oceanic and soot by volume, and of desert."""
+    text = resources.files("hyperval.atmosphere").joinpath("aerosol_extinction.csv").read_text("utf-8")
+    return np.loadtxt(text.splitlines(), delimiter=",")
 
 
 def _stand_in(depth: float, fraction: float, height_km: float | None, nm: float) -> tuple[float, float]:
@@ -579,7 +619,7 @@ def _stand_in(depth: float, fraction: float, height_km: float | None, nm: float)
     used = max(depth, _LEAST_DEPTH)
     lowest = 1.0 - np.exp(-height_km / _GREATEST_SCALE_HEIGHT_KM)
     share = max(fraction, lowest * (1.0 + 1e-6) + 1e-6)
-    above = _LEAST_ABOVE if nm < 1000.0 else _LEAST_ABOVE_INFRARED
+    above = _LEAST_ABOVE if nm < _INFRARED_NM else _LEAST_ABOVE_INFRARED
     used = max(used, min(above / max(1.0 - share, 1e-9), _GREATEST_STAND_IN))
     return used, float(min(share, 1.0 - _LEAST_ABOVE / used))
 
@@ -587,19 +627,11 @@ def _stand_in(depth: float, fraction: float, height_km: float | None, nm: float)
 def _gas(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | None) -> Arrays:
     """Gas transmittance on the grid: full water, half water and dry two-way, and sun to ground."""
     profile = scaled_profile(state.model, setting.ground_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
-    water = profile.water_g_m3
-    spectral = f"-2\n{GRID_NM[0] / 1e3:.4f} {GRID_NM[-1] / 1e3:.4f}"
+    spectral, above = f"-2\n{GRID_NM[0] / 1e3:.4f} {GRID_NM[-1] / 1e3:.4f}", setting.height_km
     decks = {}
-    for name, share, height in (
-        ("full", 1.0, setting.height_km),
-        ("half", 0.5, setting.height_km),
-        ("dry", 0.0, setting.height_km),
-        ("ground", 1.0, 0.0),
-    ):
-        levels = type(profile)(
-            profile.altitude_km, profile.pressure_hpa, profile.temperature_k, water * share, profile.ozone_g_m3
-        )
-        decks[name] = deck(setting.geometry, profile_atmosphere(levels), setting.ground_km, height, spectral)
+    for name, share, height in (("full", 1.0, above), ("half", 0.5, above), ("dry", 0.0, above), ("ground", 1.0, 0.0)):
+        air = profile_atmosphere(replace(profile, water_g_m3=profile.water_g_m3 * share))
+        decks[name] = deck(setting.geometry, air, setting.ground_km, height, spectral)
     inputs = {"binary": sixs_fingerprint(), "scheme": SCHEME, "decks": decks}
 
     def compute() -> Arrays:
@@ -639,11 +671,6 @@ def _with_ratio(gas: Arrays, state: AtmosphericState, ratio: EngineRatio) -> Arr
     }
 
 
-def _is_rural(state: AtmosphericState) -> bool:
-    """Whether the aerosol is the one whose path and albedo were compared, with the colour that its type has."""
-    return state.aerosol == "rural" and state.angstrom_exponent is None
-
-
 def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:
     """Outputs of all decks in their order; one process per processor at a time."""
     run: Callable[[str], str] = lambda text: run_sixs(text, folder)  # noqa: E731
@@ -655,16 +682,18 @@ def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> li
             raise
 
 
-def _aerosol_card(state: AtmosphericState) -> str:
-    if isinstance(state.aerosol, AerosolMix) or state.aerosol == "rural":
-        mix = state.aerosol if isinstance(state.aerosol, AerosolMix) else RURAL_MIX
-        return f"4\n{mix.dust:.6f} {mix.water_soluble:.6f} {mix.oceanic:.6f} {mix.soot:.6f}"
-    return _AEROSOL_CARDS.get(state.aerosol, "")
+def _aerosol_card(aerosol: AerosolMix | str) -> str:
+    mix = _mix(aerosol)
+    return "5" if mix is None else f"4\n{mix.dust:.6f} {mix.water_soluble:.6f} {mix.oceanic:.6f} {mix.soot:.6f}"
 
 
-def _log_log(values: Array) -> Array:
-    """Node values on the grid: straight lines in the logarithms, carried on beyond the ends."""
-    x, y = np.log(NODES_NM), np.log(np.maximum(values, 1e-7))
-    at = np.log(GRID_NM)
+def _mix(aerosol: AerosolMix | str) -> AerosolMix | None:
+    """Volume shares of an aerosol; None for desert, which is a type of its own."""
+    return aerosol if isinstance(aerosol, AerosolMix) else _MIXES.get(aerosol)
+
+
+def _log_log(values: Array, at_nm: Array, nodes_nm: Array | None = None) -> Array:
+    """Values of nodes at other wavelengths: straight lines in the logarithms, carried on beyond the ends."""
+    x, y, at = np.log(NODES_NM if nodes_nm is None else nodes_nm), np.log(np.maximum(values, 1e-7)), np.log(at_nm)
     i = np.clip(np.searchsorted(x, at) - 1, 0, x.size - 2)
     return np.asarray(np.exp(y[i] + (at - x[i]) * (y[i + 1] - y[i]) / (x[i + 1] - x[i])))
