@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy import special
-from scipy.optimize.elementwise import find_root
 
 from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
@@ -31,6 +30,8 @@ def _beta_quantile(a: Array, b: Array, probability: float) -> Array:
     found = special.betaincinv(a, b, probability)
     missed = np.abs(special.betainc(a, b, found) - probability) > _MISSED * probability
     if np.any(missed):
+        from scipy.optimize.elementwise import find_root  # loads much that hardly any run needs
+
         a, b, found = (np.array(x) for x in np.broadcast_arrays(a, b, found))
         ends = np.zeros(missed.sum()), np.ones(missed.sum())
         root = find_root(lambda x, a, b: special.betainc(a, b, x) - probability, ends, args=(a[missed], b[missed]))
