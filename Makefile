@@ -45,7 +45,7 @@ validate: $(READY)  ## run every campaign; the report is in reports/validate
 check: $(READY)  ## compare every campaign and sensor with the accepted numbers
 	$(BIN)/hyperval check campaigns/*/campaign*.yaml --sensors all --junit reports/check.xml $(if $(CHECK_FROM),--from $(CHECK_FROM))
 
-power: $(READY)  ## plant standard errors in the model of every campaign: which gates see them? (tens of minutes)
+power: $(READY)  ## inject standard errors in the model of every campaign: which gates see them? (tens of minutes)
 	$(BIN)/hyperval power campaigns/*/campaign*.yaml -o reports/power
 
 scoreboard: $(READY)  ## rank detectors, engines and formulations on every campaign; the page is in reports/scoreboard

@@ -1,4 +1,4 @@
-"""The power of a campaign: what its gates see of errors planted in its model, and what they do not."""
+"""The power of a campaign: what its gates see of errors injected into its model, and what they do not."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hyperval.campaign.power import Power, power, power_table, turned
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence
 from hyperval.report.html import report_page
-from hyperval.report.run import Planted, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
+from hyperval.report.run import Injected, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
 from hyperval.results import Outcome, Result, Role
-from hyperval.uncertainty.planted import PlantedError, planted_errors
+from hyperval.uncertainty.injected import InjectedError, injected_errors
 
 BRIGHT, QUIET, TAILS = "sunlight x 1.05", "noise x 1.5", "tails left out"
 SUBJECTS = ["white-panel", "grey-panel-35"]
 DIGEST = "ab" * 32
 
 
-def some_errors(*names: str) -> list[PlantedError]:
-    return [e for e in planted_errors() if e.name in names]
+def some_errors(*names: str) -> list[InjectedError]:
+    return [e for e in injected_errors() if e.name in names]
 
 
 def on_radiance_alone(small, limit: float) -> list:
@@ -39,10 +39,10 @@ def table(**more) -> PowerTable:
         "schema": 1, "campaign": "small", "version": "0", "files": {"campaign.yaml": DIGEST}, "gates": 2,
         "disagreeing": 0,
         "errors": {
-            BRIGHT: Planted(gates=("radiance | grass | sixs | bias_ratio",), informing={"snr": 1}),
-            "blur x 1.5": Planted(informing={"roc": 2}),
-            QUIET: Planted(),
-            TAILS: Planted(not_applicable="no class has tails"),
+            BRIGHT: Injected(gates=("radiance | grass | sixs | bias_ratio",), informing={"snr": 1}),
+            "blur x 1.5": Injected(informing={"roc": 2}),
+            QUIET: Injected(),
+            TAILS: Injected(not_applicable="no class has tails"),
         },
     }  # fmt: skip
     return PowerTable.model_validate({**fields, **more})
@@ -122,7 +122,7 @@ def test_a_table_is_old_where_a_gate_has_another_value_now():
 
 
 def test_an_error_that_is_seen_otherwise_than_accepted_is_a_change():
-    now = table(errors={BRIGHT: Planted(), QUIET: Planted()})
+    now = table(errors={BRIGHT: Injected(), QUIET: Injected()})
     assert Power("small", now, accepted=table(errors={BRIGHT: table().errors[BRIGHT]})).changes == [
         "sunlight x 1.05: unseen, accepted: gates",
         "noise x 1.5: unseen, accepted: not in the table",
@@ -135,7 +135,7 @@ def test_an_error_that_is_seen_otherwise_than_accepted_is_a_change():
 def test_tables_are_written_accepted_and_shown(small, tmp_path, monkeypatch):
     """From the command's function to the page: the first screen names what goes unseen; an old table says so."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("hyperval.campaign.power.planted_errors", lambda: some_errors(BRIGHT, QUIET, TAILS))
+    monkeypatch.setattr("hyperval.campaign.power.injected_errors", lambda: some_errors(BRIGHT, QUIET, TAILS))
     path = on_radiance_alone(small, 0.02)[0].path
     (found,) = power([path], output=tmp_path / "out", accept=True)
     assert sorted(p.name for p in (tmp_path / "out").glob("*.*") if not p.name.startswith(".")) == [

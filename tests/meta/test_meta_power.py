@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hyperval.report.run import PowerTable, accepted_table
-from hyperval.uncertainty.planted import planted_errors
+from hyperval.uncertainty.injected import injected_errors
 
 ROOT = Path(__file__).parents[2]
 TABLES = sorted((ROOT / "validation" / "power").glob("*.yaml"))
@@ -25,7 +25,7 @@ def test_there_are_tables():
 
 
 def test_each_standard_error_stands_in_it(table):
-    assert list(table.errors) == [error.name for error in planted_errors()]
+    assert list(table.errors) == [error.name for error in injected_errors()]
 
 
 def test_it_says_what_its_gates_gave(table):
@@ -39,5 +39,5 @@ def test_its_files_are_those_of_a_campaign(table):
 
 
 def test_no_more_gates_turn_than_could(table):
-    named = {gate for planted in table.errors.values() for gate in planted.gates}
+    named = {gate for injected in table.errors.values() for gate in injected.gates}
     assert len(named) <= table.gates

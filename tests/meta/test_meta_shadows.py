@@ -9,8 +9,8 @@ from parsed import parsed
 from test_every_equation_has_evidence import SOURCE, production
 
 ROOT = Path(__file__).parents[2]
-# The installed command; forms of our objects for other libraries; errors to be planted in a campaign.
-ENTRANCES = {"main", "library_to_spy", "library_to_xarray", "planted_errors", "planted_prediction"}
+# The installed command; forms of our objects for other libraries; errors to be injected in a campaign.
+ENTRANCES = {"main", "library_to_spy", "library_to_xarray", "injected_errors", "injected_prediction"}
 
 
 def public_functions() -> dict[str, Path]:

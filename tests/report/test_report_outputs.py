@@ -24,7 +24,7 @@ from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report import verdict as v
 from hyperval.report.html import MAX_BYTES, index_page, report_page, run_drawings
-from hyperval.report.run import Planted, PowerTable
+from hyperval.report.run import Injected, PowerTable
 from hyperval.results import Outcome, Result, ResultTable, Role
 
 CURVE = RocCurve(*(np.linspace(0.1, 1.0, 4) for _ in range(5)))
@@ -306,8 +306,8 @@ def test_a_choice_after_the_data_is_printed_after_what_it_was_before():
 
 def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix():
     """With many subjects the matrix is longer than a screen."""
-    planted = {"sunlight x 1.05": Planted(), "fill x 0.8": Planted(gates=("scores | all | cem | p",))}
-    table = PowerTable(schema=1, campaign="c", version="1", files={}, gates=3, disagreeing=0, errors=planted)
+    injected = {"sunlight x 1.05": Injected(), "fill x 0.8": Injected(gates=("scores | all | cem | p",))}
+    table = PowerTable(schema=1, campaign="c", version="1", files={}, gates=3, disagreeing=0, errors=injected)
     notes = ["warning: the panels do not lie on one line", "a note", *(f"warning: number {i}" for i in range(3))]
     choices = [("at most 0.06", "at most 0.05")]
     run = dataclasses.replace(make_run(curves=1), chosen_after=choices, power=table, notes=notes)

@@ -1,4 +1,4 @@
-"""Tests of planted errors use the small scene of the tests of predictions."""
+"""Tests of injected errors use the small scene of the tests of predictions."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def band_means(at_nm: Array, values: Array, shift: float = 0.0) -> Array:
 
 @dataclass
 class World:
-    """What an error can be planted in."""
+    """What an error can be injected in."""
 
     electrons: float = 1.0
     path: float = 1.0

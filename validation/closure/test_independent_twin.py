@@ -1,6 +1,6 @@
 """A twin that shares nothing with the model: radiance by another engine; sensor, filter and line by plain code.
 
-Errors planted in what the first twin shares with the model are seen where they exceed what the two sides differ by.
+Errors injected into what the first twin shares with the model are seen where they exceed what the two sides differ by.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ def response_difference(world: plain.World) -> float:
 
 
 @pytest.mark.parametrize(
-    ("difference", "within", "planted"),
+    ("difference", "within", "injected"),
     [
         (noise_difference, 1e-9, plain.World(electrons=1.05)),
         (distance_difference, 3e-4, plain.World(distance=False)),
         (response_difference, 1e-3, plain.World(shift=0.1)),
     ],
 )
-def test_sensor_sun_and_bands_meet_and_a_planted_error_shows(difference, within, planted):
-    assert difference(plain.World()) < within < 2.0 * within < difference(planted)
+def test_sensor_sun_and_bands_meet_and_a_injected_error_shows(difference, within, injected):
+    assert difference(plain.World()) < within < 2.0 * within < difference(injected)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def engine():
 
 
 @pytest.mark.slow
-def test_two_engines_meet_and_planted_errors_of_path_and_albedo_show(engine):
+def test_two_engines_meet_and_injected_errors_of_path_and_albedo_show(engine):
     # Stated for the engine: 5 % of the path radiance, 1 % of the ground light; its spherical albedo is 3 to 19 %
     # lower below 700 nm than that of SASKTRAN2, and what it does to the radiance is a part of that 1 %.
     scenario = load_scenario(FOLDER / "scenario.yaml")

@@ -1,4 +1,4 @@
-"""Power of campaigns: each standard error is planted in the model, and the gates that turn are noted."""
+"""Power of campaigns: each standard error is injected into the model; which acceptance criteria detect it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hyperval.model import Truth, predict
 from hyperval.progress import track
 from hyperval.report.run import (
     ACCEPTED,
-    Planted,
+    Injected,
     PowerTable,
     accepted_table,
     gate_name,
@@ -32,7 +32,7 @@ from hyperval.report.run import (
 )
 from hyperval.results import Outcome, Result
 from hyperval.storage import POWER, whole_folder, write_text
-from hyperval.uncertainty.planted import NotPlantable, PlantedError, planted_errors, planted_prediction
+from hyperval.uncertainty.injected import InjectedError, NotInjectable, injected_errors, injected_prediction
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class Power:
         ]
 
 
-def _sight(planted: Planted | None) -> str:
-    return "not in the table" if planted is None else str(planted.sight)
+def _sight(injected: Injected | None) -> str:
+    return "not in the table" if injected is None else str(injected.sight)
 
 
 def power(
@@ -118,7 +118,7 @@ def _piece(job: AnyJob) -> tuple[PowerTable | None, str]:
 
 
 def power_table(
-    job: Job, *, errors: Sequence[PlantedError] | None = None, show_progress: bool | None = None
+    job: Job, *, errors: Sequence[InjectedError] | None = None, show_progress: bool | None = None
 ) -> PowerTable:
     """Observe once, predict with each of ``errors`` (default: the standard ones), and compare each time.
 
@@ -127,21 +127,21 @@ def power_table(
     MissingDataError : files of a registered data set that are not on this machine.
     HypervalError : anything else that the user can mend.
     """
-    errors = planted_errors() if errors is None else errors
+    errors = injected_errors() if errors is None else errors
     with collected(job, show_progress=show_progress) as here:
         scenarios = here.scenarios
         origins = [here.origins(scenario, show_progress) for scenario in scenarios]
         stated = [predict(s, o, objects=True) for s, o in zip(scenarios, origins, strict=True)]
 
-        def judged_with(error: PlantedError | None) -> list[Result]:
+        def judged_with(error: InjectedError | None) -> list[Result]:
             predictions, truths, refused = [], [], []
             for scenario, plain, own in zip(scenarios, stated, origins, strict=True):
                 prediction = plain
                 truth: Truth = {}
                 if error is not None:
                     try:
-                        prediction, truth = planted_prediction(scenario, error, own, objects=True)
-                    except NotPlantable as why:  # of another scenario there may be something
+                        prediction, truth = injected_prediction(scenario, error, own, objects=True)
+                    except NotInjectable as why:  # of another scenario there may be something
                         refused.append(why)
                 predictions.append(prediction)
                 truths.append(truth)
@@ -151,11 +151,11 @@ def power_table(
 
         before = judged_with(None)
         rows = {}
-        for error in track(errors, "planted errors", len(errors), show=show_progress):
+        for error in track(errors, "injected errors", len(errors), show=show_progress):
             try:
                 rows[error.name] = turned(before, judged_with(error))
-            except NotPlantable as why:
-                rows[error.name] = Planted(not_applicable=why.what)
+            except NotInjectable as why:
+                rows[error.name] = Injected(not_applicable=why.what)
         gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
         disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
         return PowerTable(
@@ -170,11 +170,11 @@ def power_table(
         )
 
 
-def turned(before: Iterable[Result], after: Iterable[Result]) -> Planted:
+def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:
     """What disagrees after and did not before."""
     disagreed = {_key(row) for row in before if row.outcome is Outcome.DISAGREES}
     new = [row for row in after if row.outcome is Outcome.DISAGREES and _key(row) not in disagreed]
-    return Planted(
+    return Injected(
         gates=tuple(dict.fromkeys(gate_name(row) for row in new if row.gates)),
         informing=dict(Counter(row.product for row in new if not row.gates)),
     )
@@ -193,8 +193,8 @@ def _csv(table: Sequence[Power]) -> str:
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow(["campaign", "error", "seen_by", "gates", "rows_that_do_not_decide", "which"])
     for item in table:
-        for name, planted in item.table.errors.items() if item.table else ():
-            which = planted.not_applicable or "; ".join(planted.gates)
-            rows = sum(planted.informing.values())
-            lines.writerow([item.campaign, name, str(planted.sight), len(planted.gates), rows, which])
+        for name, injected in item.table.errors.items() if item.table else ():
+            which = injected.not_applicable or "; ".join(injected.gates)
+            rows = sum(injected.informing.values())
+            lines.writerow([item.campaign, name, str(injected.sight), len(injected.gates), rows, which])
     return text.getvalue()

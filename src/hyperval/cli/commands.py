@@ -8,7 +8,7 @@ Commands on finished runs, and on the numbers in them.
 
 The command that writes the first draft of a campaign.
 
-Commands that run the model or the pipeline many times: studies, benchmarks, planted errors.
+Commands that run the model or the pipeline many times: studies, benchmarks, injected errors.
 
 Commands that run the model, the pipeline, or both.
 
@@ -440,14 +440,14 @@ def power(
     ] = None,
     accept: Annotated[bool, typer.Option("--accept", help="Take the tables as those that reports show.")] = False,
 ) -> int:
-    """Plant standard errors in the model, one at a time: which gates turn?"""
+    """Inject standard errors in the model, one at a time: which gates turn?"""
     from hyperval.campaign.power import power as run
 
     tables = run(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
     done = [item.table for item in tables if item.table is not None]
     names = list(dict.fromkeys(name for table in done for name in table.errors))
     print_table(
-        ("planted error", *(table.campaign for table in done)),
+        ("injected error", *(table.campaign for table in done)),
         [(name, *(table.errors[name].words for table in done)) for name in names],
     )
     for item in tables:

@@ -1,6 +1,6 @@
 """What a report is made from: one results table, the two sides, and where everything came from.
 
-What a campaign can tell: which standard errors, planted in its model one at a time, its comparisons see.
+What a campaign can tell: which standard errors, injected into its model one at a time, its comparisons see.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class Sight(StrEnum):
     NOT_APPLICABLE = "not applicable"
 
 
-class Planted(Model):
-    """What one planted error turns to "disagrees"; of rows that disagree without it nothing is said."""
+class Injected(Model):
+    """What one injected error turns to "disagrees"; of rows that disagree without it nothing is said."""
 
     gates: tuple[str, ...] = Field((), description='gates that turn: "product | subject | method | metric"')
     informing: dict[str, int] = Field(default_factory=dict, description="rows that turn and do not decide, by product")
-    not_applicable: str | None = Field(None, description="why it cannot be planted")
+    not_applicable: str | None = Field(None, description="why it cannot be injected")
 
     @property
     def sight(self) -> Sight:
@@ -64,7 +64,7 @@ class Planted(Model):
 
     @property
     def which(self) -> str:
-        """What sees it, some by name; or why it cannot be planted."""
+        """What sees it, some by name; or why it cannot be injected."""
         if self.not_applicable is not None:
             return self.not_applicable
         if not self.gates:
@@ -81,15 +81,15 @@ class PowerTable(Model):
     version: str = Field(description="of hyperval, which computed it")
     files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
     gates: int = Field(ge=0, description="gates that an error could turn")
-    disagreeing: int = Field(ge=0, description="gates that disagree with nothing planted, and cannot turn")
+    disagreeing: int = Field(ge=0, description="gates that disagree with nothing injected, and cannot turn")
     stated: dict[str, float] = Field(
-        default_factory=dict, description="gate of the model -> its value with nothing planted"
+        default_factory=dict, description="gate of the model -> its value with nothing injected"
     )
-    errors: dict[str, Planted] = Field(min_length=1)
+    errors: dict[str, Injected] = Field(min_length=1)
 
     def named(self, *sights: Sight) -> list[str]:
         """Errors that are seen so far."""
-        return [name for name, planted in self.errors.items() if planted.sight in sights]
+        return [name for name, injected in self.errors.items() if injected.sight in sights]
 
     def changed_files(self, inputs: Iterable[Mapping[str, Any]]) -> list[str]:
         """The campaign's own files that are not, or not any more, as they were when the table was computed.
@@ -107,9 +107,9 @@ class PowerTable(Model):
     @property
     def sentence(self) -> str:
         """What a reader has to know before all."""
-        planted = len(self.errors) - len(self.named(Sight.NOT_APPLICABLE))
+        injected = len(self.errors) - len(self.named(Sight.NOT_APPLICABLE))
         unseen, shown = self.named(Sight.UNSEEN), self.named(Sight.INFORMING)
-        parts = [f"The criteria detect {len(self.named(Sight.GATES))} of {planted} injected model errors."]
+        parts = [f"The criteria detect {len(self.named(Sight.GATES))} of {injected} injected model errors."]
         if shown:
             parts.append(f"Informational comparisons alone detect: {', '.join(shown)}.")
         if unseen:
@@ -169,7 +169,7 @@ def accepted_table(name: str, folder: Path = ACCEPTED) -> PowerTable | None:
 def write_power_table(path: Path, table: PowerTable) -> None:
     """Write one table as YAML."""
     data = table.model_dump(mode="json", by_alias=True, exclude_defaults=True)
-    head = f"# What the campaign {table.campaign} can tell: errors planted in its model, and the gates that turn.\n"
+    head = f"# What the campaign {table.campaign} can tell: errors injected into its model, and the gates that turn.\n"
     head += "# `hyperval power --accept` renews it.\n"
     write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))
 

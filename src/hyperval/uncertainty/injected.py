@@ -1,4 +1,4 @@
-"""Standard errors, each planted in the model alone: a comparison that is worth its name sees them.
+"""Standard errors, each injected into the model alone: a comparison that is worth its name sees them.
 
 An error is one or several inputs that stand at another value than stated.  The truth of the model departs, what the
 detectors look for and how bands are labelled stays: the pipeline that is compared is the same.
@@ -24,12 +24,12 @@ Array = npt.NDArray[np.float64]
 NORMAL_DOF = 1e6  # degrees of freedom of tails that are left out
 
 
-class NotPlantable(UsageError):
+class NotInjectable(UsageError):
     """An error of something that the scenario does not have."""
 
 
 @dataclass(frozen=True)
-class PlantedError:
+class InjectedError:
     """An error of a standard size.
 
     Attributes
@@ -48,60 +48,60 @@ class PlantedError:
 
         Raises
         ------
-        NotPlantable : the scenario has nothing of the kind.
+        NotInjectable : the scenario has nothing of the kind.
         """
         try:
             values = self.values(world) if self.line is None else _off_line(world, *self.line)
             for path in values:
                 value_at(world, path)
-        except NotPlantable:
+        except NotInjectable:
             raise
         except UsageError as error:
-            raise NotPlantable(error.what) from error
+            raise NotInjectable(error.what) from error
         return values
 
 
-def planted_errors() -> tuple[PlantedError, ...]:
+def injected_errors() -> tuple[InjectedError, ...]:
     """The standard errors, in the order of the power table."""
     return (
-        PlantedError("sunlight x 0.95", _times("light.irradiance", 0.95)),
-        PlantedError("sunlight x 1.05", _times("light.irradiance", 1.05)),
-        PlantedError("path radiance x 1.1", _times("light.path", 1.1)),
-        PlantedError("spherical albedo x 1.5", _times("light.spherical_albedo", 1.5)),
-        PlantedError("spectral shift of 0.1 band", _shifted(bands=0.1)),
-        PlantedError("spectral shift of 0.5 band", _shifted(bands=0.5)),
-        PlantedError("wavelengths + 5 nm", _shifted(nm=5.0)),
-        PlantedError("noise x 1.5", _times("sensor.noise", 1.5)),
-        PlantedError("electrons x 1.05", _times("sensor.electrons", 1.05)),
-        PlantedError("class spread x 0.8", _spread(0.8)),
-        PlantedError("class spread x 1.25", _spread(1.25)),
-        PlantedError("tails left out", _without_tails),
-        PlantedError("class means exchanged", _class_means_exchanged),
-        PlantedError("target spectra x 0.8", _darker_targets),
-        PlantedError("target spectra exchanged", _target_spectra_exchanged),
-        PlantedError("target spectra of another material", _other_material),
-        PlantedError("target covariance by f, not f squared", _fine_texture),
-        PlantedError("fill x 0.8", _times("fill", 0.8)),
-        PlantedError("blur x 1.5", _times("blur", 1.5)),
-        PlantedError("empirical line gain x 1.02", line=(1.02, 0.0)),
-        PlantedError("empirical line offset + 0.005", line=(1.0, 0.005)),
+        InjectedError("sunlight x 0.95", _times("light.irradiance", 0.95)),
+        InjectedError("sunlight x 1.05", _times("light.irradiance", 1.05)),
+        InjectedError("path radiance x 1.1", _times("light.path", 1.1)),
+        InjectedError("spherical albedo x 1.5", _times("light.spherical_albedo", 1.5)),
+        InjectedError("spectral shift of 0.1 band", _shifted(bands=0.1)),
+        InjectedError("spectral shift of 0.5 band", _shifted(bands=0.5)),
+        InjectedError("wavelengths + 5 nm", _shifted(nm=5.0)),
+        InjectedError("noise x 1.5", _times("sensor.noise", 1.5)),
+        InjectedError("electrons x 1.05", _times("sensor.electrons", 1.05)),
+        InjectedError("class spread x 0.8", _spread(0.8)),
+        InjectedError("class spread x 1.25", _spread(1.25)),
+        InjectedError("tails left out", _without_tails),
+        InjectedError("class means exchanged", _class_means_exchanged),
+        InjectedError("target spectra x 0.8", _darker_targets),
+        InjectedError("target spectra exchanged", _target_spectra_exchanged),
+        InjectedError("target spectra of another material", _other_material),
+        InjectedError("target covariance by f, not f squared", _fine_texture),
+        InjectedError("fill x 0.8", _times("fill", 0.8)),
+        InjectedError("blur x 1.5", _times("blur", 1.5)),
+        InjectedError("empirical line gain x 1.02", line=(1.02, 0.0)),
+        InjectedError("empirical line offset + 0.005", line=(1.0, 0.005)),
     )
 
 
-def planted_prediction(
-    scenario: Scenario, error: PlantedError, origins: Origins | None = None, *, objects: bool | int = False
+def injected_prediction(
+    scenario: Scenario, error: InjectedError, origins: Origins | None = None, *, objects: bool | int = False
 ) -> tuple[PredictedProducts, Truth]:
-    """The prediction of a scenario with one error planted, its budget as stated; and the truth behind it.
+    """The prediction of a scenario with one error injected, its budget as stated; and the truth behind it.
 
     Raises
     ------
-    NotPlantable : the scenario has nothing of the kind.
+    NotInjectable : the scenario has nothing of the kind.
     """
     truth = error.truth(read(scenario, origins))
     return _seen(predict(scenario, origins, truth=truth, objects=objects), scenario, error), truth
 
 
-def _seen(prediction: PredictedProducts, scenario: Scenario, error: PlantedError) -> PredictedProducts:
+def _seen(prediction: PredictedProducts, scenario: Scenario, error: InjectedError) -> PredictedProducts:
     if error.line is None or scenario.atmosphere is None:
         return prediction
     # The collected reflectance is that of its own line: an error of the model's shows in the predicted one.
@@ -113,7 +113,7 @@ def _times(path: str, factor: float) -> Callable[[World], Truth]:
     def values(world: World) -> Truth:
         nominal = np.asarray(value_at(world, path)[0], dtype=float)
         if not np.any(nominal):
-            raise NotPlantable(f"{path} is 0")
+            raise NotInjectable(f"{path} is 0")
         return {path: factor * nominal}
 
     return values
@@ -143,7 +143,7 @@ def _without_tails(world: World) -> Truth:
     paths = [f"surfaces.[{c.name}].tail_dof" for c in world.stated.scenario.scene.classes]
     heavy = {path: NORMAL_DOF for path in paths if value_at(world, path)[0] < NORMAL_DOF}
     if not heavy:
-        raise NotPlantable("no class has tails")
+        raise NotInjectable("no class has tails")
     return heavy
 
 
@@ -151,7 +151,7 @@ def _class_means_exchanged(world: World) -> Truth:
     """Those of the two classes that cover most."""
     classes = sorted(world.stated.scenario.scene.classes, key=lambda c: -c.fraction)
     if len(classes) < 2:
-        raise NotPlantable("there is one class")
+        raise NotInjectable("there is one class")
     a, b = classes[0].name, classes[1].name
     return _means(world, {a: b, b: a})
 
@@ -164,7 +164,7 @@ def _target_spectra_exchanged(world: World) -> Truth:
     """Each target has the spectrum of the next one."""
     names = list(_target_means(world))
     if len(names) < 2:
-        raise NotPlantable("there is one target")
+        raise NotInjectable("there is one target")
     return _means(world, dict(zip(names, (*names[1:], names[0]), strict=True)))
 
 
@@ -183,7 +183,7 @@ def _fine_texture(world: World) -> Truth:
     """All of the targets' spread."""
     names = [name for name in _target_means(world) if np.any(world.stated.surfaces[name].covariance)]
     if not names:
-        raise NotPlantable("no target has a spread")
+        raise NotInjectable("no target has a spread")
     return {f"surfaces.[{name}].fine_texture": 1.0 for name in names}
 
 
@@ -191,7 +191,7 @@ def _target_means(world: World) -> dict[str, str]:
     """Target -> path of its mean spectrum."""
     paths = {t.name: f"surfaces.[{t.name}].mean" for t in world.stated.scenario.scene.targets}
     if not paths:
-        raise NotPlantable("there is no target")
+        raise NotInjectable("there is no target")
     return paths
 
 
@@ -209,7 +209,7 @@ def _off_line(world: World, gain: float, offset: float) -> Truth:
     if world.stated.scenario.atmosphere is None:
         return {"sensor.gain": gain, "sensor.offset": offset}
     if world.stated.scenario.processing.elm == "none":
-        raise NotPlantable("there is no empirical line")
+        raise NotInjectable("there is no empirical line")
     return {"line.gain": gain, "line.offset": offset}
 
 
