@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from hyperval.envi_header import read_header
 from hyperval.scene.builtin import builtin_class
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 MARK = "Stand-in: simulated pixels under a real header."
 FINE = 10  # parts of a pixel, along and across

@@ -11,12 +11,12 @@ import h5py
 import pytest
 
 from hyperval import api, hdf5
-from hyperval.atmosphere.table import read_table
+from hyperval.atmosphere import read_table
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery import open_cube, sun_of_observation
 from hyperval.run import write_table
-from hyperval.spectra.networks import read_hypernets
+from hyperval.spectra import read_hypernets
 from hyperval.statistics_library import read_statistics_library
 
 HEAP_HEADER, OBJECT_SIZE = 16, 8  # bytes before the first object of a global heap, and before its size

@@ -25,8 +25,7 @@ from hyperval.scene.builtin import builtin_class
 from hyperval.scene.radiance import adjacency_slope, average_reflectance, mixture_covariance
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.specification import load_sensor
-from hyperval.spectra import readers
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis, readers
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
 

@@ -17,7 +17,7 @@ from hyperval.products import background_of
 from hyperval.scenario import load_scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import write_statistics_library
 from test_predict import ATMOSPHERE, AXIS, SCENE, engine, run, scenario
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperval.model.surfaces import in_bands
-from hyperval.spectra.axis import SpectralAxis, band_average
+from hyperval.spectra import SpectralAxis, band_average
 
 AXIS = SpectralAxis(np.arange(420.0, 900.0, 3.6), 4.8)
 

@@ -11,7 +11,7 @@ import xarray as xr
 from hyperval.errors import InputError, UsageError
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.statistics import Components
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import (
     on_bands,
     read_statistics_library,

@@ -96,7 +96,7 @@ def wavelengths_of_text(path: Path) -> list[float] | None:
 
 def spectra(path: Path, entry: dict[str, Any]) -> Numbers:
     """Number of the spectra of a file, their range of wavelengths and the mean of their values."""
-    from hyperval.spectra.readers import read_records
+    from hyperval.spectra import read_records
 
     found = read_records(path, **entry.get("options", {}))
     whole = np.concatenate([s.values[np.isfinite(s.values)] for s in found])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.atmosphere.modtran import RADIANCE_COLUMNS
+from hyperval.atmosphere import RADIANCE_COLUMNS
 
 RADIANCE_WIDTHS = (8, *([11] * 9), 9, 9, 8, 7, 11, 11)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hyperval.atmosphere import AerosolMix, AtmosphericState, sixs
-from hyperval.atmosphere.sixs import NODES_NM, Monochromatic, aerosol_extinction, angstrom_law, sixs_terms
+from hyperval.atmosphere import AerosolMix, AtmosphericState, sixs, sixs_terms
+from hyperval.atmosphere.sixs import NODES_NM, Monochromatic, aerosol_extinction, angstrom_law
 
 STATE = {
     "aot550": 0.3, "sensor_altitude_km": 1000.0, "solar_zenith_deg": 30.0, "solar_azimuth_deg": 0.0,

@@ -7,7 +7,7 @@ import pytest
 from pvlib import spectrum
 
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
-from hyperval.spectra.axis import SpectralAxis, band_average
+from hyperval.spectra import SpectralAxis, band_average
 from hyperval.units import irradiance_to_internal
 
 # The standard's conditions: US standard atmosphere, air mass 1.5, 1.416 cm of water, 0.3438 atm cm of ozone, rural

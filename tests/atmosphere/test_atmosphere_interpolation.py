@@ -8,15 +8,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from hyperval.atmosphere.terms import (
-    AtmosphericTerms,
-    Rule,
-    along,
-    interpolated_terms,
-    node_weights,
-    smooth_rule,
-    spaced,
-)
+from hyperval.atmosphere import AtmosphericTerms, interpolated_terms
+from hyperval.atmosphere.terms import Rule, along, node_weights, smooth_rule, spaced
 from hyperval.errors import UsageError
 
 NM = np.array([500.0, 600.0, 700.0])

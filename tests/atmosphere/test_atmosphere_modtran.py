@@ -12,10 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericTerms, read_chn, read_modtran_runs
-from hyperval.atmosphere.modtran import read_channels
-from hyperval.atmosphere.sixs import sixs_terms
-from hyperval.atmosphere.solar import extraterrestrial_irradiance
+from hyperval.atmosphere import (
+    AtmosphericTerms,
+    extraterrestrial_irradiance,
+    read_channels,
+    read_chn,
+    read_modtran_runs,
+    sixs_terms,
+)
 from hyperval.errors import InputError
 
 WIDTHS = (12, 3, 3, 13, 13, 8, 13, 9, 9, 9, 9, *([13] * 10), *([10] * 5), 11)

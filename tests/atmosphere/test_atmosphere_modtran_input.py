@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from modtran_cards import CARDS, card_fields
 
-from hyperval.atmosphere import AtmosphericState
-from hyperval.atmosphere.modtran import modtran6_json, read_modtran_json, stated_albedo, stated_fields, tape5
-from hyperval.atmosphere.solar import distance_on_day
+from hyperval.atmosphere import AtmosphericState, distance_on_day, modtran6_json, read_modtran_json, tape5
+from hyperval.atmosphere.modtran import stated_albedo, stated_fields
 from hyperval.errors import InputError, UsageError
 
 ORDER = ("1", "1A", "2", "3", "3A1", "3A2", "4")

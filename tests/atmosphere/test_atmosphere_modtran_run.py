@@ -11,16 +11,15 @@ import pytest
 from modtran_samples import tape7
 from processes import awaited, is_at_work
 
-from hyperval.atmosphere import AtmosphericState, atmospheric_terms
-from hyperval.atmosphere.modtran import (
-    Modtran,
-    configured_modtran,
+from hyperval.atmosphere import (
+    AtmosphericState,
+    atmospheric_terms,
     modtran6_json,
     read_channels,
-    run_modtran,
     tape5,
     terms_from_runs,
 )
+from hyperval.atmosphere.modtran import Modtran, configured_modtran, run_modtran
 from hyperval.errors import EngineError, InputError
 
 STATE = {

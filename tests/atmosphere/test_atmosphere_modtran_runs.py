@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from modtran_samples import spectrum, tape7
 
-from hyperval.atmosphere import AtmosphericTerms
-from hyperval.atmosphere.modtran import (
+from hyperval.atmosphere import (
+    AtmosphericTerms,
     read_channels,
     read_chn,
     read_modtran_runs,
     read_tape7,
-    solve_coefficients,
     terms_from_runs,
 )
+from hyperval.atmosphere.modtran import solve_coefficients
 from hyperval.errors import InputError, UsageError
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from hyperval.units import radiance_per_wavelength
 
 

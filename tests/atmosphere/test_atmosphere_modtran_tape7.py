@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from modtran_samples import RADIANCE_WIDTHS, tape7
 
-from hyperval.atmosphere import modtran
-from hyperval.atmosphere.modtran import RADIANCE_COLUMNS, read_tape7
+from hyperval.atmosphere import RADIANCE_COLUMNS, modtran, read_tape7
 from hyperval.errors import InputError
 
 

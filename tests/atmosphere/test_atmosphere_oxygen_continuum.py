@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from hyperval.atmosphere import AtmosphericState
+from hyperval.atmosphere import AtmosphericState, pressure_at, sixs_terms, standard_profile
 from hyperval.atmosphere.physics import OXYGEN, binary_coefficient, collision_column, continuum_depth
-from hyperval.atmosphere.sixs import sixs_terms
-from hyperval.atmosphere.state import pressure_at, standard_profile
 
 NITROGEN = 0.7808
 US = standard_profile("us-standard-1962")

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState
-from hyperval.atmosphere.solar import extraterrestrial_irradiance
-from hyperval.atmosphere.state import standard_profile
+from hyperval.atmosphere import AtmosphericState, extraterrestrial_irradiance, standard_profile
 
 NM = np.array([412.5, 442.5, 487.5, 550.0, 670.0, 860.0])  # 6S computes scattering here; no gas but a trace of ozone
 # (ground km, sensor km, solar zenith, view zenith, relative azimuth [deg]) -> path reflectance pi L_a / (mu0 E0),

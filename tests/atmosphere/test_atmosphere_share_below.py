@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hyperval.atmosphere import AtmosphericState
-from hyperval.atmosphere.sixs import sixs_terms
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, sixs_terms
 from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario
 

@@ -8,10 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState, atmospheric_terms, sixs, solar
-from hyperval.atmosphere.physics import molecular_albedo
+from hyperval.atmosphere import AtmosphericState, atmospheric_terms, molecular_albedo, sixs, solar
 from hyperval.atmosphere.sixs import run_sixs
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra import SpectralAxis, in_window
 
 AIRBORNE = {  # 2.65 km above the ground
     "model": "midlatitude-summer", "aot550": 0.2, "ground_altitude_km": 0.35, "sensor_altitude_km": 3.0,

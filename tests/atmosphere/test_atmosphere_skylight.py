@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_atmosphere_sixs import AIRBORNE, at, state
 
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 pytestmark = pytest.mark.slow  # two states of the engine
 

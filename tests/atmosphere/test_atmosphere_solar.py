@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import solar
-from hyperval.atmosphere.solar import _spectrum, earth_sun_distance_au, solar_position
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericTerms, earth_sun_distance_au, solar, solar_position
+from hyperval.atmosphere.solar import _spectrum
 from hyperval.errors import InputError, MissingDataError, UsageError
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 GRID = np.arange(340.0, 2600.1, 2.5)
 

@@ -11,7 +11,7 @@ from hyperval.errors import UsageError
 from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario
 from hyperval.scene.radiance import mean_radiance
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from small_campaign import stand_in_atmosphere
 
 STATE = {

@@ -19,12 +19,13 @@ from hyperval.atmosphere import (
     AtmosphericTable,
     atmospheric_terms,
     build_table,
+    extraterrestrial_irradiance,
+    fraction_below,
+    read_channels,
     read_table,
+    terms_from_runs,
     write_table,
 )
-from hyperval.atmosphere.modtran import read_channels, terms_from_runs
-from hyperval.atmosphere.solar import extraterrestrial_irradiance
-from hyperval.atmosphere.state import fraction_below
 from hyperval.atmosphere.table import AXES, QUANTITIES, coordinates, leave_one_out
 from hyperval.atmosphere.terms import along
 from hyperval.errors import InputError, UsageError

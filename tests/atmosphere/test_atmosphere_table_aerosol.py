@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.atmosphere.state import aot550_from_range
+from hyperval.atmosphere import aot550_from_range
 from hyperval.atmosphere.table import PATH_ERROR, between_aerosols, depth_below, path_error
 
 GROUND, SENSOR = 0.35, 2.3

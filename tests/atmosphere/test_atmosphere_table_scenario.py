@@ -13,7 +13,7 @@ from hyperval.atmosphere.table import PATH_ERROR, QUANTITIES
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Origins, predict
 from hyperval.scenario import load_scenario
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 SCENARIO = """\
 schema: 1

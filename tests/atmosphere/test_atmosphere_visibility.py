@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperval.atmosphere.state import aot550_from_range, fraction_below, range_from_aot550
+from hyperval.atmosphere import aot550_from_range, fraction_below, range_from_aot550
 from hyperval.errors import UsageError
 
 

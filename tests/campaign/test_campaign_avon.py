@@ -17,7 +17,7 @@ import pytest
 import yaml
 from scanned_line import UTM18, ScannedLine, write_table
 
-from hyperval.atmosphere.solar import parse_utc, solar_position
+from hyperval.atmosphere import parse_utc, solar_position
 from hyperval.campaign.dry_run import dry_run, overview
 from hyperval.campaign.job import jobs_of, read_texts
 from hyperval.campaign.one import run_campaign
@@ -30,7 +30,7 @@ from hyperval.run import Run
 from hyperval.scene.builtin import builtin_class
 from hyperval.simulate import SceneFile, simulate
 from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from small_campaign import PANELS, scene_data, stand_in_atmosphere
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "share2012-avon"

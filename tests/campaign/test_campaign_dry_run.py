@@ -18,7 +18,7 @@ from hyperval.campaign.schema import campaign_runs, with_words
 from hyperval.config import load_yaml, placeholders
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 CAMPAIGN = {
     "schema": 1,

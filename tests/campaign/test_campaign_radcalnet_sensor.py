@@ -14,7 +14,7 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as warp
 
 from hyperval import cli
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericTerms
 from hyperval.campaign.dry_run import dry_run
 from hyperval.campaign.job import read_texts
 from hyperval.campaign.schema import DayScenarios, day_scenarios

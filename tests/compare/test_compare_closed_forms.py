@@ -19,7 +19,7 @@ from hyperval.compare.covariance import _eigenvalue_rows, _space_rows
 from hyperval.processing import Z95, SamplingBand, Statistics
 from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEstimate
 from hyperval.results import Outcome
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra import SpectralAxis, in_window
 
 MAKE = RowMaker("product", "planks", "cem/object")
 NAMES = {"subject": "planks", "method": "cem/object"}

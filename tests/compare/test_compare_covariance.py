@@ -25,7 +25,7 @@ from hyperval.products import (
     SpectralEstimate,
 )
 from hyperval.results import Outcome
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([450.0, 550, 650, 750, 870, 1400, 1650]), 10.0)
 B = len(AXIS)

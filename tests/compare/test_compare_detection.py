@@ -25,7 +25,7 @@ from hyperval.products import (
     SpectralEstimate,
 )
 from hyperval.results import Outcome
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 NAMES = {"subject": "planks", "method": "cem/object"}
 

@@ -8,7 +8,7 @@ import pytest
 from hyperval.compare import Gate, compare_products, judged
 from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.results import Outcome, Result
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.array([5.0, 5.0]))
 

@@ -17,7 +17,7 @@ from hyperval.processing import (
 )
 from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.results import Outcome
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 NAMES = {"subject": "planks", "method": "cem/object"}
 KM2 = 0.08

@@ -30,7 +30,7 @@ from hyperval.errors import UsageError
 from hyperval.processing import difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
 from hyperval.products import SpectralEstimate
 from hyperval.results import Outcome, Result
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra import SpectralAxis, in_window
 
 AXIS = SpectralAxis(np.arange(420.0, 2450.0, 20.0), 20.0)
 B = len(AXIS)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval.imagery import write_cube
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 LINES, SAMPLES, BANDS = 6, 5, 4
 

@@ -11,7 +11,7 @@ import pytest
 
 from hyperval.envi_header import parse_header
 from hyperval.imagery import acquisition_notes, open_cube, time_notes
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 900.0, 2007.0, 2400.0]), np.array([4.0, 4.0, 8.0, 8.0]))
 LINE = {

@@ -19,7 +19,7 @@ from affine import Affine
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import open_cube, write_cube
 from hyperval.paths import checked_file
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 SIZE = 6 * 5 * 4 * 2
 

@@ -18,7 +18,7 @@ from rasterio.crs import CRS
 from hyperval.envi_header import DATA_TYPES
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import envi_writer, open_cube, open_raster, transform_of, write_cube
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 UTM18 = CRS.from_epsg(32618)
 NORTH_UP = Affine(1.5, 0, 300000.25, 0, -1.5, 4700000.5)

@@ -15,9 +15,7 @@ from rasterio.crs import CRS
 from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
 from hyperval.report.run import ScoreMap
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.binary import library_to_spy, library_to_xarray
-from hyperval.spectra.readers import read_records
+from hyperval.spectra import SpectralAxis, library_to_spy, library_to_xarray, read_records
 
 
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])

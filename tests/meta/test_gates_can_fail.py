@@ -10,7 +10,7 @@ from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
 from hyperval.products import ObservedProducts, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 METRIC = "median_difference_ratio_windows"
 A, D, U, S, E, N = (

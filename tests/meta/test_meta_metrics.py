@@ -30,7 +30,7 @@ from hyperval.products import (
     ScoreDistribution,
     SpectralEstimate,
 )
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 ROOT = Path(__file__).resolve().parents[2]
 METRICS = list(table().values())

@@ -24,7 +24,7 @@ from hyperval.scenario import Scenario, load_scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.statistics import ClassStatistics, Components
 from hyperval.settings import setting, with_settings
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import write_statistics_library
 
 EQUAL = 1e-9  # relative

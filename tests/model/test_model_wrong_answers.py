@@ -13,7 +13,7 @@ from hyperval.config import parse_yaml, validate
 from hyperval.model import Origins, predict, predictions, read, value_at
 from hyperval.products import PredictedProducts, background_of
 from hyperval.scenario import Scenario
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.linspace(450.0, 2250.0, 30), np.full(30, 20.0))
 TEXT = """

@@ -15,7 +15,7 @@ from hyperval.imagery import write_cube
 from hyperval.model import Sources
 from hyperval.observe import Observed, observe
 from hyperval.scenario import SpectrumSource
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 LINES, SAMPLES, BANDS = 50, 40, 8
 AXIS = SpectralAxis(np.array([450.0, 550, 660, 680, 790, 870, 1050, 1650]), np.full(BANDS, 2.0))

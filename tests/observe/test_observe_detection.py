@@ -12,7 +12,7 @@ from hyperval.imagery import write_cube
 from hyperval.observe import usable_bands
 from hyperval.processing import SampleStatistics, empirical_roc
 from hyperval.products import background_of
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 
 def matched_filter(pixels, target, mean, covariance):

@@ -19,7 +19,7 @@ from hyperval.model.fills import fill_distribution, fills_of_objects, pixels_of_
 from hyperval.observe import FinerGrid, fills_of, object_of_fills, open_place, registration_shifts, window_fills
 from hyperval.scenario import Fill, Scenario
 from hyperval.scene.fill import TargetGeometry, pixel_fills
-from hyperval.spectra.axis import SIGMA_PER_FWHM
+from hyperval.spectra import SIGMA_PER_FWHM
 
 ONE_PLACE = np.zeros((1, 2))
 

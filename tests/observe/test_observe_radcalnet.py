@@ -9,8 +9,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from hyperval.atmosphere.state import pressure_at, standard_profile
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericTerms, pressure_at, standard_profile
 from hyperval.campaign.dry_run import dry_run, summary
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
@@ -22,8 +21,7 @@ from hyperval.model import Origins, predict
 from hyperval.observe import observe_radcalnet
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import Scenario
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.networks import read_radcalnet
+from hyperval.spectra import SpectralAxis, read_radcalnet
 
 AXIS = SpectralAxis(np.array([500.0, 600.0, 700.0]), np.full(3, 10.0))
 GRID = np.arange(400.0, 801.0, 5.0)

@@ -13,7 +13,7 @@ from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
 from hyperval.observe import NO_DATA, SCALE, quantised, reflectance_cube, write_reflectance
 from hyperval.processing import MeasuredPanel, fit_elm
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 LINES, SAMPLES, BANDS = 31, 17, 6
 GAIN, OFFSET = np.array([20.0, 18.0, 15.0, 0.0, 9.0, 6.0]), np.array([3.0, 2.0, 1.5, 1.0, 0.4, 0.1])

@@ -11,7 +11,7 @@ from hyperval.errors import UsageError
 from hyperval.model.surfaces import correlation
 from hyperval.observe import path_estimate
 from hyperval.products import SpectralEstimate
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from small_campaign import stand_in_atmosphere
 
 GAIN, PATH = np.linspace(60.0, 8.0, BANDS), np.linspace(3.0, 0.02, BANDS)

@@ -13,7 +13,7 @@ from hyperval.model.inputs import number_input
 from hyperval.model.surfaces import in_bands
 from hyperval.scenario import Fill
 from hyperval.settings import with_settings
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 B = len(AXIS)
 KEY = ("tenth", "cem", "pixel")

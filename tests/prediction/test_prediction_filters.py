@@ -6,7 +6,7 @@ import pytest
 from hyperval.model import Evaluation, Origins, World, read, with_values
 from hyperval.scenario import Scenario
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 B, CLASSES, DETECTORS = 5, ("soil", "grass"), ("cem", "cem-correlation", "smf")
 AXIS = SpectralAxis(np.linspace(450.0, 850.0, B), np.full(B, 10.0))

@@ -15,7 +15,7 @@ from hyperval.processing import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import Scenario
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 BANDS, PIXELS = 6, 3200
 AXIS = SpectralAxis(np.linspace(450.0, 850.0, BANDS), np.full(BANDS, 10.0))

@@ -15,7 +15,7 @@ from hyperval.errors import InputError, UsageError
 from hyperval.model import Origins, predict
 from hyperval.model.surfaces import Sources, band_error_covariance, mean_error_covariance, replicate_statistics
 from hyperval.scenario import Replicates, Scenario, SpectrumSource, Surface
-from hyperval.spectra.axis import SpectralAxis, band_average
+from hyperval.spectra import SpectralAxis, band_average
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860]), np.full(5, 10.0))
 GRID = np.arange(400.0, 901.0, 5.0)

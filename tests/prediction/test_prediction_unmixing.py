@@ -12,7 +12,7 @@ from hyperval.errors import UsageError
 from hyperval.model import Origins, UnmixedSubject, labelled, predicted_areas, predicted_classification
 from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.linspace(450.0, 900.0, 10), 10.0)
 B = len(AXIS)

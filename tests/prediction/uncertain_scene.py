@@ -10,7 +10,7 @@ from hyperval.config import parse_yaml, validate
 from hyperval.model import Origins, predict
 from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
 

@@ -9,7 +9,7 @@ from hyperval.errors import UsageError
 from hyperval.processing import factor_covariance
 from hyperval.products import EstimatedPart
 from hyperval.scene.builtin import builtin_class
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 BANDS = 80
 W = np.linspace(0.0, 1.0, BANDS)

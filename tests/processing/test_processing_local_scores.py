@@ -20,7 +20,7 @@ from hyperval.processing import (
     whitener_of,
 )
 from hyperval.processing import detectors as local_scores
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 LINES, SAMPLES, BANDS = 37, 29, 7
 AXIS = SpectralAxis(np.linspace(450, 1650, BANDS), np.full(BANDS, 9.0))

@@ -11,7 +11,7 @@ import pytest
 
 from hyperval.observe import wavelength_notes
 from hyperval.processing import RANGE_NM, oxygen_absorption, oxygen_residual
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 FINE = np.arange(735.0, 795.0, 0.002)
 # The band line by line, from the constants of the molecule: origin, rotation below and above [cm-1] (Huber &

@@ -8,7 +8,7 @@ from scipy import integrate, stats
 
 from hyperval.processing import FEATURES, OXYGEN_RESIDUAL, RED_EDGE, red_edge, wavelength_shifts
 from hyperval.processing.roc_model import ClassScores, RocScores
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 # Two classes, one with a tail, and targets of two fills.
 FRACTION, MEAN, SD, DOF = (0.7, 0.3), (0.0, 0.1), (0.05, 0.08), (np.inf, 5.0)

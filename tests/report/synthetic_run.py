@@ -17,7 +17,7 @@ from hyperval.products import (
 )
 from hyperval.report import RunReport
 from hyperval.results import Outcome, Result, ResultTable, Role
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 NASTY = "<script>alert('x')</script> & $\\bad$"
 

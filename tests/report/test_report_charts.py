@@ -27,7 +27,7 @@ from hyperval.figures import (
 from hyperval.products import ObjectScores, ObservedProducts, PredictedProducts, RocCurve
 from hyperval.results import Outcome, Result, Role
 from hyperval.run import to_arrays
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 
 def stated(figure: Figure) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from hyperval.products import (
     SpectralEstimate,
 )
 from hyperval.run import OBJECT_QUANTILES, read_pair, write_products
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0, 700.0]), np.full(3, 6.0), np.array([True, False, True]))
 DRAWS = np.random.default_rng(11).normal(0.8, 0.1, (40, 24))

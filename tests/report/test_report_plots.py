@@ -21,7 +21,7 @@ from hyperval.figures import (
 )
 from hyperval.products import Abundance, ClassificationError, ObservedProducts, PredictedProducts
 from hyperval.results import Result, ResultTable
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), 10.0)
 

@@ -13,7 +13,7 @@ from hyperval.figures import Print
 from hyperval.products import ObjectScores, ObservedProducts, PixelDistribution, PredictedProducts
 from hyperval.report.html import run_drawings
 from hyperval.run import read_pair, write_products
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 BEGINNING = {"pdf": b"%PDF-", "png": b"\x89PNG"}
 

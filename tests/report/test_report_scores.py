@@ -24,7 +24,7 @@ from hyperval.figures import (
     transform_figure,
 )
 from hyperval.products import ExceedanceCurve, ObjectScores, ObservedProducts, PredictedProducts, RocCurve
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.linspace(400.0, 900.0, 5), np.full(5, 5.0))
 

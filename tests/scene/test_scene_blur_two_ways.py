@@ -7,7 +7,7 @@ import pytest
 
 from hyperval.errors import UsageError
 from hyperval.scene.fill import TargetGeometry, pixel_fills, ranked_pixel_fill
-from hyperval.spectra.axis import SIGMA_PER_FWHM
+from hyperval.spectra import SIGMA_PER_FWHM
 
 BLUR = (1.4, 0.3)  # along (y), across (x)
 

@@ -15,7 +15,7 @@ from hyperval.scene.fill import (
 )
 from hyperval.scene.radiance import average_reflectance
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.linspace(380, 2480, 320), np.full(320, 7.0))
 NAMES = [

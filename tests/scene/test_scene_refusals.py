@@ -8,7 +8,7 @@ import pytest
 from hyperval.errors import UsageError
 from hyperval.scene.fill import FillDistribution, beta_fill, fixed_fill
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 MEAN, COVARIANCE = [0.1, 0.2], [[4e-4, 1e-4], [1e-4, 9e-4]]

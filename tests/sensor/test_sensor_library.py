@@ -9,7 +9,7 @@ from hyperval.envi_header import read_header
 from hyperval.errors import InputError, UsageError
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import Sensor, SensorSpecification, library_names, load_sensor
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 # Radiance of a 0.25 reflector under a 45 degree sun without atmosphere, 0.25 E0 cos 45 / pi.
 WAVELENGTH = np.array([450.0, 550, 650, 850, 1050, 1250, 1650, 2200])

@@ -18,7 +18,7 @@ from hyperval.sensor.specification import (
     binned_noise,
     load_sensor,
 )
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 FILES = {
     "emit": ("sensors/emit_noise.txt", 298.0),

@@ -23,7 +23,7 @@ from hyperval.sensor_check import (
     sunlit_radiance,
     unseen_widths,
 )
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from small_campaign import stand_in_atmosphere
 
 Q = {"source": SHEET}

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericTerms
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.simulate.inputs import SensorNumbers, SimulationInputs
 from hyperval.simulate.schema import SceneFile
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 BANDS = 12
 AXIS = SpectralAxis(np.linspace(450.0, 2200.0, BANDS), np.full(BANDS, 10.0))

@@ -21,7 +21,7 @@ from hyperval.simulate.collection import average_reflectance, detector
 from hyperval.simulate.inputs import SimulationInputs
 from hyperval.simulate.layout import lay_out
 from hyperval.simulate.surface import SurfaceRenderer
-from hyperval.spectra.readers import read_spectrum
+from hyperval.spectra import read_spectrum
 from hyperval.storage import sha256_of
 
 

@@ -11,9 +11,7 @@ from spectra_shells import CORRELATION, NM, hypernets
 from hyperval.errors import InputError
 from hyperval.model.surfaces import Sources, covariance_in_bands
 from hyperval.scenario import SpectrumSource
-from hyperval.spectra.axis import SpectralAxis, band_average
-from hyperval.spectra.networks import read_hypernets
-from hyperval.spectra.readers import read_records, read_spectrum
+from hyperval.spectra import SpectralAxis, band_average, read_hypernets, read_records, read_spectrum
 
 REAL = "hypernets/HYPERNETS_L_GHNA_L2A_REF_20231103T0901_20240124T2246_v2.0.nc"
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import InputError, UsageError
-from hyperval.spectra.networks import read_radcalnet
-from hyperval.spectra.readers import read_records, read_spectrum
+from hyperval.spectra import read_radcalnet, read_records, read_spectrum
 
 STATE = "P:\t900\t901\nT:\t290.5\t291.5\nWV:\t0.5\t0.6\nO3:\t280\t281\nAOD:\t0.1\t0.2\nAng:\t1.1\t9997\n"
 GOOD = (

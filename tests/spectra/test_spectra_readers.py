@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from spectra_shells import specpr
 
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.spectra.readers import read_records, read_spectrum
+from hyperval.spectra import read_records, read_spectrum
 from hyperval.spectra.readers_record import MAX_BYTES, reflectance_factor
 
 WAVE = np.array([400.0, 500.0, 600.0, 700.0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import InputError, UsageError
-from hyperval.spectra.readers import read_spectrum
+from hyperval.spectra import read_spectrum
 from hyperval.spectra.text import power_unit_in, quantity_in
 from hyperval.units import irradiance_to_internal, radiance_to_internal
 

@@ -9,7 +9,7 @@ import pytest
 import spectral
 
 from hyperval.errors import InputError, UsageError
-from hyperval.spectra.readers import read_records, read_spectrum
+from hyperval.spectra import read_records, read_spectrum
 
 pytestmark = pytest.mark.data
 

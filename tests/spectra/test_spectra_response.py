@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis, band_average
+from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, band_average
 
 
 def by_brute_force(nm, values, centre, fwhm):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.spectra.readers import read_records, read_spectrum
+from hyperval.spectra import read_records, read_spectrum
 
 WAVE = np.array([400, 500, 600, 700])
 RHO = np.array([0.05, 0.1, 0.2, 0.4])

@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperval.model import Origins, read
 from hyperval.scenario import Scenario
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from hyperval.uncertainty.attribution.ranking import assumed_inputs
 from small_campaign import ATMOSPHERE, stand_in_atmosphere
 

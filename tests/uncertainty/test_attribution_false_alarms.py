@@ -18,7 +18,7 @@ from hyperval.products import (
     ScoreDistribution,
 )
 from hyperval.results import Result
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from hyperval.uncertainty.attribution.residuals import RATE_FLOOR, SCORE_FLOOR, stacked
 from hyperval.uncertainty.attribution.run import AlarmRatio, alarm_ratios, reason_for
 

@@ -14,7 +14,7 @@ from hyperval.products import (
     ScoreDistribution,
     SpectralEstimate,
 )
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from hyperval.uncertainty.attribution.residuals import (
     LEAST_ALARMS,
     LOG_FLOOR,

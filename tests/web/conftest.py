@@ -14,8 +14,7 @@ pytest.importorskip("fastapi", reason="needs the extra web")
 from web_browser import BROWSER
 from web_server import Server, serve
 
-from hyperval.atmosphere.state import AtmosphericState
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from small_campaign import stand_in_atmosphere
 
 

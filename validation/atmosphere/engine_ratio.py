@@ -25,10 +25,9 @@ import numpy as np
 from compare_modtran import CLASSES, differences
 from modtran_cases import Case, cases, matched
 
-from hyperval.atmosphere import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericTerms, EngineRatio, sixs_terms, ways
 from hyperval.atmosphere.cache import cache_folder
-from hyperval.atmosphere.physics import FILE, EngineRatio, ways
-from hyperval.atmosphere.sixs import sixs_terms
+from hyperval.atmosphere.physics import FILE
 
 # Channels where gases absorb next to nothing in both codes: the continuum of the ratio goes through them.
 CONTINUUM_NM = (

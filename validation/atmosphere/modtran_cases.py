@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_chn
-from hyperval.atmosphere.modtran import read_channels, terms_from_runs
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_channels, read_chn, terms_from_runs
+from hyperval.spectra import SpectralAxis
 
 ALBEDOS = (0.0, 0.1, 0.5)
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperval.atmosphere import AtmosphericState, atmospheric_terms, build_table
-from hyperval.atmosphere.state import aot550_from_range
+from hyperval.atmosphere import AtmosphericState, aot550_from_range, atmospheric_terms, build_table
 
 RHO = 0.3
 LEAST_GAS = 0.1

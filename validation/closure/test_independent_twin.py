@@ -12,12 +12,11 @@ import plain_twin as plain
 import pytest
 from solver_nodes import run_solver_at
 
-from hyperval.atmosphere import AtmosphericState, atmospheric_terms
-from hyperval.atmosphere.solar import distance_on_day, extraterrestrial_irradiance
+from hyperval.atmosphere import AtmosphericState, atmospheric_terms, distance_on_day, extraterrestrial_irradiance
 from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import load_sensor
-from hyperval.spectra.axis import SpectralAxis, band_average
+from hyperval.spectra import SpectralAxis, band_average
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "share2012-independent"
 AXIS = SpectralAxis(*np.array(plain.BANDS).T)

@@ -29,7 +29,7 @@ from hyperval.config import parse_yaml
 from hyperval.metrics import Kind, metric_of
 from hyperval.products import background_of
 from hyperval.results import Outcome, Result, Role
-from hyperval.spectra.axis import in_window
+from hyperval.spectra import in_window
 
 TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
 PANELS = ("white-panel", "black-panel")

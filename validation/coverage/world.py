@@ -18,7 +18,7 @@ from hyperval.scene.builtin import builtin_class
 from hyperval.simulate.collection import Detector
 from hyperval.simulate.inputs import SensorNumbers, sensor_numbers
 from hyperval.simulate.surface import correlated_field
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra import SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
 

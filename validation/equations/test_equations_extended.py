@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericTerms
 from hyperval.processing import bhattacharyya_distance, classification_error, feature_covariance, minimum_noise_fraction
 from hyperval.processing.ace_model import (
     ace_exceedance,

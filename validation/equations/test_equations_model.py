@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericTerms
 from hyperval.model import Evaluation, Origins, World, read, with_values
 from hyperval.model.filters import (
     FILL_NODES,
@@ -27,7 +27,7 @@ from hyperval.scenario import Scenario
 from hyperval.scene.fill import beta_fill
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.noise import NoiseModel
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 B = 4
 RNG = np.random.default_rng(3280)

@@ -18,7 +18,7 @@ from hyperval.products import background_of
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
 SCENE = """

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import dblquad
 from scipy.special import ndtr
 
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere import AtmosphericTerms
 from hyperval.scene.builtin import _SURFACES, builtin_class, builtin_mean
 from hyperval.scene.fill import (
     Neighbour,
@@ -37,7 +37,7 @@ from hyperval.scene.radiance import (
     target_pixel_reflectance,
     toa_reflectance,
 )
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 
 def atmosphere(bands: int = 1) -> AtmosphericTerms:

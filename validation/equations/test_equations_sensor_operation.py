@@ -16,7 +16,7 @@ from hyperval.sensor.specification import (
     binned_noise,
     changed_noise,
 )
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 
 
 def model(**changes: object) -> NoiseModel:

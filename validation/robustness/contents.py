@@ -17,13 +17,13 @@ import xarray as xr
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.atmosphere.modtran import RADIANCE_COLUMNS
-from hyperval.atmosphere.table import QUANTITIES, AtmosphericTable, write_table
+from hyperval.atmosphere import RADIANCE_COLUMNS, AtmosphericTable, write_table
+from hyperval.atmosphere.table import QUANTITIES
 from hyperval.imagery import write_cube
 from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.run import write_products
 from hyperval.scene.builtin import builtin_class
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import write_statistics_library
 from hyperval.web.tasks import write_answer
 

@@ -35,8 +35,7 @@ from contents import (
     written,
 )
 
-from hyperval.atmosphere.modtran import read_channels, read_chn, read_modtran_json, read_tape7, terms_from_runs
-from hyperval.atmosphere.table import read_table
+from hyperval.atmosphere import read_channels, read_chn, read_modtran_json, read_table, read_tape7, terms_from_runs
 from hyperval.baseline.accepted import load_baseline
 from hyperval.campaign.job import read_texts
 from hyperval.collection_files import AbundanceTruth, BandTableFile, RegionSource
@@ -49,7 +48,7 @@ from hyperval.run import read_pair, read_rows, results_json
 from hyperval.scenario import load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate.schema import load_scene
-from hyperval.spectra.readers import read_records, read_spectrum
+from hyperval.spectra import read_records, read_spectrum
 from hyperval.statistics_library import read_statistics_library
 from hyperval.study.schema import load_study
 from hyperval.web.tasks import read_answer

@@ -1,13 +1,43 @@
 """From the state of the atmosphere to the terms of equation 3.7."""
 
 from .engine import ENGINES, atmospheric_terms
-from .modtran import modtran6_json, read_chn, read_modtran_runs, read_tape7, tape5
-from .state import AerosolMix, AtmosphericState
+from .modtran import (
+    RADIANCE_COLUMNS,
+    modtran6_json,
+    read_channels,
+    read_chn,
+    read_modtran_json,
+    read_modtran_runs,
+    read_tape7,
+    tape5,
+    terms_from_runs,
+)
+from .physics import EngineRatio, engine_ratio, molecular_albedo, ways
+from .sixs import sixs_terms
+from .solar import (
+    distance_on_day,
+    earth_sun_distance_au,
+    extraterrestrial_irradiance,
+    parse_utc,
+    solar_position,
+)
+from .state import (
+    AerosolMix,
+    AtmosphericState,
+    aot550_from_range,
+    fraction_below,
+    pressure_at,
+    range_from_aot550,
+    standard_profile,
+)
 from .table import AtmosphericTable, build_table, read_table, write_table
-from .terms import AtmosphericTerms
+from .terms import AtmosphericTerms, interpolated_terms
 
 __all__ = [
-    "ENGINES", "AerosolMix", "AtmosphericState", "AtmosphericTable", "AtmosphericTerms", "atmospheric_terms",
-    "build_table", "modtran6_json", "read_chn", "read_modtran_runs", "read_table", "read_tape7", "tape5",
-    "write_table",
+    "ENGINES", "RADIANCE_COLUMNS", "AerosolMix", "AtmosphericState", "AtmosphericTable", "AtmosphericTerms",
+    "EngineRatio", "aot550_from_range", "atmospheric_terms", "build_table", "distance_on_day",
+    "earth_sun_distance_au", "engine_ratio", "extraterrestrial_irradiance", "fraction_below", "interpolated_terms",
+    "modtran6_json", "molecular_albedo", "parse_utc", "pressure_at", "range_from_aot550", "read_channels", "read_chn",
+    "read_modtran_json", "read_modtran_runs", "read_table", "read_tape7", "sixs_terms", "solar_position",
+    "standard_profile", "tape5", "terms_from_runs", "ways", "write_table",
 ]  # fmt: skip

@@ -47,7 +47,6 @@ FREE_TROPOSPHERE_KM = 5.0
 # At most this part of what 6S absorbs is taken back: the absorption of strong lines grows with the root of their
 # amount, so that with half of it left more water lets no more light through.
 _GREATEST_SHARE_BACK = 0.5
-_STANDARD_HPA = 1013.25
 
 
 @dataclass(frozen=True)
@@ -144,11 +143,11 @@ def ways(state: AtmosphericState) -> tuple[Way, Way]:
     ground, sensor = state.ground_altitude_km, state.sensor_altitude_km
     profile = scaled_profile(state.model, ground, state.water_vapour_g_cm2, state.ozone_atm_cm)
     mu0, mu_v = np.cos(np.deg2rad([state.sun[0], state.view_zenith_deg]))
-    air = pressure_at(profile, ground) / _STANDARD_HPA
+    air = pressure_at(profile, ground) / _STP_HPA
     water = column_g_cm2(profile, profile.water_g_m3, ground)
     above_air = above_water = 0.0
     if not state.in_space:
-        above_air = pressure_at(profile, sensor) / _STANDARD_HPA
+        above_air = pressure_at(profile, sensor) / _STP_HPA
         above_water = column_g_cm2(profile, profile.water_g_m3, sensor)
     down = Way(float(air / mu0), float(water / mu0))
     return down, Way(

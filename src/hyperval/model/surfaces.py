@@ -21,8 +21,8 @@ from hyperval.processing.sample import statistics_of
 from hyperval.scenario import BackgroundClass, CovarianceSource, Replicates, SpectrumSource, Surface
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.statistics import ClassStatistics, Components
+from hyperval.spectra import FieldSpectrum, read_records
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
-from hyperval.spectra.readers import FieldSpectrum, read_records
 
 Array = npt.NDArray[np.float64]
 Resolve = Callable[[str], Path]

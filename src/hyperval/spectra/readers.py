@@ -31,8 +31,6 @@ _NOT_READ = {
 }  # fmt: skip
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
-__all__ = ["FieldSpectrum", "read_records", "read_spectrum"]
-
 
 @reader
 def read_spectrum(

@@ -1,0 +1,23 @@
+"""Spectral axis, band responses, windows, and readers of field spectra and libraries."""
+
+from .axis import (
+    ABSORPTION_BANDS_NM,
+    CUT_SIGMA,
+    SIGMA_PER_FWHM,
+    SPECTRAL_REGIONS_NM,
+    SpectralAxis,
+    band_average,
+    band_weights,
+    fwhm_from_spacing,
+    in_window,
+)
+from .binary import library_to_spy, library_to_xarray
+from .networks import SURFACE, TOP, RadCalNetDay, read_hypernets, read_radcalnet
+from .readers import read_records, read_spectrum
+from .readers_record import FieldSpectrum
+
+__all__ = [
+    "ABSORPTION_BANDS_NM", "CUT_SIGMA", "SIGMA_PER_FWHM", "SPECTRAL_REGIONS_NM", "SURFACE", "TOP", "FieldSpectrum",
+    "RadCalNetDay", "SpectralAxis", "band_average", "band_weights", "fwhm_from_spacing", "in_window",
+    "library_to_spy", "library_to_xarray", "read_hypernets", "read_radcalnet", "read_records", "read_spectrum",
+]  # fmt: skip
