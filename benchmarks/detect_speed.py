@@ -67,8 +67,8 @@ def ours(path, detectors=("cem",), targets=1):
     """(lines, samples) score by the package, from the path."""
     from hyperval.executors import single_blas_thread
     from hyperval.imagery import open_cube
+    from hyperval.model import PositiveDefinite
     from hyperval.processing import MeasuredPanel, fit_elm, pixel_detector, region_statistics, score_cube, whitener_of
-    from hyperval.processing.filters import PositiveDefinite
 
     cube = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=SCALE)
     found = region_statistics(cube)["scene"]

@@ -21,12 +21,11 @@ from scipy.stats import norm
 
 from hyperval.atmosphere import atmospheric_terms
 from hyperval.config import parse_yaml, validate
-from hyperval.model import predict
-from hyperval.processing.roc_model import false_alarm_grid
+from hyperval.model import false_alarm_grid, predict
 from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario
-from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
+from hyperval.statistics_library import builtin_class
 
 TEXT = """
 schema: 1

@@ -9,7 +9,8 @@ import time
 
 import numpy as np
 
-from hyperval.processing import WHOLE, area_variance, bootstrap_areas, counts_of, empirical_roc, roc_area
+from hyperval.model import WHOLE
+from hyperval.processing import area_variance, bootstrap_areas, counts_of, empirical_roc, roc_area
 
 BACKGROUND, TARGETS, DRAWS = 640_000, 80, 1000
 LIMITS_MS = {

@@ -28,8 +28,7 @@ from predict_speed import TEXT
 from hyperval.atmosphere.terms import spaced
 from hyperval.config import parse_yaml, validate
 from hyperval.executors import Parcel, in_order, parcel, workers
-from hyperval.model import Origins, evaluations, predict, read, with_values
-from hyperval.processing.roc_model import false_alarm_grid
+from hyperval.model import Origins, evaluations, false_alarm_grid, predict, read, with_values
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.study.evaluate import Evaluator

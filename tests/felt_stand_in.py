@@ -19,8 +19,8 @@ import numpy as np
 from scipy import ndimage
 
 from hyperval.envi_header import read_header
-from hyperval.scene.builtin import builtin_class
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 MARK = "Stand-in: simulated pixels under a real header."
 FINE = 10  # parts of a pixel, along and across

@@ -194,9 +194,9 @@ def write_yaml(path: Path, data: Mapping[str, Any]) -> Path:
 
 def write_collection(folder: Path) -> None:
     """Simulate the scene into ``folder``/collection, with the sensor file beside it."""
-    from hyperval.scene.builtin import builtin_class
     from hyperval.simulate import SceneFile, simulate
     from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
+    from hyperval.statistics_library import builtin_class
 
     folder.mkdir(parents=True, exist_ok=True)
     sensor = sensor_numbers(str(write_yaml(folder / "sensor.yaml", sensor_data())))

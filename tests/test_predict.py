@@ -11,21 +11,29 @@ from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
+from hyperval.data import ClassStatistics
 from hyperval.errors import UsageError
-from hyperval.model import Origins, filters, predict, without_calibration_error
+from hyperval.model import (
+    LinearFilter,
+    Origins,
+    adjacency_slope,
+    average_reflectance,
+    detection_at,
+    filters,
+    matched_filter_weights,
+    mixture_covariance,
+    predict,
+    without_calibration_error,
+)
 from hyperval.model.detection import detection_bands
 from hyperval.model.inputs import spectrum_error_covariance
 from hyperval.model.surfaces import Sources, SurfaceStatistics
 from hyperval.model.world import terms_in_memory
-from hyperval.processing.filters import LinearFilter, matched_filter_weights
-from hyperval.processing.roc_model import detection_at
 from hyperval.products import PredictedProducts, background_of
 from hyperval.scenario import Scenario, SpectrumSource, SpectrumUncertainty, load_scenario
-from hyperval.scene.builtin import builtin_class
-from hyperval.scene.radiance import adjacency_slope, average_reflectance, mixture_covariance
-from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra import SpectralAxis, readers
+from hyperval.statistics_library import builtin_class
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
 

@@ -8,17 +8,13 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
+from hyperval.data import ClassStatistics
 from hyperval.errors import UsageError
-from hyperval.model import Origins, predict
-from hyperval.model.fills import fill_distribution
-from hyperval.processing.elm import darkest_level
-from hyperval.processing.roc_model import detection_at
+from hyperval.model import Origins, darkest_level, detection_at, fill_distribution, predict
 from hyperval.products import background_of
 from hyperval.scenario import load_scenario
-from hyperval.scene.builtin import builtin_class
-from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra import SpectralAxis
-from hyperval.statistics_library import write_statistics_library
+from hyperval.statistics_library import builtin_class, write_statistics_library
 from test_predict import ATMOSPHERE, AXIS, SCENE, engine, run, scenario
 
 SHADE = {"host: asphalt": "host: asphalt\n      illumination: {beam: 0.1, sky_view: 0.8}"}
@@ -272,8 +268,7 @@ def test_ace_against_simulated_pixels():
     The error of the draws is taken as 2 % of P_FA, more than the note says; false failure below 1e-5.
     """
     p = of(use=engine, **{"[cem, cem-correlation]": "[ace], samples: 8000"})
-    from hyperval.processing.ace_model import ace_space
-    from hyperval.scene.radiance import average_reflectance, mixture_covariance
+    from hyperval.model import ace_space, average_reflectance, mixture_covariance
 
     seen = [p.reflectance[n] for n in ("grass", "asphalt")]
     means, covs = [e.mean for e in seen], [e.pixel_covariance for e in seen]

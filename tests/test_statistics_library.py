@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from hyperval.data import Components
 from hyperval.errors import InputError, UsageError
-from hyperval.scene.builtin import builtin_class
-from hyperval.scene.statistics import Components
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import (
+    builtin_class,
     on_bands,
     read_statistics_library,
     statistics_of_samples,

@@ -24,10 +24,8 @@ from pydantic import (
 
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import Model, load_model, load_yaml
+from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
 from hyperval.errors import UsageError, reader
-from hyperval.processing.ace_model import NUMERICAL_DETECTORS
-from hyperval.processing.filters import LINEAR_DETECTORS
-from hyperval.scene.statistics import MOST_COMPONENTS
 from hyperval.sensor.specification import SensorChanges, SensorOperation
 
 

@@ -8,9 +8,8 @@ import pytest
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import load_model
 from hyperval.errors import UsageError
-from hyperval.model import Origins, predict
+from hyperval.model import Origins, mean_radiance, predict
 from hyperval.scenario import Scenario
-from hyperval.scene.radiance import mean_radiance
 from hyperval.spectra import SpectralAxis
 from small_campaign import stand_in_atmosphere
 

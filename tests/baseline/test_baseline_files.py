@@ -28,7 +28,7 @@ from hyperval.baseline.accepted import (
 from hyperval.baseline.check import compare
 from hyperval.errors import UsageError
 from hyperval.metrics import Tolerance, default_tolerance
-from hyperval.processing import clopper_pearson
+from hyperval.model import clopper_pearson
 from hyperval.results import Outcome, Result
 
 MEDIAN = "median_difference_ratio_windows"

@@ -24,13 +24,13 @@ from hyperval.campaign.one import run_campaign
 from hyperval.campaign.run import validate
 from hyperval.config import load_yaml
 from hyperval.imagery import divided, open_cube, write_cube
-from hyperval.processing import Z95
+from hyperval.model import Z95
 from hyperval.results import Cause, Outcome
 from hyperval.run import Run
-from hyperval.scene.builtin import builtin_class
 from hyperval.simulate import SceneFile, simulate
 from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class
 from small_campaign import PANELS, scene_data, stand_in_atmosphere
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "share2012-avon"

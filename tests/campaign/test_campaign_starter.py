@@ -14,8 +14,8 @@ from hyperval.campaign.dry_run import TO_FILL_IN, WRONG, dry_run, summary
 from hyperval.campaign.job import job_of
 from hyperval.campaign.starter import Spectrum, matching_spectrum
 from hyperval.config import FILL_IN
-from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
+from hyperval.statistics_library import builtin_class
 
 UNIT = "uW cm-2 sr-1 nm-1"
 

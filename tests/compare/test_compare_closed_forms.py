@@ -16,7 +16,8 @@ from hyperval.compare import (
     leading_source,
 )
 from hyperval.compare.covariance import _eigenvalue_rows, _space_rows
-from hyperval.processing import Z95, SamplingBand, Statistics
+from hyperval.model import Z95
+from hyperval.processing import SamplingBand, Statistics
 from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEstimate
 from hyperval.results import Outcome
 from hyperval.spectra import SpectralAxis, in_window

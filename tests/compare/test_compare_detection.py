@@ -15,7 +15,8 @@ from hyperval.compare import (
     scientific,
 )
 from hyperval.errors import UsageError
-from hyperval.processing import WHOLE, RocArea, counts_of, curve_area, empirical_roc, roc_area, with_summary
+from hyperval.model import WHOLE, RocArea, curve_area
+from hyperval.processing import counts_of, empirical_roc, roc_area, with_summary
 from hyperval.products import (
     Abundance,
     ObservedProducts,
@@ -84,7 +85,7 @@ def test_overlapping_intervals_are_not_enough():
 
 def test_difference_interval_covers():
     # Two binomial proportions with Clopper-Pearson limits: conservative, 1000 draws, above 93 %.
-    from hyperval.processing import clopper_pearson
+    from hyperval.model import clopper_pearson
 
     rng = np.random.default_rng(2)
     hits = 0

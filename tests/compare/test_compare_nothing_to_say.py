@@ -9,7 +9,7 @@ import pytest
 
 from hyperval.compare import chi_square_shape, compare_abundance, detectable_tilts, predicted_area
 from hyperval.compare.spectra import _detectable, _mean_ratio
-from hyperval.processing import AREAS
+from hyperval.model import AREAS
 from hyperval.products import Abundance, RocCurve
 from hyperval.results import Cause, Outcome
 

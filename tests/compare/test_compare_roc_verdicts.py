@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from hyperval.compare import compare_roc, equivalence
-from hyperval.processing.roc_model import ClassScores, greatest_class_false_alarm, thresholds_at
+from hyperval.model import ClassScores, greatest_class_false_alarm, thresholds_at
 from hyperval.products import RocCurve
 from hyperval.results import Outcome
 

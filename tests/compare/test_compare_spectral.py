@@ -27,7 +27,7 @@ from hyperval.compare import (
     z_scores,
 )
 from hyperval.errors import UsageError
-from hyperval.processing import difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
+from hyperval.model import difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
 from hyperval.products import SpectralEstimate
 from hyperval.results import Outcome, Result
 from hyperval.spectra import SpectralAxis, in_window

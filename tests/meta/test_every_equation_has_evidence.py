@@ -13,18 +13,17 @@ from pathlib import Path
 import pytest
 
 MODULES = (
-    "hyperval.scene.radiance",
-    "hyperval.scene.fill",
-    "hyperval.scene.builtin",
+    "hyperval.model.radiance",
+    "hyperval.model.fill",
+    "hyperval.statistics_library",
     "hyperval.sensor.response",
     "hyperval.sensor.noise",
     "hyperval.sensor.specification",
-    "hyperval.processing.filters",
-    "hyperval.processing.classification",
-    "hyperval.processing.elm",
-    "hyperval.processing.roc_model",
     "hyperval.model.filters",
-    "hyperval.processing.ace_model",
+    "hyperval.model.classification",
+    "hyperval.model.roc",
+    "hyperval.model.scores",
+    "hyperval.model.ace",
 )
 # Functions of these files that are no formula of the source: readers, the reading of curves, classifiers and laws with
 # evidence of their own below tests/.

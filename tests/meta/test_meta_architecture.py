@@ -20,7 +20,6 @@ WRONG_IMPORTS = {
     "rooms": ("processing/roc.py", "from hyperval.campaign.run import validate"),
     "circles": ("spectra/text.py", "from hyperval.spectra.readers import read_spectra"),
     "formulas": ("compare/rows.py", "from hyperval.datasets import resolve"),
-    "scene": ("scene/fill.py", "from hyperval.atmosphere.sixs import run_sixs"),
     "simulated": ("simulate/collection.py", "from hyperval.processing.roc import roc_curve"),
     "provenance": ("study/run.py", "from hyperval.campaign.run import validate"),
 }

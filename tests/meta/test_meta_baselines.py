@@ -26,9 +26,9 @@ from hyperval.baseline.accepted import (
 from hyperval.baseline.check import compare
 from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
-from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, matched_filter_weights, solved_filter
+from hyperval.model import LinearFilter, fixed_fill, matched_filter_weights, solved_filter
+from hyperval.model.filters import FILTERS
 from hyperval.results import Outcome, Result
-from hyperval.scene.fill import fixed_fill
 from hyperval.sensor.specification import library_names, load_sensor
 from small_campaign import SmallCampaign, stand_in_atmosphere
 
@@ -79,8 +79,8 @@ def filter_sign(patch: Patch) -> None:
         right = solved_filter(detector, *arguments, **named)
         return _turned(right) if detector == "cem" else right
 
-    patch.setattr("hyperval.model.filters.solved_filter", turned)
-    patch.setitem(LINEAR_DETECTORS, "cem", lambda *a: _turned(matched_filter_weights(*a)))
+    patch.setattr("hyperval.model.scores.solved_filter", turned)
+    patch.setitem(FILTERS, "cem", lambda *a: _turned(matched_filter_weights(*a)))
 
 
 def width_as_sigma(patch: Patch) -> None:
@@ -129,9 +129,9 @@ def band_order(patch: Patch) -> None:
 
 def no_variance_of_fill(patch: Patch) -> None:
     """(3.12) without its Var(f) term."""
-    from hyperval.model.fills import moments
+    from hyperval.model import moments
 
-    patch.setattr("hyperval.model.fills.moments", lambda fill, thesis: fixed_fill(moments(fill, thesis).mean))
+    patch.setattr("hyperval.model.fill.moments", lambda fill, thesis: fixed_fill(moments(fill, thesis).mean))
 
 
 def deviation_for_variance(patch: Patch) -> None:

@@ -12,7 +12,7 @@ from hyperval import cli
 from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
 from hyperval.results import Cause, Outcome, ResultTable
-from hyperval.scene.builtin import builtin_class
+from hyperval.statistics_library import builtin_class
 from small_campaign import SmallCampaign
 
 Change = Callable[[SmallCampaign], None]

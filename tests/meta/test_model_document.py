@@ -26,7 +26,7 @@ def test_every_function_named_exists():
     names = NAME.findall(DOCUMENT)
     assert len(names) > 40
     assert [n for n in names if not exists(n)] == []
-    assert not exists("hyperval.scene.radiance.no_such_function")
+    assert not exists("hyperval.model.radiance.no_such_function")
 
 
 def test_every_function_of_the_physics_is_named():

@@ -7,10 +7,11 @@ import pytest
 from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, target_rows
 
 from hyperval.collection import Detection
+from hyperval.data import SampleStatistics
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
 from hyperval.observe import usable_bands
-from hyperval.processing import SampleStatistics, empirical_roc
+from hyperval.processing import empirical_roc
 from hyperval.products import background_of
 from hyperval.spectra import SpectralAxis
 

@@ -15,10 +15,9 @@ from hyperval.campaign.one import run_campaign
 from hyperval.campaign.sides import with_fills_of_truth
 from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.model.fills import fill_distribution, fills_of_objects, pixels_of_object
+from hyperval.model import TargetGeometry, fill_distribution, fills_of_objects, pixel_fills, pixels_of_object
 from hyperval.observe import FinerGrid, fills_of, object_of_fills, open_place, registration_shifts, window_fills
 from hyperval.scenario import Fill, Scenario
-from hyperval.scene.fill import TargetGeometry, pixel_fills
 from hyperval.spectra import SIGMA_PER_FWHM
 
 ONE_PLACE = np.zeros((1, 2))

@@ -7,8 +7,7 @@ import pytest
 from uncertain_scene import AXIS, ORIGINS, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.model import read, together, value_at
-from hyperval.model.fills import fill_distribution, with_mean
+from hyperval.model import fill_distribution, read, together, value_at, with_mean
 from hyperval.model.inputs import number_input
 from hyperval.model.surfaces import in_bands
 from hyperval.scenario import Fill

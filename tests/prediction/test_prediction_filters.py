@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from hyperval.data import ClassStatistics
 from hyperval.model import Evaluation, Origins, World, read, with_values
 from hyperval.scenario import Scenario
-from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra import SpectralAxis
 
 B, CLASSES, DETECTORS = 5, ("soil", "grass"), ("cem", "cem-correlation", "smf")

@@ -9,12 +9,12 @@ import pytest
 from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
+from hyperval.data import ClassStatistics
 from hyperval.model import Origins, predict
 from hyperval.model.propagate import with_law_limits
 from hyperval.processing import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import Scenario
-from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra import SpectralAxis
 
 BANDS, PIXELS = 6, 3200

@@ -9,9 +9,19 @@ from scipy.special import stdtr
 from test_prediction_mixtures import drawn, of_region, two_clusters
 from uncertain_scene import AXIS, scenario
 
-from hyperval.model import Evaluation, Origins, predict, read, with_values
-from hyperval.processing.roc_model import ClassScores, Host, RocScores, mixing, object_detection_probability
-from hyperval.scene.builtin import builtin_class
+from hyperval.model import (
+    ClassScores,
+    Evaluation,
+    Host,
+    Origins,
+    RocScores,
+    mixing,
+    object_detection_probability,
+    predict,
+    read,
+    with_values,
+)
+from hyperval.statistics_library import builtin_class
 
 BANDS = len(AXIS)
 LINEAR = ("cem", "cem-correlation", "matched-filter")

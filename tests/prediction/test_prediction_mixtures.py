@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from uncertain_scene import AXIS, scenario
 
+from hyperval.data import ClassStatistics, Components
 from hyperval.errors import UsageError
 from hyperval.model import Evaluation, Origins, predict, predictions, read, value_at
-from hyperval.scene.builtin import builtin_class
-from hyperval.scene.statistics import ClassStatistics, Components
 from hyperval.simulate.surface import sampler
+from hyperval.statistics_library import builtin_class
 
 BANDS = len(AXIS)
 

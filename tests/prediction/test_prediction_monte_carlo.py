@@ -8,11 +8,9 @@ from scipy import stats
 from scipy.special import polygamma
 from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, engine, run, scenario
 
-from hyperval.model import Origins, inputs_of, read
+from hyperval.model import WHOLE, Origins, curve_area, detection_at, inputs_of, read
 from hyperval.model.inputs import drawn_covariance
 from hyperval.model.propagate import _drawn_estimate, emulator, quantities, tolerance
-from hyperval.processing import WHOLE, curve_area
-from hyperval.processing.roc_model import detection_at
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import FalseAlarmGrid, Scenario, Uncertainty
 from hyperval.settings import with_settings

@@ -7,13 +7,21 @@ import pytest
 
 from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.model import Origins, predict, predictions, read, value_at
-from hyperval.processing.filters import design_filter
-from hyperval.processing.roc_model import ClassScores, class_threshold, greatest_class_false_alarm
+from hyperval.model import (
+    ClassScores,
+    Origins,
+    class_threshold,
+    design_filter,
+    greatest_class_false_alarm,
+    predict,
+    predictions,
+    read,
+    value_at,
+)
 from hyperval.products import background_of
 from hyperval.scenario import Scenario, load_scenario
-from hyperval.scene.builtin import builtin_class
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
 SCENE = """

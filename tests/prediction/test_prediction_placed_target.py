@@ -11,8 +11,8 @@ from hyperval.config import parse_yaml, validate
 from hyperval.model import Origins, predict
 from hyperval.model.objects import HOST, PLACE, Shares, host_covariance, mixed, place_covariance, shares_of
 from hyperval.scenario import Scenario
-from hyperval.scene.builtin import builtin_class
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
 BLUR, GSD, N = 0.8, 0.7, 6

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import InputError, UsageError
-from hyperval.model.light import Light
+from hyperval.model import Light
 from hyperval.model.world import _sensor
 
 

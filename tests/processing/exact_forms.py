@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.processing import WHOLE, area_estimates, counts_of, roc_area
+from hyperval.model import WHOLE
+from hyperval.processing import area_estimates, counts_of, roc_area
 from hyperval.products import AreaEstimate
 
 

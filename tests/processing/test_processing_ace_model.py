@@ -7,14 +7,7 @@ import pytest
 from scipy import stats
 from scipy.special import ndtr
 
-from hyperval.processing.ace_model import (
-    Exceedance,
-    _positive,
-    ace_exceedance,
-    ace_space,
-    ace_threshold,
-    exceedance_at,
-)
+from hyperval.model.ace import Exceedance, _positive, ace_exceedance, ace_space, ace_threshold, exceedance_at
 
 BANDS = 7
 

@@ -5,17 +5,8 @@ import pytest
 from scipy import stats
 from scipy.stats import norm
 
-from hyperval.processing import (
-    AREAS,
-    WHOLE,
-    AlarmBlocks,
-    area_estimates,
-    area_variance,
-    clustered_variance,
-    counts_of,
-    empirical_roc,
-    mid_p_limits,
-)
+from hyperval.model import AREAS, WHOLE, mid_p_limits
+from hyperval.processing import AlarmBlocks, area_estimates, area_variance, clustered_variance, counts_of, empirical_roc
 
 
 def clustered(rng: np.random.Generator, side: int, tile: int, correlation: float) -> np.ndarray:

@@ -9,16 +9,23 @@ from scipy.special import logit
 
 from hyperval.compare import chi_square_full
 from hyperval.errors import UsageError
+from hyperval.model import (
+    WHOLE,
+    ClassLaw,
+    ClassScores,
+    PositiveDefinite,
+    darkest_level,
+    greatest_class_false_alarm,
+    log_false_alarm,
+    measured_error,
+    object_detection_probability,
+    score_density,
+    with_distances,
+)
 from hyperval.processing import MeasuredPanel, darkest_pixel_panel, fit_elm
 from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio
-from hyperval.processing.classification import ClassLaw, measured_error, with_distances
-from hyperval.processing.elm import (
-    darkest_level,
-)
-from hyperval.processing.filters import PositiveDefinite
 from hyperval.processing.laws import fit_tail_dof, left_out_distances, tail_log_likelihood
 from hyperval.processing.roc import (
-    WHOLE,
     area_estimates,
     area_variance,
     average_roc,
@@ -29,13 +36,6 @@ from hyperval.processing.roc import (
     logit_interval,
     pooled_roc,
     with_summary,
-)
-from hyperval.processing.roc_model import (
-    ClassScores,
-    greatest_class_false_alarm,
-    log_false_alarm,
-    object_detection_probability,
-    score_density,
 )
 from hyperval.processing.sample import SamplingBand, drawn_factor, independent_pixels, neighbour_shares, noise_part
 from hyperval.processing.snr import snr_decorrelated

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hyperval.model import bhattacharyya_distance
 from hyperval.processing import (
     EigenDirections,
     SamplingBand,
-    bhattacharyya_distance,
     covariance_distance,
     drawn_factor,
     full_rank,

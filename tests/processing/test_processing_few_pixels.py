@@ -8,8 +8,8 @@ from hyperval.compare import chi_square_full
 from hyperval.errors import UsageError
 from hyperval.processing import factor_covariance
 from hyperval.products import EstimatedPart
-from hyperval.scene.builtin import builtin_class
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 BANDS = 80
 W = np.linspace(0.0, 1.0, BANDS)

@@ -7,14 +7,7 @@ import pytest
 from scipy import special
 
 from hyperval.errors import UsageError
-from hyperval.processing import (
-    ClassLaw,
-    GaussianClassifier,
-    class_features,
-    feature_bands,
-    measured_error,
-    predicted_error,
-)
+from hyperval.model import ClassLaw, GaussianClassifier, class_features, feature_bands, measured_error, predicted_error
 
 
 def law(mean, spread=1.0, dof=np.inf):

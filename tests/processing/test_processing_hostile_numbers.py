@@ -11,16 +11,8 @@ from hypothesis import strategies as st
 
 from hyperval.errors import HypervalError, UsageError
 from hyperval.imagery import open_cube
-from hyperval.processing import (
-    MeasuredPanel,
-    clopper_pearson,
-    empirical_roc,
-    fit_elm,
-    pixel_detector,
-    region_statistics,
-    whitener_of,
-)
-from hyperval.processing.filters import cem_correlation_weights, matched_filter_weights, spectral_matched_filter
+from hyperval.model import cem_correlation_weights, clopper_pearson, matched_filter_weights, spectral_matched_filter
+from hyperval.processing import MeasuredPanel, empirical_roc, fit_elm, pixel_detector, region_statistics, whitener_of
 from hyperval.spectra.readers_record import Asked, Record, finished
 
 LINES, SAMPLES, BANDS = 7, 6, 4

@@ -7,6 +7,7 @@ import pytest
 from scipy import ndimage
 from scipy.special import ndtri
 
+from hyperval.model import ClassScores, jackknife_directions, log_false_alarm
 from hyperval.processing import (
     AlarmBlocks,
     class_mixture,
@@ -14,11 +15,9 @@ from hyperval.processing import (
     exceedance_curve,
     false_alarm_ratio,
     fit_tail_dof,
-    jackknife_directions,
     leading_tail_dof,
     moments_without_each,
 )
-from hyperval.processing.roc_model import ClassScores, log_false_alarm
 from hyperval.products import ExceedanceCurve
 
 SIDE = 110

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from score_classes import classes, log_alarms, printed_procedure, roc_of, thresholds
 
 from hyperval.errors import UsageError
-from hyperval.processing.roc_model import ClassScores, RocScores, false_alarm_grid, object_detection_probability
-from hyperval.scene.fill import beta_fill
+from hyperval.model import ClassScores, RocScores, beta_fill, false_alarm_grid, object_detection_probability
 
 
 def backgrounds(seed: int) -> ClassScores:

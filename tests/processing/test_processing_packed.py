@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hyperval.processing.packed import (
+from hyperval.model import (
     add_products,
     condition_number,
     diagonal_places,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hyperval.errors import UsageError
-from hyperval.processing import (
+from hyperval.model import (
     beyond_jeffreys_limits,
     clopper_pearson,
     jeffreys_limits,

@@ -9,7 +9,8 @@ import pytest
 import spectral
 
 from hyperval.imagery import open_cube
-from hyperval.processing import clopper_pearson, region_statistics
+from hyperval.model import clopper_pearson
+from hyperval.processing import region_statistics
 
 LINES, SAMPLES, BANDS = 12, 9, 6
 

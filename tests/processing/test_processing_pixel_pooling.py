@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing import empirical_roc, footprint_sums, mid_p_limits, pooled_roc
+from hyperval.model import mid_p_limits
+from hyperval.processing import empirical_roc, footprint_sums, pooled_roc
 
 
 def test_a_pool_counts_the_targets_of_all_curves_at_one_false_alarm_rate():

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hyperval.errors import UsageError
+from hyperval.model import mid_p_limits
 from hyperval.processing import (
     empirical_roc,
     footprint,
     footprint_maxima,
-    mid_p_limits,
     object_scores,
     placed_with_halo,
     preset_thresholds,

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from exact_forms import roc_points
 
-from hyperval.processing import RocArea, counts_of, roc_area, statistics_of
+from hyperval.data import statistics_of
+from hyperval.model import RocArea
+from hyperval.processing import counts_of, roc_area
 
 
 def peer(module):

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing import MeasuredPanel, fit_elm
-from hyperval.processing.classification import (
+from hyperval.model import (
     ClassLaw,
+    clopper_pearson,
+    correlation_filter,
     feature_bands,
     minimum_noise_fraction,
     principal_components,
     with_distances,
 )
+from hyperval.processing import MeasuredPanel, fit_elm
 from hyperval.processing.detectors import pixel_detector, register_detector
-from hyperval.processing.filters import correlation_filter
-from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.objects import footprint, with_halo
 from hyperval.processing.roc import average_roc, empirical_roc, pooled_roc
 from hyperval.processing.sample import EigenDirections

@@ -11,17 +11,13 @@ from hypothesis import strategies as st
 from scipy import special, stats
 
 from hyperval.errors import UsageError
+from hyperval.model import AREAS, WHOLE, RocArea, bounded_mean_limits, clopper_pearson
 from hyperval.processing import (
-    AREAS,
-    WHOLE,
-    RocArea,
     alarms_at_detection,
     area_estimates,
     area_variance,
     areas_within,
     bootstrap_areas,
-    bounded_mean_limits,
-    clopper_pearson,
     counts_of,
     empirical_roc,
     pooled_roc,

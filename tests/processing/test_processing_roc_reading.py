@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from hyperval.compare import compare_roc
-from hyperval.processing.roc_model import detection_at, log10_false_alarm_at
+from hyperval.model import detection_at, log10_false_alarm_at
 from hyperval.products import RocCurve
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from hyperval.model import ClassScores, RocScores
 from hyperval.processing import FEATURES, OXYGEN_RESIDUAL, RED_EDGE, red_edge, wavelength_shifts
-from hyperval.processing.roc_model import ClassScores, RocScores
 from hyperval.spectra import SpectralAxis
 
 # Two classes, one with a tail, and targets of two fills.

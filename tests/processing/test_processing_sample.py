@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hyperval.data import statistics_of
 from hyperval.errors import UsageError
-from hyperval.processing import statistics_of
 
 
 def test_equal_to_numpy_and_exact_on_a_bright_flat_scene():

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm, t
 
-from hyperval.processing.roc_model import ClassScores, false_alarm_grid, log_false_alarm, thresholds_at
+from hyperval.model import ClassScores, false_alarm_grid, log_false_alarm, thresholds_at
 
 
 def random_scores(rng: np.random.Generator, rows: int, tails: bool) -> ClassScores:

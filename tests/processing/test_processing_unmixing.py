@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from hyperval.errors import UsageError
-from hyperval.processing.filters import PositiveDefinite, fully_constrained
+from hyperval.model import PositiveDefinite, fully_constrained
 
 B = 12
 

@@ -12,8 +12,8 @@ from hyperval.compare import compare_spectra
 from hyperval.observe import wavelength_notes
 from hyperval.processing import FEATURES, RED_EDGE, absorption_centre, centre_uncertainty, red_edge, wavelength_shifts
 from hyperval.products import SpectralEstimate
-from hyperval.scene.builtin import builtin_class
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 OXYGEN, WATER, _ = FEATURES
 SITES = ("184227_rdn_v2p11_AstroGreenBaseball", "184227_rdn_v2p11_BeckmanLawn", "184829_rdn_v2p11_darklot")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.scene.fill import TargetGeometry, pixel_fills, ranked_pixel_fill
+from hyperval.model import TargetGeometry, pixel_fills, ranked_pixel_fill
 from hyperval.spectra import SIGMA_PER_FWHM
 
 BLUR = (1.4, 0.3)  # along (y), across (x)

@@ -5,17 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyperval.data import ClassStatistics
 from hyperval.errors import UsageError
-from hyperval.scene.builtin import builtin_class, builtin_mean
-from hyperval.scene.fill import (
-    FillDistribution,
-    TargetGeometry,
-    beta_fill,
-    ranked_pixel_fill,
-)
-from hyperval.scene.radiance import average_reflectance
-from hyperval.scene.statistics import ClassStatistics
+from hyperval.model import FillDistribution, TargetGeometry, average_reflectance, beta_fill, ranked_pixel_fill
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class, builtin_mean
 
 AXIS = SpectralAxis(np.linspace(380, 2480, 320), np.full(320, 7.0))
 NAMES = [

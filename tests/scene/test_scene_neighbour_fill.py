@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.scene.fill import Neighbour, TargetGeometry, object_fills, pixel_fills, shared_pixel_fills
+from hyperval.model import Neighbour, TargetGeometry, object_fills, pixel_fills, shared_pixel_fills
 
 
 def geometry(length=1.0, width=1.4, heading=12.0, blur=1.0, phase="random"):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyperval.data import ClassStatistics
 from hyperval.errors import UsageError
-from hyperval.scene.fill import FillDistribution, beta_fill, fixed_fill
-from hyperval.scene.statistics import ClassStatistics
+from hyperval.model import FillDistribution, beta_fill, fixed_fill
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))

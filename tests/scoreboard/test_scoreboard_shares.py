@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from hyperval.processing import AREAS, AlarmBlocks, alarms_at_detection, counts_of, empirical_roc, roc_area
+from hyperval.model import AREAS
+from hyperval.processing import AlarmBlocks, alarms_at_detection, counts_of, empirical_roc, roc_area
 from hyperval.scoreboard.ranks import (
     LOG_AREA,
     MEASURES,

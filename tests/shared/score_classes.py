@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from hyperval.processing.roc_model import ClassScores, RocScores, class_threshold, log_false_alarm, thresholds_at
+from hyperval.model import ClassScores, RocScores, class_threshold, log_false_alarm, thresholds_at
 
 
 def classes(*rows: tuple[float, ...]) -> ClassScores:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.scene.statistics import ClassStatistics
+from hyperval.data import ClassStatistics
 from hyperval.simulate.inputs import SensorNumbers, SimulationInputs
 from hyperval.simulate.schema import SceneFile
 from hyperval.spectra import SpectralAxis

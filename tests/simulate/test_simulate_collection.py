@@ -15,13 +15,13 @@ import yaml
 
 from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, read_regions, read_targets
-from hyperval.scene.builtin import builtin_class
 from hyperval.simulate import collection, simulate, simulate_to_folder
 from hyperval.simulate.collection import average_reflectance, detector
 from hyperval.simulate.inputs import SimulationInputs
 from hyperval.simulate.layout import lay_out
 from hyperval.simulate.surface import SurfaceRenderer
 from hyperval.spectra import read_spectrum
+from hyperval.statistics_library import builtin_class
 from hyperval.storage import sha256_of
 
 

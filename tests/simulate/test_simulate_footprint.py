@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from hyperval.scene.fill import TargetGeometry, pixel_fills
+from hyperval.model import TargetGeometry, pixel_fills
 from hyperval.simulate.layout import centred_fill, pixel_weights, side_for_fill, square_footprint
 
 SIGMA_PER_FWHM = 1.0 / (2.0 * math.sqrt(2.0 * math.log(2.0)))

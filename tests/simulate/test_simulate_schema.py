@@ -9,11 +9,11 @@ import pytest
 import yaml
 
 from hyperval.errors import UsageError
-from hyperval.scene.builtin import BUILTIN_NAMES
 from hyperval.simulate import load_scene
 from hyperval.simulate.inputs import load_inputs
 from hyperval.simulate.layout import lay_out, regions
 from hyperval.simulate.schema import PaintedArea
+from hyperval.statistics_library import BUILTIN_NAMES
 
 TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
 

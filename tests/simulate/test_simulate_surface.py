@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kurtosis
 
-from hyperval.scene.statistics import ClassStatistics
+from hyperval.data import ClassStatistics
 from hyperval.simulate import schema
 from hyperval.simulate.layout import lay_out
 from hyperval.simulate.surface import SurfaceRenderer, sampler

@@ -171,9 +171,9 @@ def terms(state: AtmosphericState) -> AtmosphericTerms:
 
 def rows_of(number: int, seed: int) -> list[Result]:
     """Simulate, observe, predict, compare and judge one campaign."""
-    from hyperval.scene.builtin import builtin_class
     from hyperval.simulate import SceneFile, simulate
     from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
+    from hyperval.statistics_library import builtin_class
 
     files = world(number, seed)
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:

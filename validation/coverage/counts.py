@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from hyperval.processing import clopper_pearson
+from hyperval.model import clopper_pearson
 
 Key = tuple[str, str, str, str]  # product, subject, what, method
 

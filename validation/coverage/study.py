@@ -47,7 +47,7 @@ from hyperval.processing.snr import snr_decorrelated
 from hyperval.products import EstimatedPart, ObjectScores, ObservedProducts, PredictedProducts
 from hyperval.progress import track
 from hyperval.results import Result
-from hyperval.scene.builtin import builtin_class
+from hyperval.statistics_library import builtin_class
 from hyperval.storage import files_within, sha256_of, write_text
 
 Array = npt.NDArray[np.float64]

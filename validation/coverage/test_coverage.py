@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.processing import clopper_pearson
+from hyperval.model import clopper_pearson
 
 sys.path.insert(0, str(Path(__file__).parent))
 

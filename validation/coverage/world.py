@@ -14,11 +14,11 @@ import numpy.typing as npt
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.scenario import Scenario
-from hyperval.scene.builtin import builtin_class
 from hyperval.simulate.collection import Detector
 from hyperval.simulate.inputs import SensorNumbers, sensor_numbers
 from hyperval.simulate.surface import correlated_field
 from hyperval.spectra import SpectralAxis, in_window
+from hyperval.statistics_library import builtin_class
 
 Array = npt.NDArray[np.float64]
 

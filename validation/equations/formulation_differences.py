@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.scene.builtin import builtin_class
-from hyperval.scene.radiance import (
+from hyperval.model import (
     average_reflectance,
     mean_radiance,
     mixture_covariance,
@@ -19,6 +18,7 @@ from hyperval.scene.radiance import (
 from hyperval.sensor.noise import bit_error_variance
 from hyperval.sensor.response import solid_angle
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 # 6S V2.1 for the built-in scenario yellow-planks-asphalt (range 23 km, sensor at 1 km, sun at 35 deg),
 # 10 nm bands, four digits.

@@ -7,32 +7,34 @@ import pytest
 from scipy import integrate, stats
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.processing import bhattacharyya_distance, classification_error, feature_covariance, minimum_noise_fraction
-from hyperval.processing.ace_model import (
-    ace_exceedance,
-    ace_space,
-    ace_threshold,
-    exceedance_at,
-)
-from hyperval.processing.elm import darkest_level, retrieved_covariance, two_panel_line
-from hyperval.processing.filters import matched_filter_weights, spectral_matched_filter
-from hyperval.processing.roc_model import (
+from hyperval.model import (
     ClassScores,
     Host,
     RocScores,
+    ace_exceedance,
+    ace_space,
+    ace_threshold,
+    bhattacharyya_distance,
+    classification_error,
+    darkest_level,
     detection_probability,
+    exceedance_at,
+    feature_covariance,
     host_part,
+    illumination_factor,
     log_false_alarm,
+    matched_filter_weights,
+    mean_radiance,
+    minimum_noise_fraction,
     mixing,
     object_detection_probability,
-    score_density,
-)
-from hyperval.scene.radiance import (
-    illumination_factor,
-    mean_radiance,
     radiance_covariance,
+    retrieved_covariance,
+    score_density,
+    spectral_matched_filter,
     target_pixel_covariance,
     target_pixel_reflectance,
+    two_panel_line,
 )
 from hyperval.sensor.noise import calibration_variance, measured_noise_variance
 

@@ -13,19 +13,11 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.model import Evaluation, Origins, World, read, with_values
-from hyperval.model.filters import (
-    FILL_NODES,
-    class_scores,
-    lit_surface,
-    noise_of,
-    target_population,
-    target_scores,
-)
+from hyperval.data import ClassStatistics
+from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_values
+from hyperval.model.scores import FILL_NODES, class_scores, lit_surface, noise_of, target_population, target_scores
 from hyperval.model.surfaces import SurfaceStatistics
 from hyperval.scenario import Scenario
-from hyperval.scene.fill import beta_fill
-from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.noise import NoiseModel
 from hyperval.spectra import SpectralAxis
 

@@ -16,9 +16,9 @@ from hyperval.config import parse_yaml, validate
 from hyperval.model import Origins, predict
 from hyperval.products import background_of
 from hyperval.scenario import Scenario
-from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
 SCENE = """

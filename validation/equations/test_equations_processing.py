@@ -7,28 +7,30 @@ import pytest
 from scipy import stats
 from score_classes import classes, log_alarms, printed_procedure, roc_of, thresholds
 
-from hyperval.processing import feature_covariance, features, principal_components
-from hyperval.processing.elm import retrieved_covariance, retrieved_reflectance, two_panel_line
-from hyperval.processing.filters import (
+from hyperval.model import (
+    beta_fill,
     cem_correlation_weights,
+    class_threshold,
     correlation_filter,
     design_filter,
-    matched_filter_weights,
-    solve_positive_definite,
-    solved_filter,
-)
-from hyperval.processing.roc_model import (
-    class_threshold,
     detection_at,
     detection_probability,
     false_alarm_grid,
+    feature_covariance,
+    features,
     greatest_class_false_alarm,
     log_false_alarm,
+    matched_filter_weights,
     object_detection_probability,
+    principal_components,
+    retrieved_covariance,
+    retrieved_reflectance,
+    solve_positive_definite,
+    solved_filter,
     thresholds_at,
+    two_panel_line,
 )
 from hyperval.products import RocCurve
-from hyperval.scene.fill import beta_fill
 
 # The worked filter: mean (1, 1), target (2, 3), covariance diag(1, 4); d = (1, 2).
 MEAN, TARGET, COVARIANCE = [1.0, 1.0], [2.0, 3.0], [[1.0, 0.0], [0.0, 4.0]]

@@ -11,33 +11,31 @@ from scipy.integrate import dblquad
 from scipy.special import ndtr
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.scene.builtin import _SURFACES, builtin_class, builtin_mean
-from hyperval.scene.fill import (
+from hyperval.model import (
     Neighbour,
     TargetGeometry,
+    adjacency_slope,
     aperture_weights,
+    average_reflectance,
     beta_fill,
+    direct_slope,
     fixed_fill,
     lattice_positions,
-    object_fills,
-    pixel_fills,
-    ranked_pixel_fill,
-    shared_pixel_fills,
-    touched_counts,
-    touched_pixel_fill,
-)
-from hyperval.scene.radiance import (
-    adjacency_slope,
-    average_reflectance,
-    direct_slope,
     mean_radiance,
     mixture_covariance,
+    object_fills,
+    pixel_fills,
     radiance_covariance,
+    ranked_pixel_fill,
+    shared_pixel_fills,
     target_pixel_covariance,
     target_pixel_reflectance,
     toa_reflectance,
+    touched_counts,
+    touched_pixel_fill,
 )
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import _SURFACES, builtin_class, builtin_mean
 
 
 def atmosphere(bands: int = 1) -> AtmosphericTerms:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.scene.fill import TargetGeometry, pixel_fills
+from hyperval.model import TargetGeometry, pixel_fills
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.response import modulation_transfer, mtf_at_nyquist, psf_fwhm_from_mtf
 from hyperval.sensor.specification import (

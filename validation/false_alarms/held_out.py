@@ -26,9 +26,9 @@ from scipy import ndimage, stats
 
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.sides import Inputs
+from hyperval.model import ClassScores, log_false_alarm
 from hyperval.observe import observe
 from hyperval.processing import class_mixture, fit_mixture
-from hyperval.processing.roc_model import ClassScores, log_false_alarm
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml"
 MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")

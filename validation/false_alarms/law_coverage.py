@@ -19,18 +19,18 @@ from collections import defaultdict
 import numpy as np
 from scipy import ndimage, special
 
-from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio
-from hyperval.processing.intervals import clopper_pearson
-from hyperval.processing.laws import (
-    class_mixture,
-    compact_parts,
+from hyperval.data import Components
+from hyperval.model import (
+    ClassScores,
+    clopper_pearson,
+    false_alarm_grid,
     jackknife_directions,
-    leading_tail_dof,
-    moments_without_each,
+    log_false_alarm,
+    thresholds_at,
 )
-from hyperval.processing.roc_model import ClassScores, false_alarm_grid, log_false_alarm, thresholds_at
+from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio
+from hyperval.processing.laws import class_mixture, compact_parts, leading_tail_dof, moments_without_each
 from hyperval.products import ExceedanceCurve
-from hyperval.scene.statistics import Components
 
 SIDE, BLUR, BANDS, DOF, SHARE = 110, 1.5, 4, 6.0, 0.07
 LEVELS = (1e-2, 1e-3)

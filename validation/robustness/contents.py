@@ -22,9 +22,8 @@ from hyperval.atmosphere.table import QUANTITIES
 from hyperval.imagery import write_cube
 from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.run import write_products
-from hyperval.scene.builtin import builtin_class
 from hyperval.spectra import SpectralAxis
-from hyperval.statistics_library import write_statistics_library
+from hyperval.statistics_library import builtin_class, write_statistics_library
 from hyperval.web.tasks import write_answer
 
 SHAPE = (10, 12)

@@ -32,7 +32,7 @@ from hyperval.config import FILL_IN, Model, load_model
 from hyperval.errors import HypervalError, UsageError, reader
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model import Origins, predict
-from hyperval.processing.roc_model import detection_at
+from hyperval.model.roc import detection_at
 from hyperval.results import WORST_FIRST, Outcome, Result, Role
 from hyperval.scenario import builtin_scenarios, load_scenario
 from hyperval.sensor.noise import NoiseBreakdown, NoiseModel

@@ -28,10 +28,10 @@ from hyperval.observe.place import IMAGE, SCENE, Place, check_line_for_detection
 from hyperval.observe.site_spectra import observe_radcalnet
 from hyperval.paths import matching
 from hyperval.scenario import Scenario, SpectrumSource, builtin_scenarios
-from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import load_scene
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 
 @dataclass(frozen=True)

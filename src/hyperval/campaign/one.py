@@ -15,13 +15,13 @@ from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import record_of
 from hyperval.campaign.schema import Outline
 from hyperval.campaign.sides import Collected, collected, header_notes, joined, truth_notes
+from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError
 from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
 from hyperval.model import Truth, inputs_of, predictions, read
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
-from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.products import PredictedProducts, Products
 from hyperval.progress import step
 from hyperval.report.run import RunReport, accepted_table

@@ -36,13 +36,14 @@ from hyperval.imagery.acquisition import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
 from hyperval.imagery.truth import TargetObject
 from hyperval.model import Truth, geometry_of, pixels_of_object, predicted_areas, predicted_classification
+from hyperval.model.fill import touched_counts
+from hyperval.model.intervals import clopper_pearson
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.observe.detection import scored_pixels, target_groups
 from hyperval.observe.place import Place
 from hyperval.observe.spread import RegionLaws, class_sets
 from hyperval.observe.truth_images import fills_of
-from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.laws import exceedance_of_distance
 from hyperval.processing.roc import average_roc
 from hyperval.processing.sample import SamplingBand
@@ -56,7 +57,6 @@ from hyperval.products import (
     RocCurve,
 )
 from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario, Target
-from hyperval.scene.fill import touched_counts
 from hyperval.storage import scratch_folder
 
 if TYPE_CHECKING:

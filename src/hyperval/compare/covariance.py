@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.compare.spectra import RowMaker
-from hyperval.processing.classification import bhattacharyya_distance
-from hyperval.processing.intervals import Z95
+from hyperval.model.classification import bhattacharyya_distance
+from hyperval.model.intervals import Z95
 from hyperval.processing.sample import (
     EigenDirections,
     SamplingBand,

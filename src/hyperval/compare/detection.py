@@ -15,8 +15,7 @@ import scipy
 from hyperval.compare.spectra import RowMaker, difference_interval, noncentrality, scientific
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence
-from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, false_alarm_ratio
-from hyperval.processing.intervals import (
+from hyperval.model.intervals import (
     Z95,
     clopper_pearson,
     difference_ratio,
@@ -24,8 +23,8 @@ from hyperval.processing.intervals import (
     joint_region,
     zero_count_upper_limit,
 )
-from hyperval.processing.roc import AREAS, RocArea, curve_area
-from hyperval.processing.roc_model import detection_at
+from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at
+from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import (
     Abundance,
     AlarmsAtDetection,

@@ -20,7 +20,7 @@ from hyperval.compare.spectra import COMPARISON
 from hyperval.config import Model
 from hyperval.errors import UsageError
 from hyperval.metrics import Kind, metric_of, product_words
-from hyperval.processing.intervals import Z95, clopper_pearson
+from hyperval.model.intervals import Z95, clopper_pearson
 from hyperval.results import Cause, Outcome, Result, Role
 
 _CHI2_SLIP = 100.0

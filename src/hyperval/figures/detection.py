@@ -34,7 +34,7 @@ from hyperval.figures.spec import (
     row_marks,
     row_names,
 )
-from hyperval.processing.roc_model import detection_at
+from hyperval.model.roc import detection_at
 from hyperval.products import ExceedanceCurve, ObjectScores, Products, RocCurve, ScoreDistribution
 from hyperval.results import Result
 

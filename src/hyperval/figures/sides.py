@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.processing.intervals import difference_ratio, difference_ratio_uncertainty
+from hyperval.model.intervals import difference_ratio, difference_ratio_uncertainty
 from hyperval.products import Products, SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis, in_window
 

@@ -15,9 +15,23 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
+from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
-from hyperval.model.fills import Fills
-from hyperval.model.filters import (
+from hyperval.model.ace import AceSpace, Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
+from hyperval.model.fill import FillDistribution, Fills, fixed_fill
+from hyperval.model.radiance import (
+    Background,
+    Light,
+    Seen,
+    at_rows,
+    light_of,
+    of_truth,
+    retrieved_reflectance,
+    seen_classes,
+    wide,
+)
+from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid
+from hyperval.model.scores import (
     Designer,
     FilterBase,
     Filters,
@@ -29,23 +43,10 @@ from hyperval.model.filters import (
     target_population,
     target_scores,
 )
-from hyperval.model.light import Background, Light, Seen, at_rows, light_of, of_truth, seen_classes, wide
 from hyperval.model.surfaces import cut
 from hyperval.model.world import World, distinct, settled
-from hyperval.processing.ace_model import (
-    AceSpace,
-    Exceedance,
-    ace_exceedance,
-    ace_space,
-    ace_threshold,
-    exceedance_at,
-)
-from hyperval.processing.elm import retrieved_reflectance
-from hyperval.processing.filters import LINEAR_DETECTORS
-from hyperval.processing.roc_model import ClassScores, Host, RocScores, false_alarm_grid
 from hyperval.products import ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Scenario, Target, TargetSubject
-from hyperval.scene.fill import FillDistribution, fixed_fill
 from hyperval.spectra.axis import SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]

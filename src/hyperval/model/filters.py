@@ -1,461 +1,407 @@
-"""Filters of U truths (3.21-3.25) and the scores of classes (3.27, 3.29) and of target pixels (3.26, 3.28).
+"""Linear detectors: one function of weights for the model and for pixels (3.22-3.25).
 
-For each truth the background's covariance is put together packed, in memory that is used again, and factorised once;
-everything that goes through matrices that truths share goes through them together.
+The names collide in the literature.  The source of the equations calls the filter of 3.22-3.25
+"CEM" although it removes the background mean and uses the background covariance; most of the
+field calls that the normalised (unit-response) matched filter and keeps CEM for the form with the
+correlation matrix and no mean removal (Harsanyi 1993).  Both are here, under both names.
+
+Abundances of endmembers in a pixel by fully constrained least squares, and their error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Union
 
 import numpy as np
 import numpy.typing as npt
+import scipy
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
+from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dsfrk, dtfttr, dtrttf
 
 from hyperval.errors import UsageError
-from hyperval.model.light import Background, Light, Seen, at_rows, of_truth, spread, wide
-from hyperval.processing.classification import (
-    feature_covariance,
-    features,
-    minimum_noise_fraction,
-    principal_components,
-)
-from hyperval.processing.elm import TwoPanelLine, retrieved_reflectance
-from hyperval.processing.filters import MAX_CONDITION, LinearFilter, PositiveDefinite, design_filter, solved_filter
-from hyperval.processing.packed import (
-    add_products,
-    condition_number,
-    diagonal_places,
-    factor,
-    near_singular,
-    solved,
-    unpacked,
-)
-from hyperval.scenario import Processing
-from hyperval.scene.fill import FillDistribution
-from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
 
 Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
+
+# Beyond this the float64 solve keeps fewer than about three correct digits.
+MAX_CONDITION = 1e13
+
+
+Covariance = Union[npt.ArrayLike, "PositiveDefinite"]
 
 
 @dataclass(frozen=True)
-class Filters:
-    """Linear detectors of U truths: score = weights . x - offset.
+class LinearFilter:
+    """A linear detector: score = weights . x - offset.
 
-    ``weights`` (U, F), ``offset`` (U,); NaN where there is none.
+    Attributes
+    ----------
+    weights : (B,) per unit of the data
+    offset : what is subtracted from weights . x [1]; the score of the background mean is 0 for the
+        matched filter, the offset is 0 for the correlation reading
+    condition : estimated 1-norm condition number of the inverted matrix, scaled to unit diagonal
     """
 
     weights: Array
-    offset: Array
+    offset: float
+    condition: float = float("nan")
 
-    def rows(self, index: Index) -> Filters:
-        """Of some truths."""
-        return Filters(self.weights[index], self.offset[index])
+    def score(self, x: npt.ArrayLike) -> Array:
+        """Scores (...) of pixels (..., B)."""
+        return np.asarray(np.asarray(x, dtype=float) @ self.weights - self.offset)
 
-
-@dataclass(frozen=True)
-class Population:
-    """Target pixels as a detector sees them.
-
-    Attributes
-    ----------
-    covariance : (F, F) of reflectance, gains and light included (3.12)
-    around, mean, noise : (F,) as those of a class in :class:`Seen`
-    """
-
-    covariance: Array
-    around: Array
-    mean: Array
-    noise: Array
+    def variance(self, covariance: npt.ArrayLike) -> float:
+        """Variance of the score of pixels with covariance (B, B): w Sigma w^T (3.28, 3.29)."""
+        return float(self.weights @ np.asarray(covariance, dtype=float) @ self.weights)
 
 
-@dataclass(frozen=True, eq=False)
-class Mixture:
-    """The background of one truth, as its filter's covariance is put together.
+def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
+    """Unit-response matched filter, the "CEM" of the source (3.22-3.25).
 
-    Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
-    divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
-    matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
-    the sensor changes is the diagonal alone.
-
-    Attributes
-    ----------
-    mean : (F,) mu
-    reflectance : (P,) sum w_k g_k Sigma_k, packed
-    surroundings : (P,) Sigma_ave, packed
-    slope : (F,) D_A over the gain;  around, between : (K, F) e, d
-    noise : (F,) sum w_k N_k over the square of the slope
-    """
-
-    mean: Array
-    reflectance: Array
-    surroundings: Array
-    slope: Array
-    around: Array
-    between: Array
-    noise: Array
-
-    def without_noise(self, memory: Array) -> Array:
-        """(P,) the covariance over the slopes but for the noise, packed, in ``memory``."""
-        total = add_products(memory, self.around, fresh=True)
-        total *= self.surroundings
-        total += self.reflectance
-        return add_products(total, self.between)
-
-    def shares_light(self, other: Mixture) -> bool:
-        """Whether the covariance differs from that of another by the noise alone."""
-        return (
-            self.reflectance is other.reflectance
-            and self.surroundings is other.surroundings
-            and np.array_equal(self.around, other.around)
-            and np.array_equal(self.between, other.between)
-        )
-
-    def covariance(self) -> Array:
-        """(F, F) whole."""
-        inner = unpacked(self.without_noise(np.empty_like(self.reflectance)), self.mean.size)
-        return (inner + np.diag(self.noise)) * np.outer(self.slope, self.slope)
-
-
-@dataclass(frozen=True)
-class FilterBase:
-    """What filters of one truth are built on, in the features chosen (3.21-3.25).
-
-    Attributes
-    ----------
-    mean : (F,) of the mixture
-    psi : (K, F) features, None for the bands themselves
-    factor : the covariance in the features
-    """
-
-    mean: Array
-    psi: Array | None
-    factor: PositiveDefinite
-
-    def of(self, spectrum: Array) -> Array:
-        """A spectrum (F,) in the features (3.21)."""
-        return spectrum if self.psi is None else features(self.psi, spectrum)
-
-    def spread(self, covariance: Array) -> Array:
-        """A covariance (F, F) in the features (3.21)."""
-        return covariance if self.psi is None else feature_covariance(self.psi, covariance)
-
-    def filter(self, detector: str, target: Array) -> LinearFilter:
-        """The filter, as weights of the bands: w Psi of the filter in the features (3.21-3.25)."""
-        of_features = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
-        if self.psi is None:
-            return of_features
-        return replace(of_features, weights=of_features.weights @ self.psi)
-
-
-class Designer:
-    """Filters of the truths for targets and detectors, the matrices of each truth factorised once.
+    w = Sigma^-1 d / (d^T Sigma^-1 d) with d = target - mean, score = w (x - mean): the score is 1 at
+    ``target``, 0 at ``mean``, and f at the mixture f target + (1 - f) mean.
 
     Parameters
     ----------
-    chosen : (M,) which classes the filter is made of
+    target : (B,) spectrum that is looked for
+    mean : (B,) background mean
+    covariance : (B, B) background covariance, as an array or factorised
+
+    Raises
+    ------
+    UsageError : sizes differ, the covariance is singular or not positive definite, or the target is
+        the background mean.
     """
-
-    def __init__(self, processing: Processing, chosen: npt.NDArray[np.bool_], size: int):
-        self.processing, self._chosen, self._size = processing, chosen, size
-        # Memory of two matrices: the covariance of the latest light without its noise, and one to factorise.
-        self._still, self._matrix = np.empty((2, size * (size + 1) // 2))
-        self._latest: Mixture | None = None
-
-    def mixture(self, of: Background, seen: Seen, u: int) -> Mixture:
-        """The background that the filter of one truth is built on (3.8, 3.11 of what is seen)."""
-        fractions = np.where(self._chosen, of_truth(of.fraction, u), 0.0)
-        used = fractions > 0.0
-        if not self._chosen.all():
-            fractions = fractions / fractions.sum()
-        reflectance = of.packed(fractions * of_truth(of.gain, u), u)
-        f, slope, means = fractions[used], of_truth(seen.slope, u), of_truth(seen.means, u)[used]
-        mean, under = f @ means, np.sqrt(f)[:, None] / slope
-        return Mixture(
-            mean, reflectance, of.packed_surroundings(u), slope, under * of_truth(seen.around, u)[used],
-            under * (means - mean), f @ of_truth(seen.noise, u)[used] / slope**2,
-        )  # fmt: skip
-
-    def base(self, mixture: Mixture, noise_at: Callable[[Array], Array]) -> FilterBase:
-        """The mixture in the features, factorised; ``noise_at`` gives the noise at a retrieved reflectance (F,).
-
-        Raises
-        ------
-        UsageError : a matrix that can not be inverted.
-        """
-        covariance, choice, psi = mixture.covariance(), self.processing.features, None
-        if choice is not None and choice.pca is not None:
-            psi = principal_components(covariance, choice.pca)
-        elif choice is not None and choice.mnf is not None:
-            psi = minimum_noise_fraction(covariance, noise_at(mixture.mean), choice.mnf)
-        return FilterBase(
-            mixture.mean, psi, PositiveDefinite(covariance if psi is None else feature_covariance(psi, covariance))
-        )
-
-    def design(
-        self, light: Light, of: Background, seen: Seen, truths: int, wanted: Sequence[tuple[str, Array]]
-    ) -> tuple[list[Filters], dict[int, UsageError]]:
-        """Filters for pairs of detector and spectrum as seen (U or 1, F); truth -> what is wrong with it."""
-        each = [Filters(np.full((truths, self._size), np.nan), np.full(truths, np.nan)) for _ in wanted]
-        problems: dict[int, UsageError] = {}
-        for u in range(truths):
-            spectra = [(detector, of_truth(spectrum, u)) for detector, spectrum in wanted]
-            try:
-                mixture = self.mixture(of, seen, u)
-                if self.processing.features is None:
-                    filters = self._solved(mixture, spectra)
-                else:
-                    base = self.base(mixture, lambda r, u=u: noise_of(light, seen, u, r))  # type: ignore[misc]
-                    filters = [base.filter(detector, spectrum) for detector, spectrum in spectra]
-            except UsageError as error:
-                problems[u] = error
-                continue
-            for into, one in zip(each, filters, strict=True):
-                into.weights[u], into.offset[u] = one.weights, one.offset
-        return each, problems
-
-    def _solved(self, mixture: Mixture, spectra: Sequence[tuple[str, Array]]) -> list[LinearFilter]:
-        """Filters on the bands themselves, one factorisation for all that invert the same matrix."""
-        out: dict[int, LinearFilter] = {}
-        for correlation in (False, True):
-            members = [i for i, (d, _) in enumerate(spectra) if (d == "cem-correlation") is correlation]
-            if not members:
-                continue
-            # R = Sigma + mu mu^T in place of Sigma, and no mean taken off.
-            matrix = mixture
-            if correlation:
-                mean = mixture.mean / mixture.slope  # the parts of a mixture stand over the slopes
-                matrix = replace(mixture, between=np.vstack([mixture.between, mean]))
-            centre = np.zeros_like(mixture.mean) if correlation else mixture.mean
-            differences = np.array([spectra[i][1] - centre for i in members])  # (3.22)
-            for i, d, x in zip(members, differences, self._solutions(matrix, differences), strict=True):
-                out[i] = solved_filter(spectra[i][0], d, x, mixture.mean)
-        return [out[i] for i in range(len(spectra))]
-
-    def _solutions(self, mixture: Mixture, right: Array) -> Array:
-        """(K, F) solutions x of covariance x = right (K, F).
-
-        Raises
-        ------
-        UsageError : as :class:`PositiveDefinite`.
-        """
-        if self._latest is None or not self._latest.shares_light(mixture):
-            self._latest = None  # should anything go wrong below, the memory holds no covariance
-            self._still = mixture.without_noise(self._still)
-            self._latest = mixture
-        matrix, places = self._matrix, diagonal_places(self._size)
-        matrix[:] = self._still
-        matrix[places] += mixture.noise
-        diagonal = matrix[places]
-        if not np.all(diagonal > 0) or not np.all(np.isfinite(diagonal)):
-            raise _refusal(mixture)
-        cholesky = factor(matrix, self._size)
-        if cholesky is None:
-            raise _refusal(mixture)
-        if near_singular(diagonal, cholesky):
-            values = self._still.copy()
-            values[places] = diagonal
-            if not condition_number(values, cholesky, self._size) <= MAX_CONDITION:
-                raise _refusal(mixture)
-        return solved(cholesky, (right / mixture.slope).T).T / mixture.slope
+    t, mu, cov = _checked(target, mean, covariance)
+    factor = _factor(covariance if isinstance(covariance, PositiveDefinite) else cov)
+    d = t - mu  # (3.22)
+    return solved_filter("matched-filter", d, factor.solve(d), mu, factor.condition)
 
 
-def _refusal(mixture: Mixture) -> UsageError:
-    """What is wrong with a matrix that has no factor, in the words of :class:`PositiveDefinite`."""
-    try:
-        PositiveDefinite(mixture.covariance())
-    except UsageError as error:
-        return error
-    return UsageError("the background matrix is singular to working precision")
+def solved_filter(
+    detector: str, difference: Array, solved: Array, mean: Array, condition: float = float("nan")
+) -> LinearFilter:
+    """The filter of a linear detector once its matrix is inverted (3.23-3.25).
 
+    Parameters
+    ----------
+    difference : (B,) d of (3.22); for "cem-correlation" the target itself
+    solved : (B,) Sigma^-1 d
+    mean : (B,) background mean
 
-def noise_of(light: Light, seen: Seen, u: int, reflectance: Array) -> Array:
-    """Noise variance (F,) of a retrieved reflectance (F,) in one truth (3.16-3.19)."""
-    gain, offset = (of_truth(x, u)[0] for x in (seen.gain, seen.offset))
-    return np.asarray(light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
-
-
-def class_scores(of: Background, seen: Seen, filters: Filters) -> tuple[Array, Array]:
-    """theta_m and sigma_m (U, J) of the laws that the background's classes are made of (3.27, 3.29).
-
-    A component of a class lies off its mean and has a covariance of its own; noise and surroundings are those of
-    the class.  A linear filter makes a normal law normal and a t law a t law: the scores have a closed form.
+    Raises
+    ------
+    UsageError : the target is the background mean.
     """
-    w, laws = filters.weights, of.laws
-    owner, truths = np.array([law.owner for law in laws]), len(filters.weights)
-
-    means = (np.einsum("uf,umf->um", w, wide(seen.means, truths)) - filters.offset[:, None])[:, owner]  # (3.27)
-    variances = np.einsum("uf,umf->um", w**2, wide(seen.noise, truths))[:, owner]
-    through = (w * seen.slope)[:, None, :]
-    for j, law in enumerate(laws):
-        gain, stretch = of.gain[:, law.owner], of.stretch[:, law.owner]
-        variances[:, j] += gain * spread(through, law.covariance, stretch)[:, 0]
-        if law.offset is not None:
-            means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset, truths))
-    variances += of.surroundings(w[:, None, :] * seen.around)[:, owner]
-    return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)
+    energy = float(difference @ solved)
+    if not energy > 0:
+        raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
+    w = solved / (np.sqrt(energy) if detector == "smf" else energy)  # (3.23), (3.24): the target itself scores 1
+    offset = 0.0 if detector == "cem-correlation" else float(w @ mean)  # (3.25)
+    return LinearFilter(w, offset, condition)
 
 
-# Mean and variance of a score are at most quadratic in the fill, which a cubic spline carries exactly.
-FILL_NODES = np.linspace(0.0, 1.0, 9)
+def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
+    """SMF: the matched filter scaled to unit variance over the background (variant of 3.22-3.25).
+
+    w = Sigma^-1 d / sqrt(d^T Sigma^-1 d): :func:`matched_filter_weights` times sqrt(d^T Sigma^-1 d).  The score is
+    in standard deviations of the background, so that one threshold gives one false-alarm rate for every target; a
+    positive factor leaves the ROC curve as it is.
+
+    Parameters and errors as :func:`matched_filter_weights`.
+    """
+    t, mu, cov = _checked(target, mean, covariance)
+    factor = _factor(covariance if isinstance(covariance, PositiveDefinite) else cov)
+    return solved_filter("smf", t - mu, factor.solve(t - mu), mu, factor.condition)
 
 
-@cache
-def _spline() -> CubicSpline:
-    from scipy.interpolate import CubicSpline  # a quarter of a second, which spectra alone do not need
+def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
+    """Constrained energy minimisation with the correlation matrix and no mean removal (variant of 3.22-3.25).
 
-    return CubicSpline(FILL_NODES, np.eye(FILL_NODES.size))
+    w = R^-1 t / (t^T R^-1 t) with R = covariance + mean mean^T, score = w x.  Of all filters with
+    score 1 at ``target`` it has the least mean square score over the background.
+
+    Parameters and errors as :func:`matched_filter_weights`.
+    """
+    t, mu, cov = _checked(target, mean, covariance)
+    return correlation_filter(t, cov + np.outer(mu, mu))
 
 
-@dataclass(frozen=True)
-class Responses:
-    """Score moments against the fill, in R truths.
+def correlation_filter(target: npt.ArrayLike, correlation: npt.ArrayLike) -> LinearFilter:
+    """CEM weights from a correlation matrix R (B, B) = E[x x^T] (variant of 3.22-3.25)."""
+    t = np.asarray(target, dtype=float)
+    if not np.any(t):
+        raise UsageError("the target spectrum is zero in every band")
+    solved, condition = solve_positive_definite(np.asarray(correlation, dtype=float), t)
+    return solved_filter("cem-correlation", t, solved, t, condition)
+
+
+FilterDesign = Callable[[npt.ArrayLike, npt.ArrayLike, Any], LinearFilter]
+
+# Each takes (target, background mean, background covariance).  "cem" and "matched-filter" are one
+# filter under the name the source gives it and the name most of the field gives it; "smf" is the same filter in
+# standard deviations of the background.
+FILTERS: Mapping[str, FilterDesign] = {
+    "cem": matched_filter_weights,
+    "matched-filter": matched_filter_weights,
+    "smf": spectral_matched_filter,
+    "cem-correlation": cem_correlation_weights,
+}
+
+
+def design_filter(detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
+    """The filter that ``detector`` names in :data:`FILTERS` (3.22-3.25); UsageError when unknown."""
+    if detector not in FILTERS:
+        raise UsageError(f"unknown detector {detector!r}", expected="one of " + ", ".join(FILTERS))
+    return FILTERS[detector](target, mean, covariance)
+
+
+class PositiveDefinite:
+    """A covariance that (3.22-3.25) inverts: factorised once, used for every target.
+
+    By Cholesky after scaling to unit diagonal: that removes the spread of band variances, which says
+    nothing of the loss of digits.
 
     Attributes
     ----------
-    means : (R, 9) at FILL_NODES (3.26)
-    own, host : (R,) score variance of a pixel full of target without its gain, and of host with it
-    rest : (R, 9) surroundings and noise (3.28)
-    error : (R,) standard deviation of the score of a full pixel by the error of the target's spectrum
-    fine : (R,) part of ``own`` whose texture is finer than the target's part of a pixel
+    matrix : (B, B)
+    condition : estimated 1-norm condition number at unit diagonal
+
+    Raises
+    ------
+    UsageError : singular, indefinite, or worse conditioned than float64 can carry; the message names
+        the rank and the condition number.
     """
 
-    means: Array
-    own: Array
-    host: Array
-    rest: Array
-    error: Array
-    fine: Array
+    def __init__(self, matrix: npt.ArrayLike):
+        self.matrix: Array = np.asarray(matrix, dtype=float)
+        bands = self.matrix.shape[0]
+        diagonal = np.diag(self.matrix)
+        if np.any(diagonal <= 0) or not np.all(np.isfinite(self.matrix)):
+            bad = np.flatnonzero(~(diagonal > 0))
+            raise UsageError(
+                f"the background matrix is singular: {bad.size} of {bands} bands have no variance "
+                f"(first: band {bad[0] + 1})"
+                if bad.size
+                else "the background matrix holds NaN or infinity",
+                mend="drop those bands from the detector's bands",
+            )
+        self._scale = 1.0 / np.sqrt(diagonal)
+        scaled = self.matrix * self._scale[:, None]
+        scaled *= self._scale
+        self.condition = float("inf")
+        factor = None
+        try:
+            factor = cho_factor(scaled, lower=True, check_finite=False)
+            reciprocal, _ = dpocon(factor[0], np.abs(scaled).sum(axis=0).max(), uplo="L")
+            self.condition = 1.0 / reciprocal if reciprocal > 0 else self.condition
+        except LinAlgError:
+            pass
+        if factor is None or self.condition > MAX_CONDITION:
+            eigenvalues = np.linalg.eigvalsh(scaled)
+            rank = int(np.sum(eigenvalues > eigenvalues[-1] * bands * np.finfo(float).eps))
+            raise UsageError(
+                f"the background matrix is singular to working precision: rank {rank} of {bands} bands, "
+                f"condition number {self.condition:.3g}",
+                expected="more background pixels than bands, and bands that are not copies of each other",
+                mend="use fewer bands or features (PCA), more pixels, or add the sensor noise",
+            )
+        self._factor = factor
 
-    @staticmethod
-    def weights(fills: Array) -> Array:
-        """(..., 9) weights of the values at FILL_NODES in the value at fills (...)."""
-        return np.asarray(_spline()(fills))
+    def solve(self, right: Array) -> Array:
+        """x of matrix x = right, (B,) or (B, N)."""
+        scaled = (right.T * self._scale).T
+        return np.asarray((cho_solve(self._factor, scaled, check_finite=False).T * self._scale).T)
 
-    def variances(self, target_gain: Array, rows: Index) -> Array:
-        """(n, 9) at FILL_NODES, of n evaluations of given rows (3.28)."""
-        f = FILL_NODES
-        square = f**2 + self.fine[rows, None] * (f - f**2)
-        own = square * (target_gain * self.own[rows])[:, None] + (1.0 - f) ** 2 * self.host[rows, None]
-        return np.asarray(own + self.rest[rows])  # (3.28)
-
-    def at(self, fills: Array, target_gain: Array, rows: Index, shift: Array | float = 0.0) -> tuple[Array, Array]:
-        """Means and standard deviations (n, K) at fills (n, K) or (1, K), for n evaluations of given rows.
-
-        ``shift`` (n,) : by how many standard deviations of the score the true target departs from its spectrum
-        """
-        variance, weights = self.variances(target_gain, rows), self.weights(fills)  # (n, 9), (n or 1, K, 9)
-        means = (weights * self.means[rows][:, None, :]).sum(axis=2)
-        means = means + (np.asarray(shift) * self.error[rows])[:, None] * fills
-        return means, np.sqrt(np.clip((weights * variance[:, None, :]).sum(axis=2), 0.0, None))
+    def whiten(self, x: Array) -> Array:
+        """y (B, ...) of x (B, ...) such that y . y = x . matrix^-1 x."""
+        scaled = (x.T * self._scale).T
+        return np.asarray(solve_triangular(self._factor[0], scaled, lower=True, check_finite=False))
 
 
-@dataclass(frozen=True)
-class Material:
-    """A target, its host and its light, in U truths.
+def solve_positive_definite(matrix: npt.ArrayLike, right: npt.ArrayLike) -> tuple[Array, float]:
+    """Solve matrix x = right, as (3.22-3.25) need it, and estimate the condition number.
 
-    Attributes
+    Errors as :class:`PositiveDefinite`.
+    """
+    factor = PositiveDefinite(matrix)
+    return factor.solve(np.asarray(right, dtype=float)), factor.condition
+
+
+def _factor(covariance: Covariance) -> PositiveDefinite:
+    return covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(covariance)
+
+
+def _checked(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> tuple[Array, Array, Array]:
+    inner = covariance.matrix if isinstance(covariance, PositiveDefinite) else covariance
+    t, mu, cov = (np.asarray(a, dtype=float) for a in (target, mean, inner))
+    if t.ndim != 1 or mu.shape != t.shape or cov.shape != (t.size, t.size):
+        raise UsageError(f"target {t.shape}, mean {mu.shape} and covariance {cov.shape} do not fit each other")
+    return t, mu, cov
+
+
+def own_mean_sampling(
+    weights: Array, mean: Array, covariance: PositiveDefinite, pixels: Array, stratum: npt.NDArray[np.int32], n: int
+) -> tuple[float, float]:
+    """Standard error and bias of the mean score of the n pixels that a "cem-correlation" filter was made of.
+
+    With y = w x, T = 1/(w R w), P = R^-1 - T w w^T and u = 1 - mean^T P x, a pixel moves the mean w mean by y u/n, and
+    the second order is -x^T P x y u/n^2.  The variance is that of y u within strata, whose sizes are no chance, each
+    over 1 - x^T P x/n as a pixel has a part in its own filter.  Of normal pixels, with a = t^T C^-1 mean/s,
+    s = t^T C^-1 t and p = mean^T C^-1 mean - a^2 s: the mean is a/(1 + p), n times its variance
+    1/(s (1 + p)) + a^2 (2 p^2 + 4 p)/(1 + p)^4.
+
+    Parameters
     ----------
-    mean : (U or 1, F) its reflectance
-    covariance, stretch : (F, F), and (U or 1, F or 1) factor on both sides of it
-    fine_texture : (U or 1,) part of it whose texture is finer than the target's part of a pixel
-    host : number of its host's class
-    beam, sky : (U or 1,) parts of the light in the open that reach it
-    error : (F, F) error covariance of its spectrum; None where nothing is stated
+    weights, mean, covariance : of the filter and its background, (F,) and (F, F)
+    pixels : (m, F) some of the pixels, drawn at random
+    stratum : (m,) number of the class that each lies in
     """
+    solved, theta = covariance.solve(mean), float(weights @ mean)
+    size = 1.0 + float(mean @ solved)
+    energy = 1.0 / (float(weights @ covariance.matrix @ weights) + theta**2)
+    y, v = pixels @ weights, pixels @ solved / size
+    white = covariance.whiten(pixels.T)
+    own = 1.0 - (np.einsum("fm,fm->m", white, white) - size * v**2 - energy * y**2) / n
+    u = 1.0 - v + energy * theta * y
+    z = y * u / own
+    variance = bias = 0.0
+    for one in np.unique(stratum):
+        at = stratum == one
+        part = float(np.mean(at))
+        variance += part * float(np.var(z[at], ddof=1)) if np.sum(at) > 1 else 0.0
+        bias += part * float(np.mean((own[at] - 1.0) * z[at]))
+        xy, xu = (np.mean(pixels[at] * q[at, None], axis=0) for q in (y, u))
+        x_p_y = covariance.solve(xy) - solved * float(solved @ xy) / size - energy * weights * float(weights @ xy)
+        bias += part * float(xu @ x_p_y) / n
+    return float(np.sqrt(variance / n)), bias
 
-    mean: Array
-    covariance: Array
-    stretch: Array
-    fine_texture: Array
-    host: int
-    beam: Array
-    sky: Array
-    error: Array | None = None
 
-    def row(self, u: int) -> Material:
-        """Of one truth."""
-        at = np.array([u])
-        names = ("mean", "stretch", "fine_texture", "beam", "sky")
-        changes: dict[str, Any] = {n: at_rows(getattr(self, n), at) for n in names}
-        return replace(self, **changes)
+def whitened(spectra: npt.ArrayLike, noise: PositiveDefinite | None) -> Array:
+    """Spectra (..., B) in coordinates in which the noise is white; as they stand without a noise covariance."""
+    x = np.asarray(spectra, dtype=float)
+    return x if noise is None else noise.whiten(x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
 
 
-def lit_surface(light: Light, material: Material) -> tuple[Array, Array, Array | float]:
-    """A target under its own light, as a surface in the open would have to be to look like it (ground term of 3.7).
+def fully_constrained(
+    spectra: npt.ArrayLike, endmembers: npt.ArrayLike, noise: PositiveDefinite | None = None
+) -> Array:
+    """Abundances (..., M) of spectra (..., B): non-negative, sum 1, least (x - a E)^T C^-1 (x - a E).
 
-    Returns
-    -------
-    (U or 1, 1, F) mean of that surface, (U or 1, 1, F) reflectance times sky view, what the light from the
-    surroundings meets (D_B of 3.11), and (U, 1, F) light over that in the open, 1 without shade
+    Exact: for u = s a with sum a = 1, |s (E^T - x) a|^2 + (s - 1)^2 is least over s at D/(1 + D) with
+    D = |(E^T - x) a|^2, which grows with D, so that non-negative least squares of [E^T - x; 1] u = [0; 1] gives the
+    direction of the constrained solution (Lawson & Hanson 1974, section 23.4; problem of Heinz & Chang, IEEE TGRS
+    39, 529-545, 2001).
+
+    Parameters
+    ----------
+    endmembers : (M, B), or (..., M, B) with a set of its own for each spectrum
+    noise : covariance C; None weighs all bands alike
+
+    Raises
+    ------
+    UsageError : shapes that do not fit, or numbers that are not finite.
     """
-    own = material.mean[:, None, :]
-    factor = light.shade(material.beam[:, None, None], material.sky[:, None, None])
-    if np.ndim(factor) == 0:
-        return own, own, factor
-    return own * factor, own * material.sky[:, None, None], factor
+    x, e = np.asarray(spectra, dtype=float), np.asarray(endmembers, dtype=float)
+    if e.ndim < 2 or x.shape[-1:] != e.shape[-1:]:
+        raise UsageError(f"spectra {x.shape} and endmembers {e.shape} do not stand on the same bands")
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(e))):
+        raise UsageError("unmixing needs spectra and endmembers that are finite in every band")
+    if e.shape[-2] == 2:
+        return _between_two(x, e, noise)
+    x, e = whitened(x, noise), whitened(e, noise)
+    flat = x.reshape(-1, x.shape[-1])
+    sets = np.broadcast_to(e, (*x.shape[:-1], *e.shape[-2:])).reshape(-1, *e.shape[-2:])
+    out = np.array([_closest_in_simplex(p, s) for p, s in zip(flat, sets, strict=True)])
+    return out.reshape(*x.shape[:-1], e.shape[-2])
 
 
-def target_scores(light: Light, of: Background, seen: Seen, filters: Filters, material: Material) -> Responses:
-    """Score statistics of pixels of which the target fills f, at FILL_NODES (3.26, 3.28).
-
-    Each fill has its own mean, noise and adjacency; Var(f) comes in by the average over the fill.
-    """
-    number, w = material.host, filters.weights
-    lit, under_sky, factor = lit_surface(light, material)
-    host = of.means[:, number : number + 1]
-    truths, bands = w.shape
-
-    level = light.level(target_pixel_reflectance(FILL_NODES, lit, host))  # (3.9), (3.10)
-    line = TwoPanelLine(seen.gain, seen.offset)
-    means = (
-        np.einsum("uf,ukf->uk", w, wide(retrieved_reflectance(line, level), truths)) - filters.offset[:, None]
-    )  # (3.26)
-    through = (w * seen.slope)[:, None, :]
-    lit_through = through * factor
-    rest = np.einsum("ukf,uf->uk", wide(light.noise_variance(level) / seen.gain**2, truths), w**2)  # noise of (3.28)
-    # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
-    ends = np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in (host, under_sky)], axis=1)
-    v = w[:, None, :] * light.adjacency_slope(ends) / seen.gain
-    v = v * np.sqrt(of.gain[:, number, None, None] * light.kappa)
-    parts = of.surroundings(np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
-    zero, one, both = parts[:, :1], parts[:, 1:2], parts[:, 2:]
-    g = FILL_NODES
-    rest = rest + (1.0 - g) ** 2 * zero + g**2 * one + g * (1.0 - g) * (both - zero - one)
-    error = np.zeros(truths)
-    if material.error is not None:
-        error = np.sqrt(spread(lit_through, material.error)[:, 0])
-    own = spread(lit_through, material.covariance, material.stretch)[:, 0]
-    behind = spread(through, of.covariances[number], of.stretch[:, number])[:, 0]
-    fine = np.broadcast_to(material.fine_texture, (truths,))
-    return Responses(means, own, of.gain[:, number] * behind, rest, error, fine)
+def _between_two(x: Array, e: Array, noise: PositiveDefinite | None) -> Array:
+    """Two endmembers: the point of the line between them that is nearest, kept between its ends."""
+    d = e[..., 0, :] - e[..., 1, :]
+    # The endmembers are weighted and not the spectra, of which there are many.
+    weighted = d if noise is None else noise.solve(d.reshape(-1, d.shape[-1]).T).T.reshape(d.shape)
+    length = np.einsum("...b,...b->...", d, weighted)
+    along = np.einsum("...b,...b->...", x, weighted) - np.einsum("...b,...b->...", e[..., 1, :], weighted)
+    a = np.clip(along / length, 0.0, 1.0)
+    return np.stack([a, 1.0 - a], axis=-1)
 
 
-def target_population(
-    light: Light, of: Background, seen: Seen, u: int, material: Material, fill: FillDistribution, target_gain: float
-) -> Population:
-    """Target pixels of one truth by the moments of their fill (3.12)."""
-    row, number, here = light.row(u), material.host, material.row(u)
-    one = of.rows(np.array([u]))
-    mean, sky, shade = lit_surface(light.rows(np.array([u])), here)
-    lit, under, host = mean[0, 0], sky[0, 0], one.means[0, number]
-    factor = (here.stretch[0] * (np.asarray(shade)[0, 0] if np.ndim(shade) else 1.0)) * np.ones(lit.size)
-    own, stretch = material.covariance * np.outer(factor, factor), one.stretch[0, number] * np.ones(lit.size)
-    gain = float(one.gain[0, number])
-    covariance = target_pixel_covariance(
-        fill.mean, fill.variance, lit, own, host, one.covariances[number] * np.outer(stretch, stretch),
-        target_gain=target_gain, host_gain=gain, fine_texture=float(here.fine_texture[0]),
-        formulation=light.formulation,
-    )  # fmt: skip
-    level = row.level(target_pixel_reflectance(fill.mean, lit, host))
-    under_sky = target_pixel_reflectance(fill.mean, under, host)
-    k, offset = (of_truth(x, u)[0] for x in (seen.gain, seen.offset))
-    around = row.adjacency_slope(under_sky) / k * np.sqrt(gain * row.kappa.reshape(-1)[0])
-    return Population(covariance, around, (level - offset) / k, row.noise_variance(level) / k**2)
+def _closest_in_simplex(pixel: Array, endmembers: Array) -> Array:
+    differences = (endmembers - pixel).T
+    scale = float(np.abs(differences).max()) or 1.0
+    # An orthogonal reduction to as many rows as there are endmembers leaves the problem as it is.
+    reduced = np.linalg.qr(differences / scale, mode="r")
+    matrix = np.vstack([reduced, np.ones(endmembers.shape[0])])
+    right = np.zeros(matrix.shape[0])
+    right[-1] = 1.0
+    u, _ = scipy.optimize.nnls(matrix, right)
+    return np.asarray(u / u.sum())
+
+
+# Symmetric matrices (F, F) in LAPACK's rectangular full packed form: half the memory, the speed of whole ones.
+# What many settings of one scene put together, element by element, and factorise, is put together in vectors of
+# F (F + 1) / 2 numbers.  Their order is LAPACK's (transr N, uplo L) and nobody else's business.
+# Below this ratio of the pivots at unit diagonal, squared, a matrix can not be near the limit of the condition
+# number in practice; above it the condition number is estimated.
+_SUSPECT = 1e8
+
+
+def packed(matrix: Array) -> Array:
+    """(P,) of a symmetric matrix (F, F)."""
+    values, _ = dtrttf(matrix.T, uplo="L")  # the transpose of C order is Fortran's, and the matrix is symmetric
+    return np.asarray(values)
+
+
+def unpacked(values: Array, size: int) -> Array:
+    """(F, F) the whole matrix."""
+    lower = np.tril(_lower(values, size))
+    return np.asarray(lower + np.tril(lower, -1).T)
+
+
+@lru_cache(maxsize=32)
+def diagonal_places(size: int) -> npt.NDArray[np.intp]:
+    """(F,) where the diagonal stands."""
+    return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
+
+
+def add_products(values: Array, rows: Array, *, fresh: bool = False) -> Array:
+    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``; ``fresh``: in place of the matrix."""
+    count, size = rows.shape
+    keep = 0.0 if fresh else 1.0
+    return np.asarray(dsfrk(size, count, 1.0, rows.T, keep, values, uplo="L", overwrite_c=1))
+
+
+def factor(values: Array, size: int) -> Array | None:
+    """Cholesky factor in the memory of ``values``; None where the matrix is not positive definite."""
+    cholesky, info = dpftrf(size, values, uplo="L", overwrite_a=1)
+    return None if info else np.asarray(cholesky)
+
+
+def solved(cholesky: Array, right: Array) -> Array:
+    """x (F, K) of matrix x = right (F, K), from the factor of the matrix."""
+    x, _ = dpftrs(right.shape[0], cholesky, right, uplo="L")
+    return np.asarray(x)
+
+
+def near_singular(diagonal: Array, cholesky: Array) -> bool:
+    """Whether the condition number at unit diagonal may be large, by the pivots; ``diagonal`` (F,)."""
+    pivots = cholesky[diagonal_places(diagonal.size)] / np.sqrt(diagonal)
+    return bool((pivots.max() / pivots.min()) ** 2 > _SUSPECT)
+
+
+def condition_number(values: Array, cholesky: Array, size: int) -> float:
+    """Estimated 1-norm condition number at unit diagonal, from a matrix and its factor."""
+    scale = 1.0 / np.sqrt(values[diagonal_places(size)])
+    norm = np.abs(unpacked(values, size) * np.outer(scale, scale)).sum(axis=0).max()
+    lower = np.asfortranarray(_lower(cholesky, size) * scale[:, None])
+    reciprocal, _ = dpocon(lower, norm, uplo="L")
+    return float(1.0 / reciprocal) if reciprocal > 0 else float("inf")
+
+
+def _lower(values: Array, size: int) -> Array:
+    """(F, F) the lower triangle; above it the memory holds anything."""
+    triangle, _ = dtfttr(size, values, uplo="L")
+    return np.asarray(triangle)

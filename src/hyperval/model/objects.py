@@ -32,18 +32,24 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
+from hyperval.data import LINEAR_DETECTORS
 from hyperval.model.detection import Evaluation
-from hyperval.model.fills import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
-from hyperval.model.filters import Responses, lit_surface
-from hyperval.model.light import of_truth
+from hyperval.model.fill import (
+    PHASES,
+    Neighbour,
+    fill_distribution,
+    fills_of_objects,
+    geometry_of,
+    moments,
+    pixels_of_object,
+    shared_pixel_fills,
+)
+from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixel_reflectance
+from hyperval.model.roc import Host
+from hyperval.model.scores import Responses, lit_surface
 from hyperval.model.surfaces import correlation, cut
-from hyperval.processing.elm import retrieved_reflectance
-from hyperval.processing.filters import LINEAR_DETECTORS
-from hyperval.processing.roc_model import Host
 from hyperval.products import ObjectScores
 from hyperval.scenario import Geometry, Target, TargetSubject, Uncertainty
-from hyperval.scene.fill import PHASES, Neighbour, shared_pixel_fills
-from hyperval.scene.radiance import target_pixel_reflectance
 
 if TYPE_CHECKING:
     pass

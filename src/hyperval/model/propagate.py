@@ -17,17 +17,15 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.terms import InterpolatedTerms, interpolated_terms
+from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model.detection import Evaluation
-from hyperval.model.filters import class_scores
 from hyperval.model.inputs import UncertainInput, drawn_truths
-from hyperval.model.light import Background, light_of, seen_classes
+from hyperval.model.intervals import Z95, jackknife_directions
+from hyperval.model.radiance import Background, light_of, seen_classes
+from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, false_alarm_grid, log_false_alarm
+from hyperval.model.scores import class_scores
 from hyperval.model.world import Origins, Truth, World, read, settled, state_entries, state_value, with_truths
-from hyperval.processing.filters import LINEAR_DETECTORS
-from hyperval.processing.intervals import Z95
-from hyperval.processing.laws import jackknife_directions
-from hyperval.processing.roc import WHOLE, curve_area
-from hyperval.processing.roc_model import ClassScores, detection_at, false_alarm_grid, log_false_alarm
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario

@@ -9,16 +9,23 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.model.detection import Evaluation
-from hyperval.model.fills import fill_distribution
+from hyperval.model.fill import fill_distribution
 from hyperval.model.inputs import UncertainInput, number_input, spectral_directions
-from hyperval.model.light import Background, Light, of_truth
 from hyperval.model.objects import HOST, PLACE, Shares, host_covariance, place_covariance, shares_of
 from hyperval.model.propagate import combined, known
+from hyperval.model.radiance import (
+    Background,
+    Light,
+    of_truth,
+    retrieved_covariance,
+    retrieved_reflectance,
+    target_pixel_covariance,
+    target_pixel_reflectance,
+    toa_reflectance,
+)
 from hyperval.model.world import World, find, settled, with_truths
-from hyperval.processing.elm import retrieved_covariance, retrieved_reflectance
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import SpectralForm
-from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance, toa_reflectance
 
 Array = npt.NDArray[np.float64]
 Row = tuple[str, Array]  # source, and (B,) change by one standard uncertainty along one of its directions

@@ -14,15 +14,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from hyperval.data import ClassStatistics, Components, statistics_of
 from hyperval.errors import UsageError
+from hyperval.model.intervals import Z95
 from hyperval.paths import MAX_MATCHES, matching
-from hyperval.processing.intervals import Z95
-from hyperval.processing.sample import statistics_of
 from hyperval.scenario import BackgroundClass, CovarianceSource, Replicates, SpectrumSource, Surface
-from hyperval.scene.builtin import builtin_class
-from hyperval.scene.statistics import ClassStatistics, Components
 from hyperval.spectra import FieldSpectrum, read_records
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
+from hyperval.statistics_library import builtin_class
 
 Array = npt.NDArray[np.float64]
 Resolve = Callable[[str], Path]

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.model.fills import fills_of_objects
+from hyperval.model.classification import ClassLaw, class_features, feature_bands, predicted_error
+from hyperval.model.fill import fills_of_objects
+from hyperval.model.filters import PositiveDefinite, fully_constrained
 from hyperval.model.surfaces import correlation, cut
 from hyperval.model.world import Origins, Truth, World, read, settled, with_truths
-from hyperval.processing.classification import ClassLaw, class_features, feature_bands, predicted_error
-from hyperval.processing.filters import PositiveDefinite, fully_constrained
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, Target, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window

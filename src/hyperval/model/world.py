@@ -28,20 +28,13 @@ from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
 from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST_KM
 from hyperval.atmosphere.terms import AtmosphericTerms, InterpolatedTerms, interpolated_terms, stacked_values
+from hyperval.data import ClassStatistics
 from hyperval.errors import InputError, UsageError
-from hyperval.model.fills import (
-    Fills,
-    fill_distribution,
-    pixel_fills,
-    pixels_of_object,
-    stacked_fills,
-    whole_object_fills,
-    with_mean,
-)
+from hyperval.model.fill import Fills, fill_distribution, pixels_of_object, stacked_fills, whole_object_fills, with_mean
+from hyperval.model.fill import fills_of_population as pixel_fills
 from hyperval.model.surfaces import Read, Resolve, Sources, SurfaceStatistics, class_tail, without_gaps
 from hyperval.progress import track
 from hyperval.scenario import ElmPanels, Fill, Illumination, Scenario, Target, TargetSubject
-from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import (
     Sensor,

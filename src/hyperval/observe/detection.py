@@ -20,11 +20,13 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from hyperval.collection import Detection, DetectionTarget, UnmixedTarget, Unmixing
+from hyperval.data import SampleStatistics, statistics_of
 from hyperval.errors import InputError, UsageError
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
 from hyperval.model import Sources, UnmixedSubject, labelled
+from hyperval.model.filters import PositiveDefinite, fully_constrained, own_mean_sampling, whitened
 from hyperval.observe.place import IMAGE, SCENE, Place
 from hyperval.processing.alarm_blocks import (
     ANOMALY_LEVELS,
@@ -45,7 +47,6 @@ from hyperval.processing.detectors import (
     score_cube_locally,
     whitener_of,
 )
-from hyperval.processing.filters import PositiveDefinite, fully_constrained, own_mean_sampling, whitened
 from hyperval.processing.line import EmpiricalLine
 from hyperval.processing.objects import (
     Placed,
@@ -64,7 +65,7 @@ from hyperval.processing.roc import (
     preset_thresholds,
     with_summary,
 )
-from hyperval.processing.sample import SampleStatistics, drawn_pixels, statistics_of
+from hyperval.processing.sample import drawn_pixels
 from hyperval.processing.snr import snr_from_moments
 from hyperval.products import (
     ANOMALIES,

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Classification, CollectionSection, Detection
+from hyperval.data import ClassStatistics, SampleStatistics
 from hyperval.observe.detection import (
     BACKGROUND,
     Detected,
@@ -37,12 +38,11 @@ from hyperval.observe.site_spectra import (
 from hyperval.observe.spread import RegionLaws, classification_errors, mean_error, pixel_distances
 from hyperval.processing.laws import LEAST_DOF
 from hyperval.processing.line import EmpiricalLine
-from hyperval.processing.sample import SCENE, SampleStatistics, nth_pixels
+from hyperval.processing.sample import SCENE, nth_pixels
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.processing.statistics import Labels, region_statistics
 from hyperval.products import EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
-from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]

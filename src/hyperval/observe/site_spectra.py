@@ -24,12 +24,12 @@ from hyperval.collection import (
     PathRadiance,
 )
 from hyperval.collection_files import BandTableFile, RadCalNetSource
+from hyperval.data import SampleStatistics
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery import Cube
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.paths import checked_file
 from hyperval.processing.line import EmpiricalLine, MeasuredPanel, darkest_pixel_panel, fit_elm
-from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.statistics import darkest_values
 from hyperval.processing.wavelength_check import Shift, wavelength_shifts
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate

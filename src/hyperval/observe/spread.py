@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Classification
+from hyperval.data import ClassStatistics, Components, SampleStatistics, statistics_of
 from hyperval.errors import UsageError
+from hyperval.model.classification import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe.place import Place
 from hyperval.processing.alarm_blocks import block_side
-from hyperval.processing.classification import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.processing.laws import (
     FEWEST_LEADING,
     ClassMixture,
@@ -36,7 +37,6 @@ from hyperval.processing.laws import (
 from hyperval.processing.line import EmpiricalLine
 from hyperval.processing.sample import (
     EigenDirections,
-    SampleStatistics,
     components,
     drawn_pixels,
     factor_covariance,
@@ -48,11 +48,9 @@ from hyperval.processing.sample import (
     neighbour_shares,
     nth_pixels,
     small_sample_factor,
-    statistics_of,
 )
 from hyperval.products import ClassificationError, EstimatedPart, PixelDistribution
 from hyperval.scenario import BackgroundClass, Scenario
-from hyperval.scene.statistics import ClassStatistics, Components
 from hyperval.spectra.axis import in_window
 
 Array = npt.NDArray[np.float64]

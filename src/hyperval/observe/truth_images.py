@@ -26,7 +26,7 @@ from hyperval.imagery import Cube, Raster, open_raster, raster_of_size
 from hyperval.imagery.drawing import outside_error
 from hyperval.imagery.regions import Region, patches
 from hyperval.imagery.truth import TargetObject, cut_out
-from hyperval.scene.fill import aperture_weights
+from hyperval.model.fill import aperture_weights
 from hyperval.spectra.axis import SIGMA_PER_FWHM
 
 Array = npt.NDArray[np.float64]

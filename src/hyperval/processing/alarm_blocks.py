@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy import special
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import Z95, beyond_jeffreys_limits, jeffreys_limits
+from hyperval.model.intervals import Z95, beyond_jeffreys_limits, jeffreys_limits
 from hyperval.products import ExceedanceCurve
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ class AlarmBlocks:
     def pfa_limits(self, threshold: Array) -> tuple[Counts, Array, Array]:
         """Alarms (T,) above thresholds (T,) that fall, and the 95 % limits (T,) of P_FA at each.
 
-        Those by Jeffreys' prior (:func:`~hyperval.processing.intervals.jeffreys_limits`) for the alarms and the
+        Those by Jeffreys' prior (:func:`~hyperval.model.intervals.jeffreys_limits`) for the alarms and the
         pixels over the design effect: how many times as large the variance of the number of alarms is as that of
         independent pixels (Kish, Survey Sampling, 1965, 8.2).  Few alarms know their own clusters badly.  So what
         the effect has beyond 1 is widened by (t/1.96)^2 (JCGM 100:2008, G.3), and the effects of all thresholds

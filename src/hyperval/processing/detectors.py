@@ -40,8 +40,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
-from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, PositiveDefinite, design_filter
+from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
 from hyperval.processing.line import EmpiricalLine
 from hyperval.processing.statistics import StoredBlock, Watch, by_segments, stream
 

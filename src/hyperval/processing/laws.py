@@ -24,13 +24,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import scipy
-from scipy import special
 from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
 
+from hyperval.data import Components
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import Z95
 from hyperval.processing.sample import EigenDirections
-from hyperval.scene.statistics import Components
 
 Array = npt.NDArray[np.float64]
 
@@ -668,26 +666,6 @@ def compact_parts(lines: npt.ArrayLike, samples: npt.ArrayLike) -> Index:
             half[order[order.size // 2 :]] = 1
         part = 2 * part + half
     return part
-
-
-def jackknife_directions(values: npt.ArrayLike) -> Array:
-    """(G, ...) independent directions of error of a statistic, from its values (G, ...) with each part left out.
-
-    Their squares add up to the jackknife's variance (G - 1)/G sum (v_g - v)^2 (Miller, Biometrika 61, 1-15, 1974),
-    widened by (t/1.96)^2 with G - 1 degrees of freedom, so that +-1.96 u is the 95 % interval (JCGM 100:2008, G.3).
-
-    Examples
-    --------
-    >>> x = np.random.default_rng(0).normal(size=400)
-    >>> means = [np.delete(x.reshape(16, 25), g, axis=0).mean() for g in range(16)]
-    >>> u = np.sqrt((jackknife_directions(means) ** 2).sum())
-    >>> bool(0.7 < u / (x.std() / 20) < 1.5)
-    True
-    """
-    v = np.asarray(values, dtype=float)
-    parts = v.shape[0]
-    widening = special.stdtrit(parts - 1.0, 0.975) / Z95
-    return np.asarray(widening * np.sqrt((parts - 1.0) / parts) * (v - v.mean(axis=0)))
 
 
 def moments_without_each(pixels: Array, part: Index) -> Iterator[tuple[Array, Array]]:

@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import SampleStatistics
 from hyperval.errors import UsageError
 from hyperval.executors import available_cores, single_blas_thread
-from hyperval.processing.sample import SCENE, SampleStatistics
+from hyperval.processing.sample import SCENE
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import scipy
 from scipy import special
 
-from hyperval.processing.intervals import Z95
+from hyperval.model.intervals import Z95
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 
 Array = npt.NDArray[np.float64]

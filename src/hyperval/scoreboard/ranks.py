@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
+from hyperval.model.intervals import zero_count_upper_limit
+from hyperval.model.roc import AREAS
 from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, AlarmBlocks
-from hyperval.processing.intervals import zero_count_upper_limit
-from hyperval.processing.roc import AREAS, interval_of_mean
+from hyperval.processing.roc import interval_of_mean
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]

@@ -23,13 +23,12 @@ from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.errors import HypervalError, UsageError
 from hyperval.model import Origins, predict
-from hyperval.processing.roc_model import detection_at
+from hyperval.model.radiance import mean_radiance
+from hyperval.model.roc import detection_at
 from hyperval.products import PredictedProducts, RocCurve
 from hyperval.progress import track
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
-from hyperval.scene.builtin import builtin_mean
-from hyperval.scene.radiance import mean_radiance
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import (
     Arm,
@@ -43,6 +42,7 @@ from hyperval.sensor.specification import (
     load_sensor,
 )
 from hyperval.spectra.axis import CUT_SIGMA, SIGMA_PER_FWHM, SPECTRAL_REGIONS_NM, SpectralAxis, band_average, in_window
+from hyperval.statistics_library import builtin_mean
 
 METHOD = "sensor check"
 Array = npt.NDArray[np.float64]

@@ -26,13 +26,13 @@ from hyperval.errors import UsageError
 from hyperval.executors import in_order, single_blas_thread
 from hyperval.imagery.interchange import envi_writer, write_cube
 from hyperval.progress import track
-from hyperval.scene.builtin import builtin_mean
 from hyperval.simulate import schema
 from hyperval.simulate.inputs import SensorNumbers, SimulationInputs, load_inputs
 from hyperval.simulate.layout import GroundLayout, Mask, lay_out, regions, touched
 from hyperval.simulate.schema import SceneFile, load_scene
 from hyperval.simulate.surface import SurfaceRenderer
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.statistics_library import builtin_mean
 from hyperval.storage import COLLECTION, whole_folder, write_text
 
 Float32Array = npt.NDArray[np.float32]

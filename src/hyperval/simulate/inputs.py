@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 from hyperval import datasets
 from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.data import ClassStatistics
 from hyperval.errors import UsageError
-from hyperval.scene.builtin import builtin_class
-from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate.schema import SceneFile
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.statistics_library import builtin_class
 
 Array = npt.NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, special
 
-from hyperval.scene.statistics import ClassStatistics
+from hyperval.data import ClassStatistics
 from hyperval.simulate import schema
 from hyperval.simulate.layout import SMALLEST_FILL, GroundLayout, pixel_weights, touched
 from hyperval.simulate.schema import Admixture, SceneFile

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model import Evaluation, World, evaluations, reads_again, with_values
 from hyperval.model.detection import detect
+from hyperval.model.roc import WHOLE, RocArea, curve_area, detection_at, log10_false_alarm_at
 from hyperval.model.world import distinct
-from hyperval.processing.ace_model import NUMERICAL_DETECTORS
-from hyperval.processing.roc import WHOLE, RocArea, curve_area
-from hyperval.processing.roc_model import detection_at, log10_false_alarm_at
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis, in_window
 from hyperval.study.schema import Output

@@ -18,9 +18,9 @@ from hyperval.atmosphere.terms import spaced
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.model import Origins, World, read, reads_again
+from hyperval.model.radiance import mean_radiance
 from hyperval.model.world import column_of, plain
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
-from hyperval.scene.radiance import mean_radiance
 from hyperval.settings import with_settings
 from hyperval.study.evaluate import PFA, Columns, Evaluator, check_outputs
 from hyperval.study.schema import Input, Move, Output, Required, StudyFile

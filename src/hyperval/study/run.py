@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 import hyperval
 from hyperval.campaign.provenance import command_without_output, package_versions, provenance
+from hyperval.data import LINEAR_DETECTORS
 from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
 from hyperval.model import Origins, predict
-from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.progress import track
 from hyperval.run import Run
 from hyperval.storage import partial_folder, whole_folder

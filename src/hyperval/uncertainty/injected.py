@@ -17,7 +17,7 @@ from hyperval.errors import UsageError
 from hyperval.model import Origins, Truth, World, predict, read, value_at
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
-from hyperval.scene.builtin import BUILTIN_NAMES, builtin_mean
+from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
 
 Array = npt.NDArray[np.float64]
 

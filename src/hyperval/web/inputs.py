@@ -20,8 +20,8 @@ from hyperval.config import parse_yaml
 from hyperval.datasets import resolve
 from hyperval.errors import HypervalError, UsageError
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
-from hyperval.scene.builtin import BUILTIN_NAMES
 from hyperval.sensor.specification import library_names, load_sensor
+from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.web.forms import Form
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said
 from hyperval.web.store import Limits

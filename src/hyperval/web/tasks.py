@@ -37,8 +37,8 @@ from hyperval.figures.detection import densities_figure, exceedance_figure
 from hyperval.figures.spec import Figure, statement
 from hyperval.figures.spectra import spectra_figure
 from hyperval.imagery.rasters import open_raster
+from hyperval.model.roc import detection_at
 from hyperval.observe.place import open_source
-from hyperval.processing.roc_model import detection_at
 from hyperval.products import (
     ObservedProducts,
     PredictedProducts,

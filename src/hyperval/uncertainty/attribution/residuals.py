@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg, special
 
-from hyperval.processing.intervals import Z95
-from hyperval.processing.roc_model import detection_at
+from hyperval.model.intervals import Z95
+from hyperval.model.roc import detection_at
 from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEstimate, background_of
 from hyperval.spectra.axis import in_window
 

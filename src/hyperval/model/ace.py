@@ -18,11 +18,10 @@ import numpy.typing as npt
 from scipy.special import logsumexp, ndtr
 
 from hyperval.errors import UsageError
-from hyperval.processing.filters import PositiveDefinite
+from hyperval.model.filters import PositiveDefinite
 
 Array = npt.NDArray[np.float64]
 
-NUMERICAL_DETECTORS = ("ace",)
 # Scores at which probabilities are evaluated: even in atanh of the cosine, which spreads both ends.
 _SCORES = np.tanh(np.linspace(1e-3, 4.0, 240)) ** 2
 

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from hyperval.errors import UsageError
-from hyperval.processing.filters import PositiveDefinite
-from hyperval.processing.intervals import clopper_pearson
+from hyperval.model.filters import PositiveDefinite
+from hyperval.model.intervals import clopper_pearson
 from hyperval.products import ClassificationError
 
 Array = npt.NDArray[np.float64]

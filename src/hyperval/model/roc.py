@@ -669,3 +669,89 @@ def _known(solve: Any, pfa: Array, classes: ClassScores) -> Array:
     if good.any():
         out[good] = solve(pfa[good], classes.rows(np.flatnonzero(good)))
     return out
+
+
+@dataclass(frozen=True)
+class RocArea:
+    """Which area: P_FA from ``low`` to ``high``, evenly in P_FA or, ``logarithmic``, in its logarithm."""
+
+    low: float = 0.0
+    high: float = 1.0
+    logarithmic: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.low < self.high <= 1.0 or (self.logarithmic and self.low <= 0.0):
+            raise UsageError(f"no range of false-alarm probabilities: {self.low:g} to {self.high:g}")
+
+    def share(self, s: Array) -> Array:
+        """g(s): the part of the range in which a target is declared that a share ``s`` of the background tops."""
+        x = np.clip(s, self.low, self.high)
+        if self.logarithmic:
+            return np.asarray(np.log(self.high / x) / np.log(self.high / self.low))
+        return np.asarray((self.high - x) / (self.high - self.low))
+
+    def integral(self, s: Array) -> Array:
+        """Integral of g from 0 to s."""
+        a, b = self.low, self.high
+        x = np.clip(s, a, b)
+        if self.logarithmic:
+            inside = (x * (np.log(b / x) + 1.0) - a * (np.log(b / a) + 1.0)) / np.log(b / a)
+        else:
+            inside = (b * (x - a) - (x**2 - a**2) / 2.0) / (b - a)
+        return np.asarray(np.minimum(s, a) + inside)
+
+    def averaged(self, over: Array, tie: Array) -> Array:
+        """Mean of g along a tie that goes from ``over`` to ``over + tie``."""
+        flat = tie <= 0.0
+        step = np.where(flat, 1.0, tie)
+        slanted = (self.integral(over + tie) - self.integral(over)) / step
+        return np.where(flat, self.share(over), slanted)
+
+
+WHOLE = RocArea()
+
+
+# The areas of the results table; each name states its range.
+AREAS = {
+    "auc": WHOLE,
+    "partial_auc@0..1e-1": RocArea(0.0, 0.1),
+    "log_auc@1e-3..1e-1": RocArea(1e-3, 0.1, logarithmic=True),
+}
+
+
+_POINTS = 4001
+
+
+_DECIMALS = 15  # of a P_D; what is below is rounding
+
+
+def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> float:
+    """Mean P_D of a curve over the range of ``area``; NaN where it does not reach the range.
+
+    P_D is interpolated over log P_FA by a monotone cubic.  Every ROC ends at (1, 1), where everything is declared;
+    a curve that stops before is joined to that point.  Below its first point P_D is taken as there, which counts
+    only where the range begins at 0.
+
+    Parameters
+    ----------
+    values : (K,) what stands for P_D, such as a limit of its band
+    """
+    pfa, pd = curve.pfa, curve.pd if values is None else values
+    known = (pfa > 0) & np.isfinite(pd)
+    pfa, pd = pfa[known], pd[known]
+    if pfa.size < 2 or pfa[0] > max(area.low, 1e-2 * area.high):
+        return float("nan")
+    if pfa[-1] < 1.0:
+        pfa, pd = np.append(pfa, 1.0), np.append(pd, 1.0)
+    from scipy.interpolate import PchipInterpolator  # a tenth of a second, which spectra alone do not need
+
+    # A rise from 0 to 1e-300 has an inverse slope that overflows in the harmonic means of the cubic; it is no P_D.
+    curve_of = PchipInterpolator(np.log(pfa), np.round(pd, _DECIMALS))
+    low = max(area.low, float(pfa[0]))
+    u = np.linspace(np.log(low), np.log(area.high), _POINTS)
+    if area.logarithmic:
+        return float(np.trapezoid(curve_of(u), u) / (u[-1] - u[0]))
+    x = np.exp(u)
+    # Over P_FA itself: the trapezoids of a P_D of 1 then add up to the range, and no area exceeds it.
+    inside = float(np.trapezoid(curve_of(u), x)) + (low - area.low) * float(pd[0])
+    return inside / (area.high - area.low)
