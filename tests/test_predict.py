@@ -6,92 +6,45 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import uncertain_scene
 from scipy.special import ndtri
-from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
+from uncertain_scene import ATMOSPHERE, AXIS, engine
 
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.data import ClassStatistics
-from hyperval.errors import UsageError
+from hyperval.errors import InputError, UsageError
 from hyperval.model import (
     LinearFilter,
     Origins,
+    SurfaceStatistics,
     adjacency_slope,
     average_reflectance,
     detection_at,
-    filters,
+    detection_bands,
     matched_filter_weights,
     mixture_covariance,
     predict,
+    spectrum_error_covariance,
     without_calibration_error,
 )
-from hyperval.model.detection import detection_bands
-from hyperval.model.inputs import spectrum_error_covariance
-from hyperval.model.surfaces import Sources, SurfaceStatistics
-from hyperval.model.world import terms_in_memory
 from hyperval.products import PredictedProducts, background_of
-from hyperval.scenario import Scenario, SpectrumSource, SpectrumUncertainty, load_scenario
+from hyperval.scenario import Scenario, SpectrumUncertainty, load_scenario
 from hyperval.sensor.specification import load_sensor
-from hyperval.spectra import SpectralAxis, readers
+from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 
-AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
-
-
-def engine(state: AtmosphericState) -> AtmosphericTerms:
-    """A smooth stand-in for the radiative-transfer engine: Rayleigh-like path, haze by optical depth."""
-    blue, haze = blue_and_haze(state.aot550 or 0.2)
-    gas = np.exp(-0.3 * (state.water_vapour_g_cm2 or 2.0) * line(940, 40))
-    direct = sunlight() * np.exp(-0.5 * haze - 0.05 * blue) * gas / np.pi
-    return smooth_terms(blue, haze, sunlight(), direct, gas)
-
-
-ATMOSPHERE = """
-atmosphere: {aot550: 0.2, water_vapour_g_cm2: 2.0, sensor_altitude_km: 1, solar_zenith_deg: 30,
-             solar_azimuth_deg: 0, day_of_year: 200}
-sensor: prospectir-vs
-"""
-SCENE = """
-schema: 1
-name: small
-scene:
-  classes:
-    - {name: grass, fraction: 0.7, spectrum: {builtin: grass}}
-    - {name: asphalt, fraction: 0.3, spectrum: {builtin: asphalt}}
-  panels: [{name: panel, spectrum: {builtin: grey-panel-30}}]
-  targets:
-    - name: plank
-      spectrum: {builtin: yellow-paint-plank}
-      host: asphalt
-      subjects:
-        - {name: tenth, fill: {fixed: 0.1}}
-        - {name: loose, fill: {mean: 0.15, sd: 0.05}}
-        - {name: full, fill: {fixed: 1}}
-processing: {detectors: [cem, cem-correlation], bands: {drop_bad: false}}
-"""
+# One population that is full, and a second detector.
+SCENE = uncertain_scene.SCENE.replace(
+    "        - {name: loose", "        - {name: full, fill: {fixed: 1}}\n        - {name: loose"
+).replace("detectors: [cem]", "detectors: [cem, cem-correlation]")
 
 
 def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
-    text = SCENE + extra
-    for old, new in replaced.items():
-        text = text.replace(old, new)
-    data, lines = parse_yaml(text)
-    return validate(Scenario, data, lines, "text")
+    return uncertain_scene.scenario(extra, SCENE, **replaced)
 
 
 def run(extra: str = ATMOSPHERE, **kwargs) -> PredictedProducts:
     return predict(scenario(extra), Origins(axis=AXIS, engine=engine), **kwargs)
-
-
-def test_subjects_of_every_product():
-    p = run()
-    subjects = {"grass", "asphalt", "panel", "tenth", "loose", "full"}
-    assert set(p.radiance) == set(p.reflectance) == subjects
-    assert set(p.snr) == {n for s in ("grass", "asphalt", "panel") for n in (s, without_calibration_error(s))}
-    targets = ("tenth", "loose", "full")
-    detectors = ("cem", "cem-correlation")
-    assert set(p.roc) == {(t, d, u) for t in targets for d in detectors for u in ("pixel", "object")}
-    assert set(p.scores) == {(s, d) for t in targets for s in (t, background_of(t)) for d in detectors}
 
 
 def test_elm_returns_the_reflectance_it_was_given():
@@ -174,24 +127,6 @@ def test_snr_and_its_cap():
     assert 1 / with_c**2 - 1 / without**2 == pytest.approx(np.full(10, 0.005**2), rel=1e-9)
 
 
-def test_reflectance_domain_has_no_radiance():
-    p = run("")
-    assert not p.radiance
-    assert not p.snr
-    assert p.reflectance["grass"].mean == pytest.approx(builtin_class("grass", AXIS).mean)
-    assert p.reflectance["grass"].pixel_covariance == pytest.approx(builtin_class("grass", AXIS).covariance)
-    assert p.scores["full", "cem"].mean == pytest.approx(1.0)
-
-
-def test_thesis_formulation_differs_and_is_named():
-    corrected, thesis = run(), run(ATMOSPHERE + "formulation: thesis\n")
-    assert "formulation: thesis" in thesis.notes
-    a, b = corrected.radiance["grass"], thesis.radiance["grass"]
-    assert not np.allclose(a.mean, b.mean, rtol=1e-4)
-    assert np.all(np.diag(b.pixel_covariance) > np.diag(a.pixel_covariance))  # slopes too steep, kappa 1
-    assert corrected.scores["loose", "cem"].sd > thesis.scores["loose", "cem"].sd  # Var f left out
-
-
 def test_detection_on_radiance_scores_alike():
     """Without noise differences the empirical line is an affine map, which a matched filter does not see."""
     on_reflectance = run()
@@ -226,12 +161,6 @@ def test_budget_adds_up_to_the_error_covariance():
     assert "field spectrum" not in p.radiance["grass"].budget
 
 
-def test_solar_irradiance_scales_the_radiance():
-    p = run(UNCERTAIN)
-    estimate = p.radiance["grass"]
-    assert estimate.budget["solar irradiance"] == pytest.approx(0.02 * estimate.mean, rel=1e-9)
-
-
 def test_aerosol_error_is_the_difference_of_two_runs():
     p = run(UNCERTAIN)
     up = run(ATMOSPHERE.replace("aot550: 0.2", "aot550: 0.25")).radiance["grass"].mean
@@ -243,15 +172,6 @@ def test_elm_cancels_the_atmosphere_but_not_the_field_spectrum():
     p = run(UNCERTAIN)
     assert p.reflectance["grass"].standard_uncertainty == pytest.approx(np.zeros(10), abs=1e-12)
     assert p.reflectance["panel"].standard_uncertainty == pytest.approx(np.full(10, 0.01), rel=1e-9)
-
-
-def test_roc_has_a_band_where_there_is_a_budget():
-    curve = run(UNCERTAIN).roc["tenth", "cem", "pixel"]
-    middle = (curve.pd > 0.05) & (curve.pd < 0.95)
-    assert np.all(curve.pd_lower[middle] < curve.pd[middle])
-    assert np.all(curve.pd_upper[middle] > curve.pd[middle])
-    plain = run().roc["tenth", "cem", "pixel"]
-    assert np.array_equal(plain.pd_lower, plain.pd)
 
 
 def test_measured_statistics_are_handed_in():
@@ -303,12 +223,6 @@ def test_objects_are_found_more_often_than_their_pixels():
     assert whole > 1.2 * pixel
 
 
-def test_prediction_is_deterministic():
-    a, b = run(UNCERTAIN), run(UNCERTAIN)
-    for key, curve in a.roc.items():
-        assert np.array_equal(curve.pd_upper, b.roc[key].pd_upper)
-
-
 def test_bands_of_the_detectors():
     axis = SpectralAxis(np.array([450.0, 940, 1400, 1650]), np.full(4, 10.0), np.array([True, True, False, True]))
     everything = np.ones(4, bool)
@@ -319,54 +233,16 @@ def test_bands_of_the_detectors():
         detection_bands(scenario(**{"{drop_bad: false}": "{ranges: [[3000, 4000]]}"}), axis, everything)
 
 
+def test_a_sensor_that_there_is_not_is_a_missing_file_where_it_is_meant_as_one():
+    with pytest.raises(UsageError, match=r"unknown sensor 'hydyce'(?s:.*)hydice"):
+        run(ATMOSPHERE.replace("prospectir-vs", "hydyce"))
+    with pytest.raises(InputError, match="no such file"):
+        run(ATMOSPHERE.replace("prospectir-vs", "mine.yaml"))
+
+
 def test_no_bands_at_all():
     with pytest.raises(UsageError, match="the scenario has no bands"):
         predict(scenario(""))
-
-
-def test_the_background_is_factorised_once_for_all_targets(monkeypatch):
-    """What makes a prediction fast; benchmarks/predict_speed.py measures it."""
-    built = []
-    plain = filters.factor
-    monkeypatch.setattr(filters, "factor", lambda *a, **k: built.append(1) or plain(*a, **k))
-    more = "    - {name: green, spectrum: {builtin: green-paint-plank}, host: grass, fill: {fixed: 0.3}}\n"
-    s = scenario(**{"processing:": more + "processing:", "[cem, cem-correlation]": "[cem, smf]"})
-    p = predict(s, Origins(axis=AXIS, engine=engine))
-    assert len(p.roc) == 16
-    assert len(built) == 1
-
-
-def test_terms_on_bands_are_kept_for_the_same_state_alone():
-    calls = []
-
-    def counted(state, *, cache_dir, show_progress):
-        calls.append(state)
-        return engine(state)
-
-    state = scenario().atmosphere
-    drier = state.model_copy(update={"water_vapour_g_cm2": 1.0})
-    first = terms_in_memory(counted, state, AXIS, cache_dir=None, show_progress=None)
-    assert terms_in_memory(counted, state, AXIS, cache_dir=None, show_progress=True) is first
-    terms_in_memory(counted, drier, AXIS, cache_dir=None, show_progress=None)
-    terms_in_memory(counted, state, AXIS.select(np.arange(5)), cache_dir=None, show_progress=None)
-    assert calls == [state, drier, state]
-
-
-def test_a_file_of_spectra_is_read_once_for_all_bands_of_one_run(tmp_path, monkeypatch):
-    at = tmp_path / "paint.csv"
-    at.write_text("wavelength_nm,paint\n" + "".join(f"{w},{w / 4000.0:g}\n" for w in range(300, 2600, 10)))
-    calls, read = [], readers.read_spectrum
-    monkeypatch.setattr(readers, "read_spectrum", lambda path, **how: calls.append(how) or read(path, **how))
-    source = SpectrumSource.model_validate({"file": "paint.csv", "record": 0, "reflectance_unit": "fraction"})
-    other = source.model_copy(update={"reflectance_unit": "percent"})
-    known = {}
-    for axis in (AXIS, AXIS.select(np.arange(5))):
-        fraction, percent = (
-            Sources(axis, {}, tmp_path.joinpath, read=known).spectrum(s, "paint").mean for s in (source, other)
-        )
-        assert fraction == pytest.approx(axis.centre_nm / 4000.0, rel=1e-6)
-        assert percent == pytest.approx(fraction / 100.0, rel=1e-12)
-    assert [how["reflectance_unit"] for how in calls] == ["fraction", "percent"]
 
 
 def detector_of(p: PredictedProducts) -> LinearFilter:
@@ -471,16 +347,6 @@ def test_gain_of_the_class_is_on_its_adjacency_term_too():
     assert after == pytest.approx(4 * before, rel=1e-9)
     f = detector_of(p)
     assert p.scores["tenth", "cem"].sd ** 2 == pytest.approx(f.variance(p.reflectance["tenth"].pixel_covariance))
-
-
-def test_heavy_tails_reach_the_roc():
-    gauss, tail = (
-        run(),
-        predict(scenario(**{"name: grass,": "name: grass, tail_dof: 4,"}), Origins(axis=AXIS, engine=engine)),
-    )
-    key = ("loose", "cem", "pixel")
-    assert tail.scores["loose", "cem"] == gauss.scores["loose", "cem"]  # the moments are the same
-    assert tail.roc[key].threshold[0] > 3 * gauss.roc[key].threshold[0]  # t with 4 dof at 1e-9: far out
 
 
 def test_relative_covariance():

@@ -8,22 +8,14 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.data import ClassStatistics
 from hyperval.errors import UsageError
 from hyperval.model import Origins, darkest_level, detection_at, fill_distribution, predict
-from hyperval.products import background_of
 from hyperval.scenario import load_scenario
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class, write_statistics_library
 from test_predict import ATMOSPHERE, AXIS, SCENE, engine, run, scenario
 
 SHADE = {"host: asphalt": "host: asphalt\n      illumination: {beam: 0.1, sky_view: 0.8}"}
-
-
-def squared_cosine(space, pixels) -> np.ndarray:
-    """ACE of pixels (N, F), 0-1, as it is defined: the squared cosine in whitened space."""
-    y = space.background.whiten((np.asarray(pixels, dtype=float) - space.mean).T)
-    return np.asarray((space.axis @ y) ** 2 / np.maximum((y**2).sum(axis=0), 1e-300))
 
 
 def sky(state: AtmosphericState) -> AtmosphericTerms:
@@ -36,12 +28,6 @@ def of(extra: str = ATMOSPHERE, use=sky, axis: SpectralAxis | None = AXIS, **rep
 
 
 # shade
-
-
-def test_shade_in_the_open_changes_nothing():
-    open_, plain = of(**{"host: asphalt": "host: asphalt\n      illumination: {}"}), of()
-    assert np.array_equal(open_.radiance["full"].mean, plain.radiance["full"].mean)
-    assert np.array_equal(open_.roc["tenth", "cem", "pixel"].pd, plain.roc["tenth", "cem", "pixel"].pd)
 
 
 def test_a_shaded_target_is_darker_and_harder_to_find():
@@ -58,11 +44,6 @@ def test_a_shaded_target_is_darker_and_harder_to_find():
     at = [1e-6, 1e-4, 1e-2]
     found = [detection_at(p.roc["tenth", "cem", "pixel"], at) for p in (shaded, lit)]
     assert np.all(found[0] < found[1])
-
-
-def test_total_shade_without_sky_is_a_black_target():
-    black = of(**{"host: asphalt": "host: asphalt\n      illumination: {beam: 0, sky_view: 0}"})
-    assert black.reflectance["full"].mean == pytest.approx(np.zeros(10), abs=1e-9)
 
 
 @pytest.mark.parametrize("formulation", ["corrected", "thesis"])
@@ -170,17 +151,6 @@ def test_noise_apart_and_averaged():
     assert many["calibration"] == pytest.approx(one["calibration"])
 
 
-def test_spectral_bins_on_the_sensors_own_bands():
-    p = of(ATMOSPHERE + "sensor_operation: {spectral_binning: 4}\n", use=engine, axis=None)
-    assert len(p.axis) == 90
-    q = of(use=engine, axis=None)
-    assert np.median(p.snr["grass (no calibration error)"].mean) > 1.5 * np.median(
-        q.snr["grass (no calibration error)"].mean
-    )
-    with pytest.raises(UsageError, match=r"sensor_operation\.spectral_binning"):
-        of(ATMOSPHERE + "sensor_operation: {spectral_binning: 2}\n", use=engine)
-
-
 def test_saturation_is_said():
     dim, bright = (of(use=lambda st, k=k: replace(engine(st), direct=k * engine(st).direct)) for k in (0.1, 60))
     assert not any("SATURATION" in n for n in dim.notes)
@@ -190,7 +160,7 @@ def test_saturation_is_said():
 
 
 def test_blur_of_the_sensor_serves_where_a_geometry_states_none(tmp_path):
-    from hyperval.model.world import with_sensor_blur
+    from hyperval.model import with_sensor_blur
     from hyperval.sensor.specification import load_sensor
 
     fill = "fill: {geometry: {side_m: 1, gsd_m: 1%s}}}"
@@ -243,12 +213,6 @@ def test_channels_by_list_and_bad_list():
         of(use=engine, **{"bands: {drop_bad: false}": "bands: {bad_channels: [10]}"})
 
 
-def test_smf_has_the_curve_of_cem_in_other_units():
-    p = of(use=engine, **{"[cem, cem-correlation]": "[cem, smf]"})
-    assert p.roc["tenth", "smf", "pixel"].pd == pytest.approx(p.roc["tenth", "cem", "pixel"].pd, abs=1e-9)
-    assert p.scores[background_of("tenth"), "smf"].sd == pytest.approx(1.0, rel=1e-6)
-
-
 def test_ace_finds_the_full_target_and_less_of_the_rest():
     p = of(use=engine, **{"[cem, cem-correlation]": "[cem, ace], samples: 1000"})
     at = 1e-4
@@ -259,34 +223,6 @@ def test_ace_finds_the_full_target_and_less_of_the_rest():
     assert any(n.startswith("ace of plank: 1000 draws per class; standard error") for n in p.notes)
     again = of(use=engine, **{"[cem, cem-correlation]": "[cem, ace], samples: 1000"})
     assert np.array_equal(p.roc["loose", "ace", "pixel"].pd, again.roc["loose", "ace", "pixel"].pd)
-
-
-@pytest.mark.slow
-def test_ace_against_simulated_pixels():
-    """1e6 background pixels from the products' own moments: P_FA at three thresholds, |z| < 5 with both errors.
-
-    The error of the draws is taken as 2 % of P_FA, more than the note says; false failure below 1e-5.
-    """
-    p = of(use=engine, **{"[cem, cem-correlation]": "[ace], samples: 8000"})
-    from hyperval.model import ace_space, average_reflectance, mixture_covariance
-
-    seen = [p.reflectance[n] for n in ("grass", "asphalt")]
-    means, covs = [e.mean for e in seen], [e.pixel_covariance for e in seen]
-    target = builtin_class("yellow-paint-plank", AXIS).mean
-    space = ace_space(target, average_reflectance([0.7, 0.3], means), mixture_covariance([0.7, 0.3], means, covs))
-    rng = np.random.default_rng(99)
-    score = np.concatenate(
-        [
-            squared_cosine(space, rng.multivariate_normal(m, c, n, method="cholesky"))
-            for m, c, n in zip(means, covs, (700_000, 300_000), strict=True)
-        ]
-    )
-    curve = p.roc["tenth", "ace", "pixel"]
-    for pfa in (1e-1, 1e-2, 1e-3):
-        at = int(np.argmin(np.abs(np.log(curve.pfa / pfa))))
-        count = (score > curve.threshold[at]).mean()
-        error = np.hypot(np.sqrt(curve.pfa[at] / 1e6), 0.02 * curve.pfa[at])
-        assert abs(count - curve.pfa[at]) < 5 * error
 
 
 def test_darkest_pixel_compensation():
@@ -310,26 +246,6 @@ def test_darkest_pixel_compensation():
     assert quiet.reflectance["panel"].mean == pytest.approx(run().reflectance["panel"].mean, abs=2e-3)
     with pytest.raises(UsageError, match="the panel is brighter"):
         scenario(**{"processing: {": "processing: {elm: {darkest_pixel: 9, dark_reflectance: 0.7}, "})
-
-
-def test_scores_come_with_their_distribution():
-    p = run()
-    for key in (("loose", "cem"), (background_of("loose"), "cem")):
-        s = p.scores[key]
-        assert np.trapezoid(s.density, s.grid) == pytest.approx(1.0, abs=1e-3)
-        assert np.trapezoid(s.density * s.grid, s.grid) == pytest.approx(s.mean, abs=1e-3)
-
-
-def test_several_targets_are_independent_of_each_other():
-    green = "    - {name: green, spectrum: {builtin: green-paint-plank}, host: grass, fill: {fixed: 0.3}}\n"
-    more = SCENE.replace("processing:", green + "processing:")
-    from hyperval.config import parse_yaml, validate
-    from hyperval.scenario import Scenario
-
-    data, lines = parse_yaml(more + ATMOSPHERE)
-    p = predict(validate(Scenario, data, lines, "text"), Origins(axis=AXIS, engine=engine))
-    assert {k[0] for k in p.roc} == {"tenth", "loose", "full", "green"}
-    assert np.array_equal(p.roc["tenth", "cem", "pixel"].pd, run().roc["tenth", "cem", "pixel"].pd)
 
 
 # bad states are refused by the name of their field
@@ -368,8 +284,3 @@ def test_a_spectrum_that_does_not_cover_the_bands_is_refused_by_field(tmp_path):
     p = predict(in_folder(tmp_path, **text), Origins(axis=AXIS, engine=engine))
     assert np.isnan(p.reflectance["grass"].mean[-1])
     assert "detectors use 7 of 10 bands" in p.notes
-
-
-def test_measured_statistics_that_are_none_are_refused():
-    with pytest.raises(UsageError, match="class 'lawn': the covariance is not symmetric"):
-        ClassStatistics("lawn", AXIS, np.ones(10), np.eye(10) + np.triu(np.ones((10, 10)), 1))

@@ -51,10 +51,6 @@ def test_builtin_scenarios_load_by_name(name):
     assert load_scenario(name).name == name
 
 
-def test_the_three_names_of_the_contract():
-    assert set(builtin_scenarios()) == {"yellow-planks-asphalt", "green-planks-grass", "panels"}
-
-
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [

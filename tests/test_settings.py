@@ -34,13 +34,6 @@ def test_makes_parts_that_the_file_leaves_out():
     assert found.sensor_changes.calibration_error_percent == 2.0
 
 
-def test_names_with_dots_stand_in_brackets():
-    scenario = load_scenario("yellow-planks-asphalt")
-    subject = scenario.scene.targets[0].name
-    renamed = with_settings(scenario, {"scene.targets.0.name": "dark 0.5 m"})
-    assert setting(renamed, "scene.targets.[dark 0.5 m].gain") == setting(scenario, f"scene.targets.{subject}.gain")
-
-
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
@@ -56,8 +49,3 @@ def test_names_with_dots_stand_in_brackets():
 def test_refuses_paths_that_lead_nowhere(path, value, message):
     with pytest.raises(UsageError, match=message.replace("[", r"\[")):
         with_settings(load_scenario("yellow-planks-asphalt"), {path: value})
-
-
-def test_reading_names_what_there_is():
-    with pytest.raises(UsageError, match="did you mean 'atmosphere'"):
-        setting(load_scenario("panels"), "atmospher.aot550")

@@ -59,24 +59,6 @@ def test_there_and_back(path):
     assert (soil.n, soil.tail_dof) == (None, None)
 
 
-def test_which_record(path, tmp_path):
-    with pytest.raises(UsageError, match=r"several classes(.|\n)*grass, soil"):
-        read_statistics_library(path)
-    with pytest.raises(UsageError, match="has no class 'sand'"):
-        read_statistics_library(path, "sand")
-    write_statistics_library(tmp_path / "one.nc", [SOIL])
-    assert read_statistics_library(tmp_path / "one.nc").name == "soil"
-
-
-def test_what_cannot_be_written(tmp_path):
-    with pytest.raises(UsageError, match="each with its own name"):
-        write_statistics_library(tmp_path / "x.nc", [SOIL, SOIL])
-    other = builtin_class("grass", SpectralAxis(np.linspace(450, 910, 10), np.full(10, 20.0)))
-    with pytest.raises(UsageError, match="one set of bands"):
-        write_statistics_library(tmp_path / "x.nc", [SOIL, other])
-    assert not (tmp_path / "x.nc").exists()
-
-
 def test_files_that_are_no_library(path, tmp_path):
     with pytest.raises(InputError, match="no such statistics library"):
         read_statistics_library(tmp_path / "none.nc")
@@ -102,15 +84,6 @@ def test_files_that_are_no_library(path, tmp_path):
 def test_sizes_are_checked(path, change, words):
     with pytest.raises(InputError, match=words):
         read_statistics_library(spoiled(path, change), "grass")
-
-
-def test_more_bands_than_the_limit(path, monkeypatch):
-    monkeypatch.setattr("hyperval.statistics_library.MAX_BANDS", 9)
-    with pytest.raises(InputError, match="2 classes of 10 bands"):
-        read_statistics_library(path, "grass")
-    monkeypatch.setattr("hyperval.statistics_library.MAX_BYTES", 100)
-    with pytest.raises(InputError, match="larger than"):
-        read_statistics_library(path, "grass")
 
 
 def test_other_bands_by_hand():

@@ -8,7 +8,7 @@ import pytest
 
 @pytest.mark.parametrize(
     "name",
-    ["compare.spectra", "compare.judge", "processing.intervals"],
+    ["compare.spectra", "compare.judge", "model.intervals"],
 )
 def test_examples(name):
     outcome = doctest.testmod(importlib.import_module(f"hyperval.{name}"))

@@ -25,12 +25,16 @@ MODULES = (
     "hyperval.model.scores",
     "hyperval.model.ace",
 )
-# Functions of these files that are no formula of the source: readers, the reading of curves, classifiers and laws with
-# evidence of their own below tests/.
+# Functions of these files that are no formula of the source: readers, arrays of many truths, the packed form of a
+# matrix, the reading of curves, classifiers and laws with evidence of their own below tests/.
 BESIDE = {
-    "class_features", "detection_at", "feature_bands", "fully_constrained", "library_names", "load_sensor",
-    "log10_false_alarm_at", "measured_error", "new_sensor_file", "own_mean_sampling", "predicted_error", "whitened",
-    "with_distances",
+    "add_products", "at_rows", "class_features", "condition_number", "curve_area", "detection_at", "factor",
+    "fill_distribution", "fills_of_objects", "light_of", "seen_classes",
+    "feature_bands", "fills_of_population", "fully_constrained", "geometry_of", "library_names", "load_sensor",
+    "log10_false_alarm_at", "measured_error", "moments", "near_singular", "new_sensor_file", "of_truth", "on_bands",
+    "own_mean_sampling", "packed", "pixels_of_object", "predicted_error", "read_statistics_library", "solved",
+    "spread", "stacked", "stacked_fills", "stacked_noise", "statistics_of_samples", "unpacked", "whitened",
+    "whole_object_fills", "wide", "with_distances", "with_mean", "write_statistics_library",
 }  # fmt: skip
 SOURCE = Path(__file__).parents[2] / "src" / "hyperval"
 FOLDER = Path(__file__).parents[2] / "validation" / "equations"

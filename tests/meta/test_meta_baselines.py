@@ -26,8 +26,7 @@ from hyperval.baseline.accepted import (
 from hyperval.baseline.check import compare
 from hyperval.campaign.job import job_of
 from hyperval.campaign.one import run_campaign
-from hyperval.model import LinearFilter, fixed_fill, matched_filter_weights, solved_filter
-from hyperval.model.filters import FILTERS
+from hyperval.model import FILTERS, LinearFilter, fixed_fill, matched_filter_weights, solved_filter
 from hyperval.results import Outcome, Result
 from hyperval.sensor.specification import library_names, load_sensor
 from small_campaign import SmallCampaign, stand_in_atmosphere

@@ -19,8 +19,7 @@ from hyperval import api
 from hyperval.atmosphere import AtmosphericTable, write_table
 from hyperval.data import ClassStatistics, Components
 from hyperval.errors import UsageError
-from hyperval.model import PATHS, Origins, every_path, predict, predictions, read, reads_again, value_at
-from hyperval.model.world import find
+from hyperval.model import PATHS, Origins, every_path, find, predict, predictions, read, reads_again, value_at
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.settings import setting, with_settings
 from hyperval.spectra import SpectralAxis

@@ -8,7 +8,7 @@ from small_world import AXIS, BACKGROUND, BANDS, TARGET, World
 
 from hyperval.collection import CollectionSection, PathRadiance
 from hyperval.errors import UsageError
-from hyperval.model.surfaces import correlation
+from hyperval.model import correlation
 from hyperval.observe import path_estimate
 from hyperval.products import SpectralEstimate
 from hyperval.spectra import SpectralAxis

@@ -33,22 +33,6 @@ def world(fractions: np.ndarray, covariance: np.ndarray, means: dict[str, np.nda
     return with_values(read(scenario, Origins(AXIS, measured)), moved)
 
 
-def test_filters_do_not_depend_on_the_truths_before():
-    fractions = np.array([[0.7, 0.3], [0.7, 0.3], [0.2, 0.8], [1.0, 0.0]])
-
-    def weights(rows: list[int]) -> list[np.ndarray]:
-        e = Evaluation(world(fractions[rows], spread()))
-        found = [e.filters["paint", d][0].weights[e.which] for d in DETECTORS]
-        assert not e.problems
-        return found
-
-    together, backwards = weights([0, 1, 2, 3]), weights([3, 2, 1, 0])
-    for d in range(len(DETECTORS)):
-        np.testing.assert_array_equal(together[d], backwards[d][::-1])
-        for u in range(4):
-            np.testing.assert_array_equal(together[d][u], weights([u])[d][0])
-
-
 def test_a_background_without_an_inverse_is_refused_and_the_next_one_is_right():
     copied = spread()
     copied[1], copied[:, 1] = copied[0], copied[:, 0]

@@ -10,8 +10,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
 from hyperval.data import ClassStatistics
-from hyperval.model import Origins, predict
-from hyperval.model.propagate import with_law_limits
+from hyperval.model import Origins, predict, with_law_limits
 from hyperval.processing import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import Scenario
@@ -99,15 +98,6 @@ def test_what_a_law_does_not_say_far_out_stays_there():
     z = ndtri(pd[at])
     assert ndtri(both.pd_upper[at]) - z == pytest.approx(np.hypot(0.4, ndtri(limits.pd_upper[at]) - z), rel=1e-6)
     assert z - ndtri(both.pd_lower[at]) == pytest.approx(np.hypot(0.3, z - ndtri(limits.pd_lower[at])), rel=1e-6)
-
-
-def test_a_factor_on_all_false_alarms_moves_a_straight_curve_along_its_slope():
-    pfa = np.logspace(-6, -0.1, 60)
-    z = 1.0 + 0.4 * np.log(pfa)
-    curve = RocCurve(pfa, *3 * [ndtr(z)], np.arange(60.0))
-    limits = with_law_limits(curve, ExceedanceCurve(np.arange(60.0), pfa[::-1], pfa[::-1] / 1.5, pfa[::-1] * 1.5))
-    for limit, sign in ((limits.pd_lower, -1), (limits.pd_upper, 1)):  # at its ends too
-        assert ndtri(limit) == pytest.approx(z + sign * 0.4 * np.log(1.5), abs=1e-9)
 
 
 def test_two_regions_are_independent(origins):

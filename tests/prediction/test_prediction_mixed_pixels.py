@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.special import stdtr
 from test_prediction_mixtures import drawn, of_region, two_clusters
 from uncertain_scene import AXIS, scenario
 
@@ -15,7 +14,6 @@ from hyperval.model import (
     Host,
     Origins,
     RocScores,
-    mixing,
     object_detection_probability,
     predict,
     read,
@@ -94,23 +92,6 @@ def test_a_little_target_takes_little_from_the_host(dof, fill):
     assert np.all(curve.pd >= (1.0 - 1e-6) * least)
 
 
-def test_one_class_alone_never_falls_below_its_own_false_alarms():
-    # The there of the report: P_D was 2.7e-7 at P_FA = 1e-3 and 8e-190 at 1e-6.
-    text = scene("{fixed: 0.001}", 4)
-    alone = text.model_copy(update={"scene": text.scene.model_copy(update={"classes": [
-        c.model_copy(update={"fraction": 1.0}) for c in text.scene.classes if c.name == "asphalt"]})})  # fmt: skip
-    curve = predict(alone, Origins(AXIS)).roc["tenth", "cem", "pixel"]
-    assert np.all(curve.pd > 0.99 * curve.pfa)
-    assert np.all(curve.pd < 2.0 * curve.pfa)
-
-
-def test_a_full_pixel_is_normal():
-    tailed, plain = (run(scene("{fixed: 1.0}", tail))[0] for tail in (3.0, "null"))
-    a, b = (p.scores["tenth", "cem"] for p in (tailed, plain))
-    assert (a.mean, a.sd) == pytest.approx((b.mean, b.sd), rel=1e-12)
-    assert a.density == pytest.approx(b.density, rel=1e-9)
-
-
 @pytest.mark.parametrize(("dof", "host"), [(3.0, "asphalt"), (8.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
 @pytest.mark.parametrize("fill", [0.0, 0.05, 0.3])
 def test_detections_are_those_of_drawn_pixels(dof, host, fill):
@@ -179,20 +160,6 @@ def test_texture_finer_than_the_pixel_goes_by_the_fill_and_not_its_square():
     full, empty = variance(1.0), variance(1e-12)
     for fine, part in ((0.0, 0.09), (0.5, 0.195), (1.0, 0.3)):
         assert variance(0.3, fine) == pytest.approx(part * full + 0.49 * empty, rel=1e-9)
-
-
-def test_the_mixing_variable_gives_the_moments_and_the_tail():
-    for nu in (2.1, 3.0, 5.0, 20.0, 1000.0):
-        factor, probability = mixing(np.array([nu, np.inf]))
-        assert (probability.sum(axis=1)) == pytest.approx([1.0, 1.0], abs=1e-12)
-        assert factor[1] == pytest.approx(1.0)
-        host = Host(
-            np.ones((1, 1)), np.zeros(1), np.ones(1), ClassScores(*np.array([[[1.0]], [[0.0]], [[1.0]], [[nu]]]))
-        )
-        z = np.array([0.0, 1.0, 3.0, 10.0])
-        expected = stdtr(nu, -z * np.sqrt(nu / (nu - 2.0)))
-        found = host.exceedance(z[None], np.zeros((1, 1)), np.ones((1, 1)))[0, :, 0]
-        assert found == pytest.approx(expected, rel=2e-7, abs=1e-14)
 
 
 def tailed(fills: np.ndarray, dof: float) -> tuple[np.ndarray, np.ndarray, Host]:

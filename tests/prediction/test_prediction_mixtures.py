@@ -10,7 +10,7 @@ from uncertain_scene import AXIS, scenario
 
 from hyperval.data import ClassStatistics, Components
 from hyperval.errors import UsageError
-from hyperval.model import Evaluation, Origins, predict, predictions, read, value_at
+from hyperval.model import Evaluation, Origins, predict, read
 from hyperval.simulate.surface import sampler
 from hyperval.statistics_library import builtin_class
 
@@ -91,56 +91,6 @@ def test_false_alarms_are_those_of_drawn_pixels(dof, tail):
     single = curves(of_region(components), mixed("null"))[0]
     at = int(np.argmin(np.abs(np.log(curve.pfa / 1e-2))))  # what the moments alone would say is something else
     assert abs(single.threshold[at] - curve.threshold[at]) > 0.05 * abs(curve.threshold[at])
-
-
-def test_ace_of_two_truths_sees_the_objects_of_each():
-    small = {
-        "fill: {fixed: 0.1}": "fill: {geometry: {side_m: 0.12, gsd_m: 1.0, psf_fwhm_pixels: 1.0}}",
-        "        - {name: loose, fill: {mean: 0.15, sd: 0.05}}\n": "",
-        "detectors: [cem]": "elm: none, samples: 300, detectors: [ace]",
-    }
-    stated = value_at(read(scenario("", **small), Origins(AXIS)), "fill.tenth")[0]
-    truths = [{}, {"fill.tenth": stated - 0.006}]
-    both = [made.roc["tenth", "ace", "object"].pd for made in predictions(scenario("", **small), truths, Origins(AXIS))]
-    (alone,) = predictions(scenario("", **small), truths[1:], Origins(AXIS))
-    np.testing.assert_allclose(both[1], alone.roc["tenth", "ace", "object"].pd, rtol=1e-9)
-    assert np.max(both[0] - both[1]) > 0.01  # the smaller target is seen less
-
-
-def test_ace_counts_the_same_clusters():
-    components, rng = two_clusters(), np.random.default_rng(2)
-    of = mixed(detectors="ace")
-    made = predict(of, Origins(AXIS, {"field": of_region(components)}))
-    curve = made.roc["tenth", "ace", "pixel"]
-    n = 200_000
-    asphalt, target = builtin_class("asphalt", AXIS), builtin_class("yellow-paint-plank", AXIS).mean
-    ground = read(of, Origins(AXIS, {"field": of_region(components)})).stated.surfaces
-    rest = asphalt.mean + rng.standard_normal((int(0.3 * n), BANDS)) @ np.linalg.cholesky(asphalt.covariance).T
-    pixels = np.concatenate([drawn(components, n - len(rest), rng), rest])
-    mean = 0.7 * ground["grass"].mean + 0.3 * ground["asphalt"].mean
-    spread = sum(
-        f * (ground[name].covariance + np.outer(ground[name].mean - mean, ground[name].mean - mean))
-        for f, name in ((0.7, "grass"), (0.3, "asphalt"))
-    )
-    root = np.linalg.inv(np.linalg.cholesky(spread))
-    y, axis = (pixels - mean) @ root.T, root @ (target - mean)
-    axis = axis / np.linalg.norm(axis)
-    scores = (y @ axis) ** 2 / np.einsum("ij,ij->i", y, y)
-    for level in (0.3, 0.1, 1e-2):
-        at = int(np.argmin(np.abs(np.log(curve.pfa / level))))
-        p = curve.pfa[at]
-        # 4.5 standard deviations, and 12 % for the 1500 draws of the model.
-        assert abs(float(np.mean(scores > curve.threshold[at])) - p) < 4.5 * np.sqrt(p / n) + 0.12 * p
-
-
-def test_a_class_spreads_with_its_components():
-    wide = two_clusters().stretched(2.0)
-    assert wide.covariance == pytest.approx(4.0 * two_clusters().covariance)
-    origins = Origins(AXIS, {"field": of_region(two_clusters())})
-    found = predict(mixed(), origins, truth={"surfaces.grass.spread": 2.0})
-    parts = found.distribution["grass"].clusters
-    of_parts = sum(w * (c + np.outer(away, away)) for w, away, c, _ in parts)
-    assert of_parts == pytest.approx(found.reflectance["grass"].pixel_covariance, rel=1e-9)
 
 
 def test_what_is_not_there_is_refused():

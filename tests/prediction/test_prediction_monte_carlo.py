@@ -8,10 +8,18 @@ from scipy import stats
 from scipy.special import polygamma
 from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, engine, run, scenario
 
-from hyperval.model import WHOLE, Origins, curve_area, detection_at, inputs_of, read
-from hyperval.model.inputs import drawn_covariance
-from hyperval.model.propagate import _drawn_estimate, emulator, quantities, tolerance
-from hyperval.products import SpectralEstimate
+from hyperval.model import (
+    WHOLE,
+    Origins,
+    curve_area,
+    detection_at,
+    drawn_covariance,
+    emulator,
+    inputs_of,
+    quantities,
+    read,
+    tolerance,
+)
 from hyperval.scenario import FalseAlarmGrid, Scenario, Uncertainty
 from hyperval.settings import with_settings
 
@@ -86,20 +94,6 @@ def test_pd_is_compared_at_the_false_alarms_named_also_between_the_points_of_a_c
         assert one["drawn_sd"] == pytest.approx(other["drawn_sd"], rel=0.01)
 
 
-def test_pd_where_no_curve_reaches_is_not_compared():
-    few = on_grid(with_method("both", SMALL.replace("samples: 300", "samples: 40")), lowest=5e-3)
-    table = run(few).provenance["propagation"]["agreements"]
-    assert {row["at"] for row in table if row["key"][0] == "P_D"} == {1e-2}
-
-
-def test_the_same_seed_gives_the_same_and_another_one_not():
-    few = SMALL.replace("samples: 300", "samples: 40")
-    first = run(with_method("both", few)).provenance["propagation"]["agreements"]
-    again, other = run(with_method("both", few)), run(with_method("both", few + "  seed: 4\n"))
-    assert again.provenance["propagation"]["agreements"] == first
-    assert other.provenance["propagation"]["agreements"][0]["drawn_sd"] != first[0]["drawn_sd"]
-
-
 @pytest.mark.slow
 def test_where_the_ways_differ_the_draws_give_the_interval_of_pd():
     # A covariance of 10 bands from 60 samples: P_D has a tail that no straight line knows.
@@ -119,18 +113,6 @@ def test_monte_carlo_alone_scales_spectra_and_takes_every_curve():
     assert np.ptp(ratio) < 1e-12
     assert ratio[0] == pytest.approx(1.0, abs=0.185)
     assert np.any(p.roc[KEY].pd_lower != linear.roc[KEY].pd_lower)
-
-
-def test_a_spectrum_takes_the_width_of_its_draws_in_all_its_sources():
-    stated = SpectralEstimate(np.ones(3), 0.04 * np.eye(3), budget={"noise": np.full(3, 0.2)})
-    wider = _drawn_estimate(stated, np.full(3, 0.3))
-    assert wider.standard_uncertainty == pytest.approx(np.full(3, 0.3))
-    assert wider.budget["noise"] == pytest.approx(np.full(3, 0.3))
-
-
-def test_nothing_uncertain_needs_no_draw():
-    p = run(with_method("both", "\nuncertainty:\n  method: both\n"))
-    assert "propagation" not in p.provenance
 
 
 def moved(item, z: float) -> dict[str, float]:

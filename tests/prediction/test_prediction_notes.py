@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.model.notes import engine_notes, unstated_notes
+from hyperval.model import engine_notes, unstated_notes
 from hyperval.scenario import Uncertainty
 
 
@@ -28,14 +28,6 @@ def test_gases_that_are_not_stated_are_named_with_their_columns(model: str, wate
     assert float(of_water.split()[-3]) == pytest.approx(water, rel=0.05)
     assert of_water.endswith(" g cm-2")
     assert float(of_ozone.split()[-3]) == pytest.approx(ozone, rel=0.05)
-
-
-def test_what_is_stated_needs_no_note():
-    stated = state(water_vapour_g_cm2=1.2, ozone_atm_cm=0.3)
-    assert unstated_notes(stated, Uncertainty(aot550=0.02)) == []
-    assert unstated_notes(None, Uncertainty(aot550=0.02)) == []
-    (only,) = unstated_notes(stated, Uncertainty())
-    assert only.startswith("the scenario states no uncertainty")
 
 
 def terms(**provenance: object) -> AtmosphericTerms:

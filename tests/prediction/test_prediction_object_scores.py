@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from hyperval.config import parse_yaml, validate
-from hyperval.errors import UsageError
 from hyperval.model import (
-    ClassScores,
     Origins,
-    class_threshold,
     design_filter,
-    greatest_class_false_alarm,
     predict,
     predictions,
     read,
@@ -132,13 +128,6 @@ def test_a_wider_blur_lowers_the_score_and_is_common():
     ) / np.sqrt(values.shape[1])
 
 
-def test_same_seed_same_draws():
-    extra = "uncertainty: {psf_fwhm_pixels: 0.3, field_spectra: [{subject: plank, relative: 0.05}]}\n"
-    first, again = run(extra), run(extra)
-    for key, held in first.object_scores.items():
-        assert np.array_equal(held.values, again.object_scores[key].values)
-
-
 def test_each_of_several_truths_has_the_objects_of_its_own_scene():
     # The first truth of a batch once lent its fills to all others.
     scenario = scenario_of(place="position_m: [0, 0],", there="position_m: [0, 1.0],")
@@ -156,34 +145,6 @@ def test_each_of_several_truths_has_the_objects_of_its_own_scene():
     assert wider < stated < fuller
     assert bright != stated  # the neighbour's part
     assert np.array_equal(*(together[i].object_scores["tenth", "cem"].values for i in (0, 3)))
-
-
-def test_positions_need_a_heading():
-    text = SCENE.replace("heading_deg: 10", "heading_deg: random")
-    with pytest.raises(UsageError, match="lies any way"):
-        run(place="position_m: [0, 0],", text=text)
-
-
-def test_curves_of_the_background():
-    p = run()
-    curve, roc = p.exceedance["plank", "cem"], p.roc["tenth", "cem", "pixel"]
-    assert np.all(np.diff(curve.threshold) > 0)
-    assert np.interp(roc.threshold[40], curve.threshold, curve.probability) == pytest.approx(roc.pfa[40])
-    # Each class alone gives at most its tail, and all together no more than the worst of them (3.33).
-    assert np.all(roc.preset_pfa >= roc.pfa - 1e-12)
-    assert np.all(roc.pfa >= 0.3 * roc.preset_pfa - 1e-12)
-
-
-def test_preset_is_the_tail_of_the_worst_class():
-    from scipy.stats import norm
-
-    one = ClassScores(*np.array([[[0.8, 0.2, 0.0]], [[0.0, 0.1, 5.0]], [[0.1, 0.2, 1.0]], [[np.inf] * 3]]))
-    three, x = one.rows(np.zeros(3, int)), np.array([0.2, 0.5, 0.8])
-    assert greatest_class_false_alarm(x, three) == pytest.approx(norm.sf((x - 0.1) / 0.2), rel=1e-9)
-    # (3.32): the highest threshold of the classes at a preset has that preset as its greatest tail.
-    preset = np.array([1e-3, 1e-2, 1e-1])
-    highest = np.max([class_threshold(np.log(preset)[None], one, m)[0] for m in (0, 1)], axis=0)
-    assert greatest_class_false_alarm(highest, three) == pytest.approx(preset, rel=1e-9)
 
 
 def test_expected_scores_of_target_pixels_and_background_are_the_means_of_their_laws():

@@ -8,8 +8,7 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 
 from hyperval.compare import chi_square_full
 from hyperval.config import parse_yaml, validate
-from hyperval.model import Origins, predict
-from hyperval.model.objects import HOST, PLACE, Shares, host_covariance, mixed, place_covariance, shares_of
+from hyperval.model import HOST, PLACE, Origins, Shares, predict, shares_of
 from hyperval.scenario import Scenario
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
@@ -96,33 +95,6 @@ def test_an_object_alone_has_the_mean_of_its_fill_and_the_spread_of_its_host():
     contrast = builtin_class("yellow-paint-plank", AXIS).mean - grass.mean
     np.testing.assert_allclose(u[PLACE], np.sqrt(found.covariance[0, 0]) * np.abs(contrast), rtol=1e-9)
     assert HOST not in q.reflectance["square"].budget  # without a place: many objects, not one
-
-
-def test_errors_of_one_material_add_up_and_those_of_two_do_not():
-    one = Shares(("a", "a"), np.array([0.3, 0.2]), np.zeros((2, 2)))
-    two = Shares(("a", "b"), np.array([0.3, 0.2]), np.zeros((2, 2)))
-    up, stays = {"a": np.ones(2), "b": np.zeros(2)}, np.zeros(2)
-    assert mixed(one, up, stays) == pytest.approx(np.full(2, 0.5))
-    assert mixed(two, up, stays) == pytest.approx(np.full(2, 0.3))
-    assert mixed(two, {"a": np.ones(2), "b": np.zeros(2)}, np.full(2, 0.5)) == pytest.approx(np.full(2, 0.55))
-
-
-def test_host_and_place_of_two_surfaces_by_hand():
-    found = Shares(("a", "b"), np.array([0.3, 0.2]), np.array([[0.01, -0.006], [-0.006, 0.02]]))
-    assert found.rest == pytest.approx(0.5)
-    host, full = np.full(2, 0.5), {"a": np.array([1.0, 0.6]), "b": np.array([0.1, 0.9])}
-    # f_a a + f_b b with contrasts (0.5, 0.1) and (-0.4, 0.4): variances and covariance of a sum.
-    first = 0.25 * 0.01 + 0.16 * 0.02 + 2 * 0.5 * -0.4 * -0.006
-    mixed_term = 0.05 * 0.01 - 0.16 * 0.02 + (0.5 * 0.4 - 0.4 * 0.1) * -0.006
-    got = place_covariance(found, full, host)
-    assert (got[0, 0], got[0, 1], got[1, 0]) == pytest.approx((first, mixed_term, mixed_term))
-    assert host_covariance(found, np.diag([4.0, 8.0]), 0.7) == pytest.approx(np.diag([0.7, 1.4]))
-
-
-def test_positions_that_are_known_roughly_widen_the_share_of_a_neighbour_alone():
-    known, roughly = shares(), shares(position=0.2)
-    assert roughly.covariance[1, 1] > 1.5 * known.covariance[1, 1]
-    assert roughly.covariance[0, 0] == pytest.approx(known.covariance[0, 0], rel=0.1)
 
 
 def test_true_worlds_pass_and_false_ones_do_not():

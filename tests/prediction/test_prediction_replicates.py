@@ -12,8 +12,7 @@ from scipy import stats
 
 from hyperval.config import validate
 from hyperval.errors import InputError, UsageError
-from hyperval.model import Origins, predict
-from hyperval.model.surfaces import Sources, band_error_covariance, mean_error_covariance, replicate_statistics
+from hyperval.model import Origins, Sources, band_error_covariance, mean_error_covariance, predict, replicate_statistics
 from hyperval.scenario import Replicates, Scenario, SpectrumSource, Surface
 from hyperval.spectra import SpectralAxis, band_average
 
@@ -130,23 +129,6 @@ def test_what_is_refused(tmp_path):
         replicate_statistics(
             Replicates.model_validate({"files": "grass*.csv", "wavelength_unit": "nm"}), far, lambda r: tmp_path / r
         )
-
-
-def test_a_band_that_one_spectrum_lacks_is_unknown(tmp_path):
-    write(tmp_path, lawn(3))
-    short = (tmp_path / "grass01.csv").read_text().splitlines()
-    (tmp_path / "grass01.csv").write_text("\n".join(short[:-12]) + "\n")  # ends at 840 nm
-    got = found(tmp_path, "grass*.csv")
-    assert np.isnan(got.mean).tolist() == [False] * 4 + [True]
-    assert np.all(got.covariance[4] == 0.0)
-    assert np.all(got.mean_error[4] == 0.0)
-
-
-def test_a_bare_name_or_list_stands_for_the_files():
-    for given in ("a*.csv", ["a.csv", "b.csv"]):
-        assert SpectrumSource.model_validate({"replicates": given}).replicates == Replicates(files=given)
-    with pytest.raises(ValueError, match="exactly one of"):
-        SpectrumSource.model_validate({"replicates": "a", "file": "b"})
 
 
 def test_a_surface_takes_spectrum_and_covariance_from_replicates(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from hyperval.errors import UsageError
-from hyperval.model import Origins, UnmixedSubject, labelled, predicted_areas, predicted_classification
+from hyperval.model import Origins, UnmixedSubject, predicted_areas, predicted_classification
 from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.spectra import SpectralAxis
@@ -84,34 +84,11 @@ def test_an_empty_pixel_of_clusters_is_biased_by_each_of_them():
     assert area == pytest.approx(4.0 * expected, rel=0.03)
 
 
-def test_weights_by_the_background_reduce_the_spread():
-    both = {"fcls": None, "fcls-weighted": SPREAD}
-    plain = predicted({"fixed": 0.4}, covariances=both)
-    weighted = predicted({"fixed": 0.4}, covariances=both, method="fcls-weighted")
-    assert weighted.standard_uncertainty < 0.5 * plain.standard_uncertainty
-
-
-def test_error_of_the_endmember_is_common_to_an_object():
-    quiet = 1e-12 * np.eye(B)
-    # A level error of 10 % moves a full pixel's abundance by about as much; below 1 it is seen, above it is cut.
-    area = predicted({"fixed": 0.5}, uncertainty=0.1, spread=quiet)
-    assert 0.02 < area.standard_uncertainty < 0.6
-    assert predicted({"fixed": 0.5}, spread=quiet).standard_uncertainty < 1e-4
-
-
 def test_whole_objects_have_their_own_fills():
     geometry = {"side_m": 1.0, "gsd_m": 2.0, "psf_fwhm_pixels": 0.5, "pixels": "ranked", "n": 9}
     area = predicted({"geometry": geometry}, spread=1e-12 * np.eye(B), draws=500)
     assert area.n == 9
     assert area.area_m2 == pytest.approx(1.0, abs=0.05)  # nearly all of the target lies in the nine best pixels
-
-
-def test_a_scenario_with_light_is_left_out():
-    made = scenario({"fixed": 0.4})
-    lit = made.model_copy(update={"atmosphere": object()})
-    nothing = PredictedProducts(AXIS)
-    assert predicted_areas(lit, Origins(AXIS), {}, nothing, [], np.ones(B, bool), {"fcls": None}, 1.0) == {}
-    assert labelled("fcls", "") == "fcls"
 
 
 WIDE = 30.0 * SPREAD

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.special import ndtr
 
-from hyperval.model.ace import Exceedance, _positive, ace_exceedance, ace_space, ace_threshold, exceedance_at
+from hyperval.model import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 
 BANDS = 7
 
@@ -41,14 +40,6 @@ def test_background_of_its_own_filter_has_a_beta_law_whatever_its_tails(space, d
     assert np.all(found.standard_error < 0.1 * found.probability)
 
 
-def test_moments_are_those_of_the_beta_law():
-    law = stats.beta(0.5, 3.0)
-    scores = np.linspace(1e-6, 1 - 1e-6, 40_001)
-    mean, sd = Exceedance(scores, law.sf(scores), np.zeros(scores.size)).moments
-    assert mean == pytest.approx(law.mean(), rel=1e-4)
-    assert sd == pytest.approx(law.std(), rel=1e-4)
-
-
 def test_pixels_of_a_heavy_tailed_target_are_scored_as_drawn(space):
     # 200,000 pixels: a probability near 0.5 is known to 0.0011, the model to 0.003; 4.5 of both together is 0.015.
     of, mean, covariance = space
@@ -69,19 +60,6 @@ def test_stated_error_is_the_scatter_of_repetition(space):
     runs = [ace_exceedance(of, far, covariance, 500, np.random.default_rng(k), scores=[0.2, 0.6]) for k in range(60)]
     scatter = np.std([r.probability for r in runs], axis=0, ddof=1)
     assert np.mean([r.standard_error for r in runs], axis=0) == pytest.approx(scatter, rel=0.37)
-
-
-def test_probability_of_a_quadratic_by_its_roots():
-    def one(*abc):
-        return float(_positive(*(np.array([float(x)]) for x in abc))[0])
-
-    assert one(1, 0, -4) == pytest.approx(2 * ndtr(-2.0), rel=1e-14)
-    assert one(-1, 0, 4) == pytest.approx(1 - 2 * ndtr(-2.0), rel=1e-14)
-    assert one(0, 2, -3) == pytest.approx(ndtr(-1.5), rel=1e-12)
-    assert (one(1, 0, 1), one(-1, 0, -1)) == (1.0, 0.0)
-    # Between 9 and 10: both distribution functions are 1 to rounding, their tails are not.
-    assert one(-1, 19, -90) == pytest.approx(ndtr(-9.0) - ndtr(-10.0), rel=1e-12, abs=0)
-    assert one(-1, -19, -90) == pytest.approx(ndtr(-9.0) - ndtr(-10.0), rel=1e-12, abs=0)
 
 
 def test_threshold_and_exceedance_are_inverse():

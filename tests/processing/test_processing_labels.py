@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.model import Labels
-from hyperval.processing import drawn_pixels, neighbour_shares, nth_pixels
+from hyperval.processing import Labels, drawn_pixels, neighbour_shares, nth_pixels
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 8), (7, 13), (600, 25)])

@@ -15,7 +15,6 @@ from hyperval.model import (
     design_filter,
     matched_filter_weights,
     own_mean_sampling,
-    principal_components,
     two_panel_line,
 )
 
@@ -59,20 +58,6 @@ def test_no_unit_response_filter_has_less_variance():
         assert w @ cov @ w >= f.variance(cov) - 1e-15
 
 
-def test_both_readings_of_cem_agree_on_zero_mean_data():
-    target, _, cov = random_problem(5)
-    zero = np.zeros(12)
-    assert design_filter("cem", target, zero, cov).weights == pytest.approx(
-        design_filter("cem-correlation", target, zero, cov).weights
-    )
-
-
-def test_cem_and_matched_filter_are_one():
-    problem = random_problem(5)
-    one, other = (design_filter(name, *problem) for name in ("cem", "matched-filter"))
-    np.testing.assert_array_equal(one.weights, other.weights)
-
-
 def test_singular_covariance_names_rank_and_condition():
     rng = np.random.default_rng(6)
     x = rng.standard_normal((6, 12))  # six pixels of twelve bands
@@ -106,11 +91,6 @@ def test_refusals(bad):
         mean = mean[:-1]
     with pytest.raises(UsageError):
         design_filter("ace" if bad == "name" else "cem", target, mean, cov)
-
-
-def test_principal_components_refuse_more_than_there_are():
-    with pytest.raises(UsageError, match="5 principal components of 3 bands"):
-        principal_components(np.eye(3), 5)
 
 
 @pytest.mark.parametrize(("low", "high", "words"), [(0.6, 0.1, "brighter"), (0.1, 0.6, "no slope in 1 of 2")])

@@ -9,7 +9,7 @@ import pytest
 from spectra_shells import CORRELATION, NM, hypernets
 
 from hyperval.errors import InputError
-from hyperval.model.surfaces import Sources, covariance_in_bands
+from hyperval.model import Sources, covariance_in_bands
 from hyperval.scenario import SpectrumSource
 from hyperval.spectra import SpectralAxis, band_average, read_hypernets, read_records, read_spectrum
 

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.model import Evaluation, predict, read, settled, with_values
-from hyperval.model.detection import detect
-from hyperval.model.world import column_of
+from hyperval.model import Evaluation, column_of, detect, predict, read, settled, with_values
 from hyperval.settings import setting, with_settings
 from hyperval.study.evaluate import Evaluator, of_truths
 from hyperval.study.schema import Output

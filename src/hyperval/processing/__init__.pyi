@@ -82,7 +82,7 @@ from .sample import (
     statistics_of_factor,
 )
 from .snr import snr_decorrelated, snr_from_moments
-from .statistics import MAX_THREADS, darkest_values, region_statistics
+from .statistics import MAX_THREADS, Labels, darkest_values, region_statistics
 from .wavelength_check import (
     FEATURES,
     OXYGEN_RESIDUAL,
@@ -109,6 +109,7 @@ __all__ = [
     "AlarmBlocks",
     "EigenDirections",
     "EmpiricalLine",
+    "Labels",
     "LineFit",
     "LocalWindow",
     "MeasuredPanel",

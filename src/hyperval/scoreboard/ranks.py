@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from hyperval.model.intervals import zero_count_upper_limit
-from hyperval.model.roc import AREAS
+from hyperval.model import AREAS, zero_count_upper_limit
 from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, AlarmBlocks
 from hyperval.processing.roc import interval_of_mean
 

@@ -1,40 +1,37 @@
-"""Truths in which something else stands at a path: each against what it must do, and together."""
+"""What is moved by its path: what it must do, where it stops, and what leads nowhere."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from uncertain_scene import AXIS, ORIGINS, run, scenario
+from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.model import fill_distribution, read, together, value_at, with_mean
-from hyperval.model.inputs import number_input
-from hyperval.model.surfaces import in_bands
+from hyperval.model import (
+    Origins,
+    fill_distribution,
+    in_bands,
+    inputs_of,
+    number_input,
+    read,
+    together,
+    value_at,
+    with_mean,
+)
 from hyperval.scenario import Fill
-from hyperval.settings import with_settings
 from hyperval.spectra import SpectralAxis
+from hyperval.uncertainty.attribution.ranking import assumed_inputs
 
 B = len(AXIS)
 KEY = ("tenth", "cem", "pixel")
 PLANK = "surfaces.plank.mean"
+WORLD = read(scenario(), ORIGINS)
+CLOSE = SpectralAxis(np.arange(420.0, 900.0, 3.6), 4.8)
 
 
 def mean(surface: str) -> np.ndarray:
     """Its reflectance as stated."""
     return value_at(read(scenario(), ORIGINS), f"surfaces.{surface}.mean")[0]
-
-
-def test_nothing_moved_changes_nothing():
-    base, same = run(scenario()), run(scenario(), truth={})
-    for name in base.radiance:
-        np.testing.assert_array_equal(base.radiance[name].mean, same.radiance[name].mean)
-    np.testing.assert_array_equal(base.roc[KEY].pd, same.roc[KEY].pd)
-
-
-def test_settings_are_those_of_the_dotted_path():
-    a = run(scenario(), truth={"atmosphere.aot550": 0.3})
-    b = run(with_settings(scenario(), {"atmosphere.aot550": 0.3}))
-    np.testing.assert_array_equal(a.radiance["grass"].mean, b.radiance["grass"].mean)
 
 
 def test_recorded_gain_and_offset_scale_radiance_and_noise_and_cancel_after_the_empirical_line():
@@ -53,16 +50,6 @@ def test_recorded_gain_and_offset_scale_radiance_and_noise_and_cancel_after_the_
     np.testing.assert_allclose(gained.noise["panel"]["shot"], gain**2 * base.noise["panel"]["shot"], rtol=1e-12)
 
 
-def test_path_ground_and_irradiance_split_the_radiance():
-    s, a = scenario(), np.linspace(0.95, 1.05, B)
-    base = run(s).radiance["panel"].mean
-    path = run(s, truth={"light.path": a}).radiance["panel"].mean - base
-    ground = run(s, truth={"light.ground": a}).radiance["panel"].mean - base
-    both = run(s, truth={"light.irradiance": a}).radiance["panel"].mean - base
-    np.testing.assert_allclose(both, (a - 1) * base, rtol=1e-9, atol=1e-14)
-    np.testing.assert_allclose(path + ground, both, rtol=1e-9, atol=1e-14)
-
-
 def test_spectrum_departs_while_the_filter_looks_for_what_was_stated():
     added, stated = np.linspace(-0.03, 0.03, B), mean("plank")
     base, off = run(scenario()), run(scenario(), truth={PLANK: stated + added})
@@ -75,53 +62,11 @@ def test_spectrum_departs_while_the_filter_looks_for_what_was_stated():
     assert abs(moved) > 1e-4
 
 
-def test_statistics_of_a_class():
-    base = run(scenario())
-    off = run(scenario(), truth={"surfaces.grass.mean": mean("grass") + 0.01, "surfaces.grass.spread": 2.0**0.5})
-    np.testing.assert_allclose(off.reflectance["grass"].mean, base.reflectance["grass"].mean + 0.01, atol=1e-12)
-    # Twice the covariance on top of the same noise: more spread in every band, less than twice the variance.
-    ratio = np.diag(off.reflectance["grass"].pixel_covariance) / np.diag(base.reflectance["grass"].pixel_covariance)
-    assert np.all((ratio > 1.0) & (ratio <= 2.01))
-    with pytest.raises(UsageError, match="no such surface"):
-        run(scenario(), truth={"surfaces.gras.mean": 0.1})
-
-
-def test_noise_and_signal_factors():
-    base = run(scenario())
-    loud = run(scenario(), truth={"sensor.noise": 2.0})
-    np.testing.assert_allclose(loud.snr["panel"].mean, 0.5 * base.snr["panel"].mean, rtol=1e-12)
-    bright = run(scenario(), truth={"sensor.electrons": 4.0})
-    np.testing.assert_allclose(bright.noise["panel"]["shot"], base.noise["panel"]["shot"] / 4.0, rtol=1e-12)
-    np.testing.assert_allclose(bright.noise["panel"]["fixed"], base.noise["panel"]["fixed"] / 16.0, rtol=1e-12)
-
-
-def test_wavelength_shift_is_that_of_the_sensor_operation():
-    a = run(scenario(), truth={"sensor.wavelength_shift_nm": 1.5})
-    b = run(with_settings(scenario(), {"sensor_operation": {"wavelength_shift_nm": 1.5}}))
-    np.testing.assert_allclose(a.radiance["grass"].mean, b.radiance["grass"].mean, rtol=1e-12)
-    np.testing.assert_allclose(a.roc[KEY].pd, b.roc[KEY].pd, rtol=1e-9)
-
-
-def test_fills():
-    off = run(scenario(), truth={"fill.tenth": 0.15})
-    there = run(scenario(**{"fixed: 0.1": "fixed: 0.15"}))
-    np.testing.assert_allclose(off.roc[KEY].pd, there.roc[KEY].pd, rtol=1e-12)
-    both = run(scenario(), truth={"fill.plank": np.array([0.13, 0.18]), "fill.tenth": 0.12})
-    np.testing.assert_allclose(both.roc[KEY].pd, off.roc[KEY].pd, rtol=1e-9)
-    with pytest.raises(UsageError, match=r"fill\.nineth"):
-        run(scenario(), truth={"fill.nineth": 0.1})
-
-
 def test_fill_from_geometry_moves_its_mean_by_area():
     fill = Fill.model_validate({"geometry": {"side_m": 0.3, "gsd_m": 1.0, "pixels": "best"}})
     before = fill_distribution(fill)
     after = fill_distribution(with_mean(fill, 0.01))
     assert after.mean - before.mean == pytest.approx(0.01, rel=0.1)  # the area is exact, the phase nearly
-
-
-def test_a_spread_of_fill_stays_below_that_of_all_or_nothing():
-    after = with_mean(Fill(mean=0.5, sd=0.3), -0.48)
-    assert (after.mean, after.sd) == pytest.approx((0.02, 0.99 * np.sqrt(0.02 * 0.98)))
 
 
 def test_changes_at_one_path_add_up_and_paths_to_one_number_compose():
@@ -136,14 +81,6 @@ def test_changes_at_one_path_add_up_and_paths_to_one_number_compose():
     np.testing.assert_allclose(twice.noise["panel"]["shot"], once.noise["panel"]["shot"], rtol=1e-12)
 
 
-def test_reflectance_domain_takes_a_recorded_gain_and_refuses_light():
-    s = scenario("")
-    base, off = run(s), run(s, truth={"sensor.gain": 1.1, "sensor.offset": 0.01})
-    np.testing.assert_allclose(off.reflectance["grass"].mean, 1.1 * base.reflectance["grass"].mean + 0.01)
-    with pytest.raises(UsageError, match="no atmosphere"):
-        run(s, truth={"light.path": 1.1})
-
-
 def test_a_library_at_the_labelled_bands_moves_with_a_shift_and_is_not_smoothed():
     w = np.arange(400.0, 1000.0, 5.0)
     axis = SpectralAxis(w, np.full(w.size, 6.0))
@@ -156,3 +93,58 @@ def test_a_library_at_the_labelled_bands_moves_with_a_shift_and_is_not_smoothed(
         assert np.nanmax(np.abs(in_bands(w, values, true) - exact)) > 3e-3
     holes = np.where(np.abs(w - 500) < 8, np.nan, values)
     assert np.array_equal(np.isnan(in_bands(w, holes, true, axis)), np.isnan(holes))
+
+
+def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
+    def far_below(path: str):
+        item = number_input(WORLD, "x", "scene", path, 1.0)
+        return item.moved(-1e6)[path]
+
+    assert far_below("atmosphere.aot550") == 0.0
+    assert far_below("sensor.noise") == pytest.approx(1e-3)
+    np.testing.assert_array_equal(far_below("surfaces.asphalt.mean"), np.zeros(B))
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("surfaces.nobody.mean", "no such surface"),
+        ("surfaces.plank.tail_dof", "no such class"),
+        ("fraction.plank", "no such class"),
+        ("fill.nobody", "fill.nobody"),
+        ("blur", "geometry"),
+        ("atmosphere.view", "no 'view'"),
+        ("nothing.at.all", "no 'nothing'"),
+    ],
+)
+def test_a_path_that_leads_nowhere_is_refused(path, words):
+    with pytest.raises(UsageError, match=words):
+        value_at(WORLD, path)
+
+
+def test_light_needs_an_atmosphere():
+    with pytest.raises(UsageError, match="no atmosphere"):
+        value_at(read(scenario(""), Origins(axis=AXIS)), "light.irradiance")
+
+
+def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate():
+    text = ATMOSPHERE + "uncertainty: {noise: {relative: 0.1}, fractions: [{subject: grass, absolute: 0.1}]}\n"
+    world = read(scenario(text), ORIGINS)
+    assumed = {i.path for i in assumed_inputs(world)}
+    assert not assumed & {i.path for i in inputs_of(world)}
+    assert {"sensor.gain", "surfaces.[grass].mean", "surfaces.[panel].mean"} <= assumed
+    assert "surfaces.[plank].mean" not in assumed
+    assert all(i.source == "usual" for i in assumed_inputs(world))
+
+
+def test_a_library_at_the_bands_own_centres_is_taken_as_it_stands():
+    values = np.sin(CLOSE.centre_nm / 7.0)
+    assert np.array_equal(in_bands(CLOSE.centre_nm + 0.01, values, CLOSE), values)
+
+
+def test_a_library_that_lacks_some_bands_is_taken_as_it_stands_in_the_others():
+    values, there = np.sin(CLOSE.centre_nm / 7.0), np.ones(len(CLOSE), bool)
+    there[[0, 5, 6, len(CLOSE) - 1]] = False
+    found = in_bands(CLOSE.centre_nm[there], values[there], CLOSE)
+    assert np.array_equal(found[there], values[there])
+    assert np.isnan(found[~there]).all()

@@ -50,9 +50,9 @@ sensor: prospectir-vs
 """
 
 
-def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
+def scenario(extra: str = ATMOSPHERE, scene: str = SCENE, **replaced: str) -> Scenario:
     """The scene with more YAML after it, and words of its text replaced."""
-    text = SCENE + extra
+    text = scene + extra
     for old, new in replaced.items():
         text = text.replace(old, new)
     data, lines = parse_yaml(text)
