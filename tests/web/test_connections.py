@@ -14,6 +14,7 @@ import requests
 
 pytest.importorskip("fastapi", reason="needs the extra web")
 
+pytestmark = pytest.mark.slow  # limits of time are waited for
 HOST = "127.0.0.1"
 MOST = 40  # connections of one address
 PATIENCE_S = 25.0  # limits of 10 s, on a busy machine

@@ -74,16 +74,7 @@ def test_every_answer_has_the_policy_and_the_cookie_its_attributes(server):
 
 def test_pages_hold_no_script_of_their_own_and_nothing_from_elsewhere(server, client):
     run = client.post(f"{server.address}/api/v1/predictions", json=EASY).json()["id"]
-    for path in (
-        "/",
-        "/predict?scenario=panels",
-        "/trade",
-        "/validate",
-        "/bring",
-        "/runs",
-        "/docs",
-        f"/runs/{run}",
-    ):
+    for path in ("/", "/predict?scenario=panels", "/trade", "/validate", "/bring", "/runs", "/docs", f"/runs/{run}"):
         text = client.get(server.address + path).text
         assert "<script>" not in text
         assert "onclick" not in text
@@ -268,14 +259,7 @@ def test_no_path_leads_out(server, client, path):
 
 def test_files_of_a_run_are_those_it_offers(server, client):
     run = client.post(f"{server.address}/api/v1/predictions", json=EASY).json()["id"]
-    for name in (
-        "run.json",
-        "answer.npz",
-        "..%2frun.json",
-        "%2fetc%2fpasswd",
-        "figures/..",
-        "",
-    ):
+    for name in ("run.json", "charts.json", "..%2frun.json", "%2fetc%2fpasswd", "figures/..", ""):
         assert client.get(f"{server.address}/api/v1/runs/{run}/files/{name}").status_code in (404, 405)
 
 

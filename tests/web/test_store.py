@@ -24,7 +24,7 @@ def again(store, **limits):
 
 def finished(store, owner="a", name="x"):
     run = store.new(owner, "prediction", name, "", "1")
-    (store.place(run.id) / "answer.npz").write_bytes(b"a" * 1000)
+    (store.place(run.id) / "charts.json").write_bytes(b"a" * 1000)
     return store.change(run.id, state="finished", summary={"bands": 3})
 
 

@@ -24,7 +24,6 @@ from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, Sp
 from hyperval.run import write_products
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class, write_statistics_library
-from hyperval.web.tasks import write_answer
 
 SHAPE = (10, 12)
 NM = np.arange(400.0, 1000.0, 50.0)
@@ -213,11 +212,10 @@ def with_text_beside(folder: Path) -> dict[str, dict[str, bytes]]:
     return out
 
 
-def results(folder: Path) -> dict[str, dict[str, bytes]]:
-    """Files in which a run keeps its products."""
+def run_products(folder: Path) -> dict[str, bytes]:
+    """The file in which a run keeps its products."""
     write_products(folder, {"predicted": prediction(), "observed": None}, title="t", simulated=True)
-    write_answer(folder / "answer.npz", prediction())
-    return {name: {name: (folder / name).read_bytes()} for name in ("products.nc", "answer.npz")}
+    return {"products.nc": (folder / "products.nc").read_bytes()}
 
 
 def products_of_imagers(folder: Path) -> dict[str, dict[str, bytes]]:

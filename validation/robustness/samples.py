@@ -27,8 +27,8 @@ from contents import (
     libraries,
     products_of_imagers,
     radcalnet,
-    results,
     rows,
+    run_products,
     tape7,
     texts,
     with_text_beside,
@@ -51,7 +51,6 @@ from hyperval.simulate.schema import load_scene
 from hyperval.spectra import read_records, read_spectrum
 from hyperval.statistics_library import read_statistics_library
 from hyperval.study.schema import load_study
-from hyperval.web.tasks import read_answer
 
 ROOT = Path(__file__).parents[2]
 
@@ -138,11 +137,6 @@ def _truth(path: Path) -> None:
         finite(target.area_m2, "area_m2")
         if target.fills is None or target.fills.min() < 0 or target.fills.max() > 1:
             raise ImplausibleError(f"fills of {target.name!r}")
-
-
-def _answer(path: Path) -> None:
-    found = read_answer(path)
-    increasing(found.axis.centre_nm, "wavelength_nm")
 
 
 def _regions(path: Path) -> None:
@@ -264,11 +258,9 @@ def samples(folder: Path) -> list[Sample]:
         Sample("dirsig header", beside["dirsig header"], lambda f: _truth(f / "truth.img"), 0.5),
         Sample("dirsig truth", beside["dirsig truth"], lambda f: _truth(f / "truth.img"), 0.3),
     ]  # fmt: skip
-    kept = results(folder)
     out += [
         Sample("radcalnet", {"a.input": radcalnet().encode()}, lambda f: _spectra(f / "a.input")),
-        Sample("products.nc", kept["products.nc"], read_pair, 0.03),
-        Sample("answer of the web application", kept["answer.npz"], lambda f: _answer(f / "answer.npz"), 0.1),
+        Sample("products.nc", run_products(folder), read_pair, 0.03),
     ]
     for kind, (path, read, share) in _yaml().items():
         content = {"a.yaml": path.read_bytes()}

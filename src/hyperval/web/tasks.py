@@ -1,10 +1,7 @@
 """What the workers do: each function takes plain values and folders, and returns what a list or page says of it.
 
-What pages draw of a prediction, small enough to be written while somebody waits: means, errors, curves, scores.
-
-Covariances, which are most of ``products.nc``, are left to that file.
-
-The charts of the reports for one prediction, or for two beside each other.
+Of a prediction its scenario is kept and what pages draw of it.  Whatever else is asked for, such as charts beside those
+of an earlier run, follows from the scenario again, in less time than its covariances take to be read.
 """
 
 from __future__ import annotations
@@ -31,7 +28,7 @@ from hyperval.campaign.run import observe, validate
 from hyperval.campaign.sides import Inputs
 from hyperval.campaign.starter import StarterSources, starter_campaign
 from hyperval.config import load_model
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import UsageError
 from hyperval.figures.catalogue import first_figures
 from hyperval.figures.detection import densities_figure, exceedance_figure
 from hyperval.figures.spec import Figure, statement
@@ -42,8 +39,6 @@ from hyperval.observe.place import open_source
 from hyperval.products import (
     ObservedProducts,
     PredictedProducts,
-    RocCurve,
-    ScoreDistribution,
     SpectralEstimate,
     background_of,
 )
@@ -53,70 +48,9 @@ from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import load_scene, simulate
 from hyperval.simulate.inputs import load_inputs
-from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import write_text
 from hyperval.study.run import study_to_folder
 from hyperval.web.store import COLLECTION, view_name
-
-Array = npt.NDArray[np.float64]
-_SPECTRA = ("radiance", "toa_reflectance", "snr", "reflectance")
-_CURVE = ("pfa", "pd", "pd_lower", "pd_upper", "threshold")
-_VERSION = 1
-
-
-def write_answer(path: Path, prediction: PredictedProducts) -> None:
-    """Write what is drawn of a prediction."""
-    axis = prediction.axis
-    arrays: dict[str, Any] = {"nm": axis.centre_nm, "fwhm": axis.fwhm_nm, "good": axis.good}
-    names: dict[str, Any] = {"version": _VERSION, "notes": list(prediction.notes)}
-    for product in _SPECTRA:
-        estimates: Mapping[str, SpectralEstimate] = getattr(prediction, product)
-        names[product] = list(estimates)
-        if estimates:
-            arrays[product] = np.stack([[e.mean, e.standard_uncertainty] for e in estimates.values()])
-    names["roc"] = [list(key) for key in prediction.roc]
-    for number, curve in enumerate(prediction.roc.values()):
-        arrays[f"roc{number}"] = np.stack([getattr(curve, part) for part in _CURVE])
-    names["scores"] = [[*key, s.mean, s.sd] for key, s in prediction.scores.items()]
-    for number, score in enumerate(prediction.scores.values()):
-        if score.grid is not None and score.density is not None:
-            arrays[f"score{number}"] = np.stack([score.grid, score.density])
-    with path.open("wb") as file:
-        np.savez(file, names=np.array(json.dumps(names)), **arrays)
-
-
-@reader
-def read_answer(path: Path) -> PredictedProducts:
-    """A prediction as pages draw it: the error covariance of a spectrum is diagonal.
-
-    Raises
-    ------
-    InputError : no such file, or a damaged one.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            names = json.loads(str(stored["names"]))
-            axis = SpectralAxis(stored["nm"], stored["fwhm"], stored["good"])
-            spectra: dict[str, Any] = {
-                product: dict(_estimates(names[product], stored, product)) for product in _SPECTRA
-            }
-            roc = {
-                (s, d, u): RocCurve(**dict(zip(_CURVE, stored[f"roc{i}"], strict=True)), unit=u)
-                for i, (s, d, u) in enumerate(names["roc"])
-            }
-            scores = {
-                (s, d): ScoreDistribution(mean, sd, None, *stored.get(f"score{i}", ()))
-                for i, (s, d, mean, sd) in enumerate(names["scores"])
-            }
-    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
-        raise InputError("the numbers of this run cannot be read", mend="run it again") from error
-    return PredictedProducts(axis, **spectra, scores=scores, roc=roc, notes=tuple(names["notes"]))
-
-
-def _estimates(names: list[str], stored: Mapping[str, Array], product: str) -> Iterator[tuple[str, SpectralEstimate]]:
-    for number, name in enumerate(names):
-        mean, u = stored[product][number]
-        yield name, SpectralEstimate(mean, np.diag(u**2))
 
 
 def charts_of(sides: Mapping[str, PredictedProducts]) -> list[dict[str, Any]]:
@@ -151,10 +85,8 @@ def warm() -> None:
 def predict(folder: str) -> dict[str, Any]:
     """Predict the scenario of a folder, and write what pages draw of it."""
     place = Path(folder)
-    scenario = load_model(Scenario, place / "scenario.yaml")
-    scenario._folder = place
-    prediction = api.predict(scenario)
-    write_answer(place / "answer.npz", prediction)
+    prediction = _predicted(folder)
+    _write(place / view_name("charts"), charts_of({"predicted": prediction}))
     return summary(prediction)
 
 
@@ -189,16 +121,18 @@ def _number(value: Any) -> float | None:
 
 
 @lru_cache(maxsize=8)
-def _answer(folder: str) -> PredictedProducts:
-    return read_answer(Path(folder) / "answer.npz")
+def _predicted(folder: str) -> PredictedProducts:
+    scenario = load_model(Scenario, Path(folder) / "scenario.yaml")
+    scenario._folder = Path(folder)
+    return api.predict(scenario)
 
 
 def draw(folder: str, earlier: str | None = None) -> None:
     """Write the charts of a prediction, beside those of an earlier one where there is one."""
-    sides = {"predicted": _answer(folder)}
+    sides = {"predicted": _predicted(folder)}
     name = view_name("charts")
     if earlier is not None:
-        sides["earlier"] = _answer(earlier)
+        sides["earlier"] = _predicted(earlier)
         name = view_name(f"charts-{Path(earlier).name}")
     _write(Path(folder) / name, charts_of(sides))
 
