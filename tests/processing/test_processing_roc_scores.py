@@ -7,11 +7,11 @@ import pytest
 from scipy import integrate, stats
 
 from hyperval.model import ClassScores, RocScores
-from hyperval.processing import FEATURES, OXYGEN_RESIDUAL, RED_EDGE, red_edge, wavelength_shifts
-from hyperval.spectra import SpectralAxis
 
 # Two classes, one with a tail, and targets of two fills.
 FRACTION, MEAN, SD, DOF = (0.7, 0.3), (0.0, 0.1), (0.05, 0.08), (np.inf, 5.0)
+
+
 MEANS, SDS, WEIGHTS = (0.15, 0.3), (0.04, 0.06), (0.4, 0.6)
 
 
@@ -68,42 +68,3 @@ def test_evaluations_without_scores_have_no_threshold():
     assert np.isfinite(threshold[0]).all()
     assert np.isnan(threshold[1]).all()
     assert np.isnan(made.thresholds(np.array([[0.0, 0.1], [0.1, 1.1]]))).all()
-
-
-NM = np.arange(400.0, 1250.0, 5.0)
-
-
-def spectrum_at(nm, shift):
-    out = np.full(nm.size, 10.0)
-    for feature, width, depth in zip(FEATURES, (3.5, 18.0, 15.0), (0.5, 0.6, 0.6), strict=True):
-        out *= 1.0 - depth * np.exp(-0.5 * ((nm - feature.centre_nm - shift) / width) ** 2)
-    return out
-
-
-@pytest.mark.parametrize("shift", [-3.0, 0.0, 4.0])
-def test_every_absorption_tells_the_shift_that_was_made(shift):
-    axis = SpectralAxis(NM, np.full(NM.size, 5.0))
-    found = {s.feature: s for s in wavelength_shifts(spectrum_at(NM, shift), axis)}
-    assert set(found) == {f.name for f in FEATURES}
-    for s in found.values():
-        assert s.nm == pytest.approx(shift, abs=0.6)
-        assert s.certain == (abs(s.nm) > 1.96 * s.uncertainty_nm)
-
-
-def test_wide_bands_and_few_of_them_tell_nothing():
-    wide = SpectralAxis(NM, np.full(NM.size, 20.0))
-    assert FEATURES[0].name not in {s.feature for s in wavelength_shifts(spectrum_at(NM, 0.0), wide)}
-    few = SpectralAxis(NM[:3], np.full(3, 5.0))
-    assert list(wavelength_shifts(np.ones(3), few)) == []
-    unknown = SpectralAxis(NM, np.full(NM.size, 5.0))
-    assert list(wavelength_shifts(np.full(NM.size, np.nan), unknown)) == []
-
-
-def test_reflectance_is_looked_at_for_the_red_edge():
-    plant = 0.04 + 0.4 / (1.0 + np.exp(-(NM - 717.0 - 6.0) / 9.0))
-    axis = SpectralAxis(NM, np.full(NM.size, 5.0))
-    found = {s.feature: s.nm for s in wavelength_shifts(plant, axis, reflectance=True)}
-    assert found[RED_EDGE.name] == pytest.approx(6.0, abs=1.0)
-    assert set(found) <= {RED_EDGE.name, OXYGEN_RESIDUAL}
-    assert np.isnan(red_edge(NM, np.full(NM.size, 0.2)))  # nothing rises
-    assert np.isnan(red_edge(NM[NM < 640.0], plant[NM < 640.0]))  # nothing is seen of it

@@ -5,6 +5,7 @@ from .alarm_blocks import (
     LEAST_EXPECTED_ALARMS,
     AlarmBlocks,
     block_side,
+    exceedance_at,
     exceedance_curve,
     false_alarm_ratio,
 )
@@ -139,6 +140,7 @@ __all__ = [
     "drawn_factor",
     "drawn_pixels",
     "empirical_roc",
+    "exceedance_at",
     "exceedance_curve",
     "exceedance_of_distance",
     "factor_covariance",

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import special
+from scipy import special, stats
 
 from hyperval.errors import UsageError
-from hyperval.model import ClassLaw, GaussianClassifier, class_features, feature_bands, measured_error, predicted_error
+from hyperval.model import (
+    ClassLaw,
+    GaussianClassifier,
+    class_features,
+    feature_bands,
+    measured_error,
+    predicted_error,
+    with_distances,
+)
+from hyperval.products import ClassificationError
 
 
 def law(mean, spread=1.0, dof=np.inf):
@@ -25,13 +34,6 @@ def test_equal_covariances_have_the_closed_form():
     assert found.lower < found.error < found.upper
 
 
-@pytest.mark.parametrize("spread", [1.0, 4.0, 0.2])
-def test_error_lies_between_the_bounds(spread):
-    found = predicted_error([law([0.0, 0.0, 0.0]), law([1.0, 1.0, 0.0], spread)], np.random.default_rng(2))
-    assert found.bound_lower <= found.upper
-    assert found.lower <= found.bound_upper
-
-
 def test_more_classes_than_two():
     # Three far corners of a triangle: the pairs do not overlap elsewhere, so that the estimate is near the error.
     laws = [law([0.0, 0.0]), law([4.0, 0.0]), law([2.0, 3.5])]
@@ -39,18 +41,6 @@ def test_more_classes_than_two():
     assert found.approximation == pytest.approx(found.error, rel=0.12)
     assert found.bound_lower < found.error < found.bound_upper
     assert found.n == 180_000
-
-
-def test_the_same_class_twice_is_a_throw_of_a_coin():
-    found = predicted_error([law([0.0]), law([0.0])], np.random.default_rng(4), 2000)
-    assert found.approximation == 0.5
-    assert found.bound_upper == 0.5
-
-
-def test_heavy_tails_make_more_errors_far_from_the_border():
-    near = predicted_error([law([0.0, 0.0]), law([6.0, 0.0])], np.random.default_rng(5), 100_000)
-    far = predicted_error([law([0.0, 0.0], dof=4.0), law([6.0, 0.0], dof=4.0)], np.random.default_rng(5), 100_000)
-    assert far.lower > near.upper
 
 
 def test_classifier_is_quadratic_discriminant_analysis():
@@ -61,18 +51,6 @@ def test_classifier_is_quadratic_discriminant_analysis():
 
     density = [multivariate_normal.logpdf(x, one.mean, one.covariance) for one in laws]
     assert np.array_equal(GaussianClassifier(laws).classify(x), np.argmax(density, axis=0))
-
-
-@pytest.mark.simulation
-def test_measured_error_of_independent_pixels_covers_the_true_one():
-    # 200 samples: inside at least 95 % (Clopper-Pearson); fewer than 180 has probability 2e-3 at most.
-    laws, rng = [law([0.0]), law([2.0])], np.random.default_rng(7)
-    exact, inside = special.ndtr(-1.0), 0
-    for _ in range(200):
-        x = [one.draw(400, rng) for one in laws]
-        found = measured_error(laws, x, [np.arange(400) // 20] * 2)
-        inside += found.lower <= exact <= found.upper
-    assert inside >= 180
 
 
 def test_pixels_that_err_together_count_once():
@@ -108,3 +86,35 @@ def test_features():
     assert class_features(laws, None) == pytest.approx(np.eye(3))
     # The classes differ along (3, 4, 0): that is the first component.
     assert class_features(laws, 1) == pytest.approx(np.array([[0.6, 0.8, 0.0]]), abs=1e-9)
+
+
+def test_pixels_of_a_t_law_have_the_covariance_that_is_stated():
+    # 200,000 pixels of 8 degrees of freedom: a variance is known to 0.5 %.
+    covariance = np.array([[2.0, 0.6], [0.6, 1.0]])
+    x = ClassLaw(np.zeros(2), covariance, 8.0).draw(200_000, np.random.default_rng(10))
+    assert np.cov(x.T) == pytest.approx(covariance, rel=0.025)
+
+
+def test_distances_of_three_classes_take_the_nearest_pair():
+    laws = [ClassLaw(np.array([at]), np.eye(1)) for at in (0.0, 1.0, 4.0)]
+    found = with_distances(ClassificationError(0.2, 0.1, 0.3, 100), laws)
+    distance = [d**2 / 8 for d in (1.0, 4.0, 3.0)]
+    assert found.distance == pytest.approx(min(distance))
+    pair = [0.5 - 0.5 * np.sqrt(1 - np.exp(-2 * d)) for d in distance]
+    assert found.bound_lower == pytest.approx(2 / 3 * max(pair))
+    assert found.bound_upper == pytest.approx(min(sum(np.exp(-d) for d in distance) / 3, 2 / 3))
+    assert found.approximation == pytest.approx(sum(2 / 3 * stats.norm.cdf(-d / 2) for d in (1.0, 4.0, 3.0)))
+
+
+def test_spread_of_the_error_from_block_to_block_by_hand():
+    laws = [ClassLaw(np.array([at]), np.eye(1)) for at in (0.0, 10.0)]
+    good, bad = np.zeros((10, 1)), np.full((10, 1), 10.0)
+    # The first class: blocks of 0, 2 and 4 errors of 10; the second errs 3 times in 30, once a block.
+    first = np.concatenate([good, good[:8], bad[:2], good[:6], bad[:4]])
+    second = np.concatenate([np.concatenate([bad[:9], good[:1]])] * 3)
+    block = np.repeat([0, 1, 2], 10)
+    found = measured_error(laws, [first, second], [block, block])
+    between = 3 / 2 * (2.0**2 + 2.0**2) / 30**2  # about 2 a block; that of the second class is 0
+    variance = (between + 0.1 * 0.9 / 30) / 4
+    assert found.error == pytest.approx(0.15)
+    assert found.effective_n == pytest.approx(0.15 * 0.85 / variance)

@@ -1,0 +1,226 @@
+"""Intervals of proportions, and of alarms that come in clusters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import ndimage, stats
+from scipy.stats import norm
+
+from hyperval.errors import UsageError
+from hyperval.model import (
+    beyond_jeffreys_limits,
+    clopper_pearson,
+    jeffreys_limits,
+    joint_region,
+    mid_p_limits,
+    zero_count_upper_limit,
+)
+from hyperval.processing import AlarmBlocks, empirical_roc, exceedance_at, exceedance_curve, false_alarm_ratio
+from hyperval.products import ExceedanceCurve
+
+
+@given(st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_limits_solve_the_binomial_tails(case):
+    k, n = case
+    low, high = (float(x) for x in clopper_pearson(k, n))
+    assert low <= k / n <= high
+    if k > 0:
+        assert stats.binom.sf(k - 1, n, low) == pytest.approx(0.025, rel=1e-7)
+    else:
+        assert low == 0.0
+    if k < n:
+        assert stats.binom.cdf(k, n, high) == pytest.approx(0.025, rel=1e-7)
+    else:
+        assert high == 1.0
+
+
+def test_no_alarm_in_12203_pixels():
+    assert zero_count_upper_limit(12203) == pytest.approx(float(clopper_pearson(0, 12203, 0.9)[1]), rel=1e-9)
+
+
+def test_joint_region_covers_both_at_once():
+    # Exact sum over both binomials at one true point.
+    m, n, pd, pfa = 20, 200, 0.8, 0.03
+    total = 0.0
+    k = np.arange(n + 1)
+    weights = stats.binom.pmf(k, n, pfa)
+    for d in range(m + 1):
+        for a in k[weights > 1e-9]:
+            region = joint_region(d, m, int(a), n)
+            if region.pd_lower <= pd <= region.pd_upper and region.pfa_lower <= pfa <= region.pfa_upper:
+                total += stats.binom.pmf(d, m, pd) * weights[a]
+    assert 0.95 <= total < 0.995
+
+
+@pytest.mark.parametrize(
+    ("k", "n", "level"), [(1, 0, 0.95), (3, 2, 0.95), (-1, 2, 0.95), (1, 2, 1.0), (np.nan, 2, 0.9)]
+)
+@pytest.mark.parametrize("limits", [clopper_pearson, mid_p_limits])
+def test_impossible_counts_are_refused(limits, k, n, level):
+    with pytest.raises(UsageError):
+        limits(k, n, level)
+
+
+def test_jeffreys_limits_hold_at_their_level_on_average_and_clopper_pearson_s_above_it():
+    """Summed over the binomial law, for P_FA of 3e-4 to 3e-3 in 44,100 pixels: no draws."""
+    n = 44_100
+    k = np.arange(0, 400)
+    share = {}
+    for name, limits in (("jeffreys", jeffreys_limits), ("exact", clopper_pearson)):
+        low, high = limits(k, n)
+        covered = [float(stats.binom.pmf(k, n, p) @ ((low <= p) & (p <= high))) for p in np.geomspace(3e-4, 3e-3, 200)]
+        share[name] = float(np.mean(covered))
+    assert share["jeffreys"] == pytest.approx(0.95, abs=0.002)
+    assert share["exact"] > 0.958
+    assert jeffreys_limits(0, n)[0] == 0.0
+    assert jeffreys_limits(n, n)[1] == 1.0
+    counts, p = np.array([0.0, 0.4, 2.5, 40.0, 79.6, 80.0])[:, None], np.linspace(0.0, 1.0, 99)
+    lower, upper = jeffreys_limits(counts, 80.0)
+    assert np.array_equal(beyond_jeffreys_limits(counts, 80.0, p), [p < lower, p > upper])
+    assert jeffreys_limits(2.5, 80.0) == pytest.approx(tuple(stats.beta.ppf([0.025, 0.975], 3.0, 78.0)))
+
+
+@pytest.mark.parametrize(("n", "mean"), [(5, 0.977), (25, 0.958), (80, 0.952)])
+def test_mid_p_limits_solve_their_tails_and_hold_on_average_and_nowhere_far_below(n, mean):
+    """Summed over the binomial law: no draws. Exact limits of 25 hold in 0.974 on average."""
+    k = np.arange(n + 1)
+    low, high = mid_p_limits(k, n)
+    inner, half = k[1:], lambda k, p: stats.binom.pmf(k, n, p) / 2
+    assert stats.binom.sf(inner, n, low[inner]) + half(inner, low[inner]) == pytest.approx(np.full(n, 0.025))
+    inner = k[:-1]
+    assert stats.binom.cdf(inner - 1, n, high[inner]) + half(inner, high[inner]) == pytest.approx(np.full(n, 0.025))
+    assert (low[0], high[-1]) == (0.0, 1.0)
+    p = np.linspace(0.02, 0.96, 1000)[:, None]
+    covered = np.sum(stats.binom.pmf(k, n, p) * ((low <= p) & (p <= high)), axis=1)
+    assert covered.mean() == pytest.approx(mean, abs=0.002)
+    assert covered.min() > 0.92
+
+
+def test_the_layout_of_classes_leaves_detection_its_interval():
+    # Half of the image 2.5 standard deviations above the other: P_D of 100 targets at 1e-3.  The threshold adds a
+    # tenth to the binomial's width, as in one class; blocks that take the layout for chance make it twice as wide.
+    rng = np.random.default_rng(10)
+    upper = np.indices((210, 210))[0] < 105
+    with_classes, without = [], []
+    for _ in range(6):
+        scores = rng.standard_normal(upper.shape) + 2.5 * upper
+        t = rng.normal(norm.isf(2e-3) + 2.5, 1.0, 100)
+        for classes, widths in ((upper, with_classes), (None, without)):
+            blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool), classes=classes)
+            rate = empirical_roc(t, blocks, 1e-3)
+            low, high = mid_p_limits(round(100 * rate.pd[0]), 100)
+            widths.append((rate.pd_upper - rate.pd_lower)[0] / (high - low))
+    assert np.median(with_classes) < 1.3
+    assert np.median(without) > 1.6
+
+
+def test_a_class_that_lies_in_one_block_counts_with_the_others():
+    # Its blocks tell nothing of its own scatter: one roof is one piece of luck, known to be a roof or not.
+    scores = np.random.default_rng(11).standard_normal((80, 80))
+    roof = np.zeros((80, 80), int)
+    roof[20:27, 20:27] = 1
+    alone = AlarmBlocks.of_map(scores + 9.0 * roof, np.ones(roof.shape, bool), classes=roof)
+    blind = AlarmBlocks.of_map(scores + 9.0 * roof, np.ones(roof.shape, bool))
+    assert np.unique(alone.stratum).size == 1
+    for limits in zip(alone.pfa_limits(np.array([6.0])), blind.pfa_limits(np.array([6.0])), strict=True):
+        assert limits[0] == pytest.approx(limits[1], rel=0.05)  # the roof has cells of its own
+
+
+def test_halves_of_an_image_differ_by_the_rates_of_their_own_pixels():
+    # Of 1, 1, 3, 3 pixels 1, 0, 0, 2 are alarms, and half of every block of a class of 32 pixels, which adds 16 to
+    # either half. Three ways to halve four blocks: 20 : 18 2/3, 20 : 18 and 22 : 16, each in a third of the draws.
+    block = np.repeat(np.arange(8), [1, 1, 3, 3, 8, 8, 8, 8])
+    scores = np.concatenate([[1.0, 0, 0, 0, 0, 1, 1, 0], np.tile([1.0, 0.0], 16)])
+    blocks = AlarmBlocks.of_places(scores, 20 * block, 0 * block, 10, block > 3)
+    assert blocks.half_image_factor(np.array([0.5])) == pytest.approx([20.0 / 18.0])
+    single = AlarmBlocks.of_places(scores, 0 * block, 0 * block, 10)
+    assert single.half_image_factor(np.array([0.5]))[0] == np.inf
+
+
+def test_ranks_of_a_threshold_are_those_whose_interval_holds_the_probability():
+    # 36 scores are few enough for the effect of each to be looked up: the limits themselves, one by one.
+    scores = np.random.default_rng(12).normal(size=(3, 3)).repeat(2, 0).repeat(2, 1) + np.arange(36).reshape(6, 6) / 99
+    blocks = AlarmBlocks.of_map(scores, np.ones((6, 6), bool), side=2)
+    _, low, high = blocks.pfa_limits(np.append(blocks.ascending[::-1], -np.inf))
+    pfa = np.array([0.1, 0.3, 0.85, 0.95])
+    holds = (low <= pfa[:, None]) & (pfa[:, None] <= high)
+    r, s = blocks.rank_limits(pfa)
+    assert r.tolist() == holds.argmax(axis=1).tolist()
+    assert s.tolist() == [37 - int(row[::-1].argmax()) for row in holds]
+
+
+def test_a_threshold_that_no_background_score_bounds_from_below_leaves_every_target_open():
+    """At 0.9 of ten scores the true threshold may lie below them all, and below targets that lie there too."""
+    rate = empirical_roc([-5.0, -5.0, -5.0], np.arange(10.0), [0.5, 0.9])
+    assert rate.pd.tolist() == [0.0, 0.0]
+    assert rate.pd_upper[1] == 1.0
+    assert rate.pd_upper[0] == mid_p_limits(0, 3)[1] < 1.0
+
+
+def test_log_linear_between_points():
+    curve = exceedance_curve(AlarmBlocks.of_map(np.random.default_rng(2).exponential(size=(60, 60)), np.ones((60, 60))))
+    x, p = curve.threshold, curve.probability
+    assert exceedance_at(curve, float(x[3])) == pytest.approx(p[3])
+    assert exceedance_at(curve, 0.5 * (x[3] + x[4])) == pytest.approx(np.sqrt(p[3] * p[4]))
+    assert exceedance_at(curve, 1e3) == pytest.approx(p[p > 0][-1])
+
+
+def test_interval_of_exceedance_by_blocks_in_plain_loops():
+    rng = np.random.default_rng(5)
+    image = ndimage.gaussian_filter(rng.standard_normal((22, 30)), 1.0)  # 30 columns: blocks of 4 leave two over
+    counted = rng.random(image.shape) < 0.9
+    curve = exceedance_curve(AlarmBlocks.of_map(image, counted, side=4))
+    total = counted.sum()
+    effects, struck = [], []
+    for t, p in zip(curve.threshold, curve.probability, strict=True):
+        left, part = np.zeros((2, 8, 10))  # a ring of nothing around 6 x 8 blocks
+        for i in range(6):
+            for j in range(8):
+                inside = counted[4 * i : 4 * i + 4, 4 * j : 4 * j + 4]
+                alarms = np.sum(image[4 * i : 4 * i + 4, 4 * j : 4 * j + 4][inside] > t)
+                left[i + 1, j + 1] = alarms - p * inside.sum()
+                part[i + 1, j + 1] = inside.sum() / total
+        squares, taken = (
+            sum(x[i : i + 2, j : j + 2].sum() ** 2 / 4 for i in range(7) for j in range(9)) for x in (left, part)
+        )
+        alone = np.sum(left**2) / (1 - np.sum(part**2))
+        # The variance of sum e^2: e^4 less its mean by block, and products of neighbours, each pair twice.
+        scatter = np.sum(left**4) - np.sum(left**2) ** 2 * np.sum(part**2)
+        for i in range(1, 7):
+            for j in range(1, 9):
+                for down, along in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+                    weight = 1 / (1 + abs(down)) / (1 + abs(along))
+                    scatter += 2 * weight**2 * left[i, j] ** 2 * left[i + down, j + along] ** 2
+        widened = stats.t.ppf(0.975, max(2 * np.sum(left**2) ** 2 / scatter - 1, 1)) / stats.norm.ppf(0.975)
+        beyond = max(squares / (1 - taken), alone) / (total * p * (1 - p)) - 1 if p else 0.0
+        effects.append(max(1 + beyond * widened**2, 1.0))
+        struck.append(np.count_nonzero(np.abs(left[1:-1, 1:-1] + p * np.array([
+            [counted[4 * i : 4 * i + 4, 4 * j : 4 * j + 4].sum() for j in range(8)] for i in range(6)
+        ])) > 1e-9))  # fmt: skip
+    checked = 0
+    for i, (p, low, high) in enumerate(zip(curve.probability, curve.lower, curve.upper, strict=True)):
+        if struck[i] < 2:
+            assert np.isnan(low)
+            continue
+        near = [e for e, q in zip(effects, curve.probability, strict=True) if p <= q <= 10 * p]
+        effect = 0.75 * max(near) + 0.25 * np.mean(near)
+        k, n = total * p / effect, total / effect
+        limits = stats.beta.ppf([0.025, 0.975], k + 0.5, n - k + 0.5)
+        assert (low, high) == pytest.approx(limits, rel=1e-9)
+        checked += 1
+    assert checked > 5
+
+
+def test_the_point_of_a_level_is_the_nearest_by_ratio():
+    grid = np.arange(3.0)
+    measured = ExceedanceCurve(grid, np.array([0.5, 0.017, 0.004]), *np.full((2, 3), 0.01), 1000)
+    found = false_alarm_ratio(measured, measured, 1e-2)
+    assert (found.at, found.value) == (1, pytest.approx(1.0))
+
+
+def test_fewer_than_twenty_pixels_have_no_curve():
+    with pytest.raises(UsageError, match="too few"):
+        exceedance_curve(AlarmBlocks.of_map(np.zeros((4, 4)), np.ones((4, 4), bool)))

@@ -1,0 +1,350 @@
+"""Detectors on spectra and on stored cubes: SPy, closed forms and brute force, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import spectral
+from exact_forms import auc
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from stored_cubes import BANDS, LINES, SAMPLES, numbers, stored
+
+from hyperval.collection import LocalWindowSource
+from hyperval.errors import UsageError
+from hyperval.processing import (
+    DETECTORS,
+    LOCAL_DETECTORS,
+    LocalWindow,
+    MeasuredPanel,
+    detectors,
+    fit_elm,
+    footprint,
+    footprint_maxima,
+    footprint_sums,
+    object_scores,
+    osp_filter,
+    pixel_detector,
+    placed_with_halo,
+    score_cube,
+    score_cube_locally,
+    values_on,
+    whitener_of,
+    with_halo,
+)
+
+B = 12
+
+
+@pytest.fixture
+def scene():
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(500, B)) @ rng.normal(size=(B, B)) + 10
+    target = 1.2 * x[0] + rng.normal(size=B)
+    return x, target, x.mean(axis=0), np.cov(x.T)
+
+
+def score(name, scene, undesired=None):
+    x, target, mean, covariance = scene
+    return pixel_detector(name, target, mean, covariance, undesired).score(x, whitener_of(mean, covariance))
+
+
+def close(found, expected):
+    return np.max(np.abs(found - expected)) <= 1e-9 * np.max(np.abs(expected))
+
+
+def test_equal_to_spy(scene):
+    x, target, mean, covariance = scene
+    image, background = x.reshape(50, 10, B), spectral.GaussianStats(mean, covariance)
+    assert close(score("cem", scene), spectral.matched_filter(image, target, background).ravel())
+    assert close(score("ace", scene), spectral.ace(image, target, background=background).ravel())
+    assert close(score("rx", scene), spectral.rx(image, background=background).ravel())
+    assert close(score("sam", scene), -spectral.spectral_angles(image, target[None]).ravel())
+
+
+def test_equal_to_their_definitions(scene):
+    # The formulas of the other public package (its float32 outputs and removed NumPy names left out).
+    x, target, mean, covariance = scene
+    inverse, d, z = np.linalg.inv(covariance), target - mean, x - mean
+    assert close(score("matched-filter", scene), z @ inverse @ d / (d @ inverse @ d))
+    r = x.T @ x / len(x)
+    n = len(x)
+    own = pixel_detector("cem-correlation", target, mean, covariance * (n - 1) / n).score(x)
+    assert close(own, x @ np.linalg.inv(r) @ target / (target @ np.linalg.inv(r) @ target))
+    u = x[5:8]
+    p = np.eye(B) - u.T @ np.linalg.pinv(u.T)
+    assert close(score("osp", scene, u), x @ p @ target / (target @ p @ target))
+
+
+def test_scales_and_limits(scene):
+    x, target, mean, covariance = scene
+    at = {n: pixel_detector(n, target, mean, covariance, x[5:8]) for n in DETECTORS}
+    whitener = whitener_of(mean, covariance)
+    both = np.stack([target, mean])
+    assert at["cem"].score(both) == pytest.approx([1, 0], abs=1e-10)
+    assert at["cem-correlation"].score(target) == pytest.approx(1)
+    assert at["osp"].score(np.stack([target, x[6]])) == pytest.approx([1, 0], abs=1e-10)
+    assert at["ace"].score(mean + 0.01 * (target - mean), whitener) == pytest.approx(1)
+    assert at["sam"].score(3.0 * target) == pytest.approx(0, abs=1e-7)
+    assert score("smf", scene).std(ddof=1) == pytest.approx(1)  # over the sample that gave the covariance
+    assert score("rx", scene).mean() == pytest.approx(B * (len(x) - 1) / len(x))
+    assert np.all((score("ace", scene) >= 0) & (score("ace", scene) <= 1))
+    # smf is the matched filter in other units, and ace the cosine of smf against rx.
+    assert np.corrcoef(score("smf", scene), score("cem", scene))[0, 1] == pytest.approx(1)
+    assert score("ace", scene) == pytest.approx(score("smf", scene) ** 2 / score("rx", scene))
+
+
+def test_a_nan_pixel_is_nan_and_a_zero_pixel_has_no_angle(scene):
+    _, target, mean, covariance = scene
+    whitener = whitener_of(mean, covariance)
+    bad = np.full(B, 5.0)
+    bad[3] = np.nan
+    for name in DETECTORS:
+        detector = pixel_detector(name, target, mean, covariance, np.ones((1, B)))
+        assert np.isnan(detector.score(bad, whitener)), name
+    assert np.isnan(pixel_detector("sam", target, mean, covariance).score(np.zeros(B)))
+    assert np.isnan(pixel_detector("ace", target, mean, covariance).score(mean, whitener))
+
+
+def test_undesired_spectra_that_depend_on_each_other(scene):
+    x, target, _, _ = scene
+    one, doubled = osp_filter(target, x[:2]), osp_filter(target, np.stack([x[0], x[1], x[0] + 2 * x[1]]))
+    assert doubled.weights == pytest.approx(one.weights, rel=1e-9)
+    with pytest.raises(UsageError, match="mixture of the undesired"):
+        osp_filter(0.3 * x[0] + 0.7 * x[1], x[:2])
+    with pytest.raises(UsageError, match="needs the spectra"):
+        osp_filter(target, None)
+    with pytest.raises(UsageError, match="11 bands"):
+        osp_filter(target, x[:2, :11])
+
+
+def test_a_pseudo_inverse_never_hides_a_lost_rank(scene):
+    # 60 pixels of rank 58: the peers' pseudo-inverse gives plausible scores.
+    x = np.random.default_rng(1).normal(size=(59, 60))
+    for name in ("cem", "smf", "ace"):
+        with pytest.raises(UsageError, match="rank 58 of 60"):
+            pixel_detector(name, np.ones(60), x.mean(axis=0), np.cov(x.T))
+    with pytest.raises(UsageError, match="rank 58 of 60"):
+        whitener_of(x.mean(axis=0), np.cov(x.T))
+
+
+SCALES = st.integers(-30, 30).map(lambda k: 10.0**k)
+
+
+FEW = settings(max_examples=40, derandomize=True)
+
+
+@FEW
+@given(st.integers(0, 10_000), SCALES, st.sampled_from(["ace", "cem", "smf"]))
+def test_scores_of_pixels_do_not_follow_the_unit(seed, scale, name):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(5, 5))
+    covariance, mean, target = root @ root.T, rng.uniform(1, 2, 5), rng.uniform(3, 4, 5)
+    pixels = rng.normal(1.5, 0.3, (20, 5))
+
+    def scores(unit: float) -> np.ndarray:
+        background = mean * unit, covariance * unit**2
+        detector = pixel_detector(name, target * unit, *background)
+        return detector.score(pixels * unit, whitener_of(*background))
+
+    np.testing.assert_allclose(scores(scale), scores(1.0), rtol=1e-6, atol=1e-9)
+
+
+def line_of(bands):
+    def one(name, rho):
+        rho = np.full(bands, rho)
+        return MeasuredPanel(name, rho, np.zeros(bands), 2.0 + np.arange(1, bands + 1) * rho, np.zeros(bands), 9)
+
+    return fit_elm([one("black", 0.05), one("white", 0.6)])
+
+
+@pytest.mark.parametrize("interleave", ["bil", "bip", "bsq"])
+def test_scores_equal_the_long_way_round(tmp_path, interleave):
+    x = numbers()
+    x[4, 4] = -9999
+    x[5, 5, 29] = -9999  # in a band that no detector uses
+    cube = stored(
+        tmp_path, x, interleave, extra="data ignore value = -9999\n", quantity="radiance",
+        unit="uW cm-2 sr-1 nm-1", scale=0.002,
+    )  # fmt: skip
+    elm = line_of(BANDS)
+    bands = np.ones(BANDS, bool)
+    bands[[3, 4, 11, 29]] = False
+    valid = np.ones((LINES, SAMPLES), bool)
+    valid[4, 4] = False
+    rho = elm.reflectance(0.002 * x)[..., bands]
+    mean, covariance = rho[valid].mean(axis=0), np.cov(rho[valid].T)
+    target = mean * 1.3 + np.linspace(0, 0.2, mean.size)
+    names = ("cem", "cem-correlation", "smf", "ace", "sam", "rx", "osp")
+    detectors = {n: pixel_detector(n, target, mean, covariance, rho[:3, 0]) for n in names}
+    whitener = whitener_of(mean, covariance)
+    reference = None
+    for step, threads in ((None, None), (1, 1), (7, 2)):
+        found = score_cube(cube, detectors, elm, bands, whitener=whitener, threads=threads, block_lines=step)
+        for name, detector in detectors.items():
+            assert found[name].shape == (LINES, SAMPLES)
+            assert np.isnan(found[name][4, 4])  # never a score of 0
+            assert np.isfinite(found[name]).sum() == LINES * SAMPLES - 1
+            expected = detector.score(rho[valid], whitener)
+            assert found[name][valid] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        if reference is not None:
+            for name in names:
+                assert found[name][valid] == pytest.approx(reference[name][valid], rel=1e-11, abs=1e-12)
+        reference = found
+    also = score_cube(cube, {"cem": detectors["cem"]}, elm, bands, needed=np.ones(BANDS, bool))["cem"]
+    assert np.isnan(also[5, 5])
+
+
+def test_scoring_refuses_what_does_not_fit(tmp_path):
+    cube, elm = stored(tmp_path, numbers()), line_of(BANDS)
+    mean, covariance = np.arange(1.0, BANDS + 1), np.eye(BANDS)
+    cem = pixel_detector("cem", mean + 1, mean, covariance)
+    with pytest.raises(UsageError, match="no detector"):
+        score_cube(cube, {})
+    with pytest.raises(UsageError, match="made for 30 bands, 29"):
+        score_cube(cube, {"a": cem}, elm, np.arange(BANDS) > 0)
+    with pytest.raises(UsageError, match="line of 29 bands"):
+        score_cube(cube, {"a": cem}, line_of(29))
+    with pytest.raises(UsageError, match="whitener"):
+        score_cube(cube, {"a": pixel_detector("rx", None, mean, covariance)})
+    elm.gain[1] = np.nan
+    with pytest.raises(UsageError, match="no gain in 1 of"):
+        score_cube(cube, {"a": cem}, elm)
+
+
+@pytest.fixture(scope="module")
+def drifting(tmp_path_factory):
+    """A cube over a background that drifts, an unused band, a pixel without data; spectra, pixels with data, target."""
+    rng, bands = np.random.default_rng(0), 7
+    x = 0.1 + np.linspace(0, 0.2, LINES)[:, None, None] * np.linspace(1, 2, bands)
+    x = x + 0.02 * rng.normal(size=(LINES, SAMPLES, bands)) @ rng.normal(size=(bands, bands))
+    x[5, 7] = -9999.0
+    cube = stored(tmp_path_factory.mktemp("c"), x, dtype="<f8", extra="data ignore value = -9999\n")
+    valid, used = x[..., 0] != -9999.0, np.arange(bands) != 3
+    x = x[..., used]
+    return cube, used, x, valid, x[valid].mean(axis=0), np.cov(x[valid].T)
+
+
+@pytest.mark.parametrize("window", [LocalWindow(9, 3), LocalWindow(5, 1), LocalWindow(101, 5)])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(drifting, monkeypatch, window, threads):
+    cube, used, x, valid, mean, covariance = drifting
+    counted = valid.copy()
+    counted[20:23, 10:14] = False
+    target = mean + np.linspace(0.05, 0.3, mean.size)
+    names = {name: (name, None if name == "rx" else target) for name in LOCAL_DETECTORS}
+    if threads == 2:
+        monkeypatch.setattr(detectors, "_VALUES_AT_ONCE", 0)  # strips that end within the image
+        monkeypatch.setattr(detectors, "_LINES_AT_ONCE", 1)
+    whitener = whitener_of(mean, covariance)
+    found, _ = score_cube_locally(cube, names, whitener, window, counted, None, used, threads=threads)
+    for line, sample in ((0, 0), (5, 8), (18, 14), (21, 12), (46, 22), (30, 0), (8, 19), (9, 20)):
+        ring = np.zeros_like(counted)
+        for side, value in ((window.outer, True), (window.inner, False)):
+            h = side // 2
+            ring[max(line - h, 0) : line + h + 1, max(sample - h, 0) : sample + h + 1] = value
+        pixels = x[ring & counted]
+        own = pixels.mean(axis=0) if len(pixels) >= 10 else mean
+        for name in LOCAL_DETECTORS:
+            detector = pixel_detector(name, names[name][1], own, covariance)
+            expected = detector.score(x[line, sample], whitener_of(own, covariance))
+            assert found[name][line, sample] == pytest.approx(float(expected), rel=1e-9, abs=1e-10), name
+    assert all(np.array_equal(np.isfinite(m), valid) for m in found.values())
+
+
+def test_a_pixel_without_surroundings_takes_the_global_mean_and_is_counted(drifting):
+    cube, used, x, valid, mean, covariance = drifting
+    whitener, nobody = whitener_of(mean, covariance), np.zeros((LINES, SAMPLES), bool)
+    found, lonely = score_cube_locally(cube, {"rx": ("rx", None)}, whitener, LocalWindow(7, 3), nobody, None, used)
+    assert lonely == valid.sum()
+    expected = pixel_detector("rx", None, mean, covariance).score(x, whitener)
+    assert found["rx"][valid] == pytest.approx(expected[valid], rel=1e-9)
+
+
+def test_a_window_that_makes_no_sense_is_refused(drifting):
+    cube, used, _, valid, *moments = drifting
+    for outer, inner in ((8, 3), (5, 5), (3, 5), (9, 2), (3, 1)):
+        with pytest.raises(ValidationError, match="_pixels"):
+            LocalWindowSource(outer_pixels=outer, inner_pixels=inner)
+    for detector, counted, words in (
+        (("sam", np.ones(6)), valid, "no local form"), (("cem", np.ones(5)), valid, "6 bands"),
+        (("rx", None), valid[:3], "has shape"),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match=words):
+            score_cube_locally(cube, {"a": detector}, whitener_of(*moments), LocalWindow(7, 3), counted, None, used)
+
+
+def test_objects_score_their_greatest_pixel_with_a_halo():
+    scores = np.zeros((8, 9))
+    scores[3, 4], scores[3, 6], scores[0, 0] = 1.0, 5.0, np.nan
+    mask = np.zeros((8, 9), bool)
+    mask[3, 4] = True
+    corner = np.zeros((8, 9), bool)
+    corner[0, 0] = True
+    assert object_scores(scores, {"a": mask})["a"] == 1.0
+    assert object_scores(scores, {"a": mask}, halo=1)["a"] == 1.0
+    assert object_scores(scores, {"a": mask}, halo=2)["a"] == 5.0
+    assert np.isnan(object_scores(scores, {"c": corner})["c"])
+    assert footprint(corner, 1).shape == (3, 3)  # not cut by the edge of the image
+    with pytest.raises(UsageError, match="holds no pixel"):
+        object_scores(scores, {"none": np.zeros((8, 9), bool)})
+    with pytest.raises(UsageError, match="shape"):
+        object_scores(scores, {"a": mask[:2]})
+
+
+@pytest.mark.parametrize("halo", [0, 1, 4])
+def test_an_object_in_its_window_scores_as_in_the_whole_image(halo):
+    rng = np.random.default_rng(0)
+    scores = rng.normal(size=(9, 12))
+    for line, sample, part in ((0, 0, [[1, 0], [1, 1]]), (7, 9, [[0, 1, 1], [1, 0, 0]]), (4, 5, [[1]])):
+        part = np.array(part, bool)
+        mask = np.zeros(scores.shape, bool)
+        mask[line : line + part.shape[0], sample : sample + part.shape[1]] = part
+        placed = ((line, sample), part)
+        brute = scores[with_halo(mask, halo)]
+        assert sorted(values_on(scores, placed_with_halo(placed, halo, scores.shape))) == sorted(brute)
+        both = object_scores(scores, {"window": placed, "mask": mask}, halo)
+        assert both == {"window": brute.max(), "mask": brute.max()}
+
+
+def test_footprint_maxima_by_hand_and_without_the_excluded():
+    scores = np.arange(24.0).reshape(4, 6)
+    assert sorted(footprint_maxima(scores, np.ones((2, 3), bool))[0]) == [8.0, 11.0, 20.0, 23.0]
+    cross = np.array([[True, False], [False, False]])
+    assert sorted(footprint_maxima(scores, cross)[0]) == [0, 2, 4, 12, 14, 16]
+    exclude = np.zeros((4, 6), bool)
+    exclude[0, 0] = True
+    maxima, lines, samples = footprint_maxima(scores, np.ones((2, 3), bool), exclude)
+    assert sorted(maxima) == [11.0, 20.0, 23.0]
+    assert all(scores[a : a + 2, b : b + 3].max() == m for m, a, b in zip(maxima, lines, samples, strict=True))
+    assert footprint_maxima(np.full((4, 4), np.nan), np.ones((2, 2), bool))[0].size == 0
+    with pytest.raises(UsageError, match="does not fit"):
+        footprint_maxima(scores, np.ones((5, 5), bool))
+
+
+def test_noise_scored_with_the_same_halo_on_both_sides_is_not_detection():
+    # Pure noise: with the halo on the targets alone the AUC looks like detection, with it on both sides
+    # it is 0.5.  3000 maxima against 60: sd of the AUC 0.038, band of 4 sd (false failure 6e-5).
+    rng = np.random.default_rng(7)
+    scores = rng.normal(size=(300, 300))
+    masks = {}
+    for i in range(60):
+        mask = np.zeros(scores.shape, bool)
+        mask[10 + 20 * (i // 10), 10 + 20 * (i % 10)] = True
+        masks[str(i)] = mask
+    target = list(object_scores(scores, masks, halo=2).values())
+    every = np.any(list(masks.values()), axis=0)
+    assert auc(target, scores[~every]) > 0.9
+    background = footprint_maxima(scores, footprint(masks["0"], 2), exclude=every)[0]
+    assert abs(auc(target, background) - 0.5) < 0.152
+
+
+def test_footprint_sums_tile_the_background_and_leave_out_what_is_excluded():
+    scores = np.arange(36.0).reshape(6, 6)
+    shape = np.array([[True, True], [True, False]])
+    exclude = np.zeros((6, 6), bool)
+    exclude[0, 0] = True
+    sums = footprint_sums(scores, shape, exclude)
+    every = [scores[r, c] + scores[r, c + 1] + scores[r + 1, c] for r in (0, 2, 4) for c in (0, 2, 4)]
+    assert sums.tolist() == every[1:]

@@ -1,0 +1,427 @@
+"""Empirical ROC, its areas and alarms: brute force, definitions, closed forms and coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from exact_forms import auc, auc_estimate, roc_points
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import optimize, stats
+from scipy.special import logit
+
+from hyperval.model import AREAS, WHOLE, RocArea, bounded_mean_limits, clopper_pearson, mid_p_limits
+from hyperval.processing import (
+    AlarmBlocks,
+    OrderStatistics,
+    alarms_at_detection,
+    area_estimates,
+    area_variance,
+    average_roc,
+    bootstrap_areas,
+    clustered_variance,
+    counts_of,
+    empirical_roc,
+    interval_of_mean,
+    logit_interval,
+    pooled_roc,
+    preset_thresholds,
+    roc_area,
+    with_summary,
+)
+from hyperval.products import RocCurve
+
+few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
+
+
+@given(few_values, few_values, st.sampled_from([0.01, 0.1, 0.29, 0.3, 0.5, 1.0]))
+def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
+    found = empirical_roc(target, background, pfa)
+    allowed = [
+        np.mean([t > s for t in target])
+        for s in {*target, *background}
+        if np.mean([b > s for b in background]) <= pfa + 1e-12
+    ]
+    best = 1.0 if pfa == 1.0 else max(allowed)
+    assert found.pd[0] == pytest.approx(best, abs=1e-15)
+    assert found.alarms[0] <= pfa * len(background) + 1e-9
+    low = mid_p_limits(round(found.pd[0] * len(target)), len(target))[0]
+    assert found.pd_lower[0] <= low or pfa == 1.0
+    assert found.pd_lower[0] <= found.pd[0] <= found.pd_upper[0]
+
+
+@given(few_values, few_values)
+def test_auc_is_the_mann_whitney_count(target, background):
+    wins = [(t > b) + 0.5 * (t == b) for t in target for b in background]
+    estimate = auc_estimate(target, background)
+    assert estimate.value == pytest.approx(np.mean(wins), abs=1e-14)
+    assert 0.0 <= estimate.lower <= estimate.value + 1e-12
+    assert estimate.value - 1e-12 <= estimate.upper <= 1.0
+
+
+@pytest.mark.parametrize(("n", "pfa"), [(1000, 0.01), (1000, 0.1), (500, 0.5), (4000, 0.003)])
+def test_interval_against_the_definition_rank_by_rank(n, pfa):
+    # Background 0 to n - 1 and one target above each: the count of targets above a score gives its rank.
+    background, target = np.arange(float(n)), np.arange(float(n)) + 0.5
+    found = empirical_roc(target, background, pfa)
+    # The greatest rank r with P(fewer than r scores above the threshold) <= 2.5 %, the least s with
+    # P(s or more above it) <= 2.5 %: searched from the definition.
+    r = max(k for k in range(n) if stats.binom.cdf(k - 1, n, pfa) <= 0.025)
+    s = min(k for k in range(1, n + 1) if stats.binom.sf(k - 1, n, pfa) <= 0.025)
+    # The k-th greatest background score is n - k; k of the targets lie above it.
+    pd = (int(n * pfa) + 1) / n
+    low, high = mid_p_limits(int(n * pfa) + 1, n)
+    assert found.pd[0] == pd
+    assert found.pd_lower[0] == pytest.approx(pd - np.hypot(pd - low, pd - r / n), rel=1e-12)
+    assert found.pd_upper[0] == pytest.approx(pd + np.hypot(high - pd, s / n - pd), rel=1e-12)
+
+
+def test_a_background_too_small_gives_no_lower_limit():
+    found = empirical_roc(np.full(50, 10.0), np.arange(100.0) / 100, [1e-3, 1e-1])
+    assert found.pd.tolist() == [1.0, 1.0]
+    assert found.pd_lower[0] == 0.0
+    assert found.pd_lower[1] > 0.9
+
+
+def test_thresholds_of_a_background_serve_all_its_targets():
+    rng = np.random.default_rng(8)
+    b = rng.integers(-30, 30, 500) / 10.0
+    for chosen in (None, [0.01, 0.2, 1.0]):
+        thresholds = preset_thresholds(b, chosen)
+        for t in (rng.normal(1, 1, 20), [-np.inf, 2.9], [3.1]):
+            shared, own = empirical_roc(t, thresholds), empirical_roc(t, b, chosen)
+            for name in ("pfa", "pd", "pd_lower", "pd_upper", "threshold", "alarms", "n_background"):
+                assert np.array_equal(getattr(shared, name), getattr(own, name))
+
+
+FEW = settings(max_examples=40, derandomize=True)
+
+
+HOSTILE = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False), st.sampled_from([0.0, -0.0, 1e308, -1e308, 5e-324]),
+    st.integers(0, 3).map(float),
+)  # fmt: skip
+
+
+@FEW
+@given(st.lists(HOSTILE, min_size=1, max_size=30), st.lists(HOSTILE, min_size=1, max_size=60))
+def test_a_curve_of_any_finite_scores_rises_within_its_limits(targets, background):
+    curve = empirical_roc(targets, background)
+    for values in (curve.pd, curve.pd_lower, curve.pd_upper):
+        assert np.all((values >= 0.0) & (values <= 1.0))
+    assert np.all(np.diff(curve.pd) >= 0.0)
+    assert np.all((curve.pd_lower <= curve.pd) & (curve.pd <= curve.pd_upper))
+    assert (curve.n_target, curve.n_background) == (len(targets), len(background))
+
+
+KINDS = {
+    "normal": lambda rng, n: rng.normal(size=n),
+    "heavy tails": lambda rng, n: rng.standard_cauchy(size=n),
+    "ties": lambda rng, n: np.round(rng.normal(size=n), 1),
+    "one value": lambda rng, n: np.full(n, 0.25),
+    "two far values": lambda rng, n: np.where(rng.random(n) < 0.9, 0.0, 1e300),
+    "infinities": lambda rng, n: np.where(rng.random(n) < 0.2, rng.choice([-np.inf, np.inf], n), rng.normal(size=n)),
+    "all infinite": lambda rng, n: rng.choice([-np.inf, np.inf], n),
+    "tiny": lambda rng, n: 1e-310 * rng.normal(size=n),
+    "sorted": lambda rng, n: np.sort(rng.exponential(size=n)),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("n", [1, 57, 30_011])
+def test_equal_to_the_sort(kind, n):
+    rng = np.random.default_rng(n)
+    x = KINDS[kind](rng, n)
+    ranks = np.unique(np.concatenate([[1, n], rng.integers(1, n + 1, 200)]))
+    found = OrderStatistics(x, ranks)
+    greatest = np.sort(x)[::-1][ranks - 1]
+    assert np.array_equal(found.greatest(ranks), greatest)
+    assert np.array_equal(found.above(greatest), [np.sum(x > value) for value in greatest])
+    assert found.greatest(n + 1) == -np.inf
+
+
+SCORES = st.lists(
+    st.one_of(st.integers(-3, 3).map(float), st.floats(allow_nan=False), st.sampled_from([1e-310, 1e300, -1e300])),
+    min_size=1, max_size=30,
+)  # fmt: skip
+
+
+@given(SCORES, SCORES)
+@settings(max_examples=300)
+def test_counts_and_area_equal_sorting(target, background):
+    t, b = np.array(target), np.array(background)
+    pfa, pd, _ = roc_points(t, b)
+    assert auc(t, b) == pytest.approx(np.trapezoid(pd, pfa), abs=1e-12)
+    counts = counts_of(t, b)
+    assert counts.ties.tolist() == [int(np.sum(b == v)) for v in counts.value]
+    assert counts.between.sum() + counts.ties.sum() == b.size
+    assert counts.below == pytest.approx([np.mean(b < v) + 0.5 * np.mean(b == v) for v in counts.value])
+
+
+PART, LOG = RocArea(0.05, 0.4), RocArea(0.05, 0.4, logarithmic=True)
+
+
+RANGES = [WHOLE, PART, LOG, RocArea(0.0, 0.1), RocArea(1e-3, 1.0, logarithmic=True)]
+
+
+def by_quadrature(t, b, area):
+    """The area by Gauss-Legendre on every straight piece of the exact curve."""
+    x, y, _ = roc_points(t, b)
+    node, weight = np.polynomial.legendre.leggauss(60)
+    total = 0.0
+    for x1, x2, y1, y2 in zip(x[:-1], x[1:], y[:-1], y[1:], strict=True):
+        a, b_ = max(x1, area.low), min(x2, area.high)
+        if b_ <= a:
+            continue
+        at = 0.5 * (a + b_) + 0.5 * (b_ - a) * node
+        pd = y1 + (y2 - y1) * (at - x1) / (x2 - x1)
+        total += 0.5 * (b_ - a) * float(weight @ (pd / at if area.logarithmic else pd))
+    return total / (np.log(area.high / area.low) if area.logarithmic else area.high - area.low)
+
+
+@pytest.mark.parametrize("area", RANGES)
+@pytest.mark.parametrize("decimals", [0, 1, 6])
+def test_areas_equal_the_exact_curve_with_ties(area, decimals):
+    rng = np.random.default_rng(decimals)
+    t, b = np.round(rng.normal(1.0, 1.0, 23), decimals), np.round(rng.normal(size=57), decimals)
+    assert roc_area(counts_of(t, b), area) == pytest.approx(by_quadrature(t, b, area), abs=1e-10)
+
+
+@given(
+    st.lists(st.integers(-3, 3), min_size=2, max_size=9),
+    st.lists(st.integers(-3, 3), min_size=2, max_size=12),
+    st.sampled_from([WHOLE, RocArea(0.0, 0.07), LOG]),
+)
+@settings(max_examples=60)
+def test_variance_is_that_of_the_influence_of_each_score(target, background, area):
+    # Each score's influence by a small change of its weight, for the areas that are smooth in it along ties.
+    t, b = np.array(target, float), np.array(background, float)
+    counts = counts_of(t, b)
+    m, n = t.size, b.size
+
+    def weighted(weight):
+        """The area with background weights; sums of weights take the place of counts."""
+        weight = weight / weight.sum()
+        over = np.array([weight[b > v].sum() for v in counts.value])
+        tie = np.array([weight[b == v].sum() for v in counts.value])
+        return counts.targets @ area.averaged(over, tie) / m
+
+    step = 1e-6
+    base = np.ones(n)
+    influence = []
+    for j in range(n):
+        up, down = base.copy(), base.copy()
+        up[j] += step
+        down[j] -= step
+        influence.append((weighted(up) - weighted(down)) / (2 * step) * n)
+    kinks = {area.low, area.high}
+    over = [np.mean(b > v) for v in counts.value] + [np.mean(b >= v) for v in counts.value]
+    if any(abs(s - k) < 1e-4 for s in over for k in kinks if 0 < k < 1):
+        return
+    of_targets, of_background = area_variance(counts, area)
+    placed = np.array([float(area.averaged(np.mean(b > v), np.mean(b == v))) for v in t])
+    assert of_targets == pytest.approx(placed.var(ddof=1) / m, abs=1e-12)
+    assert of_background == pytest.approx(np.var(influence, ddof=1) / n, rel=1e-4, abs=1e-9)
+
+
+@pytest.mark.simulation
+def test_bootstrap_of_areas_is_plain_resampling_and_agrees_with_the_formula():
+    # 4,000 plain draws and 20,000 of ours; five standard errors: fails by chance below 1e-5 (seed fixed).
+    rng = np.random.default_rng(1)
+    t, b = np.round(rng.normal(1.5, 1.0, 30), 1), np.round(rng.normal(size=400), 1)
+    areas = [WHOLE, PART, LOG]
+    fast = bootstrap_areas(counts_of(t, b), areas, 20_000, rng)
+    resampled = [counts_of(rng.choice(t, 30), rng.choice(b, 400)) for _ in range(4000)]
+    plain = np.array([[roc_area(c, a) for a in areas] for c in resampled])
+    error = plain.std(axis=0) * np.sqrt(1 / 4000 + 1 / 20_000)
+    assert np.all(np.abs(fast.mean(axis=0) - plain.mean(axis=0)) <= 5 * error)
+    assert fast.std(axis=0) == pytest.approx(plain.std(axis=0), rel=5 * np.sqrt(0.5 / 4000))
+    # To first order the spread is that of the formula, with divisor m instead of m - 1.
+    first_order = [np.sqrt(v * 29 / 30 + w) for v, w in (area_variance(counts_of(t, b), a) for a in areas)]
+    assert fast.std(axis=0) == pytest.approx(first_order, rel=0.1)
+
+
+def test_one_score_on_a_side_has_the_bound_of_birnbaum_and_klose():
+    # Targets' part by the bound; background's by the definition: V = 1 three times and 0 once.
+    of_targets, of_background = area_variance(counts_of([2.5], [0.0, 1.0, 2.0, 3.0]))
+    assert (of_targets, of_background) == pytest.approx((0.75 * 0.25, 0.25 / 4))
+
+
+def test_limits_of_a_curve_never_fall_though_those_at_single_points_may():
+    fell = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        t, b = rng.normal(1.0, 1.0, 9), rng.normal(size=60)
+        grid = np.linspace(0.02, 1.0, 50)
+        curve, alone = empirical_roc(t, b, grid), [empirical_roc(t, b, p) for p in grid]
+        lower, upper = (np.concatenate([getattr(one, side) for one in alone]) for side in ("pd_lower", "pd_upper"))
+        fell += np.any(np.diff(lower) < 0) or np.any(np.diff(upper) < 0)
+        assert curve.pd_lower == pytest.approx([lower[i:].min() for i in range(50)], abs=0)
+        assert curve.pd_upper == pytest.approx([upper[: i + 1].max() for i in range(50)], abs=0)
+    assert fell  # else this says nothing
+
+
+def test_average_of_predicted_curves_is_by_weight():
+    pfa = np.array([1e-3, 1e-2])
+    parts = [RocCurve(pfa, *([np.array(v)] * 3), np.zeros(2), "pixel") for v in ([0.2, 0.4], [0.6, 1.0])]
+    assert average_roc(parts, [3, 1]).pd == pytest.approx([0.3, 0.55])
+    assert average_roc(parts, [3, 1]).pd_lower == pytest.approx([0.3, 0.55])
+
+
+def test_pool_of_unequal_groups_by_hand():
+    rng = np.random.default_rng(3)
+    groups = [(rng.normal(1.0, 1.0, 40), rng.normal(size=900)), (rng.normal(0.5, 1.0, 10), rng.normal(size=400))]
+    curves = [with_summary(empirical_roc(t, b, [0.1, 1.0]), t, b) for t, b in groups]
+    pool = pooled_roc(curves)
+    assert (pool.n_target, pool.n_background) == (
+        50,
+        400,
+    )  # what the smaller background cannot say, the pool cannot
+    each = [c.areas["auc"] for c in curves]
+    # What the background brings goes together: standard deviations are added by the share of the targets.
+    background = (0.8 * np.sqrt(each[0].background_variance) + 0.2 * np.sqrt(each[1].background_variance)) ** 2
+    assert pool.areas["auc"].background_variance == pytest.approx(background, rel=1e-12)
+    placed = np.concatenate([e.placements for e in each])
+    assert min(placed.sum(), (1 - placed).sum()) > 8  # the logit interval alone
+    limits = logit_interval(placed.mean(), placed.var(ddof=1) / 50 + background, 50, 400)
+    assert (pool.areas["auc"].lower, pool.areas["auc"].upper) == pytest.approx(limits, rel=1e-12)
+
+
+def test_logit_interval_has_student_s_quantile_of_the_smaller_sample():
+    low, high = logit_interval(0.8, 0.01, 5, 2000)
+    half = stats.t.ppf(0.975, 4) * 0.1 / 0.16
+    assert np.log(high / (1 - high)) - np.log(4.0) == pytest.approx(half, rel=1e-9)
+    assert np.log(4.0) - np.log(low / (1 - low)) == pytest.approx(half, rel=1e-9)
+
+
+def test_far_limit_of_an_area_of_few_targets_holds_without_assumptions():
+    # Seven of eight found before all alarms, the last before 0.9 of them: Stringer's bound, of Clopper & Pearson's
+    # limits at 0.70 for 0 and 1 of 8, and beside it in quadrature what the background leaves open.
+    none, one = stats.beta.ppf(0.85, [1, 2], [8, 7])
+    least, value = 1.0 - none - 0.1 * (one - none), 1.0 - 0.1 / 8
+    for background in (0.0, 1e-4):
+        low = interval_of_mean(np.array([0.9, *7 * [1.0]]), 1e-6, background, 1000)[0]
+        assert low == pytest.approx(value - np.hypot(value - least, 1.959964 * np.sqrt(background)), rel=1e-6)
+
+
+def test_an_area_whose_background_is_few_blocks_is_known_by_their_part_of_the_variance():
+    rng = np.random.default_rng(4)
+    scores = rng.standard_normal((4, 4)).repeat(20, 0).repeat(20, 1)
+    blocks, counts = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool)), counts_of(rng.normal(0, 1, 60), scores)
+    found = area_estimates(counts, {"a": WHOLE}, "pixel", 0, rng, blocks)["a"]
+    background, dof = clustered_variance(counts, WHOLE, blocks)
+    whole = background + area_variance(counts)[0]
+    # Satterthwaite: V^2 over the sum of squares over degrees of freedom, those of the targets being many.
+    half = stats.t.ppf(0.975, whole**2 / (background**2 / dof)) * np.sqrt(whole) / (found.value * (1 - found.value))
+    assert logit(found.upper) - logit(found.value) == pytest.approx(half, rel=1e-6)
+
+
+@pytest.mark.parametrize(("m", "n"), [(5, 300), (12, 14)])
+def test_bootstrap_over_objects_has_the_variance_of_delong_few_objects_or_many(m, n):
+    # 20,000 draws know a variance to 1 %; the two estimates are unbiased and differ by some parts of 1/m^2, 1/n.
+    rng = np.random.default_rng(m)
+    t, b = rng.normal(0.7, 1.0, m), rng.normal(size=n)
+    counts = counts_of(t, b)
+    found = area_estimates(counts, {"auc": WHOLE}, "object", 20_000, rng)["auc"]
+    a = found.value
+    half = np.log(found.upper / (1 - found.upper)) - np.log(a / (1 - a))
+    variance = (half * a * (1 - a) / stats.norm.ppf(0.975)) ** 2  # towards the near end, with few targets lost
+    assert variance == pytest.approx(sum(area_variance(counts)), rel=0.1)
+
+
+def test_a_pool_counts_the_targets_of_all_curves_at_one_false_alarm_rate():
+    rng = np.random.default_rng(6)
+    background = rng.standard_normal(1000)
+    a = empirical_roc(rng.standard_normal(7) + 3.0, background, unit="object")
+    b = empirical_roc(rng.standard_normal(13) + 1.0, background, unit="object")
+    pool = pooled_roc([a, b])
+    assert pool.n_target == 20
+    assert np.allclose(pool.pd, (7 * a.pd + 13 * b.pd) / 20)
+    low, high = mid_p_limits(np.rint(20 * pool.pd).astype(int), 20)
+    # Each curve's own interval is the binomial one and what its threshold adds in quadrature.
+    parts = []
+    for curve, n in ((a, 7), (b, 13)):
+        own = mid_p_limits(np.rint(n * curve.pd), n)
+        sides = ((curve.pd - curve.pd_lower, curve.pd - own[0]), (curve.pd_upper - curve.pd, own[1] - curve.pd))
+        parts.append([n / 20 * np.sqrt(np.maximum(w**2 - p**2, 0)) for w, p in sides])
+    below, above = np.sum(parts, axis=0)
+    assert below.max() > 0.02
+    lower = np.maximum(pool.pd - np.hypot(pool.pd - low, below), 0.0)
+    upper = np.minimum(pool.pd + np.hypot(high - pool.pd, above), 1.0)
+    # The true P_D rises, and so do the limits: each is the widest one from there on.
+    assert np.diff(lower).min() < -0.005
+    assert np.allclose(pool.pd_lower, [lower[i:].min() for i in range(lower.size)])
+    assert np.allclose(pool.pd_upper, [upper[: i + 1].max() for i in range(upper.size)])
+
+
+def limit(count, n, tail, side):
+    """End of the exact interval: the p at which the binomial tail beyond ``count`` is ``tail``, by root finding."""
+    if (side == "low" and count == 0) or (side == "high" and count == n):
+        return float(side == "high")
+    beyond = (lambda p: stats.binom.sf(count - 1, n, p)) if side == "low" else lambda p: stats.binom.cdf(count, n, p)
+    return optimize.brentq(lambda p: beyond(p) - tail, 1e-15, 1 - 1e-12, xtol=1e-15)
+
+
+@pytest.mark.parametrize("decimals", [0, 6])
+@pytest.mark.parametrize(("m", "n", "q"), [(24, 90, 0.5), (40, 300, 0.9), (7, 50, 0.5), (60, 40, 0.3)])
+def test_interval_against_its_definition(m, n, q, decimals):
+    rng = np.random.default_rng(m)
+    t, b = np.round(rng.normal(1, 1, m), decimals), np.round(rng.normal(size=n), decimals)
+    (found,) = alarms_at_detection(counts_of(t, b), [q])
+    each = np.sqrt(0.95)
+    tail = (1 - each) / 2
+    greatest = np.sort(t)[::-1]
+    # The true threshold has X of m targets above it, X binomial with q.
+    weight = stats.binom.pmf(np.arange(m + 1), m, q)
+    r = max((k for k in range(1, m + 1) if weight[:k].sum() <= tail), default=0)
+    s = min((k for k in range(1, m + 1) if weight[k:].sum() <= tail), default=m + 1)
+    low = limit(int(np.sum(b > greatest[r - 1])), n, tail, "low") if r else 0.0
+    high = limit(int(np.sum(b >= greatest[s - 1])), n, tail, "high") if s <= m else 1.0
+    at = greatest[int(np.ceil(q * m - 1e-9)) - 1]
+    alarms = int(np.sum(b >= at))
+    fixed = limit(alarms, n, 0.025, "low"), limit(alarms, n, 0.025, "high")
+    assert (found.threshold, found.alarms, found.pfa) == (at, alarms, alarms / n)
+    assert (found.fixed_lower, found.fixed_upper) == pytest.approx(fixed, abs=1e-9)
+    assert found.pfa_lower == pytest.approx(min(low, fixed[0]), abs=1e-9)
+    assert found.pfa_upper == pytest.approx(max(high, fixed[1]), abs=1e-9)
+
+
+def test_a_share_that_is_a_whole_number_of_targets_is_not_rounded_up():
+    # 0.07 * 100 is 7.000000000000001 in floating point: the 7th target and not the 8th.
+    t = np.arange(100.0)
+    (found,) = alarms_at_detection(counts_of(t, np.array([-1.0, 50.0])), [0.07])
+    assert found.threshold == 93.0
+
+
+@pytest.mark.parametrize("decimals", [0, 2, 9])
+def test_areas_are_those_of_scikit_learn(decimals):
+    metrics = pytest.importorskip("sklearn.metrics", reason="scikit-learn is not installed; pip install scikit-learn")
+    rng = np.random.default_rng(decimals)
+    for m, n in ((1, 1), (3, 700), (77, 90)):
+        t, b = np.round(rng.normal(1, 1, m), decimals), np.round(rng.normal(size=n), decimals)
+        truth, scores = np.concatenate([np.ones(m), np.zeros(n)]), np.concatenate([t, b])
+        assert roc_area(counts_of(t, b)) == pytest.approx(metrics.roc_auc_score(truth, scores), rel=1e-13)
+        # Theirs of a part is scaled to 1/2 for chance (McClish 1989): back to the mean P_D over the range.
+        part = metrics.roc_auc_score(truth, scores, max_fpr=0.1)
+        area = 0.1 * ((2 * part - 1) * (1 - 0.05) + 0.05)
+        assert 0.1 * roc_area(counts_of(t, b), RocArea(0.0, 0.1)) == pytest.approx(area, rel=1e-12, abs=1e-15)
+
+
+def test_limits_of_a_bounded_mean_are_the_binomial_ones_of_noughts_and_ones():
+    assert bounded_mean_limits([1.0] * 7 + [0.0] * 3) == pytest.approx([float(x) for x in clopper_pearson(7, 10)])
+    low, high = bounded_mean_limits([0.2, 0.9, 0.5])
+    assert 0.0 < low < 1.6 / 3 < high < 1.0
+
+
+def test_areas_of_a_curve_carry_their_method_and_are_drawn_alike():
+    rng = np.random.default_rng(6)
+    b, t = rng.normal(size=20_000), rng.normal(2.0, 1.0, 12)
+    one, again, few = (
+        with_summary(empirical_roc(targets, b, unit="object"), targets, b, rng=np.random.default_rng(0))
+        for targets in (t, t, t[:1])
+    )
+    assert list(one.areas) == list(AREAS)
+    assert one.areas == again.areas
+    assert one.areas["auc"].method == "bootstrap of 12 objects, 1000 draws"
+    assert few.areas["auc"].lower <= 0.1  # one object says next to nothing
+    assert list(with_summary(empirical_roc(t, b[:500]), t, b[:500]).areas) == ["auc", "partial_auc@0..1e-1"]

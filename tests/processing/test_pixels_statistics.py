@@ -1,0 +1,221 @@
+"""Moments of stored cubes and of samples against plain NumPy, and what must not change them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from stored_cubes import BANDS, LINES, SAMPLES, numbers, stored
+
+from hyperval.data import statistics_of
+from hyperval.errors import UsageError
+from hyperval.processing import Labels, darkest_values, drawn_pixels, nth_pixels, region_statistics
+
+
+def relative(found, expected):
+    sd = np.sqrt(np.diag(expected))
+    return np.max(np.abs(found - expected) / np.outer(sd, sd))
+
+
+def masks():
+    rng = np.random.default_rng(9)
+    out = {f"r{i}": np.zeros((LINES, SAMPLES), bool) for i in range(4)}
+    out["r0"][3:9, 2:7] = True
+    out["r1"][:, :8] = True
+    out["r2"] = rng.random((LINES, SAMPLES)) < 0.4
+    out["r3"] = out["r1"] & out["r2"]
+    return out
+
+
+def test_every_region_equals_numpy(tmp_path):
+    x = numbers()
+    cube, regions = stored(tmp_path, x), masks()
+    left_out = np.zeros((LINES, SAMPLES), bool)
+    left_out[10:12] = True
+    found = region_statistics(cube, regions, left_out, block_lines=4)
+    for name, mask in {**regions, "scene": ~left_out}.items():
+        expected = x[mask]
+        assert found[name].n == len(expected)
+        assert found[name].mean == pytest.approx(expected.mean(axis=0), rel=1e-13)
+        assert relative(found[name].covariance, np.cov(expected.T)) < 1e-13
+
+
+def test_statistics_are_the_same_to_the_bit_however_the_cube_is_stored_cut_or_shared_out(tmp_path):
+    x, regions = numbers(), masks()
+    reference = region_statistics(stored(tmp_path, x), regions)
+    for interleave in ("bil", "bip", "bsq"):
+        for dtype in ("<i2", ">i2", "<i4", ">u2", "<f4", ">f8"):
+            cube = stored(tmp_path / (interleave + dtype[1:] + str(dtype[0] == ">")), x, interleave, dtype)
+            for step, threads in ((None, 1), (1, 2), (5, 1), (LINES, 3)):
+                found = region_statistics(cube, regions, threads=threads, block_lines=step)
+                for name, value in reference.items():
+                    if dtype[1] == "f":  # means of batches are not whole numbers
+                        assert relative(found[name].covariance, value.covariance) < 1e-12
+                        assert found[name].mean == pytest.approx(value.mean, rel=1e-13)
+                    else:
+                        assert np.array_equal(found[name].covariance, value.covariance)
+                        assert np.array_equal(found[name].mean, value.mean)
+
+
+def test_gain_offset_and_order_of_bands(tmp_path):
+    x = numbers()
+    gains = ", ".join(f"{0.001 * (b + 1)}" for b in range(BANDS))
+    offsets = ", ".join(f"{0.5 * b}" for b in range(BANDS))
+    extra = f"data gain values = {{{gains}}}\ndata offset values = {{{offsets}}}\n"
+    found = region_statistics(stored(tmp_path, x, extra=extra))["scene"]
+    values = x.reshape(-1, BANDS) * (0.001 * np.arange(1, BANDS + 1)) + 0.5 * np.arange(BANDS)
+    assert found.mean == pytest.approx(values.mean(axis=0), rel=1e-12)
+    assert relative(found.covariance, np.cov(values.T)) < 1e-12
+
+
+def test_ignored_and_empty_pixels_never_reach_the_mean(tmp_path):
+    x = numbers()
+    x[0] = -9999  # no data at all
+    x[1, :3, 7] = -9999  # one band only
+    x[2, :5] = 0  # fill of a radiance cube
+    x[3, :4, 0] = 0  # a true 0 in one band
+    cube = stored(
+        tmp_path, x, extra="data ignore value = -9999\n", quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=0.01
+    )
+    found = region_statistics(cube)["scene"]
+    ok = ~((x == -9999).any(axis=-1) | (x == 0).all(axis=-1))
+    assert (found.n, found.n_left_out) == (int(ok.sum()), SAMPLES + 3 + 5)
+    assert found.mean == pytest.approx(0.01 * x[ok].mean(axis=0), rel=1e-12)
+
+
+@pytest.mark.parametrize("gain", [0.5, -0.5])
+def test_the_darkest_values_are_the_least_of_the_values_and_not_of_the_numbers(tmp_path, gain):
+    x = numbers()
+    x[0, 0] = -9999
+    gains = ", ".join([str(gain)] * BANDS)
+    cube = stored(tmp_path, x, extra=f"data ignore value = -9999\ndata gain values = {{{gains}}}\n")
+    values = gain * np.delete(x.reshape(-1, BANDS), 0, axis=0)
+    assert np.array_equal(darkest_values(cube), values.min(axis=0))
+
+
+def test_masks_that_do_not_fit_and_empty_regions_are_refused(tmp_path):
+    cube = stored(tmp_path, numbers())
+    with pytest.raises(UsageError, match="'a' has shape"):
+        region_statistics(cube, {"a": np.ones((LINES + 1, SAMPLES), bool)})
+    with pytest.raises(UsageError, match="of int64"):
+        region_statistics(cube, {"a": np.ones((LINES, SAMPLES), np.int64)})
+    with pytest.raises(UsageError, match="'a' has no valid pixel"):
+        region_statistics(cube, {"a": np.zeros((LINES, SAMPLES), bool)})
+    with pytest.raises(UsageError, match="kept for the whole"):
+        region_statistics(cube, {"scene": np.ones((LINES, SAMPLES), bool)})
+    found = region_statistics(cube)["scene"]
+    with pytest.raises(UsageError, match="fourth moment"):
+        _ = found.shrinkage
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 8), (7, 13), (600, 25)])
+def test_masks_come_back_whole_from_their_labels(shape: tuple[int, int]):
+    rng = np.random.default_rng(1)
+    masks = {str(i): rng.random(shape) < 0.3 for i in range(9)}
+    labels = Labels.of(shape, masks).with_masks([("none", np.zeros(shape, bool))])
+    assert list(labels) == [*masks, "none"]
+    assert all(np.array_equal(labels[name], mask) for name, mask in masks.items())
+    assert not labels["none"].any()
+    # As many labels as there are different sets of regions, and each is some pixel's.
+    sets = np.unique(np.stack([m.ravel() for m in masks.values()], axis=1), axis=0)
+    assert np.array_equal(np.unique(labels.number), np.arange(len(sets)))
+
+
+def test_numbers_of_pixels_are_those_of_nonzero():
+    rng = np.random.default_rng(2)
+    mask = rng.random((50, 31)) < 0.2
+    lines, samples = np.nonzero(mask)
+    some = rng.choice(lines.size, 40, replace=False)
+    at = nth_pixels(mask, some)
+    np.testing.assert_array_equal(at[0], lines[some])
+    np.testing.assert_array_equal(at[1], samples[some])
+    every = drawn_pixels(mask, 10_000, rng)
+    np.testing.assert_array_equal(every, (lines, samples))
+    assert len(set(zip(*(p.tolist() for p in drawn_pixels(mask, 40, rng)), strict=True))) == 40
+
+
+def test_equal_to_numpy_and_exact_on_a_bright_flat_scene():
+    x = np.random.default_rng(0).integers(-3, 4, size=(500, 6)).astype(float)
+    found = statistics_of(x + 1e8, left_out=3)
+    assert found.mean - 1e8 == pytest.approx(x.mean(axis=0), abs=1e-7)  # what 1e8 leaves of the digits
+    assert found.covariance == pytest.approx(np.cov(x.T), rel=1e-12, abs=1e-12)
+    assert (found.n, found.n_left_out) == (500, 3)
+    for bad in (x[:1], x[0], np.full((4, 2), np.nan)):
+        with pytest.raises(UsageError, match="two or more finite pixels"):
+            statistics_of(bad)
+
+
+def test_rank_of_few_and_of_many_pixels():
+    rng = np.random.default_rng(2)
+    few = statistics_of(rng.normal(size=(5, 12)))
+    assert few.rank == 4
+    assert np.linalg.eigvalsh(few.shrunk_covariance)[0] > 0
+    many = statistics_of(rng.normal(size=(4000, 3)) * [1.0, 2.0, 10.0])
+    assert many.rank == 3
+
+
+def peer(module):
+    return pytest.importorskip(f"sklearn.{module}", reason="scikit-learn is not installed; pip install scikit-learn")
+
+
+def test_shrinkage_of_ledoit_and_wolf():
+    covariance = peer("covariance")
+    rng = np.random.default_rng(1)
+    for n, bands in ((12, 20), (60, 20), (4000, 5)):
+        x = rng.normal(size=(n, bands)) @ rng.normal(size=(bands, bands)) + 7.0
+        found, (matrix, intensity) = statistics_of(x), covariance.ledoit_wolf(x)
+        assert found.shrinkage == pytest.approx(intensity, rel=1e-9)
+        # Theirs has divisor n.
+        assert found.shrunk_covariance * (n - 1) / n == pytest.approx(matrix, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [">f4", "<f4", ">f8", ">i2", "<u2", ">i4"])
+@pytest.mark.parametrize("kind", ["plain", "constant", "one pixel far out", "two values", "huge offset", "duplicates"])
+def test_moments_are_those_of_exact_sums_whatever_is_stored(kind, dtype, tmp_path):
+    rng = np.random.default_rng(3)
+    values = rng.normal(1000.0, 30.0, (7, 6, 4))
+    if kind == "constant":
+        values[:] = 1000.1
+    elif kind == "one pixel far out":
+        values[3, 2] = 30000.0
+    elif kind == "two values":
+        values = np.where(values > 1000.0, 2.0, 1.0)
+    elif kind == "huge offset":
+        values = 30000.0 + rng.normal(0.0, 2.0, values.shape)
+    elif kind == "duplicates":
+        values[..., 1] = values[..., 0]
+    kept = values.round().astype(dtype) if "f" not in dtype else values.astype(dtype)
+    found = region_statistics(stored(tmp_path, kept, "bip", dtype))["scene"]
+    pixels = kept.reshape(-1, 4).astype(np.longdouble)
+    mean = pixels.mean(axis=0)
+    centred = pixels - mean
+    covariance = (centred.T @ centred / (len(pixels) - 1)).astype(float)
+    np.testing.assert_allclose(found.mean, mean.astype(float), rtol=1e-12)
+    sd = np.sqrt(np.diag(covariance))
+    # A sum in float64 forgets 1e-16 of its greatest term.
+    assert np.all(np.abs(found.covariance - covariance) <= 1e-12 * np.outer(sd, sd) + 1e-24)
+    assert np.linalg.eigvalsh(found.covariance)[0] >= -1e-12 * max(np.trace(found.covariance), 1e-10)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_pixels_that_are_not_finite_are_left_out_and_counted(bad, tmp_path):
+    x = numbers().astype("<f4")
+    x[2, 3, 1] = x[5, 0, 3] = bad
+    inside = {"a": np.zeros((LINES, SAMPLES), bool)}
+    inside["a"][2:5, 2:9] = True
+    cube = stored(tmp_path, x, dtype="<f4")
+    found = region_statistics(cube, inside)
+    assert {k: (v.n, v.n_left_out) for k, v in found.items()} == {"scene": (LINES * SAMPLES - 2, 2), "a": (20, 1)}
+    good = x.reshape(-1, BANDS)[np.isfinite(x).all(axis=2).ravel()]
+    np.testing.assert_allclose(found["scene"].mean, good.mean(axis=0, dtype=float), rtol=1e-12)
+    x[:] = bad
+    with pytest.raises(UsageError, match="'scene' has no valid pixel"):
+        region_statistics(stored(tmp_path, x, dtype="<f4"))
+
+
+def test_one_pixel_is_its_own_mean_and_spans_nothing(tmp_path):
+    values = np.full((7, 6, 4), np.nan)
+    values[2, 3] = [1e-20, 2.0, 3e10, 4.0]
+    found = region_statistics(stored(tmp_path, values, "bip", ">f4"))["scene"]
+    assert (found.n, found.n_left_out) == (1, 41)
+    np.testing.assert_allclose(found.mean, values[2, 3].astype(">f4").astype(float), rtol=1e-12)
+    assert not found.covariance.any()

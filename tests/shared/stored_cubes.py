@@ -1,0 +1,37 @@
+"""Cubes as instruments store them: any interleave, type and byte order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hyperval.imagery import open_cube
+
+LINES, SAMPLES, BANDS = 47, 23, 30
+TYPES = {"u1": 1, "i2": 2, "i4": 3, "f4": 4, "f8": 5, "u2": 12}
+
+
+def numbers(seed=0, low=500.0, spread=900.0, noise=6.0):
+    """A scene of four smooth spectra and noise, in whole numbers (lines, samples, bands)."""
+    rng = np.random.default_rng(seed)
+    at = np.linspace(0, 1, BANDS)
+    spectra = np.stack([np.sin(np.pi * (k + 1) * at) ** 2 + 0.2 for k in range(4)])
+    amounts = rng.gamma(2.0, 0.5, size=(LINES * SAMPLES, 4))
+    x = low + spread * amounts @ spectra + noise * rng.normal(size=(LINES * SAMPLES, BANDS))
+    return np.rint(x).reshape(LINES, SAMPLES, BANDS)
+
+
+def stored(folder: Path, x, interleave="bil", dtype="<i2", extra="", **options):
+    """The cube of values (lines, samples, bands) that were written as they are."""
+    order = {"bil": (0, 2, 1), "bip": (0, 1, 2), "bsq": (2, 0, 1)}[interleave]
+    folder.mkdir(exist_ok=True, parents=True)
+    path = folder / "cube.img"
+    path.write_bytes(np.ascontiguousarray(x.transpose(order)).astype(dtype).tobytes())
+    waves = ", ".join(str(400 + 10 * b) for b in range(x.shape[2]))
+    path.with_suffix(".hdr").write_text(
+        f"ENVI\nsamples = {x.shape[1]}\nlines = {x.shape[0]}\nbands = {x.shape[2]}\nheader offset = 0\n"
+        f"data type = {TYPES[dtype[1:]]}\ninterleave = {interleave}\nbyte order = {int(dtype[0] == '>')}\n"
+        f"wavelength units = Nanometers\nwavelength = {{{waves}}}\n{extra}"
+    )
+    return open_cube(path, check_values=False, **{"quantity": "other", **options})
