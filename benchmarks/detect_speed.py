@@ -68,7 +68,7 @@ def ours(path, detectors=("cem",), targets=1):
     from hyperval.executors import single_blas_thread
     from hyperval.imagery import open_cube
     from hyperval.model import PositiveDefinite
-    from hyperval.processing import MeasuredPanel, fit_elm, pixel_detector, region_statistics, score_cube, whitener_of
+    from hyperval.pixels import MeasuredPanel, fit_elm, pixel_detector, region_statistics, score_cube, whitener_of
 
     cube = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=SCALE)
     found = region_statistics(cube)["scene"]

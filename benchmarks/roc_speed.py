@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 from hyperval.model import WHOLE
-from hyperval.processing import area_variance, bootstrap_areas, counts_of, empirical_roc, roc_area
+from hyperval.pixels import area_variance, bootstrap_areas, counts_of, empirical_roc, roc_area
 
 BACKGROUND, TARGETS, DRAWS = 640_000, 80, 1000
 LIMITS_MS = {

@@ -16,7 +16,7 @@ from hyperval.collection_files import (
     TargetTruth,
 )
 from hyperval.config import Model
-from hyperval.processing.detectors import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
+from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
 from hyperval.scenario import SpectrumSource
 
 

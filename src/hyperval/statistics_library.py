@@ -63,7 +63,7 @@ def statistics_of_samples(
 ) -> ClassStatistics:
     """Mean and sample covariance of spectra (N, B) on ``axis`` (rho_m, Sigma_m of 3.8-3.12).
 
-    ``components`` : clusters of the samples, those of ``hyperval.processing.laws.class_mixture``.
+    ``components`` : clusters of the samples, those of ``hyperval.pixels.laws.class_mixture``.
 
     Raises
     ------

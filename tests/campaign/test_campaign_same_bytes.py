@@ -17,14 +17,14 @@ from small_campaign import SmallCampaign
 SCRIPT = """
 import os, sys
 from small_campaign import stand_in_atmosphere
-import hyperval.atmosphere, hyperval.imagery.cube, hyperval.model.world, hyperval.processing.statistics
+import hyperval.atmosphere, hyperval.imagery.cube, hyperval.model.world, hyperval.pixels.statistics
 from hyperval import cli
 
 hyperval.atmosphere.atmospheric_terms = hyperval.model.world.atmospheric_terms = stand_in_atmosphere
 if "CORES" in os.environ:
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(os.environ["CORES"])])
 if "LINES" in os.environ:
-    hyperval.processing.statistics.BLOCK_PIXELS = 72 * int(os.environ["LINES"])
+    hyperval.pixels.statistics.BLOCK_PIXELS = 72 * int(os.environ["LINES"])
     hyperval.imagery.cube.BLOCK_BYTES = 72 * 16 * 8 * int(os.environ["LINES"])
 if __name__ == "__main__":
     sys.exit(cli.run(sys.argv[1:]))

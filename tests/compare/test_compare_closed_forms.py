@@ -17,7 +17,7 @@ from hyperval.compare import (
 )
 from hyperval.compare.covariance import _eigenvalue_rows, _space_rows
 from hyperval.model import Z95
-from hyperval.processing import SamplingBand, Statistics
+from hyperval.pixels import SamplingBand, Statistics
 from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEstimate
 from hyperval.results import Outcome
 from hyperval.spectra import SpectralAxis, in_window

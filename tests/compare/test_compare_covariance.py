@@ -15,7 +15,7 @@ from hyperval.compare import (
     compare_products,
     independent_pixels,
 )
-from hyperval.processing import noise_part
+from hyperval.pixels import noise_part
 from hyperval.products import (
     Abundance,
     ClassificationError,

@@ -16,7 +16,7 @@ from hyperval.compare import (
 )
 from hyperval.errors import UsageError
 from hyperval.model import WHOLE, RocArea, curve_area
-from hyperval.processing import counts_of, empirical_roc, roc_area, with_summary
+from hyperval.pixels import counts_of, empirical_roc, roc_area, with_summary
 from hyperval.products import (
     Abundance,
     ObservedProducts,

@@ -8,7 +8,7 @@ from scipy import stats
 
 from hyperval.compare import Gate, RowMaker, compare_roc, joint_rows, judged, product_rows
 from hyperval.model import RocArea, clopper_pearson, curve_area, zero_count_upper_limit
-from hyperval.processing import empirical_roc, with_summary
+from hyperval.pixels import empirical_roc, with_summary
 from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.results import Outcome
 from hyperval.spectra import SpectralAxis

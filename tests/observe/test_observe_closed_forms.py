@@ -14,7 +14,7 @@ from hyperval.imagery import open_cube
 from hyperval.model import Sources
 from hyperval.observe import empirical_line
 from hyperval.observe.detection import _ring
-from hyperval.processing import region_statistics
+from hyperval.pixels import region_statistics
 from hyperval.products import EstimatedPart
 
 

@@ -11,7 +11,7 @@ from hyperval.data import SampleStatistics
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
 from hyperval.observe import usable_bands
-from hyperval.processing import empirical_roc
+from hyperval.pixels import empirical_roc
 from hyperval.products import background_of
 from hyperval.spectra import SpectralAxis
 

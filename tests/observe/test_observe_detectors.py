@@ -9,7 +9,7 @@ from small_world import BANDS, LINES, PLANTED, SAMPLES, TARGET
 from hyperval.collection import Detection, EmpiricalLineSource
 from hyperval.compare import product_rows
 from hyperval.errors import UsageError
-from hyperval.processing import DETECTORS, footprint_maxima, pixel_detector, whitener_of
+from hyperval.pixels import DETECTORS, footprint_maxima, pixel_detector, whitener_of
 
 
 def test_every_detector_makes_its_maps_and_curves(world):

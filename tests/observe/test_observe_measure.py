@@ -11,7 +11,7 @@ from small_world import AXIS, BANDS, PLANTED, SAMPLES, World
 from hyperval.collection import CalibrationUncertainty, CollectionSection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe import calibration_covariance, detector_covariance, observe, spectral_estimate
-from hyperval.processing import factor_covariance, small_sample_factor
+from hyperval.pixels import factor_covariance, small_sample_factor
 from hyperval.sensor.specification import load_sensor
 
 

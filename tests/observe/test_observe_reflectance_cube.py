@@ -12,7 +12,7 @@ from hyperval import cli
 from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
 from hyperval.observe import NO_DATA, SCALE, quantised, reflectance_cube, write_reflectance
-from hyperval.processing import MeasuredPanel, fit_elm
+from hyperval.pixels import MeasuredPanel, fit_elm
 from hyperval.spectra import SpectralAxis
 
 LINES, SAMPLES, BANDS = 31, 17, 6

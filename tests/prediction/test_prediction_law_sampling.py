@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from hyperval.data import ClassStatistics
 from hyperval.model import Origins, predict, with_law_limits
-from hyperval.processing import moments_without_each
+from hyperval.pixels import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import Scenario
 from hyperval.spectra import SpectralAxis

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from hyperval.processing import AlarmBlocks
+from hyperval.pixels import AlarmBlocks
 from hyperval.scoreboard.ranks import MEASURES, BlockCounts, counts_by_block, fewest_objects, rank_sets, ranked
 
 

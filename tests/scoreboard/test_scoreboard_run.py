@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
-from hyperval.processing import DETECTORS, detectors
+from hyperval.pixels import DETECTORS, detect
 from hyperval.scoreboard import one as extend
 
 ROOT = Path(__file__).parents[2]
@@ -19,7 +19,7 @@ RECIPES = re.findall(r"```python\n# (\w+\.py):.*?\n(.*?)```", (ROOT / "docs" / "
 @pytest.fixture(autouse=True)
 def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a test registers is gone after it."""
-    monkeypatch.setattr(detectors, "ADDED_DETECTORS", {})
+    monkeypatch.setattr(detect, "ADDED_DETECTORS", {})
     monkeypatch.setattr(extend, "_LOADED", set())
     monkeypatch.setattr("hyperval.scoreboard.looks.DRAWS", 60)
 
@@ -113,7 +113,7 @@ def test_what_cannot_run_is_skipped_with_the_reason(small, tmp_path, no_drawing)
 def test_a_detector_that_the_collection_refuses_leaves_the_campaigns_own(small, tmp_path, no_drawing):
     (tmp_path / "bad.py").write_text(
         "from hyperval.errors import UsageError\n"
-        "from hyperval.processing.detectors import register_detector\n"
+        "from hyperval.pixels import register_detector\n"
         "def make(*given):\n    raise UsageError('no such thing here')\n"
         "register_detector('bad', make)\n"
     )
@@ -125,9 +125,9 @@ def test_a_detector_that_the_collection_refuses_leaves_the_campaigns_own(small, 
 
 OF_THE_IMAGE = """
 import numpy as np
-from hyperval.processing.detectors import register_detector
-from hyperval.processing.filters import design_filter
-from hyperval.processing.detectors import PixelDetector
+from hyperval.pixels import register_detector
+from hyperval.model import design_filter
+from hyperval.pixels import PixelDetector
 
 def make(target, mean, covariance, undesired):
     one = design_filter("cem", target, mean, covariance)
@@ -141,7 +141,7 @@ register_detector("of-the-image", make)
 
 def test_a_detector_that_takes_statistics_of_the_image_sees_all_of_it(small, tmp_path, no_drawing, monkeypatch):
     (tmp_path / "own.py").write_text(OF_THE_IMAGE)
-    monkeypatch.setattr("hyperval.processing.statistics.BLOCK_PIXELS", 300)  # many blocks, as a long image has
+    monkeypatch.setattr("hyperval.pixels.statistics.BLOCK_PIXELS", 300)  # many blocks, as a long image has
     path = small.write()
     assert run(path, "--extend", tmp_path / "own.py", "-o", tmp_path / "out") == 0
     rows = {(r["method"], r["subject"], r["metric"]): r["value"] for r in rows_of(tmp_path / "out")}
@@ -150,7 +150,7 @@ def test_a_detector_that_takes_statistics_of_the_image_sees_all_of_it(small, tmp
     for method, subject, metric in compared:
         same = rows[method.replace("of-the-image", "cem"), subject, metric]
         assert float(rows[method, subject, metric]) == pytest.approx(float(same), abs=1e-9), (method, subject)
-    monkeypatch.setattr("hyperval.processing.detectors.MOST_VALUES", 1000)
+    monkeypatch.setattr("hyperval.pixels.detect.MOST_VALUES", 1000)
     assert run(path, "--extend", tmp_path / "own.py", "-o", tmp_path / "too-large") == 0
     refused = {r["method"]: r["reason"] for r in rows_of(tmp_path / "too-large") if r["outcome"] == "skipped"}
     assert "see the image at once" in refused["of-the-image/object"]
@@ -173,12 +173,12 @@ def test_a_broken_campaign_is_an_error_row_beside_the_others(make_small, tmp_pat
         (None, 3, "no such file"),
         ("raise ValueError('oops')", 2, "ValueError: oops"),
         (
-            "from hyperval.processing.detectors import register_detector\nregister_detector('cem', print)",
+            "from hyperval.pixels import register_detector\nregister_detector('cem', print)",
             2,
             "'cem'",
         ),
         (
-            "from hyperval.processing.detectors import register_detector\nregister_detector('A b', print)",
+            "from hyperval.pixels import register_detector\nregister_detector('A b', print)",
             2,
             "'A b'",
         ),

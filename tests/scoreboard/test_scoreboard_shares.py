@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from hyperval.model import AREAS
-from hyperval.processing import AlarmBlocks, alarms_at_detection, counts_of, empirical_roc, roc_area
+from hyperval.pixels import AlarmBlocks, alarms_at_detection, counts_of, empirical_roc, roc_area
 from hyperval.scoreboard.ranks import (
     LOG_AREA,
     MEASURES,

@@ -19,9 +19,17 @@ from hyperval.compare import judged_together
 from hyperval.imagery import TargetObject, all_pixels
 from hyperval.model import AREAS
 from hyperval.observe.detection import target_areas
-from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve
-from hyperval.processing.roc import area_estimates, counts_of, empirical_roc
-from hyperval.processing.sample import EigenDirections, SamplingBand, noise_part, sampling_band
+from hyperval.pixels import (
+    AlarmBlocks,
+    EigenDirections,
+    SamplingBand,
+    area_estimates,
+    counts_of,
+    empirical_roc,
+    exceedance_curve,
+    noise_part,
+    sampling_band,
+)
 from hyperval.products import ObjectScores
 from hyperval.statistics_library import builtin_class
 

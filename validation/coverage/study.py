@@ -34,16 +34,18 @@ from hyperval.compare import compare_products, detection
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.model import Origins, predict
 from hyperval.observe.site_spectra import spectral_estimate
-from hyperval.processing import MeasuredPanel, fit_elm
-from hyperval.processing.roc import empirical_roc, with_summary
-from hyperval.processing.sample import (
+from hyperval.pixels import (
+    MeasuredPanel,
     components,
+    empirical_roc,
+    fit_elm,
     independent_pixels,
     mean_error_covariance,
     neighbour_shares,
     small_sample_factor,
+    snr_decorrelated,
+    with_summary,
 )
-from hyperval.processing.snr import snr_decorrelated
 from hyperval.products import EstimatedPart, ObjectScores, ObservedProducts, PredictedProducts
 from hyperval.progress import track
 from hyperval.results import Result

@@ -28,7 +28,7 @@ from hyperval.campaign.job import jobs_of
 from hyperval.campaign.sides import Inputs
 from hyperval.model import ClassScores, log_false_alarm
 from hyperval.observe import observe
-from hyperval.processing import class_mixture, fit_mixture
+from hyperval.pixels import class_mixture, fit_mixture
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml"
 MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")

@@ -28,8 +28,15 @@ from hyperval.model import (
     log_false_alarm,
     thresholds_at,
 )
-from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio
-from hyperval.processing.laws import class_mixture, compact_parts, leading_tail_dof, moments_without_each
+from hyperval.pixels import (
+    AlarmBlocks,
+    class_mixture,
+    compact_parts,
+    exceedance_curve,
+    false_alarm_ratio,
+    leading_tail_dof,
+    moments_without_each,
+)
 from hyperval.products import ExceedanceCurve
 
 SIDE, BLUR, BANDS, DOF, SHARE = 110, 1.5, 4, 6.0, 0.07

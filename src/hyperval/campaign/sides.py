@@ -44,9 +44,7 @@ from hyperval.observe.detection import scored_pixels, target_groups
 from hyperval.observe.place import Place
 from hyperval.observe.spread import RegionLaws, class_sets
 from hyperval.observe.truth_images import fills_of
-from hyperval.processing.laws import exceedance_of_distance
-from hyperval.processing.roc import average_roc
-from hyperval.processing.sample import SamplingBand
+from hyperval.pixels import SamplingBand, average_roc, exceedance_of_distance
 from hyperval.products import (
     Abundance,
     ClassificationError,

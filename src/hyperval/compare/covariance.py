@@ -13,7 +13,7 @@ import numpy.typing as npt
 from hyperval.compare.spectra import RowMaker
 from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
-from hyperval.processing.sample import (
+from hyperval.pixels import (
     EigenDirections,
     SamplingBand,
     Statistics,

@@ -24,7 +24,7 @@ from hyperval.model.intervals import (
     zero_count_upper_limit,
 )
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at
-from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, false_alarm_ratio
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import (
     Abundance,
     AlarmsAtDetection,
@@ -691,7 +691,7 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
     """``far_predicted``, ``far_measured`` and ``far_difference`` ``@pd0.5`` and the like.
 
     Alarms per km2 at the highest threshold that reaches the stated P_D.  The measured interval holds the sampling
-    of targets and background (:func:`~hyperval.processing.roc.alarms_at_detection`), the predicted one is where
+    of targets and background (:func:`~hyperval.pixels.roc.alarms_at_detection`), the predicted one is where
     the band of the curve reaches that P_D.
 
     Examples
@@ -775,7 +775,7 @@ def side_by_side(
 
 
 def first_detection_rows(make: RowMaker, observed: RocCurve) -> list[Result]:
-    """``alarms_before_first`` (:func:`~hyperval.processing.roc.alarms_before_first`), where it was counted.
+    """``alarms_before_first`` (:func:`~hyperval.pixels.roc.alarms_before_first`), where it was counted.
 
     Examples
     --------
@@ -875,7 +875,7 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
     Examples
     --------
     >>> import numpy as np
-    >>> from hyperval.processing.roc import empirical_roc, with_summary
+    >>> from hyperval.pixels.roc import empirical_roc, with_summary
     >>> rng = np.random.default_rng(0)
     >>> target, background = rng.normal(2.0, 1.0, 40), rng.normal(size=20_000)
     >>> measured = with_summary(empirical_roc(target, background), target, background, rng=rng)

@@ -31,7 +31,7 @@ from hyperval.compare.detection import (
 from hyperval.compare.spectra import RowMaker, compare_spectra, scientific
 from hyperval.errors import UsageError
 from hyperval.model.intervals import Z95
-from hyperval.processing import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
+from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
 from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, PredictedProducts, Products, RocCurve
 from hyperval.results import Outcome, Result
 

@@ -15,7 +15,7 @@ import scipy
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence, Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
-from hyperval.processing.wavelength_check import FEATURES, absorption_centre, centre_uncertainty
+from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty
 from hyperval.products import EstimatedPart, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Outcome, Result
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window

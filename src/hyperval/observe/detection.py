@@ -28,45 +28,39 @@ from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
 from hyperval.model import Sources, UnmixedSubject, labelled
 from hyperval.model.filters import PositiveDefinite, fully_constrained, own_mean_sampling, whitened
 from hyperval.observe.place import IMAGE, SCENE, Place
-from hyperval.processing.alarm_blocks import (
+from hyperval.pixels import (
+    ANOMALY_DETECTORS,
     ANOMALY_LEVELS,
     FEWEST_FOR_A_CURVE,
     LEAST_EXPECTED_ALARMS,
-    AlarmBlocks,
-    block_side,
-    exceedance_curve,
-)
-from hyperval.processing.detectors import (
-    ANOMALY_DETECTORS,
     WITHOUT_COVARIANCE,
+    AlarmBlocks,
+    EmpiricalLine,
     LocalWindow,
     PixelDetector,
-    Whitener,
-    pixel_detector,
-    score_cube,
-    score_cube_locally,
-    whitener_of,
-)
-from hyperval.processing.line import EmpiricalLine
-from hyperval.processing.objects import (
     Placed,
+    PresetThresholds,
+    Whitener,
+    alarms_before_first,
+    block_side,
+    drawn_pixels,
+    empirical_roc,
+    exceedance_curve,
     footprint,
     footprint_maxima,
     footprint_sums,
     object_scores,
+    pixel_detector,
     placed_with_halo,
-    values_on,
-)
-from hyperval.processing.roc import (
-    PresetThresholds,
-    alarms_before_first,
-    empirical_roc,
     pooled_roc,
     preset_thresholds,
+    score_cube,
+    score_cube_locally,
+    snr_from_moments,
+    values_on,
+    whitener_of,
     with_summary,
 )
-from hyperval.processing.sample import drawn_pixels
-from hyperval.processing.snr import snr_from_moments
 from hyperval.products import (
     ANOMALIES,
     Abundance,

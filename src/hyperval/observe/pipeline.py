@@ -36,11 +36,7 @@ from hyperval.observe.site_spectra import (
     wavelength_notes,
 )
 from hyperval.observe.spread import RegionLaws, classification_errors, mean_error, pixel_distances
-from hyperval.processing.laws import LEAST_DOF
-from hyperval.processing.line import EmpiricalLine
-from hyperval.processing.sample import SCENE, nth_pixels
-from hyperval.processing.snr import snr_decorrelated
-from hyperval.processing.statistics import Labels, region_statistics
+from hyperval.pixels import LEAST_DOF, SCENE, EmpiricalLine, Labels, nth_pixels, region_statistics, snr_decorrelated
 from hyperval.products import EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.spectra.axis import SpectralAxis

@@ -46,8 +46,7 @@ from hyperval.imagery.regions import (
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.observe.truth_images import abundance_targets, finer_targets, material_regions
-from hyperval.processing.line import EmpiricalLine
-from hyperval.processing.statistics import Labels
+from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
 from hyperval.units import RADIANCE_UNIT
 

@@ -17,7 +17,7 @@ from rasterio.windows import Window
 
 from hyperval.errors import UsageError
 from hyperval.imagery import Cube, EnviRaster, envi_writer
-from hyperval.processing.line import EmpiricalLine
+from hyperval.pixels import EmpiricalLine
 from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file

@@ -29,9 +29,15 @@ from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery import Cube
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.paths import checked_file
-from hyperval.processing.line import EmpiricalLine, MeasuredPanel, darkest_pixel_panel, fit_elm
-from hyperval.processing.statistics import darkest_values
-from hyperval.processing.wavelength_check import Shift, wavelength_shifts
+from hyperval.pixels import (
+    EmpiricalLine,
+    MeasuredPanel,
+    Shift,
+    darkest_pixel_panel,
+    darkest_values,
+    fit_elm,
+    wavelength_shifts,
+)
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
 from hyperval.scenario import SpectrumSource, Surface, Uncertainty, load_scenario
 from hyperval.sensor.specification import Sensor, load_sensor

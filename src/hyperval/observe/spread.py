@@ -20,34 +20,32 @@ from hyperval.data import ClassStatistics, Components, SampleStatistics, statist
 from hyperval.errors import UsageError
 from hyperval.model.classification import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe.place import Place
-from hyperval.processing.alarm_blocks import block_side
-from hyperval.processing.laws import (
+from hyperval.pixels import (
     FEWEST_LEADING,
     ClassMixture,
+    EigenDirections,
+    EmpiricalLine,
     TailFit,
+    block_side,
     class_mixture,
     compact_parts,
-    fit_tail_dof,
-    leading_count,
-    leading_tail_dof,
-    left_out_distances,
-    moments_without_each,
-    squared_mahalanobis,
-)
-from hyperval.processing.line import EmpiricalLine
-from hyperval.processing.sample import (
-    EigenDirections,
     components,
     drawn_pixels,
     factor_covariance,
+    fit_tail_dof,
     independent_for_mean,
     independent_for_variance,
     independent_pixels,
     lag_correlation,
+    leading_count,
+    leading_tail_dof,
+    left_out_distances,
     mean_error_covariance,
+    moments_without_each,
     neighbour_shares,
     nth_pixels,
     small_sample_factor,
+    squared_mahalanobis,
 )
 from hyperval.products import ClassificationError, EstimatedPart, PixelDistribution
 from hyperval.scenario import BackgroundClass, Scenario
@@ -322,9 +320,9 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
 
     Correlation on the ground is measured along the leading components, and the rest together, in windows of the
     image, at lags of up to 24 pixels, and few independent pixels widen the error
-    (:func:`~hyperval.processing.sample.small_sample_factor`); regions of fewer than 50 pixels count as
+    (:func:`~hyperval.pixels.sample.small_sample_factor`); regions of fewer than 50 pixels count as
     independent ones.  Pixels that are fewer than the bands have few common factors and independent bands
-    (:func:`~hyperval.processing.sample.factor_covariance`); the samples' own covariance stands beside it, and
+    (:func:`~hyperval.pixels.sample.factor_covariance`); the samples' own covariance stands beside it, and
     both without the widening, which a test makes by its degrees of freedom.
     """
     n, covariance = statistics.n, statistics.covariance

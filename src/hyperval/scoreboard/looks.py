@@ -23,9 +23,7 @@ from hyperval.compare.spectra import RowMaker
 from hyperval.model import Sources
 from hyperval.observe import Observed
 from hyperval.observe.detection import scored_pixels, target_groups
-from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.detectors import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
-from hyperval.processing.objects import object_scores, values_on
+from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, AlarmBlocks, detector_names, object_scores, values_on
 from hyperval.progress import track
 from hyperval.results import Cause, Result
 from hyperval.scenario import Scenario

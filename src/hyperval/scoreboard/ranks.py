@@ -14,8 +14,7 @@ import numpy.typing as npt
 from scipy import special, stats
 
 from hyperval.model import AREAS, zero_count_upper_limit
-from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, AlarmBlocks
-from hyperval.processing.roc import interval_of_mean
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, interval_of_mean
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]

@@ -27,7 +27,7 @@ import scipy
 from hyperval.compare.spectra import RowMaker, scientific
 from hyperval.errors import UsageError
 from hyperval.model import Truth, UncertainInput, together
-from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, false_alarm_ratio
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import Products, background_of
 from hyperval.progress import track
 from hyperval.results import Cause, Outcome, Result

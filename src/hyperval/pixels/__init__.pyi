@@ -1,7 +1,8 @@
-"""ELM, features, detectors and ROC, for statistics and for pixels (3.21-3.33)."""
+"""Work on pixels: statistics of regions, empirical line, detectors, ROC with its intervals, laws of pixels, SNR."""
 
-from .alarm_blocks import (
+from .alarms import (
     ANOMALY_LEVELS,
+    FEWEST_FOR_A_CURVE,
     LEAST_EXPECTED_ALARMS,
     AlarmBlocks,
     block_side,
@@ -9,10 +10,16 @@ from .alarm_blocks import (
     exceedance_curve,
     false_alarm_ratio,
 )
-from .detectors import (
+from .detect import (
+    ANOMALY_DETECTORS,
     DETECTORS,
     LOCAL_DETECTORS,
+    WITHOUT_COVARIANCE,
     LocalWindow,
+    PixelDetector,
+    Whitener,
+    detector_names,
+    from_filter,
     moving_means,
     osp_filter,
     pixel_detector,
@@ -22,7 +29,11 @@ from .detectors import (
     whitener_of,
 )
 from .laws import (
+    FEWEST_LEADING,
+    LEAST_DOF,
+    ClassMixture,
     MixtureFit,
+    TailFit,
     chosen_count,
     chosen_dof,
     class_mixture,
@@ -30,6 +41,7 @@ from .laws import (
     exceedance_of_distance,
     fit_mixture,
     fit_tail_dof,
+    leading_count,
     leading_tail_dof,
     left_out_distances,
     moments_without_each,
@@ -38,10 +50,21 @@ from .laws import (
     tail_log_likelihood,
 )
 from .line import EmpiricalLine, LineFit, MeasuredPanel, darkest_pixel_panel, fit_elm, fit_line
-from .objects import footprint, footprint_maxima, footprint_sums, object_scores, placed_with_halo, values_on, with_halo
+from .objects import (
+    Placed,
+    footprint,
+    footprint_maxima,
+    footprint_sums,
+    object_scores,
+    placed_with_halo,
+    values_on,
+    with_halo,
+)
 from .roc import (
     OrderStatistics,
+    PresetThresholds,
     alarms_at_detection,
+    alarms_before_first,
     area_estimates,
     area_variance,
     areas_within,
@@ -58,6 +81,7 @@ from .roc import (
     with_summary,
 )
 from .sample import (
+    SCENE,
     EigenDirections,
     SamplingBand,
     Statistics,
@@ -84,11 +108,12 @@ from .sample import (
 )
 from .snr import snr_decorrelated, snr_from_moments
 from .statistics import MAX_THREADS, Labels, darkest_values, region_statistics
-from .wavelength_check import (
+from .wavelength import (
     FEATURES,
     OXYGEN_RESIDUAL,
     RANGE_NM,
     RED_EDGE,
+    Shift,
     absorption_centre,
     centre_uncertainty,
     oxygen_absorption,
@@ -98,16 +123,23 @@ from .wavelength_check import (
 )
 
 __all__ = [
+    "ANOMALY_DETECTORS",
     "ANOMALY_LEVELS",
     "DETECTORS",
     "FEATURES",
+    "FEWEST_FOR_A_CURVE",
+    "FEWEST_LEADING",
+    "LEAST_DOF",
     "LEAST_EXPECTED_ALARMS",
     "LOCAL_DETECTORS",
     "MAX_THREADS",
     "OXYGEN_RESIDUAL",
     "RANGE_NM",
     "RED_EDGE",
+    "SCENE",
+    "WITHOUT_COVARIANCE",
     "AlarmBlocks",
+    "ClassMixture",
     "EigenDirections",
     "EmpiricalLine",
     "Labels",
@@ -116,10 +148,17 @@ __all__ = [
     "MeasuredPanel",
     "MixtureFit",
     "OrderStatistics",
+    "PixelDetector",
+    "Placed",
+    "PresetThresholds",
     "SamplingBand",
+    "Shift",
     "Statistics",
+    "TailFit",
+    "Whitener",
     "absorption_centre",
     "alarms_at_detection",
+    "alarms_before_first",
     "area_estimates",
     "area_variance",
     "areas_within",
@@ -137,6 +176,7 @@ __all__ = [
     "covariance_distance",
     "darkest_pixel_panel",
     "darkest_values",
+    "detector_names",
     "drawn_factor",
     "drawn_pixels",
     "empirical_roc",
@@ -152,6 +192,7 @@ __all__ = [
     "footprint",
     "footprint_maxima",
     "footprint_sums",
+    "from_filter",
     "full_rank",
     "independent_for_mean",
     "independent_for_variance",
@@ -159,6 +200,7 @@ __all__ = [
     "interval_of_mean",
     "kurtosis_parameter",
     "lag_correlation",
+    "leading_count",
     "leading_tail_dof",
     "left_out_distances",
     "logit_interval",

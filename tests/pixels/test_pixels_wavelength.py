@@ -11,7 +11,7 @@ import pytest
 
 from hyperval.compare import compare_spectra
 from hyperval.observe import wavelength_notes
-from hyperval.processing import (
+from hyperval.pixels import (
     FEATURES,
     OXYGEN_RESIDUAL,
     RED_EDGE,

@@ -8,7 +8,7 @@ from scipy import ndimage, stats
 
 from hyperval.compare import chi_square_full, chi_square_shape, covariance_dof
 from hyperval.model import bhattacharyya_distance
-from hyperval.processing import (
+from hyperval.pixels import (
     EigenDirections,
     SamplingBand,
     components,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperval.model import WHOLE
-from hyperval.processing import area_estimates, counts_of, roc_area
+from hyperval.pixels import area_estimates, counts_of, roc_area
 from hyperval.products import AreaEstimate
 
 

@@ -8,7 +8,7 @@ from scipy import ndimage, stats
 from sklearn.mixture import GaussianMixture
 
 from hyperval.model import jackknife_directions
-from hyperval.processing import (
+from hyperval.pixels import (
     AlarmBlocks,
     MixtureFit,
     chosen_count,

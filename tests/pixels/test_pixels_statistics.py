@@ -8,7 +8,7 @@ from stored_cubes import BANDS, LINES, SAMPLES, numbers, stored
 
 from hyperval.data import statistics_of
 from hyperval.errors import UsageError
-from hyperval.processing import Labels, darkest_values, drawn_pixels, nth_pixels, region_statistics
+from hyperval.pixels import Labels, darkest_values, drawn_pixels, nth_pixels, region_statistics
 
 
 def relative(found, expected):

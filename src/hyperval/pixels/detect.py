@@ -18,7 +18,7 @@ Detectors against the mean of each pixel's own surroundings: a moving window, wi
 
 The mean of a pixel is that of the background pixels in an outer square around it, less an inner square that keeps
 the target out of it.  In coordinates y = W (x - mu), W Sigma W^T = 1, it is a moving average m of y, and with
-z = y - m and d = W (t - mu) - m the detectors are those of :mod:`hyperval.processing.detectors`:
+z = y - m and d = W (t - mu) - m the detectors are those of :mod:`hyperval.pixels.detect`:
 
     cem, matched-filter   d z / |d|^2
     smf                   d z / |d|
@@ -43,8 +43,8 @@ import numpy.typing as npt
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
-from hyperval.processing.line import EmpiricalLine
-from hyperval.processing.statistics import StoredBlock, Watch, by_segments, stream
+from hyperval.pixels.line import EmpiricalLine
+from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
@@ -263,7 +263,7 @@ def score_cube_locally(
     detectors : name of the map -> name of the detector and its target (F,) in the selected bands
     whitener : of the background in the selected bands
     counted : (lines, samples) pixels that may count for a mean; those without data never do
-    elm, bands, needed, threads, watch : as for :func:`hyperval.processing.detectors.score_cube`
+    elm, bands, needed, threads, watch : as for :func:`hyperval.pixels.detect.score_cube`
 
     Raises
     ------

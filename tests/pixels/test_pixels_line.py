@@ -8,7 +8,7 @@ from scipy import optimize
 
 from hyperval.compare import chi_square_full
 from hyperval.errors import UsageError
-from hyperval.processing import MeasuredPanel, darkest_pixel_panel, fit_elm, fit_line
+from hyperval.pixels import MeasuredPanel, darkest_pixel_panel, fit_elm, fit_line
 from hyperval.products import EstimatedPart
 
 GAIN, OFFSET = np.array([10.0, 6.0, 2.0]), np.array([1.0, 0.5, 0.1])

@@ -13,12 +13,12 @@ from stored_cubes import BANDS, LINES, SAMPLES, numbers, stored
 
 from hyperval.collection import LocalWindowSource
 from hyperval.errors import UsageError
-from hyperval.processing import (
+from hyperval.pixels import (
     DETECTORS,
     LOCAL_DETECTORS,
     LocalWindow,
     MeasuredPanel,
-    detectors,
+    detect,
     fit_elm,
     footprint,
     footprint_maxima,
@@ -235,8 +235,8 @@ def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(dr
     target = mean + np.linspace(0.05, 0.3, mean.size)
     names = {name: (name, None if name == "rx" else target) for name in LOCAL_DETECTORS}
     if threads == 2:
-        monkeypatch.setattr(detectors, "_VALUES_AT_ONCE", 0)  # strips that end within the image
-        monkeypatch.setattr(detectors, "_LINES_AT_ONCE", 1)
+        monkeypatch.setattr(detect, "_VALUES_AT_ONCE", 0)  # strips that end within the image
+        monkeypatch.setattr(detect, "_LINES_AT_ONCE", 1)
     whitener = whitener_of(mean, covariance)
     found, _ = score_cube_locally(cube, names, whitener, window, counted, None, used, threads=threads)
     for line, sample in ((0, 0), (5, 8), (18, 14), (21, 12), (46, 22), (30, 0), (8, 19), (9, 20)):

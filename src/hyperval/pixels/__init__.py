@@ -1,4 +1,4 @@
-"""ELM, features, detectors and ROC, for statistics and for pixels (3.21-3.33)."""
+"""Work on pixels: statistics of regions, empirical line, detectors, ROC with its intervals, laws of pixels, SNR."""
 
 import lazy_loader
 

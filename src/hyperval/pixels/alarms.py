@@ -299,7 +299,7 @@ class FalseAlarmRatio:
 def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     """P(score > threshold) of background pixels, at ten thresholds for each decade of it, down to 5 alarms.
 
-    The interval is :meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.pfa_limits`; there is none where all alarms
+    The interval is :meth:`~hyperval.pixels.alarms.AlarmBlocks.pfa_limits`; there is none where all alarms
     lie in one block.
 
     Examples

@@ -18,7 +18,7 @@ from hyperval.model import (
     mid_p_limits,
     zero_count_upper_limit,
 )
-from hyperval.processing import AlarmBlocks, empirical_roc, exceedance_at, exceedance_curve, false_alarm_ratio
+from hyperval.pixels import AlarmBlocks, empirical_roc, exceedance_at, exceedance_curve, false_alarm_ratio
 from hyperval.products import ExceedanceCurve
 
 

@@ -11,7 +11,7 @@ from scipy import optimize, stats
 from scipy.special import logit
 
 from hyperval.model import AREAS, WHOLE, RocArea, bounded_mean_limits, clopper_pearson, mid_p_limits
-from hyperval.processing import (
+from hyperval.pixels import (
     AlarmBlocks,
     OrderStatistics,
     alarms_at_detection,

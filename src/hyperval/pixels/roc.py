@@ -35,7 +35,7 @@ from scipy import special
 from hyperval.errors import UsageError
 from hyperval.model.intervals import bounded_mean_limits, clopper_pearson, mid_p_limits
 from hyperval.model.roc import AREAS, WHOLE, RocArea
-from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, AlarmBlocks
+from hyperval.pixels.alarms import LEAST_EXPECTED_ALARMS, AlarmBlocks
 from hyperval.products import AlarmsAtDetection, AreaEstimate, RocCurve
 
 Array = npt.NDArray[np.float64]
@@ -279,7 +279,7 @@ def roc_area(counts: RankCounts, area: RocArea = WHOLE) -> float:
 
     Examples
     --------
-    >>> from hyperval.processing.roc import counts_of
+    >>> from hyperval.pixels.roc import counts_of
     >>> roc_area(counts_of([2.0, 3.0], [0.0, 1.0, 2.5, -1.0]))
     0.875
     """
@@ -308,7 +308,7 @@ def clustered_variance(counts: RankCounts, area: RocArea, blocks: AlarmBlocks) -
     """The part of the background in :func:`area_variance` where it comes in clusters, and its degrees of freedom.
 
     The W_j are summed by block of the image, and the blocks' sums have the variance of
-    :meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.variance_of_sum`.  Source of the form: Obuchowski,
+    :meth:`~hyperval.pixels.alarms.AlarmBlocks.variance_of_sum`.  Source of the form: Obuchowski,
     Biometrics 53, 567-578, 1997 (clustered ROC data).
     """
     between, on = _background_parts(counts, area)
@@ -566,7 +566,7 @@ def empirical_roc(
     background sample: the number of background scores above x is binomial, so x lies between two order
     statistics of the background, at which P_D is read again; where n pfa is too small, no score bounds x from above
     and the lower limit of P_D is 0.  Where the places of the background are known, alarms that come in clusters
-    widen that range (:meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.rank_limits`).  The distances of
+    widen that range (:meth:`~hyperval.pixels.alarms.AlarmBlocks.rank_limits`).  The distances of
     both from P_D are added in quadrature on each side (as in Newcombe, Stat. Med. 17, 873-890, 1998).  The true P_D
     rises with P_FA, so limits that do not are widened until they do.  Simulated coverage at 95 % is 0.95 to 0.99,
     tables in docs/statistics.md, and 0.92 where 300 targets stand on 44 alarms that come in clusters; with the first

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.processing import snr_decorrelated, snr_from_moments
+from hyperval.pixels import snr_decorrelated, snr_from_moments
 
 BANDS = 20
 

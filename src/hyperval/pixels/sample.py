@@ -330,7 +330,7 @@ def noise_part(
     expected : (B, B) Sigma, of the model, noise included
     noise : (B,) variances that N has on its diagonal
     dof : degrees of freedom behind S
-    kurtosis : kappa of the pixels' law (:func:`hyperval.processing.sample.kurtosis_parameter`)
+    kurtosis : kappa of the pixels' law (:func:`hyperval.pixels.sample.kurtosis_parameter`)
     calibration : (B,) part of the noise that the detector elements' own errors of calibration make: all pixels of a
         column share them, so that it is known by as many as there are columns
     samples : columns of the image

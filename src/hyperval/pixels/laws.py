@@ -28,7 +28,7 @@ from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
 
 from hyperval.data import Components
 from hyperval.errors import UsageError
-from hyperval.processing.sample import EigenDirections
+from hyperval.pixels.sample import EigenDirections
 
 Array = npt.NDArray[np.float64]
 

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from hyperval.data import SampleStatistics
 from hyperval.errors import UsageError
 from hyperval.executors import available_cores, single_blas_thread
-from hyperval.processing.sample import SCENE
+from hyperval.pixels.sample import SCENE
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube

@@ -18,7 +18,7 @@ from hyperval.model import (
     principal_components,
     with_distances,
 )
-from hyperval.processing import (
+from hyperval.pixels import (
     EigenDirections,
     MeasuredPanel,
     alarms_at_detection,
