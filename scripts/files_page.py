@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from hyperval.campaign.schema import Campaign
+from hyperval.campaign import Campaign
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import SensorSpecification
 from hyperval.simulate.schema import SceneFile

@@ -41,8 +41,7 @@ def modules_in_order(work: Callable[[], object]) -> list[str]:
 def job(name: str) -> Callable[[], object]:
     """What is walked through."""
     if Path(name).name.startswith("campaign"):
-        from hyperval.campaign.job import jobs_of
-        from hyperval.campaign.one import run_campaign
+        from hyperval.campaign import jobs_of, run_campaign
 
         return lambda: [run_campaign(one, show_progress=False) for one in jobs_of(Path(name))]
     from hyperval.model import predict

@@ -192,6 +192,11 @@ def write_yaml(path: Path, data: Mapping[str, Any]) -> Path:
     return path
 
 
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Content of every file below a folder, by its name there."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
 def write_collection(folder: Path) -> None:
     """Simulate the scene into ``folder``/collection, with the sensor file beside it."""
     from hyperval.simulate import SceneFile, simulate

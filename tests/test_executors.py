@@ -56,32 +56,14 @@ def test_results_come_in_the_order_of_the_pieces():
     assert list(in_order(Workers(), square, range(7))) == [k * k for k in range(7)]
     with ThreadPoolExecutor(3) as pool:
         assert list(in_order(pool, square, range(50))) == [k * k for k in range(50)]
-
-
-def test_pieces_are_handed_out_as_they_are_needed():
+        results = in_order(pool, fails_at_three, range(6))
+        assert [next(results) for _ in range(3)] == [0, 1, 2]
+        with pytest.raises(ValueError, match="three"):
+            next(results)
     handed = []
-
-    def pieces():
-        for k in range(100):
-            handed.append(k)
-            yield k
-
-    results = in_order(Workers(), square, pieces())
+    results = in_order(Workers(), square, (handed.append(k) or k for k in range(100)))
     assert next(results) == 0
-    assert len(handed) <= 2
-
-
-def test_what_a_piece_raises_comes_out():
-    results = in_order(Workers(), fails_at_three, range(6))
-    assert [next(results) for _ in range(3)] == [0, 1, 2]
-    with pytest.raises(ValueError, match="three"):
-        next(results)
-
-
-def test_one_blas_thread_for_each_piece():
-    counts = next(in_order(Workers(), blas_threads, [0]))
-    assert counts
-    assert set(counts) == {1}
+    assert len(handed) <= 2  # as they are needed
 
 
 def test_one_blas_thread_inside_and_the_old_number_after():
@@ -90,7 +72,16 @@ def test_one_blas_thread_inside_and_the_old_number_after():
             assert alone
             assert set(blas_threads()) == {1}
         assert set(blas_threads()) == {2}
-    assert available_cores() >= 1
+        assert set(next(in_order(Workers(), blas_threads, [0]))) == {1}
+
+
+def test_number_of_workers(monkeypatch):
+    assert worker_count(1) == 1 <= available_cores()
+    monkeypatch.setenv("HYPERVAL_WORKERS", "3")
+    assert (worker_count(), worker_count(2), worker_count(9)) == (3, 2, 3)
+    monkeypatch.setenv("HYPERVAL_WORKERS", "many")
+    with pytest.raises(UsageError, match="HYPERVAL_WORKERS"):
+        worker_count()
 
 
 def test_a_process_that_dies_is_replaced(tmp_path):
@@ -192,14 +183,6 @@ def test_workers_end_with_their_run(tmp_path, number):
     assert len(list(tmp_path.glob("*.unwound"))) == 2
 
 
-def test_number_of_workers(monkeypatch):
-    monkeypatch.setenv("HYPERVAL_WORKERS", "3")
-    assert (worker_count(), worker_count(2), worker_count(9)) == (3, 2, 3)
-    monkeypatch.setenv("HYPERVAL_WORKERS", "many")
-    with pytest.raises(UsageError, match="HYPERVAL_WORKERS"):
-        worker_count()
-
-
 def test_a_scheduler_that_is_not_there():
     pytest.importorskip("distributed", reason="the extra dask is not installed")
     with pytest.raises(UsageError, match="scheduler"), workers(scheduler="no-such-protocol://nowhere:1"):
@@ -220,10 +203,7 @@ def test_what_all_pieces_need_is_packed_once(count):
             found = list(in_order(where, first_of, [(packed, k) for k in range(5)]))
         assert path is None or not path.exists()
     assert found == [(k * k, count == 2) for k in range(5)]
-
-
-def test_pieces_for_other_executors_carry_the_parcel():
-    with ThreadPoolExecutor(1) as pool, parcel(pool, [3, 4]) as packed:
+    with ThreadPoolExecutor(1) as pool, parcel(pool, [3, 4]) as packed:  # pieces for others carry it
         assert list(in_order(pool, first_of, [(packed, 1)])) == [(4, False)]
 
 

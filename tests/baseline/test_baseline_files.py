@@ -10,22 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperval.baseline.accepted import (
-    BEHIND,
-    Accepted,
-    accepted_of,
-    baseline_path,
-    campaign_metrics,
-    candidate_path,
-    load_baseline,
-    rounded,
-    skipped_reason,
-    split_key,
-    stored,
-    today,
-    write_baseline,
-)
-from hyperval.baseline.check import compare
+from hyperval import cli
+from hyperval.baseline import Accepted, accepted_of, campaign_metrics, compare, load_baseline, split_key
 from hyperval.errors import UsageError
 from hyperval.metrics import Tolerance, default_tolerance
 from hyperval.model import clopper_pearson
@@ -35,11 +21,12 @@ MEDIAN = "median_difference_ratio_windows"
 KEY = f"radiance | white panel | sixs | {MEDIAN}"
 PD = "roc | planks | cem/pixel | pd_predicted@1e-2"
 HEAD = 'schema: 1\nkind: campaign\nname: mine\nreason: "because"\ndate: "2026-01-02"\nversions: {hyperval: "0"}\n'
+LINE = "{accepted: 0.5, tolerance: 0.001, of: unit}"
 
 
-def written(folder: Path, line: str, key: str = KEY) -> Path:
+def written(folder: Path, line: str = LINE, key: str = KEY, head: str = HEAD) -> Path:
     path = folder / "mine.yaml"
-    path.write_text(f'{HEAD}metrics:\n  "{key}": {line}\n')
+    path.write_text(f'{head}metrics:\n  "{key}": {line}\n')
     return path
 
 
@@ -49,34 +36,6 @@ def measured(value: float, half: float = math.nan, key: str = KEY, **more) -> di
 
 def number(value: float, key: str = KEY, half: float = math.nan, **more) -> Accepted:
     return accepted_of(measured(value, half, key, **more), {})[key]
-
-
-def test_a_baseline_comes_back_as_it_was_written(tmp_path):
-    numbers = {
-        **measured(0.0123456789, 0.01, outcome=Outcome.AGREES),
-        **measured(0.5, key=PD),
-        **measured(math.nan, key="roc | a | b | cem/object | pd_inside_interval@1e-2", outcome=Outcome.SKIPPED),
-        **measured(0.02, 0.004, "scores | x | cem | score_mean_difference"),
-    }
-    metrics = accepted_of(numbers, {})
-    path = baseline_path(tmp_path, "campaign", "mine")
-    write_baseline(path, "campaign", "mine", 'why: "so"', {"hyperval": "0"}, metrics)
-    back = stored(tmp_path, "campaign", "mine")
-    assert back is not None
-    assert back.metrics == metrics
-    assert back.reason == 'why: "so"'
-    assert back.metrics[KEY].accepted == 0.0123457
-    lines = path.read_text().split("metrics:\n")[1].splitlines()
-    assert len(lines) == len(metrics)
-    assert lines == sorted(lines)
-
-
-def test_the_date_is_that_of_the_sources(monkeypatch):
-    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
-    assert today() == "2001-09-09"
-    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
-    with pytest.raises(UsageError, match="seconds since 1970"):
-        today()
 
 
 @pytest.mark.parametrize(
@@ -91,7 +50,6 @@ def test_the_date_is_that_of_the_sources(monkeypatch):
         ('{accepted: 0.5, tolerance: 0.01, of: unit, why: ""}', "at least 1 character"),
         ("{accepted: 0.5, tolerance: .nan, of: unit}", "finite number"),
         ("{accepted: .inf, tolerance: 0.001, of: unit}", "finite number"),
-        ("{accepted: 0.5, tolerance: 0.001, of: everything}", "Input should be"),
         ("{accepted: 0.5, tolerance: 0.001, of: unit, outcome: FAIL}", "Input should be"),
         ("{accepted: 0.5, tolerence: 0.001, of: unit}", "did you mean 'tolerance'"),
     ],
@@ -106,48 +64,34 @@ def test_a_tolerance_that_can_never_fail_is_refused(tmp_path):
     with pytest.raises(UsageError, match=r"lies between 0 and 1.*can never fail"):
         load_baseline(written(tmp_path, line, PD))
     assert load_baseline(written(tmp_path, line.replace("1.0, of", "0.5, of"), PD)).metrics[PD].width == 0.25
-
-
-def test_a_loosened_tolerance_needs_words_and_a_tight_one_none(tmp_path):
     loose = '{accepted: 0.5, tolerance: 0.01, of: unit, why: "a random forest"}'
     assert load_baseline(written(tmp_path, loose)).metrics[KEY].width == 0.01
-    tight = "{accepted: 0.5, tolerance: 0.0005, of: unit}"
-    assert load_baseline(written(tmp_path, tight)).metrics[KEY].width == 0.0005
+    assert load_baseline(written(tmp_path, LINE)).metrics[KEY].width == 0.001  # a tight one needs no words
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("old", "new", "message"),
     [
-        (HEAD.replace('"because"', '"FILL_IN: why"'), "still to be filled in"),
-        (HEAD.replace('"because"', '""'), "at least 1 character"),
-        (HEAD.replace("2026-01-02", "today"), "date"),
-        (HEAD.replace("schema: 1", "schema: 2"), "schema"),
-        (HEAD.replace("mine", "../mine"), "name"),
+        ('"because"', '"FILL_IN: why"', "still to be filled in"),
+        ('"because"', '""', "at least 1 character"),
+        ("2026-01-02", "today", "date"),
+        ("schema: 1", "schema: 2", "schema"),
+        ("mine", "../mine", "name"),
     ],
 )
-def test_heads_that_say_nothing_are_refused(tmp_path, text, message):
-    path = tmp_path / "mine.yaml"
-    path.write_text(f'{text}metrics:\n  "{KEY}": {{accepted: 0.5, tolerance: 0.001, of: unit}}\n')
+def test_heads_that_say_nothing_are_refused(tmp_path, old, new, message):
     with pytest.raises(UsageError, match=message):
-        load_baseline(path)
+        load_baseline(written(tmp_path, head=HEAD.replace(old, new)))
 
 
-def test_names_of_numbers(tmp_path):
+def test_names_of_numbers_and_files_of_something_else(tmp_path, capsys):
     assert split_key("roc | a | b | cem | pd") == ("roc", "a | b", "cem", "pd")
     with pytest.raises(UsageError, match=r"is not .product \| subject \| method \| metric"):
-        load_baseline(written(tmp_path, "{accepted: 0.5, tolerance: 0.001, of: unit}", "pd"))
-
-
-def test_a_baseline_of_something_else_is_refused(tmp_path):
-    written(tmp_path, "{accepted: 0.5, tolerance: 0.001, of: unit}").rename(tmp_path / "other.yaml")
-    with pytest.raises(UsageError, match="is the baseline of campaign 'mine'"):
-        stored(tmp_path, "campaign", "other")
-    assert stored(tmp_path, "sensor", "other") is None
-
-
-def test_sensors_stand_apart(tmp_path):
-    assert baseline_path(tmp_path, "sensor", "emit") == tmp_path / "sensors" / "emit.yaml"
-    assert candidate_path(tmp_path, "campaign", "v1.2").name == "v1.2.candidate.yaml"
+        load_baseline(written(tmp_path, key="pd"))
+    (tmp_path / "sensors").mkdir()
+    written(tmp_path).rename(tmp_path / "sensors" / "casi-1500.yaml")
+    assert cli.run(["check", "--sensors", "casi-1500", "--baselines", str(tmp_path)]) == 2
+    assert "is the baseline of campaign 'mine'" in capsys.readouterr().err
 
 
 @given(st.floats(1e-30, 1e30), st.sampled_from((-1.0, 1.0)))
@@ -163,7 +107,7 @@ def test_rounding_alone_never_trips_a_check(value, sign):
 @given(st.floats(0.01, 100.0), st.floats(-0.4, 0.4))
 def test_the_verdict_turns_at_the_tolerance(value, part):
     key = "noise | VNIR | sensor | median_electrons_per_radiance"
-    value = rounded(value)
+    value = float(f"{value:.6g}")
     accepted = Accepted.model_validate({"accepted": value, "tolerance": 0.2, "of": "value", "why": "a test"})
     (found,) = compare("it", {key: accepted}, measured(value * (1.0 + part), key=key))
     if abs(abs(part) - 0.2) > 1e-9:
@@ -181,8 +125,6 @@ def test_the_verdict_turns_at_the_tolerance(value, part):
         ("pd_measured@1e-2", None, Tolerance(0.005, "unit")),
         ("median_difference_ratio_swir1", 0.1, Tolerance(0.002, "unit")),
         ("p_value_full", None, Tolerance(0.05, "unit")),
-        ("objects_inside_95_p_value", None, Tolerance(0.05, "unit")),
-        ("pit_uniformity_p_value", None, Tolerance(0.05, "unit")),
         ("score_mean_difference", 0.1, Tolerance(0.1, "interval")),
         ("reduced_chi_square", None, Tolerance(0.01, "value")),
     ],
@@ -206,6 +148,7 @@ def row(metric: str, value: float = 0.1, outcome: Outcome = Outcome.NONE, subjec
 
 
 def test_what_a_baseline_keeps_of_a_campaign():
+    """What is planned, and of its subjects and methods what stands behind it; the worst of several outcomes."""
     rows = [
         row("pd_inside_interval@1e-2_fraction", 1.0, Outcome.AGREES, "near *, far *"),
         row("pd_predicted@1e-2", subject="near 1"),
@@ -226,14 +169,6 @@ def test_what_a_baseline_keeps_of_a_campaign():
         ("s", "cem/pixel", "pd"),
     ]
     assert found["roc | s | cem/pixel | pd"].outcome is Outcome.SKIPPED
-    assert "pd_predicted@*" in BEHIND["roc"]
-
-
-def test_a_campaign_is_skipped_when_all_of_it_is():
-    lost = row("pd", math.nan, Outcome.SKIPPED, reason="no data")
-    assert skipped_reason([lost, lost]) == "no data"
-    assert skipped_reason([lost, row("z")]) is None
-    assert skipped_reason([]) is None
 
 
 @pytest.mark.parametrize(
@@ -252,17 +187,14 @@ def test_a_campaign_is_skipped_when_all_of_it_is():
         (number(0.1, outcome=Outcome.AGREES), measured(0.1), "the outcome changed from agrees to none"),
     ],
 )  # fmt: skip
-def test_what_fails(accepted, now, words):
+def test_what_fails_and_the_limit_that_was_crossed(accepted, now, words):
     (found,) = compare("it", {KEY: accepted} if accepted else {}, now or {})
     assert found.outcome is (Outcome.DISAGREES if words else Outcome.AGREES)
     assert re.search(words, found.reason)
     assert bool(found.reason) == bool(words)
-
-
-def test_a_row_tells_the_limit_that_was_crossed():
-    (found,) = compare("it", {KEY: number(0.1)}, measured(0.09))
-    assert (found.limit_low, found.limit_high) == pytest.approx((0.098, 0.102))
     assert found.subject == "white panel"
+    if accepted and accepted.accepted is not None:
+        assert (found.limit_low, found.limit_high) == pytest.approx((0.098, 0.102))
 
 
 def test_tolerances_are_kept_and_lost_intervals_fall_back():

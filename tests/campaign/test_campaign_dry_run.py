@@ -1,8 +1,10 @@
-"""Dry run, values to fill in, campaigns of several runs, and collections that are not public."""
+"""Dry run: values to fill in, several runs, collections that are not public, every name that does not fit."""
 
 from __future__ import annotations
 
 import copy
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +12,15 @@ import pytest
 import yaml
 
 from hyperval import cli
-from hyperval.campaign.dry_run import dry_run, overview, summary
-from hyperval.campaign.job import job_of, jobs_of, read_texts
-from hyperval.campaign.one import run_campaign
-from hyperval.campaign.run import validate
-from hyperval.campaign.schema import campaign_runs, with_words
-from hyperval.config import load_yaml, placeholders
-from hyperval.errors import InputError, UsageError
+from hyperval.campaign import WRONG, dry_run, job_of, jobs_of, overview, read_texts, summary
+from hyperval.config import load_yaml
+from hyperval.errors import UsageError
 from hyperval.imagery import write_cube
+from hyperval.metrics import foreign
+from hyperval.run import Run
 from hyperval.spectra import SpectralAxis
 
+ROOT = Path(__file__).parents[2]
 CAMPAIGN = {
     "schema": 1,
     "name": "line-{line}",
@@ -51,13 +52,13 @@ def places(tmp_path, monkeypatch) -> Path:
     monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path / "data"))
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # starting processes takes longer than these tests
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
-    return written(tmp_path)
+    return written(tmp_path, CAMPAIGN, SCENARIO)
 
 
-def written(tmp_path: Path, campaign: dict | None = None, scenario: dict | None = None) -> Path:
+def written(tmp_path: Path, campaign: dict, scenario: dict) -> Path:
     path = tmp_path / "campaign.yaml"
-    path.write_text(yaml.safe_dump(campaign or CAMPAIGN, sort_keys=False))
-    (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(scenario or SCENARIO, sort_keys=False))
+    path.write_text(yaml.safe_dump(campaign, sort_keys=False))
+    (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(scenario, sort_keys=False))
     return path
 
 
@@ -78,7 +79,7 @@ def complete(tmp_path: Path) -> Path:
     return written(tmp_path, campaign, scenario)
 
 
-def test_everything_that_is_lacking_is_listed(places):
+def test_everything_that_is_lacking_is_listed_and_once_where_runs_share_it(places, tmp_path, capsys):
     items = [i for i in dry_run([places]) if i.campaign == "line-0920-1638"]
     assert [(i.kind, i.state, i.what) for i in items] == [
         ("file", "missing", "data:share2012/lines/0920-1638_rad.dat"),
@@ -94,109 +95,38 @@ def test_everything_that_is_lacking_is_listed(places):
     assert said[0] == "line-0920-1638: 2 files missing, 2 values to fill in"
     assert summary(dry_run([places]))[0] == "line-{line} (2 campaigns): 2 files missing, 2 values to fill in"
     assert "held by Rochester Institute of Technology" in said[1]
-
-
-def test_the_overview_names_once_what_runs_share(places, tmp_path):
     rows = overview(dry_run([places]))
-    assert [(i.campaign, i.state, i.what) for i in rows] == [
-        ("2 campaigns, line-{line}", "missing", "data:share2012/lines/{line}_rad.dat"),
-        ("2 campaigns, line-{line}", "missing", "rois.geojson"),
-        ("2 campaigns, line-{line}", "found", "scenario.yaml"),
-        ("2 campaigns, line-{line}", "to fill in", "collection.cube.scale"),
-        ("2 campaigns, line-{line}", "to fill in", "scene.classes.0.fraction"),
-        ("2 campaigns, line-{line}", "planned", "1 comparisons, 1 acceptance criteria"),
+    assert {i.campaign for i in rows} == {"2 campaigns, line-{line}"}
+    assert [(i.state, i.what) for i in rows] == [
+        ("missing", "data:share2012/lines/{line}_rad.dat"),
+        ("missing", "rois.geojson"),
+        ("found", "scenario.yaml"),
+        ("to fill in", "collection.cube.scale"),
+        ("to fill in", "scene.classes.0.fraction"),
+        ("planned", "1 comparisons, 1 acceptance criteria"),
     ]
+    assert cli.run(["validate", "--dry-run", str(places)]) == 3
+    assert capsys.readouterr().out.splitlines()[0].split("\t") == ["campaign", "kind", "state", "what", "detail"]
     # What one run alone lacks stands under its own name, with its own words.
     complete(tmp_path)
     (tmp_path / "data/share2012/lines/0920-1638_rad.dat").unlink()
-    (row,) = [i for i in overview(dry_run([places])) if i.lacking]
-    assert (row.campaign, row.what) == ("line-0920-1638", "data:share2012/lines/0920-1638_rad.dat")
+    (tmp_path / "data/share2012/lines/0920-1631_rad.hdr").unlink()
+    assert [(i.campaign, i.what) for i in overview(dry_run([places])) if i.lacking] == [
+        ("line-0920-1631", "data:share2012/lines/0920-1631_rad.dat.hdr"),
+        ("line-0920-1638", "data:share2012/lines/0920-1638_rad.dat"),
+    ]
+    assert cli.run(["-q", "validate", str(places), "-o", str(tmp_path / "out")]) == 3
+    skipped = [r for r in Run.open(tmp_path / "out").table if r.campaign == "line-0920-1638"]
+    assert {r.outcome for r in skipped} == {"skipped"}
+    assert "held by Rochester" in skipped[0].reason
 
 
-def test_exit_codes_and_no_folder(places, tmp_path, capsys):
-    assert cli.run(["validate", "--dry-run", str(places)]) == 3
-    out = capsys.readouterr().out
-    assert out.splitlines()[0].split("\t") == ["campaign", "kind", "state", "what", "detail"]
+def test_what_is_complete_is_ready_and_nothing_is_written(places, tmp_path, capsys):
     path = complete(tmp_path)
     before = sorted(p.name for p in tmp_path.rglob("*"))
     assert cli.run(["validate", "--dry-run", str(path)]) == 0
     assert "line-{line} (2 campaigns): ready" in capsys.readouterr().err
-    assert sorted(p.name for p in tmp_path.rglob("*")) == before  # nothing is written
-
-
-def test_a_cube_without_its_header_is_not_ready(places, tmp_path):
-    path = complete(tmp_path)
-    (tmp_path / "data/share2012/lines/0920-1631_rad.hdr").unlink()
-    (row,) = [i for i in dry_run([path]) if i.lacking]
-    assert (row.campaign, row.what) == ("line-0920-1631", "data:share2012/lines/0920-1631_rad.dat.hdr")
-
-
-def test_a_campaign_that_is_filled_in_wrongly_is_refused(places, tmp_path):
-    path = complete(tmp_path)
-    path.write_text(path.read_text().replace("scale: 0.001", "scale: -1"))
-    with pytest.raises(UsageError, match=r"campaign\.yaml:12: collection\.cube\.scale.*greater than 0"):
-        dry_run([path])
-    path = complete_again(tmp_path)
-    (tmp_path / "scenario.yaml").write_text((tmp_path / "scenario.yaml").read_text().replace("0.75", "0.25"))
-    with pytest.raises(UsageError, match=r"scenario\.yaml.*sum to 0\.5"):
-        dry_run([path])
-
-
-def complete_again(tmp_path: Path) -> Path:
-    path = tmp_path / "campaign.yaml"
-    path.write_text(path.read_text().replace("scale: -1", "scale: 0.001"))
-    return path
-
-
-def test_mistakes_in_what_the_dry_run_reads_are_named(places):
-    places.write_text(places.read_text().replace("title:", "titel:"))
-    with pytest.raises(UsageError, match=r"titel: unknown key; did you mean 'title'"):
-        dry_run([places])
-
-
-def test_without_any_file_of_the_collection_it_is_skipped_with_who_holds_it(places, tmp_path):
-    jobs = jobs_of(places)
-    assert [j.campaign.name for j in jobs] == ["line-0920-1631", "line-0920-1638"]
-    rows = list(run_campaign(jobs[0]).table)
-    assert [(r.subject, r.outcome) for r in rows] == [("a", "skipped"), ("b", "skipped")]
-    assert "held by Rochester Institute of Technology" in rows[0].reason
-    assert "2 values are to be filled in then" in rows[0].reason
-    assert validate([places], tmp_path / "out", show_progress=False) == 5  # nothing was checked
-
-
-def test_with_a_file_of_the_collection_every_value_left_is_named(places, tmp_path):
-    file = tmp_path / "data/share2012/lines/0920-1631_rad.dat"
-    file.parent.mkdir(parents=True)
-    file.write_bytes(b"1")
-    with pytest.raises(UsageError) as caught:
-        validate([places], tmp_path / "out", show_progress=False)
-    assert caught.value.exit_code == 2
-    assert "2 values are still to be filled in" in str(caught.value)
-    assert f"{places}:12: collection.cube.scale: scale of the radiance" in str(caught.value)
-    assert "scene.classes.0.fraction: part of a" in str(caught.value)
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_public_or_local_campaign_with_values_to_fill_in_is_refused(places, tmp_path):
-    places.write_text(places.read_text().replace("data:share2012/lines/{line}_rad.dat", "cube.dat"))
-    with pytest.raises(UsageError, match="2 values are still to be filled in"):
-        jobs_of(places)
-    with pytest.raises(UsageError, match="1 values are still to be filled in"):
-        [text.campaign() for text in read_texts(places)]
-
-
-def test_a_filled_in_campaign_whose_cube_is_missing_is_skipped(places, tmp_path):
-    path = complete(tmp_path)
-    (tmp_path / "data/share2012/lines/0920-1638_rad.dat").unlink()
-    rows = list(run_campaign(jobs_of(path)[1], show_progress=False).table)
-    assert {r.outcome for r in rows} == {"skipped"}
-    assert "held by Rochester" in rows[0].reason
-
-
-def test_the_words_of_a_run_reach_the_campaign_and_no_other_braces(tmp_path):
-    data = {"name": "x-{line}", "group": "{name} {side_m}", "list": ["{line}{line}"], "n": 1}
-    assert with_words(data, {"line": "7"}) == {"name": "x-7", "group": "{name} {side_m}", "list": ["77"], "n": 1}
-    path = complete_run(tmp_path)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == before
     first, second = [text.campaign() for text in read_texts(path)]
     assert (first.name, second.name) == ("line-0920-1631", "line-0920-1638")
     assert second.run == {"line": "0920-1638"}
@@ -204,56 +134,57 @@ def test_the_words_of_a_run_reach_the_campaign_and_no_other_braces(tmp_path):
         job_of(path)
 
 
-def complete_run(tmp_path: Path) -> Path:
-    (tmp_path / "data").mkdir(exist_ok=True)
-    return complete(tmp_path)
-
-
 @pytest.mark.parametrize(
-    ("runs", "message"),
+    ("name", "old", "new", "words"),
     [
-        ([], "no list of runs"),
-        ("a", "no list of runs"),
-        ([{}], "no list of runs"),
-        (["a"], "no list of runs"),
-        ([{"line": 5}], "the run has line"),
-        ([{"a b": "5"}], "the run has a b"),
-        ([{"line": "a"}, {"lime": "b"}], "other words than the first"),
-        ([{"line": "a"}] * 101, "no list of runs"),
+        ("campaign", "scale: 0.001", "scale: -1", r"campaign\.yaml:12: collection\.cube\.scale.*greater than 0"),
+        ("scenario", "0.75", "0.25", r"scenario\.yaml.*sum to 0\.5"),
+        ("campaign", "title:", "titel:", r"titel: unknown key; did you mean 'title'"),
+        ("campaign", "line: 0920-1638", "lime: a", "other words than the first"),
+        ("campaign", "line: 0920-1638", "line: 5", "the run has line"),
+        ("campaign", "name: line-{line}", "name: line", "two campaigns are named 'line'"),
     ],
 )
-def test_runs_that_are_none(runs, message):
-    with pytest.raises(UsageError, match=message):
-        campaign_runs({"runs": runs}, {}, "c.yaml")
+def test_mistakes_in_what_is_read_are_named(places, tmp_path, name, old, new, words):
+    path = complete(tmp_path)
+    file = path.with_name(f"{name}.yaml")
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(UsageError, match=words):
+        (jobs_of if "two campaigns" in words else lambda p: dry_run([p]))(path)
 
 
-def test_two_runs_of_one_name_are_refused(places, tmp_path):
-    places.write_text(places.read_text().replace("name: line-{line}", "name: line", 1))
-    with pytest.raises(UsageError, match="two campaigns are named 'line'"):
-        validate([places], tmp_path / "out", show_progress=False)
+@pytest.mark.parametrize("runs", [[], "a", [{}], ["a"], [{"line": str(i)} for i in range(101)]])
+def test_runs_that_are_none(places, tmp_path, runs):
+    with pytest.raises(UsageError, match="no list of runs"):
+        read_texts(written(tmp_path, {**CAMPAIGN, "runs": runs}, SCENARIO))
 
 
-def test_placeholders_are_found_with_their_lines(tmp_path):
-    path = tmp_path / "a.yaml"
-    path.write_text('a:\n  - b: 1\n  - c: "FILL_IN: the height [m]"\nd: FILL_IN\ne: "no FILL_IN"\n')
-    data, lines = load_yaml(path)
-    assert [(p.key, p.where, p.what) for p in placeholders(data, lines, "a.yaml")] == [
-        ("a.1.c", "a.yaml:3", "the height [m]"),
-        ("d", "a.yaml:4", "a value"),
+def test_a_collection_of_others_waits_until_a_file_of_it_is_there(places, tmp_path, capsys):
+    assert cli.run(["-q", "validate", str(places), "-o", str(tmp_path / "out")]) == 5  # nothing was checked
+    rows = list(Run.open(tmp_path / "out").table)
+    assert [(r.campaign[-4:], r.subject, r.outcome) for r in rows] == [
+        (line, subject, "skipped") for line in ("1631", "1638") for subject in "ab"
     ]
+    assert "held by Rochester Institute of Technology" in rows[0].reason
+    assert "2 values are to be filled in then" in rows[0].reason
+    capsys.readouterr()
+    file = tmp_path / "data/share2012/lines/0920-1631_rad.dat"
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"1")
+    assert cli.run(["-q", "validate", str(places), "-o", str(tmp_path / "new")]) == 2
+    said = capsys.readouterr().err
+    assert "2 values are still to be filled in" in said
+    assert f"{places}:12: collection.cube.scale: scale of the radiance" in said
+    assert "scene.classes.0.fraction: part of a" in said
+    assert not (tmp_path / "new").exists()
+    # A public or local collection never waits.
+    places.write_text(places.read_text().replace("data:share2012/lines/{line}_rad.dat", "cube.dat"))
+    with pytest.raises(UsageError, match="2 values are still to be filled in"):
+        jobs_of(places)
 
 
-def test_validate_without_a_folder_says_so(places, capsys):
-    assert cli.run(["validate", str(places)]) == 2
-    assert "--output" in capsys.readouterr().err
-
-
-def test_a_missing_campaign_file():
-    with pytest.raises(InputError, match="no such file"):
-        dry_run([Path("none.yaml")])
-
-
-def test_data_commands_know_the_set_that_is_not_public(places, tmp_path, capsys):
+def test_sets_that_are_not_public_are_listed_with_who_holds_them(places, tmp_path, capsys):
     assert cli.run(["data", "list"]) == 0
     (row,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("share2012\t")]
     assert row.split("\t")[3].startswith("held by Rochester Institute of Technology")
@@ -263,3 +194,126 @@ def test_data_commands_know_the_set_that_is_not_public(places, tmp_path, capsys)
     complete(tmp_path)
     assert cli.run(["data", "list"]) == 0
     assert "share2012\t-\tnot public\t4 files here" in capsys.readouterr().out
+
+
+def test_every_missing_set_is_named_at_once(tmp_path, monkeypatch):
+    monkeypatch.delenv("HYPERVAL_DATA", raising=False)
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path))
+    campaign = str(ROOT / "campaigns/pasadena-2017/campaign.yaml")
+    assert cli.run(["-q", "validate", campaign, "-o", str(tmp_path / "out")]) == 5
+    rows = list(Run.open(tmp_path / "out").table)
+    assert all(row.reason.endswith("hyperval data fetch pasadena aviris-ng") for row in rows)
+    assert not any(str(tmp_path) in row.reason for row in rows)  # two machines write the same rows
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_mistyped_name_is_a_mistake_and_not_a_missing_set(small, tmp_path, monkeypatch, held):
+    """Whether the data are at hand or not: what the registry cannot know is refused before anything runs."""
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
+    if held:
+        (tmp_path / "hysu/published/svc").mkdir(parents=True)
+        (tmp_path / "hysu/published/svc/DLR_HySU_SVC.lib").write_bytes(b"x")
+    small.scenario["scene"]["panels"][0]["spectrum"] = {"file": "data:hysu/published/svc/DLR_HySU_SCV.lib"}
+    path = small.write()
+    with pytest.raises(UsageError, match="no such file in any registered data set") as caught:
+        jobs_of(path)
+    assert caught.value.exit_code == 2
+    assert "data:hysu/published/svc/DLR_HySU_SVC.lib" in caught.value.expected
+    assert "campaign.yaml: scenarios.scene.panels.spectrum.file" in caught.value.where
+    (item,) = [i for i in dry_run([path]) if "SCV" in i.what]
+    assert item.lacking
+    assert "perhaps data:hysu/published/svc/DLR_HySU_SVC.lib" in item.detail
+
+
+def mistakes(path: Path) -> list[tuple[str, str]]:
+    return [(i.what, i.detail) for i in dry_run([path]) if i.state == WRONG]
+
+
+# Key of an entry -> what stands there in its place, and words of the mistake; "" where another key is at fault.
+NAMES = {
+    "collection.leave_out.1": ("black-panle", "no region 'black-panle'"),
+    "collection.snr_regions.0": ("panel", "no region 'panel'"),
+    "collection.empirical_line.panels.2.region": ("grey", "no region 'grey'"),
+    "collection.empirical_line.panels.0.spectrum.record": ("pink", "pink"),
+    "collection.regions.1": ({"name": "far", "rectangle": [500, 0, 4, 4]}, "not in the image"),
+    "detection.background": (["feld"], "no region 'feld'"),
+    "detection.targets.0.material": ("blue-paint", "no object of material 'blue-paint'"),
+    "detection.targets.0.spectrum": ({"builtin": "yellow"}, "'yellow'"),
+    "detection.group": ("{size}", "no 'size'"),
+    "detection.pools": ([{"name": "all", "subjects": ["small-planks", "huge-planks"]}], "no subject 'huge-planks'"),
+    "detection.areas.0.target": ("green", "no detection target 'green'"),
+    "scenarios.0.sensor": ("hymapp", "unknown sensor 'hymapp'"),
+    "scenarios.0.scene.classes.1.spectrum": ({"builtin": "asphallt"}, "asphallt"),
+    "scenarios.0.scene.classes.1.covariance": ({"measured": "cort"}, "no region 'cort'"),
+    "comparisons.0.subjects.0": ("meadow", "no 'meadow'"),
+    "comparisons.0.metric": ("median_abs_difference_ratio_window", "no part of the spectrum is 'window'"),
+    "comparisons.1.metric": ("pd_difference@1e-2", "is a metric of scores or roc, not of reflectance"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", NAMES)
+def test_a_name_that_does_not_fit_is_told_with_its_line(small, key):
+    value, words = NAMES[key]
+    *inside, last = [int(part) if part.isdigit() else part for part in key.split(".")]
+    at = small.data
+    for part in inside:
+        at = at[part]
+    if isinstance(last, int) and last == len(at):
+        at.append(value)
+    else:
+        at[last] = value
+    path = small.write()
+    ((where, what),) = [m for m in mistakes(path) if words in m[1]]
+    file, line = where.split(": ")[0].rsplit(":", 1)
+    assert file == str(path)
+    named = [part for part in where.split(": ")[1].split(".") if not part.isdigit()]
+    text = path.read_text().splitlines()[int(line) - 1]
+    assert f"{named[-1]}:" in text or text.lstrip().startswith("- ")
+    assert what
+
+
+def test_what_the_files_of_a_collection_lack_stands_at_the_key_that_needs_it(small, capsys):
+    assert summary(dry_run([small.write()])) == ["small: ready"]
+    small.edit("targets.csv", lambda text: text.replace("39.5,3.5", "39.5,9000.5", 1))
+    (where, what), *_ = mistakes(small.write())
+    assert where.endswith(": collection.targets")
+    assert "targets.csv" in what
+    small.edit("targets.csv", lambda text: text.replace("39.5,9000.5", "39.5,3.5", 1))
+    small.edit("small_rad.hdr", lambda t: re.sub(r"(?m)^(map info|coordinate system string) = .*\n", "", t))
+    found = {where.split(": ")[1]: what for where, what in mistakes(small.write())}
+    assert "ground area of a pixel" in found["detection.areas"]
+    assert cli.run(["validate", "--dry-run", str(small.write())]) == 2
+    assert f"small: {len(found)} names that do not fit" in capsys.readouterr().err
+
+
+def test_names_of_a_simulated_collection_are_those_of_its_scene(tmp_path):
+    page = (ROOT / "docs" / "first-campaign.md").read_text()
+    for name, text in re.findall(r"<!-- file: (\S+) -->\n```yaml\n(.*?)```", page, re.DOTALL):
+        (tmp_path / name).write_text(text)
+    path = tmp_path / "campaign.yaml"
+    text = path.read_text().replace("leave_out: [white-panel", "leave_out: [white-pannel")
+    path.write_text(text.replace("record: black-panel", "record: black"))
+    (region_name, names), (line, record) = sorted(mistakes(path))
+    assert line.endswith("collection.empirical_line.panels.1.spectrum")
+    assert "no spectrum 'black'; expected: one of white-panel, black-panel" in record
+    assert region_name.endswith("collection.leave_out.0")
+    assert "one of white-panel, black-panel, field, court" in names
+
+
+def test_warnings_of_a_run_stand_on_the_console_and_beside_its_results(small, tmp_path, capsys):
+    panels = small.data["collection"]["empirical_line"]["panels"]
+    for entry in panels:
+        entry["relative_uncertainty"] = 0.01
+    panels[2]["spectrum"] = {"constant": 0.6}  # grey, and not as bright as is said
+    cli.run(["observe", str(small.write()), "-o", str(tmp_path / "out")])
+    assert "small: warning: the panels of the empirical line do not lie on one line" in capsys.readouterr().err
+    record = json.loads((tmp_path / "out/provenance.json").read_text())
+    assert any("do not lie on one line" in w for w in record["warnings"])
+
+
+def test_no_shipped_campaign_names_a_metric_that_its_product_lacks():
+    campaigns = sorted((ROOT / "campaigns").glob("*/campaign*.yaml"))
+    assert len(campaigns) >= 5
+    named = [(g["product"], g["metric"]) for path in campaigns for g in load_yaml(path)[0]["comparisons"]]
+    assert [(metric, foreign(metric, product)) for product, metric in named if foreign(metric, product)] == []

@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyperval.campaign.job import job_of
-from hyperval.campaign.one import run_campaign
-from hyperval.campaign.pictures import expected_maps, scene_content
+from hyperval.campaign import expected_maps, job_of, run_campaign, scene_content
 from hyperval.figures import score_map_figures
 from small_campaign import PANELS
 

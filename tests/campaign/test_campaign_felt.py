@@ -12,8 +12,7 @@ import pytest
 
 from felt_stand_in import LINES, MARK, Departures, stand_in
 from hyperval import cli
-from hyperval.campaign.job import jobs_of
-from hyperval.campaign.one import run_campaign
+from hyperval.campaign import jobs_of, run_campaign
 from hyperval.imagery import open_cube
 from hyperval.results import Outcome, Role
 from hyperval.run import Run

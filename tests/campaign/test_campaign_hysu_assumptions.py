@@ -54,25 +54,3 @@ def test_errors_of_the_field_spectra_are_the_scatter_of_their_readings(data_dir)
     stated = [e for e in load_scenario(SCENARIO).uncertainty.field_spectra if e.subject == "blue_fabric"]
     assert stated[0].relative == pytest.approx(np.sqrt(level / freedom), abs=0.002)
     assert stated[2].relative == pytest.approx(np.sqrt(shape / freedom), abs=0.003)
-
-
-def test_places_are_the_centres_of_the_masks(data_dir):
-    with data_dir("hysu/targets.csv").open() as file:
-        truth = {
-            (r["material"], float(r["nominal_side_m"])): (float(r["centroid_row0"]), float(r["centroid_col0"]))
-            for r in csv.DictReader(file)
-        }
-    placed = {
-        (t.name, s.fill.geometry.side_m): s.position_m
-        for t in load_scenario(SCENARIO).scene.targets
-        for s in t.subjects
-    }
-    assert len(placed) == 25
-    for key, place in placed.items():
-        assert place == pytest.approx([0.7 * x for x in truth[key]], abs=0.006)
-    # The heading is the direction of the rows of the largest targets.
-    large = {m: np.array(truth[m, 3.0]) for m, side in truth if side == 3.0}
-    along = large["red_metal"] - large["bitumen"], large["blue_fabric"] - large["green_fabric"]
-    across = large["green_fabric"] - large["bitumen"], large["red_fabric"] - large["green_fabric"]
-    angles = [np.degrees(np.arctan2(d[1], d[0])) for d in along] + [np.degrees(np.arctan2(-d[0], d[1])) for d in across]
-    assert np.mean(angles) == pytest.approx(12.0, abs=1.0)

@@ -15,9 +15,7 @@ from rasterio.warp import transform as warp
 
 from hyperval import cli
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.campaign.dry_run import dry_run
-from hyperval.campaign.job import read_texts
-from hyperval.campaign.schema import DayScenarios, day_scenarios
+from hyperval.campaign import DayScenarios, day_scenarios, dry_run, read_texts
 from hyperval.imagery import write_cube
 from hyperval.model import Origins, predict
 from hyperval.results import Cause

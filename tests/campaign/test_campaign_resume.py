@@ -15,20 +15,15 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
-from hyperval.campaign import run as campaign_jobs
-from hyperval.campaign import run as campaign_run
-from hyperval.campaign.job import jobs_of
-from hyperval.campaign.run import Finished
+from hyperval.campaign import run_campaign
 from hyperval.datasets import InputLog
-from hyperval.report import RunReport
-from hyperval.results import Result, ResultTable
+from hyperval.report import RunReport, write_outputs
+from hyperval.results import Outcome, Result, ResultTable
 from hyperval.run import write_table
 from hyperval.storage import PARTIAL, RECORD
-from small_campaign import SmallCampaign, with_stand_in_atmosphere, without_figures
+from small_campaign import SmallCampaign, files_of, with_stand_in_atmosphere, without_figures
 
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+RUN = "hyperval.campaign.run"
 
 
 @pytest.fixture
@@ -38,71 +33,41 @@ def two(make_small: Callable[[str], SmallCampaign]) -> list[Path]:
     return [first.write(), second.write()]
 
 
-def validate(paths: list[Path], out: Path) -> int:
-    return cli.run(["-q", "validate", *map(str, paths), "-o", str(out)])
-
-
-def runs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of the campaigns that are run from now on."""
-    names, right = [], campaign_jobs.run_campaign
-
-    def counted(job, **options):
-        names.append(job.campaign.name)
-        return right(job, **options)
-
-    monkeypatch.setattr(campaign_jobs, "run_campaign", counted)
-    return names
+def validate(paths: list[Path], out: Path, *more: str) -> int:
+    return cli.run(["validate", *map(str, paths), "-o", str(out), *more])
 
 
 def die(*_: object, **__: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def interrupted(paths: list[Path], out: Path) -> None:
-    """Run until the second campaign is about to be run."""
-    right = campaign_jobs.run_campaign
-
-    def end_at_second(job, **options):
-        if job.campaign.name == "other":
-            raise KeyboardInterrupt
-        return right(job, **options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign_jobs, "run_campaign", end_at_second)
-        assert validate(paths, out) == 130
-
-
 def validate_and_die(paths: list[Path], out: Path, where: str) -> None:
     """Run, and be killed in the middle."""
-    run, keep, write = campaign_jobs.run_campaign, Finished.keep, campaign_jobs.write_outputs
 
     def half_written(report, folder):
-        write(report, folder)
+        write_outputs(report, folder)
         if report.campaign == "other":
             (folder / "results.json").write_text("{")
             die()
 
-    def at_second(job, right, *rest, **options):
-        return die() if job.campaign.name == "other" else right(*rest, **options)
+    def at_second(job, **options):
+        return die() if job.campaign.name == "other" else run_campaign(job, **options)
 
     with pytest.MonkeyPatch.context() as patch:
         with_stand_in_atmosphere(patch)
         without_figures(patch)
         if where == "in the second campaign":
-            patch.setattr(campaign_jobs, "run_campaign", lambda job, **o: at_second(job, run, job, **o))
+            patch.setattr(f"{RUN}.run_campaign", at_second)
         elif where == "in the files of the second":
-            patch.setattr(campaign_jobs, "write_outputs", half_written)
-        elif where == "before the second is known to be whole":
-            patch.setattr(Finished, "keep", lambda self, job, r: at_second(job, keep, self, job, r))
+            patch.setattr(f"{RUN}.write_outputs", half_written)
         else:
-            patch.setattr(campaign_run, "write_index", die)
+            patch.setattr(f"{RUN}.write_index", die)
         validate(paths, out)
 
 
 KILLED_AND_RUN_AGAIN = {
     "in the second campaign": ["other"],
     "in the files of the second": ["other"],
-    "before the second is known to be whole": ["other"],
     "on the page of both": [],
 }
 
@@ -122,7 +87,7 @@ def killed_at_each(folder: Path, paths: list[Path]) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch):
+def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch, capsys):
     arguments = ["hyperval", "validate", *map(str, two)]
     monkeypatch.setattr(sys, "argv", arguments)  # as in the program
     # A program of its own: copies of this process would inherit locks that threads of other tests hold.
@@ -133,66 +98,12 @@ def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch):
     for number, (where, again) in enumerate(KILLED_AND_RUN_AGAIN.items()):
         out = tmp_path / f"out{number}"
         assert "results.csv" not in files_of(out), where
-        names = runs(monkeypatch)
+        capsys.readouterr()
         assert validate(two, out) == code, where
-        assert names == again, where
+        said = capsys.readouterr().err
+        assert [n for n in ("small", "other") if f"{n}: nothing changed" not in said] == again, where
         assert files_of(out) == files_of(tmp_path / "whole"), where
         assert sorted(p.name for p in tmp_path.iterdir() if p.name.startswith(out.name)) == [out.name], where
-
-
-def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypatch):
-    interrupted(two, tmp_path / "out")
-    kept, path = tmp_path / "out" / PARTIAL, two[0]
-    assert [p.name for p in (kept / "campaigns").iterdir()] == ["small"]
-    record = kept / "campaigns" / "small" / RECORD
-
-    def taken_over() -> bool:
-        copy = tmp_path / "copy"
-        shutil.rmtree(copy, ignore_errors=True)
-        shutil.copytree(kept, copy)
-        (job,) = jobs_of(path)
-        run = Finished(copy).load(job)
-        # What is not taken over is gone: nothing of it can get among the new files.
-        assert (copy / "campaigns" / "small").exists() is (run is not None)
-        return run is not None
-
-    assert taken_over()
-    (cube,) = path.parent.rglob("small_rad.img")
-    for file, change in (
-        (path, lambda raw: raw.replace(b"title: ", b"title: Another ", 1)),
-        (path, lambda raw: raw + b"# nothing but a comment\n"),
-        (cube, lambda raw: raw[:-1] + bytes([raw[-1] ^ 1])),
-        (cube.with_suffix(".hdr"), lambda raw: raw + b"\n"),
-        (record, lambda raw: raw[:-9]),
-        (record, lambda raw: b"[]"),
-        (record, lambda raw: b'{"identity": 1}'),
-        (record.with_name("results.json"), lambda raw: raw[:-9]),
-        (record.with_name("report.html"), lambda raw: raw.replace(b"agrees", b"agreed", 1)),
-    ):
-        before = file.read_bytes()
-        assert change(before) != before
-        file.write_bytes(change(before))
-        assert not taken_over(), file
-        file.write_bytes(before)
-        assert taken_over()
-    beside = cube.with_name("small_rad.glt")  # read from now on, if it were a grid
-    beside.touch()
-    assert not taken_over()
-    beside.unlink()
-    assert taken_over()
-    monkeypatch.setattr("hyperval.campaign.run._program", lambda: "another")
-    assert not taken_over()
-
-
-def test_what_was_skipped_or_went_wrong_is_not_kept(two, tmp_path, monkeypatch):
-    (cube,) = two[0].parent.rglob("small_rad.img")
-    cube.unlink()
-    interrupted(two, tmp_path / "out")
-    (folder,) = (tmp_path / "out" / PARTIAL / "campaigns").iterdir()
-    assert (folder / "results.json").is_file()
-    assert not (folder / RECORD).exists()
-    (job,) = jobs_of(two[0])
-    assert Finished(tmp_path / "out" / PARTIAL).load(job) is None
 
 
 @pytest.fixture
@@ -205,7 +116,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         for path in (job.path, *job.folder.rglob("small_rad.*")):
             log.add(path)
         ran.append(job.campaign.name)
-        row = Result(job.campaign.name, "radiance", "grass", "predicted", "mean", 1.0)
+        outcome = Outcome.SKIPPED if "nowhere" in job.campaign.title else Outcome.NONE
+        row = Result(job.campaign.name, "radiance", "grass", "predicted", "mean", 1.0, outcome=outcome)
         provenance = {"inputs": log.entries(), "warnings": []}
         own = job.campaign
         return RunReport(own.name, own.title, "", own.simulated, ResultTable([row]), provenance=provenance)
@@ -216,26 +128,56 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (folder / "figures" / "none.svg").write_text("<svg/>")
         (folder / "provenance.json").write_text(json.dumps(run.provenance))
 
-    for place in (campaign_jobs, campaign_run):
-        monkeypatch.setattr(place, "run_campaign", run)
-        monkeypatch.setattr(place, "write_outputs", write)
+    monkeypatch.setattr(f"{RUN}.run_campaign", run)
+    monkeypatch.setattr(f"{RUN}.write_outputs", write)
     return ran
 
 
-def test_a_second_run_takes_over_what_did_not_change(two, quick, tmp_path, capsys):
-    out = tmp_path / "out"
+def test_only_what_would_come_out_the_same_is_taken_over(two, quick, tmp_path, monkeypatch, capsys):
+    out, path = tmp_path / "out", two[0]
     code = validate(two, out)
-    assert sorted(quick) == ["other", "small"]
     first = files_of(out)
-    quick.clear()
-    assert cli.run(["validate", *map(str, two), "-o", str(out)]) == code
-    assert quick == []
+
+    def ran() -> list[str]:
+        quick.clear()
+        assert validate(two, out) == code
+        return sorted(quick)
+
+    assert ran() == []
     assert capsys.readouterr().err.count("nothing changed") == 2
     assert files_of(out) == first
+    (cube,) = path.parent.rglob("small_rad.img")
+    record = out / "small" / RECORD
+    for file, change in (
+        (path, lambda raw: raw.replace(b"title: ", b"title: Another ", 1)),
+        (path, lambda raw: raw + b"# nothing but a comment\n"),
+        (cube, lambda raw: raw[:-1] + bytes([raw[-1] ^ 1])),
+        (cube.with_suffix(".hdr"), lambda raw: raw + b"\n"),
+        (record, lambda raw: raw[:-9]),
+        (record, lambda raw: b"[]"),
+        (record, lambda raw: b'{"identity": 1}'),
+        (record.with_name("results.json"), lambda raw: raw[:-9]),
+        (record.with_name("figures") / "none.svg", lambda raw: b""),
+    ):
+        before = file.read_bytes()
+        assert change(before) != before
+        file.write_bytes(change(before))
+        assert ran() == ["small"], file
+        if out not in file.parents:
+            file.write_bytes(before)
+            assert ran() == ["small"], file
+    cube.with_name("small_rad.glt").touch()  # read from now on, if it were a grid
+    assert ran() == ["small"]
+    monkeypatch.setattr(f"{RUN}._program", lambda: "another")
+    assert ran() == ["other", "small"]
 
-    two[0].write_bytes(two[0].read_bytes() + b"# nothing but a comment\n")
-    assert validate(two, out) == code
-    assert quick == ["small"]
+
+def test_what_was_skipped_is_not_kept(two, quick, tmp_path):
+    two[0].write_bytes(two[0].read_bytes().replace(b"title: ", b"title: nowhere ", 1))
+    for names in (["other", "small"], ["small"]):
+        quick.clear()
+        validate(two, tmp_path / "out")
+        assert sorted(quick) == names
 
 
 def test_a_campaign_more_does_not_make_the_others_run_again(make_small, quick, tmp_path, monkeypatch):
@@ -244,15 +186,10 @@ def test_a_campaign_more_does_not_make_the_others_run_again(make_small, quick, t
         small = make_small(name)
         small.data["name"] = name
         paths.append(small.write())
-
-    def command(count: int, *more: str) -> int:
-        quick.clear()
-        arguments = ["-q", "validate", *map(str, paths[:count]), "-o", str(tmp_path / "out"), *more]
-        monkeypatch.setattr(sys, "argv", ["hyperval", *arguments])  # as in the program
-        return cli.run(arguments)
-
     for count, more, ran in ((3, [], ["first", "second", "third"]), (4, [], ["fourth"]), (4, ["--strict"], [])):
-        command(count, *more)
+        quick.clear()
+        monkeypatch.setattr(sys, "argv", ["hyperval", str(count), *more])  # as in the program
+        validate(paths[:count], tmp_path / "out", *more)
         assert sorted(quick) == ran, (count, more)
     assert {"first", "second", "third", "fourth"} < {p.name for p in (tmp_path / "out").iterdir()}
 
@@ -272,30 +209,22 @@ def test_a_flight_line_more_does_not_make_the_others_run_again(make_small, quick
         assert sorted(quick) == ran
 
 
-def test_a_run_into_a_folder_whose_name_begins_alike_takes_nothing_away(make_small, quick, tmp_path, monkeypatch):
-    path, (one, other) = make_small("one").write(), (tmp_path / ("n" * 60 + end) for end in "ab")
-    right, codes = campaign_run.write_outputs, []
-
-    def neighbour_runs(run, folder):
-        right(run, folder)
-        with monkeypatch.context() as patch:
-            patch.setattr(campaign_run, "write_outputs", right)
-            codes.append(validate([path], other))
-
-    monkeypatch.setattr(campaign_run, "write_outputs", neighbour_runs)
-    assert validate([path], one) == codes[0]
-    assert files_of(one) == files_of(other)
-
-
-def test_a_single_campaign_is_taken_over(make_small, quick, tmp_path):
-    path, out = make_small("one").write(), tmp_path / "out"
+def test_a_single_campaign_is_taken_over_and_what_is_interrupted_goes_on(two, quick, tmp_path, monkeypatch):
+    path, out = two[0], tmp_path / "out"
     code = validate([path], out)
     first = files_of(out)
     quick.clear()
     assert validate([path], out) == code
     assert (quick, files_of(out)) == ([], first)
-    assert cli.run(["-q", "validate", str(path), "-o", str(out), "--again"]) == code
+    assert validate([path], out, "--again") == code
     assert (quick, files_of(out)) == (["small"], first)
+    with monkeypatch.context() as patch:
+        patch.setattr(f"{RUN}.write_index", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert validate(two, tmp_path / "both") == 130
+    assert sorted(p.name for p in (tmp_path / "both" / PARTIAL / "campaigns").iterdir()) == ["other", "small"]
+    quick.clear()
+    assert validate(two, tmp_path / "both") == code
+    assert (quick, (tmp_path / "both" / PARTIAL).exists()) == ([], False)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import small_campaign
 from hyperval import api
-from hyperval.campaign.job import job_of
+from hyperval.campaign import job_of
 from hyperval.scenario import load_scenario
 from small_campaign import SmallCampaign, scene_data, write_collection
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import hyperval
-from small_campaign import SmallCampaign
+from small_campaign import SmallCampaign, files_of
 
 # Read again by every process that the run starts.
 SCRIPT = """
@@ -30,10 +30,6 @@ if __name__ == "__main__":
     sys.exit(cli.run(sys.argv[1:]))
 """
 AS_IT_IS = {"HYPERVAL_WORKERS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def run(tmp_path: Path, name: str, paths: list[Path], **environment: str) -> dict[str, bytes]:

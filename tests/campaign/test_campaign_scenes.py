@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -12,10 +11,11 @@ import pytest
 import scipy.io
 
 from hyperval import cli
-from hyperval.errors import HypervalError, InputError, UsageError
+from hyperval.errors import InputError, UsageError
 from hyperval.imagery import arrays, open_cube, open_raster, read_regions
 
 LINES, SAMPLES, BANDS = 40, 36, 8
+MET = {"agrees", "undecided"}
 
 
 @pytest.fixture(scope="module")
@@ -62,16 +62,13 @@ def test_the_values_are_those_of_the_array(tmp_path, scene, name):
         assert [np.array_equal(r.mask, marked == 1) for r in found.values()] == [True]
 
 
-@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat"])
-def test_wavelengths_that_stand_beside_the_image_are_its_own(tmp_path, scene, name):
+def test_the_arrays_of_a_file_are_told_apart_and_one_is_chosen(tmp_path, scene):
     centre = np.linspace(450.0, 900.0, BANDS)
-    path = written(tmp_path / name, scene[0], wavelengths=centre[None, :], fwhm=np.full((1, BANDS), 9.5))
-    axis = open_cube(path, quantity="counts").axis
-    assert axis.centre_nm == pytest.approx(centre)
-    assert axis.fwhm_nm == pytest.approx(9.5)
-
-
-def test_several_arrays_are_named_and_one_is_chosen(tmp_path, scene):
+    for name in ("a.mat", "a.v73.mat"):  # wavelengths that stand beside an image are its own
+        path = written(tmp_path / name, scene[0], wavelengths=centre[None, :], fwhm=np.full((1, BANDS), 9.5))
+        axis = open_cube(path, quantity="counts").axis
+        assert axis.centre_nm == pytest.approx(centre)
+        assert axis.fwhm_nm == pytest.approx(9.5)
     path = written(tmp_path / "a.mat", scene[0], other=scene[0][:, :, :3].astype(float))
     with pytest.raises(UsageError, match=r"2 arrays could be meant: data, other(?s:.*)--key"):
         open_raster(path)
@@ -85,23 +82,6 @@ def test_what_would_not_fit_into_memory_is_refused_before_it_is_read(tmp_path, s
     with pytest.raises(InputError, match=r"in memory at once(?s:.*)-v7.3"):
         open_raster(written(tmp_path / "a.mat", scene[0]))
     assert open_raster(written(tmp_path / "a.v73.mat", scene[0])).bands == BANDS
-
-
-@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a.npy"])
-def test_a_damaged_container_is_an_error_of_the_file(tmp_path, scene, name):
-    path = written(tmp_path / name, scene[0])
-    raw, rng = path.read_bytes(), np.random.default_rng(7)
-    for part in (0.1, 0.5, 0.9):
-        path.write_bytes(raw[: int(part * len(raw))])
-        with pytest.raises(HypervalError):
-            open_cube(path, quantity="counts", axis="numbers").spectra(np.ones((LINES, SAMPLES), bool))
-    for _ in range(30):
-        spoilt = bytearray(raw)
-        for at in rng.integers(len(raw), size=8):
-            spoilt[at] = rng.integers(256)
-        path.write_bytes(spoilt)
-        with suppress(HypervalError):  # anything else is an error of the reader
-            assert open_cube(path, quantity="counts", axis="numbers").read(0, 1).values.size > 0
 
 
 def drafted(cube: Path, folder: Path, *extra: str) -> dict[tuple[str, str], str]:
@@ -120,8 +100,7 @@ def drafted(cube: Path, folder: Path, *extra: str) -> dict[tuple[str, str], str]
 def test_a_scene_goes_from_its_file_to_a_report(tmp_path, scene):
     data, marked = scene
     outcomes = drafted(written(tmp_path / "scene.mat", data, map=marked), tmp_path / "new")
-    assert outcomes["roc", "pd_difference@1e-2"] in ("agrees", "undecided")
-    assert outcomes["scores", "pfa_ratio@1e-2"] in ("agrees", "undecided")
+    assert {outcomes[key] for key in (("roc", "pd_difference@1e-2"), ("scores", "pfa_ratio@1e-2"))} <= MET
     # Of objects of 9, 6, 4 and 2 pixels the second and fourth give the spectrum, the first and third are scored.
     regions = read_regions(tmp_path / "new" / "objects.csv", (LINES, SAMPLES))
     assert {name: region.n for name, region in regions.items()} == {
@@ -143,5 +122,4 @@ def test_without_a_map_anomalies_are_looked_for(tmp_path, scene):
 @pytest.mark.parametrize("name", ["abu-airport-1", "sandiego", "hydice"])
 def test_the_public_scenes_go_from_their_file_to_a_report(data_dir, tmp_path, name):
     outcomes = drafted(data_dir(f"scenes/{name}.mat"), tmp_path / name)
-    assert outcomes["roc", "pd_difference@1e-2"] in ("agrees", "undecided")
-    assert outcomes["scores", "pfa_ratio@1e-2"] in ("agrees", "undecided")
+    assert {outcomes[key] for key in (("roc", "pd_difference@1e-2"), ("scores", "pfa_ratio@1e-2"))} <= MET

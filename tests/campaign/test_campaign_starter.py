@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,7 @@ import pytest
 import yaml
 
 from hyperval import cli
-from hyperval.campaign.dry_run import TO_FILL_IN, WRONG, dry_run, summary
-from hyperval.campaign.job import job_of
-from hyperval.campaign.starter import Spectrum, matching_spectrum
+from hyperval.campaign import WRONG, dry_run, job_of, summary
 from hyperval.config import FILL_IN
 from hyperval.sensor.specification import load_sensor
 from hyperval.statistics_library import builtin_class
@@ -67,6 +67,10 @@ def test_a_radiance_collection_becomes_a_campaign_that_a_dry_run_calls_ready(sma
 
 def test_what_cannot_be_guessed_is_left_to_be_filled_in(small, sources, capsys):
     folder = small.folder / "draft"
+    assert cli.run([*sources, "--unit", UNIT, "-o", str(folder)]) == 0
+    asked = [item.detail for item in dry_run([folder / "campaign.yaml"]) if item.state == "to fill in"]
+    assert any(re.search("these 16 bands.*--sensor", text) for text in asked)
+    shutil.rmtree(folder)
     assert cli.run([*sources, "--unit", UNIT, "--sensor", str(small.folder / "sensor.yaml"), "-o", str(folder)]) == 0
     state = yaml.safe_load((folder / "campaign.yaml").read_text())["scenarios"][0]["atmosphere"]
     assert [k for k, v in state.items() if str(v).startswith(FILL_IN)] == ["sensor_altitude_km", "time_utc"]
@@ -194,42 +198,43 @@ def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path
     assert any("detection on radiance needs an empirical line" in str(i) for i in wrong)
 
 
-@pytest.mark.parametrize(
-    ("missing", "option"),
-    [([], "cube.unit.*--unit"), (["--unit", UNIT], "sensor.*these 16 bands.*--sensor")],
-)
-def test_what_no_file_says_is_left_to_be_filled_in_with_its_option(small, sources, missing, option):
-    folder = small.folder / "none"
-    assert cli.run([*sources, *missing, "-o", str(folder)]) == 0
-    to_fill = [str(item) for item in dry_run([folder / "campaign.yaml"]) if item.state == TO_FILL_IN]
-    assert any(re.search(option, item) for item in to_fill)
-
-
-def test_a_cube_alone_becomes_a_draft_without_a_prediction(small):
+def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys):
     cube = small.collection / "small_rad.hdr"
     for extra in ([], ["--unit", UNIT]):
         folder = small.folder / f"alone{len(extra)}"
         assert cli.run(["init", "--cube", str(cube), *extra, "-o", str(folder)]) == 0
-        assert [i for i in dry_run([folder / "campaign.yaml"]) if i.state == WRONG] == []
+        items = dry_run([folder / "campaign.yaml"])
+        assert [i for i in items if i.state == WRONG] == []
+        asked = [i for i in items if i.state == "to fill in"]
+        assert [re.search("--[a-z]+", i.detail)[0] for i in asked] == ([] if extra else ["--unit"])
     assert "--spectra" in (folder / "campaign.yaml").read_text()
-
-
-def test_a_campaign_that_is_there_is_not_replaced(small, sources, capsys):
-    small.write()
-    before = (small.folder / "campaign.yaml").read_bytes()
-    assert cli.run([*sources, "--unit", UNIT, "-o", str(small.folder)]) == 2
-    assert (small.folder / "campaign.yaml").read_bytes() == before
+    before = (folder / "campaign.yaml").read_bytes()  # what is there is not replaced
+    assert cli.run(["init", "--cube", str(cube), "--unit", UNIT, "-o", str(folder)]) == 2
+    assert (folder / "campaign.yaml").read_bytes() == before
     assert "is there already" in capsys.readouterr().err
 
 
-def test_spectra_go_with_names_only_where_one_alone_fits():
-    def named(*names: str) -> list[Spectrum]:
-        return [Spectrum(name, Path("lib.sli"), name, None, False) for name in names]
-
-    assert matching_spectrum("blueFabric", named("Mean of Blue Fabric, 4 readings", "Red Fabric")).name.startswith(
-        "Mean"
-    )
-    assert matching_spectrum("blue fabric 2", named("Blue Fabric", "Red Fabric")).name == "Blue Fabric"
-    assert matching_spectrum("fabric", named("Blue Fabric", "Red Fabric")) is None
-    assert matching_spectrum("panel", named("panel", "panel white")).name == "panel"
-    assert matching_spectrum("road", named("...")) is None
+@pytest.mark.parametrize(
+    ("region", "records", "matched"),
+    [
+        ("blueFabric", ["Mean of Blue Fabric 4 readings", "Red Fabric"], "Mean of Blue Fabric 4 readings"),
+        ("blue fabric 2", ["Blue Fabric", "Red Fabric"], "Blue Fabric"),
+        ("fabric", ["Blue Fabric", "Red Fabric"], None),
+        ("road", ["road", "road wet"], "road"),
+        ("road", ["...", "grass"], None),
+    ],
+)
+def test_spectra_go_with_names_only_where_one_alone_fits(tmp_path, write_reflectance, region, records, matched):
+    cube = write_reflectance(tmp_path / "line_refl.img")
+    shape = {"type": "Polygon", "coordinates": [[[0, 0], [9, 0], [9, 9], [0, 9], [0, 0]]]}
+    features = [{"type": "Feature", "properties": {"name": region}, "geometry": shape}]
+    (tmp_path / "regions.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    w = np.arange(450.0, 900.0, 10.0)
+    table = np.column_stack([w, *(0.2 + 0.0002 * w * (1 + i) for i in range(len(records)))])
+    head = ",".join(["wavelength_nm", *(f'"{name}"' for name in records)])
+    np.savetxt(tmp_path / "field.csv", table, delimiter=",", header=head, comments="")
+    assert cli.run(["init", "--cube", str(cube), "--regions", str(tmp_path / "regions.geojson"), "--spectra",
+                    str(tmp_path / "field.csv"), "-o", str(tmp_path / "new")]) == 0  # fmt: skip
+    drafted = yaml.safe_load((tmp_path / "new" / "campaign.yaml").read_text()).get("scenarios", [])
+    found = [surface["spectrum"].get("record") for scenario in drafted for surface in scenario["scene"]["classes"]]
+    assert found == [matched][: matched is not None]  # nothing is predicted, or compared, without one

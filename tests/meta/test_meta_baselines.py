@@ -13,19 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.baseline.accepted import (
+from hyperval.baseline import (
     DEFAULT_FOLDER,
     SENSORS,
     Accepted,
     Baseline,
     accepted_of,
     campaign_metrics,
+    compare,
     load_baseline,
     sensor_metrics,
 )
-from hyperval.baseline.check import compare
-from hyperval.campaign.job import job_of
-from hyperval.campaign.one import run_campaign
+from hyperval.campaign import job_of, run_campaign
 from hyperval.model import FILTERS, LinearFilter, fixed_fill, matched_filter_weights, solved_filter
 from hyperval.results import Outcome, Result
 from hyperval.sensor.specification import library_names, load_sensor

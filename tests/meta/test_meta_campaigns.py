@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.campaign.job import job_of
+from hyperval.campaign import job_of
 from hyperval.config import load_yaml
 from hyperval.datasets import describe
 from hyperval.metrics import plain_words

@@ -12,7 +12,7 @@ import typer
 import yaml
 
 from hyperval import cli
-from hyperval.baseline.accepted import Accepted, split_key
+from hyperval.baseline import Accepted, split_key
 from hyperval.config import parse_yaml
 
 PAGE = (Path(__file__).parents[2] / "docs" / "regression.md").read_text("utf-8")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hyperval.campaign.job import job_of
-from hyperval.campaign.one import run_campaign
+from hyperval.campaign import job_of, run_campaign
 from hyperval.results import Outcome, ResultTable
 from small_campaign import SmallCampaign
 

@@ -9,8 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from hyperval import cli
-from hyperval.campaign.job import job_of
-from hyperval.campaign.one import run_campaign
+from hyperval.campaign import job_of, run_campaign
 from hyperval.results import Cause, Outcome, ResultTable
 from hyperval.statistics_library import builtin_class
 from small_campaign import SmallCampaign

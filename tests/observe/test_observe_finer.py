@@ -10,9 +10,7 @@ import rasterio
 from affine import Affine
 from scipy.ndimage import gaussian_filter
 
-from hyperval.campaign.job import job_of
-from hyperval.campaign.one import run_campaign
-from hyperval.campaign.sides import with_fills_of_truth
+from hyperval.campaign import job_of, run_campaign, with_fills_of_truth
 from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.model import TargetGeometry, fill_distribution, fills_of_objects, pixel_fills, pixels_of_object

@@ -7,7 +7,7 @@ import pytest
 from affine import Affine
 from small_world import AXIS, BANDS
 
-from hyperval.campaign.sides import with_measured_fractions, without_circles
+from hyperval.campaign import with_measured_fractions, without_circles
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import Region, half_region, pixel_sides_m, ring_region
 from hyperval.products import PredictedProducts, SpectralEstimate

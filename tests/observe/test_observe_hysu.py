@@ -9,7 +9,7 @@ import pytest
 import rasterio
 
 from hyperval import datasets
-from hyperval.campaign.job import job_of
+from hyperval.campaign import job_of
 from hyperval.model import Sources
 from hyperval.observe import observe
 

@@ -10,10 +10,7 @@ import yaml
 from pydantic import ValidationError
 
 from hyperval.atmosphere import AtmosphericTerms, pressure_at, standard_profile
-from hyperval.campaign.dry_run import dry_run, summary
-from hyperval.campaign.job import jobs_of
-from hyperval.campaign.one import run_campaign
-from hyperval.campaign.schema import DayScenarios, day_scenarios
+from hyperval.campaign import DayScenarios, day_scenarios, dry_run, jobs_of, run_campaign, summary
 from hyperval.collection_files import RadCalNetSource
 from hyperval.compare import compare_spectra
 from hyperval.errors import InputError, UsageError

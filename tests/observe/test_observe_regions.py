@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_world import LINES, PLANTED, SAMPLES
 
-from hyperval.campaign.job import job_of
+from hyperval.campaign import job_of
 from hyperval.collection import CollectionSection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe import open_place

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_run import make_run
 
-from hyperval.campaign.sides import spread_curves
+from hyperval.campaign import spread_curves
 from hyperval.cli.main import run as command
 from hyperval.errors import InputError
 from hyperval.figures import Print

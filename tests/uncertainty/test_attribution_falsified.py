@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.campaign.job import jobs_of
-from hyperval.campaign.one import run_campaign
+from hyperval.campaign import jobs_of, run_campaign
 from hyperval.errors import UsageError
 from hyperval.results import Outcome
 from small_campaign import scenario_data

@@ -12,7 +12,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
 from web_browser import NEEDS_BROWSER, WIDER_THAN_SCREEN, careful_page, picture, serious
 
-from hyperval.campaign.forward import predict_to_folder
+from hyperval.campaign import predict_to_folder
 from small_campaign import SmallCampaign
 
 pytestmark = [NEEDS_BROWSER, pytest.mark.slow]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 from twin_run import FIELDS, PANELS, TWIN, difference, levels, run_twin
 
-from hyperval.campaign.job import job_of
+from hyperval.campaign import job_of
 from hyperval.compare import judged
 from hyperval.results import Outcome, ResultTable
 

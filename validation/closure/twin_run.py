@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from hyperval.campaign.job import SIMULATED, job_of
-from hyperval.campaign.schema import Campaign
+from hyperval.campaign import SIMULATED, Campaign, job_of
 from hyperval.compare import compare_products
 from hyperval.model import Origins, predict
 from hyperval.observe import observe

@@ -22,8 +22,7 @@ from counts import Key
 from world import engine
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.campaign.job import job_of
-from hyperval.campaign.one import run_campaign
+from hyperval.campaign import job_of, run_campaign
 from hyperval.compare import compare_covariance, detection, products
 from hyperval.config import parse_yaml
 from hyperval.metrics import Kind, metric_of

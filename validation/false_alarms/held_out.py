@@ -24,8 +24,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage, stats
 
-from hyperval.campaign.job import jobs_of
-from hyperval.campaign.sides import Inputs
+from hyperval.campaign import Inputs, jobs_of
 from hyperval.model import ClassScores, log_false_alarm
 from hyperval.observe import observe
 from hyperval.pixels import class_mixture, fit_mixture

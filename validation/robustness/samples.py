@@ -36,8 +36,8 @@ from contents import (
 )
 
 from hyperval.atmosphere import read_channels, read_chn, read_modtran_json, read_table, read_tape7, terms_from_runs
-from hyperval.baseline.accepted import load_baseline
-from hyperval.campaign.job import read_texts
+from hyperval.baseline import load_baseline
+from hyperval.campaign import read_texts
 from hyperval.collection_files import AbundanceTruth, BandTableFile, RegionSource
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header

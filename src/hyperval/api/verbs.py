@@ -12,11 +12,9 @@ import xarray as xr
 
 from hyperval import metrics as metrics_table
 from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Study, Validation
-from hyperval.baseline.accepted import DEFAULT_FOLDER
-from hyperval.baseline.check import check as check_numbers
-from hyperval.campaign.job import Job, job_of, jobs_of
-from hyperval.campaign.one import run_campaign
-from hyperval.campaign.sides import collected
+from hyperval.baseline import DEFAULT_FOLDER
+from hyperval.baseline import check as check_numbers
+from hyperval.campaign import Job, collected, job_of, jobs_of, run_campaign
 from hyperval.compare import compare_products
 from hyperval.envi_header import header_beside
 from hyperval.hdf5 import check_hdf5

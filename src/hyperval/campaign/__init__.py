@@ -1,1 +1,6 @@
-"""Schema, plan, run, gate and provenance of a campaign."""
+"""A campaign: its file read and looked over, run, judged; its record, its draft, the power of its criteria."""
+
+import lazy_loader
+
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -68,7 +68,7 @@ def _sight(injected: Injected | None) -> str:
     return "not in the table" if injected is None else str(injected.sight)
 
 
-def power(
+def campaign_power(
     paths: Sequence[Path],
     *,
     output: Path | None = None,

@@ -94,21 +94,19 @@ def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
     return out
 
 
-def package_versions() -> dict[str, str]:
-    """Name and version of every installed distribution, sorted."""
-    return dict(_packages())
-
-
 @cache
-def _packages() -> list[tuple[str, str]]:
-    """Read once, and the two lines alone: several hundred files, parsed whole, take half a second."""
+def package_versions() -> Mapping[str, str]:
+    """Name and version of every installed distribution, sorted.
+
+    Read once, and the two lines alone: several hundred files, parsed whole, take half a second.
+    """
     packages = {}
     for distribution in importlib.metadata.distributions():
         about = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
         head = dict(re.findall(r"^(Name|Version): *(.*?)\s*$", about.partition("\n\n")[0], re.MULTILINE))
         if "Name" in head:
             packages[head["Name"].lower()] = head.get("Version", "")
-    return sorted(packages.items())
+    return dict(sorted(packages.items()))
 
 
 def linear_algebra() -> dict[str, str]:

@@ -557,12 +557,11 @@ def eigenvalue_spectra(
 
 def tail_curves(prediction: PredictedProducts, observation: ObservedProducts) -> dict[str, TailCurve]:
     """Tails in the leading components, by subject of the collection."""
-    out = {}
-    for subject, law in observation.distribution.items():
-        known = prediction.distribution.get(subject)
-        if law.distance is not None and law.exceedance is not None and law.leading_dimension is not None:
-            out[subject] = _curve(law, None if known is None else known.tail_dof)
-    return out
+    return {
+        subject: _curve(law, getattr(prediction.distribution.get(subject), "tail_dof", None))
+        for subject, law in observation.distribution.items()
+        if law.distance is not None and law.exceedance is not None and law.leading_dimension is not None
+    }
 
 
 def _curve(distribution: PixelDistribution, predicted_dof: float | None) -> TailCurve:

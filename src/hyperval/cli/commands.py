@@ -40,7 +40,7 @@ from hyperval.cli.shared import (
 from hyperval.errors import UsageError
 
 if TYPE_CHECKING:
-    from hyperval.baseline.check import Checked
+    from hyperval.baseline import Checked
     from hyperval.results import Result
 
 
@@ -69,8 +69,8 @@ def check(
     everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
 ) -> int:
     """Run campaigns and sensors, and compare with what was accepted."""
+    from hyperval.baseline import DEFAULT_FOLDER
     from hyperval.baseline import check as run
-    from hyperval.baseline.accepted import DEFAULT_FOLDER
 
     if baselines is not None and not baselines.is_dir():
         raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
@@ -101,7 +101,7 @@ def check(
 
 
 def _cells(row: Result) -> tuple[str, ...]:
-    from hyperval.baseline.accepted import key_of
+    from hyperval.baseline import key_of
 
     accepted, width = (row.limit_high + row.limit_low) / 2.0, (row.limit_high - row.limit_low) / 2.0
     numbers = (f"{accepted:.6g}", f"{row.value:.6g}", f"{row.value - accepted:+.3g}", f"{width:.3g}")
@@ -126,7 +126,7 @@ def _tell(item: Checked, baselines: Path) -> None:
 
 def _likely_causes(item: Checked) -> str:
     """What differs between the run and the one that was accepted, as far as both say."""
-    from hyperval.baseline.accepted import load_baseline
+    from hyperval.baseline import load_baseline
 
     then = load_baseline(item.baseline).versions
     changed = [f"{k} {then[k]} is now {v}" for k, v in item.run.versions.items() if k in then and then[k] != v]
@@ -153,8 +153,7 @@ def baseline_accept(
     source: Finished = None,
 ) -> int:
     """Take the numbers of a run as those that later runs must give; prints what changes."""
-    from hyperval.baseline import accept
-    from hyperval.baseline.accepted import DEFAULT_FOLDER
+    from hyperval.baseline import DEFAULT_FOLDER, accept
 
     done = accept(
         campaigns or [],
@@ -179,7 +178,7 @@ def baseline_accept(
 
 
 def _in_words(item: object) -> str:
-    from hyperval.baseline.accepted import Accepted
+    from hyperval.baseline import Accepted
 
     if not isinstance(item, Accepted):
         return "-"
@@ -314,7 +313,7 @@ def figures(
     ] = Style.HOUSE,
 ) -> int:
     """Draw the figures of a finished run for print, from its folder."""
-    from hyperval.campaign.sides import spread_curves
+    from hyperval.campaign import spread_curves
     from hyperval.figures.print import Print
     from hyperval.report.html import figures_to_folder
 
@@ -375,7 +374,7 @@ def init(
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     import re
 
-    from hyperval.campaign.starter import StarterSources, starter_campaign
+    from hyperval.campaign import StarterSources, starter_campaign
     from hyperval.storage import write_text
 
     path = output / "campaign.yaml"
@@ -441,7 +440,7 @@ def power(
     accept: Annotated[bool, typer.Option("--accept", help="Take the tables as those that reports show.")] = False,
 ) -> int:
     """Inject standard errors in the model, one at a time: which gates turn?"""
-    from hyperval.campaign.power import power as run
+    from hyperval.campaign import campaign_power as run
 
     tables = run(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
     done = [item.table for item in tables if item.table is not None]
@@ -470,7 +469,7 @@ def predict(
     output: Output,
 ) -> int:
     """Run the forward model alone."""
-    from hyperval.campaign.forward import predict_to_folder
+    from hyperval.campaign import predict_to_folder
 
     return finished(predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
 
@@ -485,7 +484,7 @@ def observe(
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
-    from hyperval.campaign.run import observe as run
+    from hyperval.campaign import observe as run
 
     code = run(campaign, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
     say_warnings(output)
@@ -516,7 +515,7 @@ def validate(
         return _dry_run(campaigns)
     if output is None:
         raise UsageError("no folder for the results", mend="name one with --output (-o)")
-    from hyperval.campaign.run import validate as run
+    from hyperval.campaign import validate as run
     from hyperval.run import junit_of
     from hyperval.storage import write_text
 
@@ -541,7 +540,7 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
 
 
 def _dry_run(campaigns: list[Path]) -> int:
-    from hyperval.campaign.dry_run import WRONG, dry_run, overview, summary
+    from hyperval.campaign import WRONG, dry_run, overview, summary
     from hyperval.errors import InputError
 
     items = dry_run(campaigns)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import scipy
 import spectral
 
-from hyperval.campaign.schema import Campaign
+from hyperval.campaign import Campaign
 from hyperval.collection import Detection
 from hyperval.compare.products import product_rows
 from hyperval.compare.spectra import RowMaker

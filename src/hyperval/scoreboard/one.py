@@ -15,10 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.campaign.job import AnyJob, Job, Waiting, jobs_of
+from hyperval.campaign import AnyJob, Campaign, Inputs, Job, Waiting, collected, jobs_of
 from hyperval.campaign.provenance import command_without_output, record_of
-from hyperval.campaign.schema import Campaign
-from hyperval.campaign.sides import Inputs, collected
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers

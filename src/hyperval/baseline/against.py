@@ -33,9 +33,8 @@ from hyperval.baseline.accepted import (
     versions,
     write_baseline,
 )
-from hyperval.campaign.job import AnyJob, Job, jobs_of
+from hyperval.campaign import AnyJob, Job, jobs_of, validate
 from hyperval.campaign.provenance import command_without_output, source_revision
-from hyperval.campaign.run import validate
 from hyperval.errors import InputError, UsageError
 from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
@@ -410,7 +409,7 @@ def accept(
     numbers are all the same is left as it is, with its reason and date.  Nothing is written unless every run is
     sound.
 
-    Parameters as for :func:`hyperval.baseline.check.check`.
+    Parameters as for :func:`check`.
 
     Raises
     ------
