@@ -17,36 +17,11 @@ import rasterio
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery import open_cube, write_cube
+from hyperval.imagery import open_cube
 from hyperval.paths import checked_file
 from hyperval.spectra import SpectralAxis
 
 SIZE = 6 * 5 * 4 * 2
-
-
-def test_truncated_cube_names_the_missing_percent(cube_file: Path):
-    os.truncate(cube_file, SIZE * 6 // 10)
-    with pytest.raises(InputError, match="40 % missing") as caught:
-        open_cube(cube_file, quantity="reflectance")
-    assert caught.value.exit_code == 3
-    assert str(cube_file) in str(caught.value)
-
-
-@pytest.mark.parametrize("change", [-1, 1, 2, SIZE])
-def test_wrong_size_by_any_amount(cube_file: Path, change: int):
-    os.truncate(cube_file, SIZE + change)
-    with pytest.raises(InputError, match="truncated" if change < 0 else "longer than its header"):
-        open_cube(cube_file, quantity="reflectance")
-
-
-def test_header_offset_past_the_end(edit):
-    with pytest.raises(InputError, match="truncated"):
-        open_cube(edit(header_offset="100000"), quantity="reflectance")
-
-
-def test_enormous_dimensions_are_refused_before_memory_is_taken(edit):
-    with pytest.raises(InputError, match="truncated"):
-        open_cube(edit(samples="1000000000", lines="1000000000"), quantity="reflectance")
 
 
 def test_sparse_120_gb_file_is_read_by_blocks(edit):
@@ -63,24 +38,12 @@ def test_sparse_120_gb_file_is_read_by_blocks(edit):
     assert cube.pixels((np.array([0, lines - 1]), np.array([0, 4]))).shape == (2, 4)
 
 
-@pytest.mark.parametrize("which", ["cube.img", "cube.hdr"])
-def test_missing_files_are_named(cube_file: Path, which: str):
-    (cube_file.parent / which).unlink()
-    with pytest.raises(InputError, match=r"no such|no header") as caught:
-        open_cube(cube_file, quantity="reflectance")
-    assert "cube" in str(caught.value)
-
-
 def test_two_headers_must_be_chosen_from(cube_file: Path):
     second = cube_file.with_name("cube.img.hdr")
     shutil.copy(cube_file.with_suffix(".hdr"), second)
     with pytest.raises(UsageError, match="two headers"):
         open_cube(cube_file, quantity="reflectance")
     assert open_cube(cube_file, quantity="reflectance", header=second).lines == 6
-
-
-def test_header_may_be_named_instead_of_the_data(cube_file: Path):
-    assert open_cube(cube_file.with_suffix(".hdr"), quantity="reflectance").raster.path == cube_file
 
 
 def test_symlink_out_of_the_root(cube_file: Path, tmp_path: Path):
@@ -95,27 +58,12 @@ def test_symlink_out_of_the_root(cube_file: Path, tmp_path: Path):
     assert open_cube(root / "link.img", quantity="reflectance", root=tmp_path).lines == 6
 
 
-def test_header_outside_the_root(cube_file: Path, tmp_path: Path):
-    root = tmp_path / "root"
-    root.mkdir()
-    shutil.copy(cube_file, root / "a.img")
-    with pytest.raises(UsageError, match="header lies outside"):
-        open_cube(root / "a.img", quantity="reflectance", root=root, header=cube_file.with_suffix(".hdr"))
-
-
 def test_folder_pipe_and_device(tmp_path: Path):
     pipe = tmp_path / "pipe.img"
     os.mkfifo(pipe)
     for path in (tmp_path, pipe, Path("/dev/zero")):
         with pytest.raises(InputError, match=r"is a folder|is a pipe"):
             open_cube(path, quantity="reflectance")
-
-
-def test_circle_of_links(tmp_path: Path):
-    (tmp_path / "a.img").symlink_to(tmp_path / "b.img")
-    (tmp_path / "b.img").symlink_to(tmp_path / "a.img")
-    with pytest.raises(InputError):
-        open_cube(tmp_path / "a.img", quantity="reflectance")
 
 
 @pytest.mark.parametrize(
@@ -151,11 +99,6 @@ def test_geotiff_with_given_axis(tiff: Path, values: np.ndarray, axis: SpectralA
     assert (cube.ignore_value, cube.pixel_area_m2, cube.crs.to_epsg()) == (-99, 4.0, 32618)
 
 
-def test_geotiff_without_wavelengths(tiff: Path):
-    with pytest.raises(InputError, match="lists no wavelengths"):
-        open_cube(tiff, quantity="reflectance")
-
-
 def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
     # One pixel of 32,769 bands in 1.4 kB: width, height, bits, samples per pixel, strip and its place.
     entries = [(256, 4, 1), (257, 4, 1), (258, 3, 8), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 32_769)]
@@ -168,15 +111,6 @@ def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
     path.write_bytes(path.read_bytes().replace(struct.pack("<I", 32_769), struct.pack("<I", 16_385)))
     with pytest.raises(InputError, match="1430 bytes for 16385 bands of 1 lines and 1 samples"):
         open_cube(path, quantity="other")
-
-
-def test_sidecar_that_changes_the_meaning_is_not_read(tiff: Path, axis: SpectralAxis):
-    tiff.with_name("t.tif.aux.xml").write_text(
-        "<PAMDataset><PAMRasterBand band='1'><NoDataValue>5</NoDataValue><Scale>7</Scale></PAMRasterBand></PAMDataset>"
-    )
-    cube = open_cube(tiff, quantity="reflectance", scale=1e-4, axis=axis)
-    assert cube.ignore_value == -99
-    assert cube.scaling.gain.tolist() == [1e-4] * 4
 
 
 def test_other_sidecars_of_a_geotiff_are_not_read(tiff: Path, axis: SpectralAxis, values: np.ndarray):
@@ -256,17 +190,32 @@ def test_a_vrt_or_a_broken_file_named_tif_is_refused(tmp_path: Path, tiff: Path)
         list(open_cube(tiff, quantity="other", axis=SpectralAxis(np.arange(4) + 400.0, 1.0)).blocks())
 
 
-def test_memory_does_not_grow_with_the_cube(tmp_path: Path):
-    # 40 MB on disk through blocks of 0.2 MB: the peak must stay far below the cube.
-    axis = SpectralAxis(400.0 + np.arange(100), 1.0)
-    path = write_cube(tmp_path / "big.img", np.ones((1000, 200, 100), "i2"), data_type=2, axis=axis)
-    cube = open_cube(path, quantity="other")
-    list(zip(range(2), cube.blocks(1), strict=False))
-    import tracemalloc
+@pytest.mark.parametrize(
+    ("size", "header", "message"),
+    [
+        (SIZE * 6 // 10, {}, "40 % missing"),
+        (SIZE - 1, {}, "truncated"),
+        (SIZE + 1, {}, "longer than its header"),
+        (SIZE * 2, {}, "longer than its header"),
+        (SIZE, {"header_offset": "100000"}, "truncated"),
+        (SIZE, {"samples": "1000000000", "lines": "1000000000"}, "truncated"),  # before memory is taken
+    ],
+)
+def test_a_data_file_of_another_size_than_its_header_says(edit, size: int, header, message: str):
+    path = edit(**header)
+    os.truncate(path, size)
+    with pytest.raises(InputError, match=message) as caught:
+        open_cube(path, quantity="reflectance")
+    assert caught.value.exit_code == 3
+    assert str(path) in str(caught.value)
 
-    tracemalloc.start()
-    total = sum(float(block.values.sum()) for block in cube.blocks(1))
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert total == 1000 * 200 * 100
-    assert peak < 2_000_000
+
+def test_a_data_file_that_is_cut_while_it_is_read_or_is_gone(cube_file: Path):
+    cube = open_cube(cube_file, quantity="reflectance")
+    os.truncate(cube_file, SIZE // 2)
+    with pytest.raises(InputError, match="became shorter while it was read"):
+        cube.read(0, 6)
+    cube_file.unlink()
+    for named in (cube_file, cube_file.with_suffix(".hdr")):
+        with pytest.raises(InputError, match=r"no such|data files beside the header: none"):
+            open_cube(named, quantity="reflectance")

@@ -148,21 +148,6 @@ def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Pat
     assert np.array_equal(np.concatenate(blocks), raster.read_lines(0, raster.lines))
 
 
-def test_a_small_image_that_is_held_reads_as_a_large_one(tmp_path: Path, monkeypatch):
-    rng = np.random.default_rng(5)
-    stored = rng.random((9, 7, 4)).astype(np.float32)
-    path = tagged(tmp_path / "c.tif", stored, [])
-    rows, cols = rng.integers(9, size=30), rng.integers(7, size=30)
-    for most in (tiff.MAX_READ_BYTES, 0):
-        monkeypatch.setattr(tiff, "MAX_READ_BYTES", most)
-        raster = open_raster(path)
-        for _ in range(2):  # what a caller does with the numbers stays with the caller
-            pixels, lines = raster.read_pixels(rows, cols), raster.read_bands(2, 4)
-            assert np.array_equal(pixels, stored[rows, cols])
-            assert np.array_equal(lines, stored[2:6].transpose(2, 0, 1))
-            pixels[:], lines[:] = 0.0, 0.0
-
-
 def test_percent_is_named_with_the_scale_that_mends_it(tmp_path: Path, axis, values):
     path = write_cube(tmp_path / "pct.img", 100.0 * values, data_type=4, axis=axis)
     with pytest.raises(InputError) as caught:

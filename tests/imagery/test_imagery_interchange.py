@@ -15,7 +15,7 @@ from rasterio.crs import CRS
 from hyperval.errors import UsageError
 from hyperval.imagery import open_cube, write_cube
 from hyperval.report.run import ScoreMap
-from hyperval.spectra import SpectralAxis, library_to_spy, library_to_xarray, read_records
+from hyperval.spectra import library_to_spy, library_to_xarray, read_records
 
 
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
@@ -35,14 +35,6 @@ def test_an_envi_cube_becomes_a_mapped_image_of_spy(tmp_path: Path, axis, values
     assert np.allclose(back.read(0, 6).values, values, atol=1e-12)
 
 
-def test_a_header_that_spy_cannot_read_is_no_hindrance(edit, values):
-    path = edit(byte_order=None)
-    image = open_cube(path, quantity="reflectance").to_spy()
-    assert np.allclose(image.load(), values, atol=1e-7)
-    with pytest.raises(Exception, match="byte order"):
-        spectral.open_image(str(path.with_suffix(".hdr")))
-
-
 def test_a_product_becomes_a_loaded_image_of_spy_and_comes_back(tmp_path: Path):
     shells.prisma(tmp_path / "p.he5")
     cube = open_cube(tmp_path / "p.he5", quantity="radiance")
@@ -53,13 +45,6 @@ def test_a_product_becomes_a_loaded_image_of_spy_and_comes_back(tmp_path: Path):
     assert back.axis.matches(cube.axis)
     assert np.allclose(back.read(2, 3).values, cube.read(2, 3).values, rtol=1e-6)
     assert spectral.get_rgb(image, [2, 1, 0]).shape == (cube.lines, cube.samples, 3)
-
-
-def test_spy_s_detectors_take_the_image(axis: SpectralAxis, tmp_path: Path):
-    rng = np.random.default_rng(3)
-    path = write_cube(tmp_path / "c.img", rng.normal(0.3, 0.02, (20, 20, 4)), data_type=4, axis=axis)
-    scores = spectral.rx(open_cube(path, quantity="reflectance").to_spy().load())
-    assert scores.shape == (20, 20)
 
 
 def test_xarray_reads_by_parts_and_goes_both_ways(tmp_path: Path, monkeypatch):

@@ -87,11 +87,6 @@ def test_a_table_of_another_size_is_left_aside_with_a_warning(tmp_path: Path, ax
     assert notes[0].startswith("warning: f01_rdn_igm lies beside the cube and is left aside: 60 lines")
 
 
-def test_a_cube_on_a_map_needs_no_table(tmp_path: Path):
-    shells.aviris(tmp_path / "a.nc", "reflectance")
-    assert table_of(open_raster(tmp_path / "a.nc")) == (None, ())
-
-
 def test_swath_products_place_regions_by_longitude_and_latitude(tmp_path: Path):
     shells.prisma(tmp_path / "p.he5")
     cube = open_cube(tmp_path / "p.he5", quantity="radiance")

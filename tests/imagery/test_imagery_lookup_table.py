@@ -11,7 +11,7 @@ from rasterio.crs import CRS
 from scanned_line import LINES, SAMPLES, UTM18, ScannedLine, write_table
 
 from hyperval.errors import InputError
-from hyperval.imagery import divided, open_lookup_table, polygon_mask, read_regions, read_targets
+from hyperval.imagery import open_lookup_table, polygon_mask, read_regions, read_targets
 
 SHAPE = (LINES, SAMPLES)
 
@@ -175,22 +175,3 @@ def test_a_table_needs_a_map_and_integers(tmp_path, line):
     assert table.pixel_area_m2 is None
     with pytest.raises(InputError, match="not in a known unit of length"):
         _ = table.metres_per_unit
-
-
-def test_sides_are_divided_and_kept():
-    ring = np.array([(0.0, 0), (10, 0), (10, 3), (0, 3), (0, 0)])
-    fine = divided(ring, "t")
-    assert len(fine) == 3 + 1 + 3 + 1
-    assert np.allclose(fine[:4], [[0, 0], [10 / 3, 0], [20 / 3, 0], [10, 0]])
-    with pytest.raises(InputError, match="far larger than any"):
-        divided(ring * 1e9, "t")
-
-
-def test_memory_is_bounded_and_lines_across_blocks_agree(tmp_path, monkeypatch):
-    """A table of several blocks gives the same places as one that is read at once."""
-    line = ScannedLine(heading=5.0)
-    table = open_lookup_table(write_table(tmp_path / "glt.dat", *line.table()), SHAPE)
-    places = line.on_map(*some_places().T)
-    whole = table.to_pixel(places, where="t")
-    monkeypatch.setattr("hyperval.imagery.placing._BLOCK", 16)
-    assert np.array_equal(table.to_pixel(places, where="t"), whole)

@@ -157,14 +157,6 @@ def test_every_format_gives_the_same_region(tmp_path: Path, kind: str):
     assert regions["grass"].source == str(path)
 
 
-def test_pixel_centre_rule():
-    # From 2.4 to 5.6 the centres 2.5, 3.5, 4.5, 5.5 lie inside; from 2.6 to 5.4 only 3.5 and 4.5.
-    wide = polygon_mask([(2.4, 0), (5.6, 0), (5.6, 1), (2.4, 1)], SHAPE, where="w")
-    narrow = polygon_mask([(2.6, 0), (5.4, 0), (5.4, 1), (2.6, 1)], SHAPE, where="n")
-    assert np.flatnonzero(wide[0]).tolist() == [2, 3, 4, 5]
-    assert np.flatnonzero(narrow[0]).tolist() == [3, 4]
-
-
 @given(st.lists(st.tuples(st.floats(0, 12, width=16), st.floats(0, 10, width=16)), min_size=3, max_size=3, unique=True))
 @settings(max_examples=100)
 def test_triangles_hold_the_centres_on_the_inner_side_of_their_edges(points):
@@ -200,30 +192,6 @@ def test_holes_and_united_features(tmp_path: Path):
     assert np.array_equal(read_regions(path, SHAPE, coordinates="pixel")["a"].mask, mask)
 
 
-@pytest.mark.parametrize("key", ["name", "Name", "NAME", "Region", "class"])
-def test_names_of_features_in_any_case(tmp_path: Path, key: str):
-    path = tmp_path / "n.geojson"
-    path.write_text(collection(feature(polygon(SQUARE), **{"fid": 7, key: "lawn"})))
-    assert list(read_regions(path, SHAPE, coordinates="pixel")) == ["lawn"]
-
-
-def test_duplicate_points_count_once_and_a_single_pixel_is_a_region(tmp_path: Path):
-    path = tmp_path / "one.csv"
-    path.write_text("line,sample\n4,5\n4,5\n")
-    region = read_regions(path, SHAPE)["one"]
-    assert region.n == 1
-    assert region.mask[4, 5]
-
-
-def test_self_crossing_polygon_follows_the_even_odd_rule():
-    bow = polygon_mask([(1, 1), (9, 9), (9, 1), (1, 9)], SHAPE, where="bow")
-    # Centres above and below the crossing lie between the two loops, those beside it inside one.
-    assert not bow[2, 4]
-    assert not bow[7, 4]
-    assert bow[4, 2]
-    assert bow[4, 7]
-
-
 def test_names_select_and_rename(tmp_path: Path):
     path = tmp_path / "two.csv"
     path.write_text("region,line,sample\na,1,1\nb,2,2\n")
@@ -233,13 +201,6 @@ def test_names_select_and_rename(tmp_path: Path):
         read_regions(path, SHAPE, names=["c"])
     with pytest.raises(UsageError, match="same name"):
         read_regions(path, SHAPE, names={"a": "x", "b": "x"})
-
-
-def test_bands_of_a_mask_cube_are_regions(tmp_path: Path):
-    stored = np.zeros((10, 12, 2), "u1")
-    stored[1, 1, 0], stored[2, 2, 1] = 1, 3
-    path = write_cube(tmp_path / "m.img", stored, data_type=1, band_names=["metal", "cloth"])
-    assert {k: r.n for k, r in read_regions(path, SHAPE).items()} == {"metal": 1, "cloth": 1}
 
 
 # What is refused --------------------------------------------------------------------------------
@@ -279,6 +240,15 @@ def test_bad_polygons(points, message: str):
         ("a.xml", xml(f"<Polygon>{ring(SQUARE)}</Polygon>", "NONSENSE[]"), "unknown coordinate system"),
         ("a.xml", xml(f"<Polygon>{ring(SQUARE)}</Polygon>", UTM18.to_wkt()), "coordinate system of the cube"),
         ("a.xml", xml(""), "holds no pixel"),
+        ("a.xml", "<RegionsOfInterest><Region><ThresholdDef/></Region></RegionsOfInterest>", "a threshold is not eval"),
+        ("a.xml", "<RegionsOfInterest>" + " " * (8 << 20), "larger than 8 MiB"),
+        (
+            "a.txt",
+            roi_ascii(np.ones(SHAPE, bool)).replace("ID    X    Y", "ID   MapX   MapY"),
+            "no pixel numbers among",
+        ),
+        ("a.csv", "row0,col0\n1," + "9" * 30, "a.csv:2: no whole numbers"),
+        ("a.csv", "row0,col0\n1,1_0", "no whole numbers"),
         ("a.csv", "x,y\n1,2\n", "row0,col0"),
         ("a.csv", "line,sample\n1,2.5\n", "no whole numbers"),
         ("a.csv", "line,sample\n1\n", "no whole numbers"),
@@ -354,71 +324,12 @@ def test_geojson_is_longitude_and_latitude_without_being_asked(tmp_path: Path):
         read_regions(path, SHAPE, **{**options, "coordinates": None})
 
 
-@pytest.mark.parametrize("field", ["plot", "Plot"])
-def test_a_property_of_geojson_may_name_the_regions(tmp_path: Path, field: str):
-    path = tmp_path / "n.geojson"
-    path.write_text(collection(feature(polygon(SQUARE), name="a", plot="west")))
-    assert list(read_regions(path, SHAPE, coordinates="pixel", name_field=field)) == ["west"]
-    with pytest.raises(UsageError, match=r"(?s)no property 'site'.*one of name, plot"):
-        read_regions(path, SHAPE, coordinates="pixel", name_field="site")
-
-
-def test_longitude_and_latitude_read_as_map_leave_the_image(tmp_path: Path):
-    path, options = written(tmp_path, "geojson-lonlat")
-    with pytest.raises(InputError, match="longitude/latitude"):
-        read_regions(path, SHAPE, **{**options, "coordinates": "map"})
-
-
-def test_geojson_of_another_system(tmp_path: Path):
-    path = tmp_path / "g.geojson"
-    path.write_text(
-        json.dumps(
-            {
-                "type": "FeatureCollection",
-                "crs": {"type": "name", "properties": {"name": "EPSG:32617"}},
-                "features": [feature(polygon(on_map(SQUARE)), name="a")],
-            }
-        )
-    )
-    with pytest.raises(InputError, match="EPSG:32617"):
-        read_regions(path, SHAPE, coordinates="map", transform=TRANSFORM, crs=UTM18)
-
-
-def test_large_xml_is_refused_unparsed(tmp_path: Path):
-    path = tmp_path / "big.xml"
-    path.write_text("<RegionsOfInterest>" + " " * (8 << 20))
-    with pytest.raises(InputError, match="larger than 8 MiB"):
-        read_regions(path, SHAPE)
-
-
 def test_class_raster_of_another_size_or_without_classes(tmp_path: Path):
     path = write_cube(tmp_path / "c.img", np.ones((9, 12, 1)), data_type=1)
     with pytest.raises(InputError, match="9 lines and 12 samples"):
         read_regions(path, SHAPE)
     path = write_cube(tmp_path / "d.img", np.full((10, 12, 1), 1.5))
     with pytest.raises(InputError, match="no class numbers"):
-        read_regions(path, SHAPE)
-
-
-@pytest.mark.parametrize("cut", [4, 8, 20, 100, 200, 210])
-def test_binary_regions_cut_short(tmp_path: Path, cut: int):
-    path = tmp_path / "b.roi"
-    path.write_bytes(roi_binary("grass", points=list(range(20)))[:cut])
-    with pytest.raises(InputError):
-        read_regions(path, SHAPE)
-
-
-def test_binary_regions_of_another_image(tmp_path: Path):
-    path = tmp_path / "b.roi"
-    path.write_bytes(roi_binary("grass", points=[1], size=(11, 10)))
-    with pytest.raises(InputError, match="made for 10 lines x 11 samples"):
-        read_regions(path, SHAPE)
-
-
-def test_unknown_format(tmp_path: Path):
-    path = tmp_path / "a.bin"
-    path.write_bytes(b"\x01\x02\x03")
-    with pytest.raises(UsageError, match="format of the region file"):
         read_regions(path, SHAPE)
 
 
@@ -437,29 +348,6 @@ def test_any_bytes_give_regions_or_a_clear_error(tmp_path_factory, data: bytes, 
 # Sets -------------------------------------------------------------------------------------------
 
 
-def test_overlaps_are_counted():
-    a = rectangle_region("a", (0, 3), (0, 3), SHAPE)
-    b = rectangle_region("b", (3, 5), (2, 5), SHAPE)
-    c = rectangle_region("c", (8, 9), (8, 9), SHAPE)
-    assert overlaps([a, b, c]) == [("a", "b", 2)]
-    assert a.n == 16
-
-
-@pytest.mark.parametrize(("lines", "samples"), [((0, 10), (0, 1)), ((3, 2), (0, 1)), ((0, 1), (-1, 1))])
-def test_rectangles_outside_the_image(lines, samples):
-    with pytest.raises(InputError, match="not in the image"):
-        rectangle_region("r", lines, samples, SHAPE)
-
-
-def test_objects_join_over_corners():
-    mask = np.zeros(SHAPE, bool)
-    mask[1, 1] = mask[2, 2] = mask[5, 5] = True
-    labels, count = objects(mask)
-    assert count == 2
-    assert labels[1, 1] == labels[2, 2] != labels[5, 5]
-    assert labels[0, 0] == 0
-
-
 @pytest.mark.parametrize(("radius", "pixels"), [(0, 1), (0.9, 1), (1, 5), (1.5, 9), (2, 13)])
 def test_guard_is_a_disc(radius: float, pixels: int):
     mask = np.zeros(SHAPE, bool)
@@ -470,11 +358,6 @@ def test_guard_is_a_disc(radius: float, pixels: int):
     assert not guard(np.zeros(SHAPE, bool), 3).any()
     with pytest.raises(UsageError):
         guard(mask, float("nan"))
-
-
-def test_a_region_needs_a_boolean_mask():
-    with pytest.raises(UsageError):
-        Region("a", np.ones(SHAPE), "x")
 
 
 def test_a_packed_region_file_that_swells_is_refused(tmp_path: Path):
@@ -517,14 +400,6 @@ def test_what_a_mask_marks_as_no_data_is_no_region(tmp_path: Path, fill: float, 
     assert all(np.array_equal(region.mask, expected()) for region in found.values())
 
 
-def test_the_ignore_value_of_an_envi_mask_cube_is_no_region(tmp_path: Path):
-    bands = np.repeat(expected()[:, :, None].astype(float), 2, axis=2)
-    bands[0] = 255
-    write_cube(tmp_path / "m.img", bands, data_type=1, interleave="bsq", extra={"data ignore value": "255"})
-    found = read_regions(tmp_path / "m.img", SHAPE)
-    assert all(np.array_equal(region.mask, expected()) for region in found.values())
-
-
 @pytest.mark.parametrize("zone", [32617, 32618, 4326])
 def test_a_geojson_that_states_its_system_needs_no_other_word(tmp_path: Path, zone: int):
     own = CRS.from_epsg(zone)
@@ -539,14 +414,6 @@ def test_a_geojson_that_states_its_system_needs_no_other_word(tmp_path: Path, zo
     if zone != 4326:
         with pytest.raises(InputError, match="not in longitude and latitude"):
             read_regions(tmp_path / "r.geojson", SHAPE, transform=TRANSFORM, crs=UTM18, coordinates="lonlat")
-
-
-def test_places_that_cannot_be_are_one_clear_error(tmp_path: Path):
-    text = collection(feature(polygon([[500.0, 500.0], [600.0, 500.0], [600.0, 600.0]]), name="a"))
-    (tmp_path / "r.geojson").write_text(text)
-    with pytest.raises(InputError, match="cannot be places in") as caught:
-        read_regions(tmp_path / "r.geojson", SHAPE, transform=TRANSFORM, crs=UTM18, coordinates="lonlat")
-    assert "feature 1 (a)" in str(caught.value)
 
 
 def test_only_the_wanted_regions_must_lie_in_the_image(tmp_path: Path):
@@ -578,31 +445,65 @@ def test_an_ascii_export_with_other_columns(tmp_path: Path, columns: str, rows: 
     assert np.array_equal(read_regions(tmp_path / "r.txt", SHAPE)["grass"].mask, expected())
 
 
-def test_an_ascii_export_without_pixel_numbers_says_how_to_export_it(tmp_path: Path):
-    text = roi_ascii(expected()).replace("ID    X    Y", "ID   MapX   MapY")
-    (tmp_path / "r.txt").write_text(text)
-    with pytest.raises(InputError, match="no pixel numbers among the columns") as caught:
-        read_regions(tmp_path / "r.txt", SHAPE)
-    assert "r.txt:8" in str(caught.value)
+@pytest.mark.parametrize(
+    ("raw", "error", "message"),
+    [
+        (roi_binary("grass", points=[1], size=(11, 10)), InputError, "made for 10 lines x 11 samples"),
+        *(
+            (roi_binary("grass", points=list(range(20)))[:cut], InputError, "b.roi")
+            for cut in (4, 8, 20, 100, 200, 210)
+        ),
+        (b"\x01\x02\x03", UsageError, "format of the region file"),
+    ],
+)
+def test_binary_files_that_are_no_regions_of_this_image(tmp_path: Path, raw: bytes, error, message: str):
+    (tmp_path / "b.roi").write_bytes(raw)
+    with pytest.raises(error, match=message):
+        read_regions(tmp_path / "b.roi", SHAPE)
 
 
-def test_an_xml_threshold_is_called_that(tmp_path: Path):
-    (tmp_path / "r.xml").write_text('<RegionsOfInterest><Region name="t"><ThresholdDef/></Region></RegionsOfInterest>')
-    with pytest.raises(InputError, match="a threshold is not evaluated"):
-        read_regions(tmp_path / "r.xml", SHAPE)
+@pytest.mark.parametrize(
+    ("points", "pixels", "note"),
+    [
+        ([(8, 2), (16, 2), (16, 6), (8, 6)], 16, "warning: the region 'r' leaves the image: 50.0 % of its area is"),
+        ([(0, 0), (12.06, 0), (12.06, 10), (0, 10)], 120, "the region 'r' leaves the image: 0.5 % of its area is"),
+        ([(0, 0), (12 + 1e-8, 0), (12, 10), (0, 10)], 120, None),
+        ([(-5, -5), (50, -5), (50, 50), (-5, 50)], 120, "warning: the region 'r' leaves the image: 96.0 %"),
+        ([(2, 3), (6, 8), (6, 3), (2, 8)], 8, None),  # a bow tie: odd and even
+        ([(2.4, 0), (5.6, 0), (5.6, 1), (2.4, 1)], 4, None),  # centres 2.5 to 5.5
+        ([(2.6, 0), (5.4, 0), (5.4, 1), (2.6, 1)], 2, None),  # centres 3.5 and 4.5
+    ],
+)
+def test_a_polygon_holds_centres_and_what_leaves_the_image_is_counted(tmp_path: Path, points, pixels, note):
+    (tmp_path / "r.geojson").write_text(collection(feature(polygon(points), name="r", plot="west")))
+    region = read_regions(tmp_path / "r.geojson", SHAPE, coordinates="pixel")["r"]
+    assert region.n == pixels
+    assert [remark[: len(note or "")] for remark in region.remarks] == ([] if note is None else [note])
+    assert list(read_regions(tmp_path / "r.geojson", SHAPE, coordinates="pixel", name_field="Plot")) == ["west"]
+    with pytest.raises(UsageError, match=r"(?s)no property 'site'.*one of name, plot"):
+        read_regions(tmp_path / "r.geojson", SHAPE, coordinates="pixel", name_field="site")
 
 
-@pytest.mark.parametrize("text", ["Region;Row0;Col0\ngrass;{r};{c}\n", "region\trow0\tcol0\ngrass\t{r}\t{c}\n"])
-def test_pixel_lists_as_spreadsheets_write_them(tmp_path: Path, text: str):
-    head, row, _ = text.split("\n")
-    rows = "".join(row.format(r=r, c=c) + "\n" for r, c in np.argwhere(expected()))
-    (tmp_path / "r.csv").write_text(f"{head}\n{rows}")
-    assert np.array_equal(read_regions(tmp_path / "r.csv", SHAPE)["grass"].mask, expected())
+@pytest.mark.parametrize(
+    ("options", "points", "message"),
+    [
+        ({"coordinates": "map"}, [[-75.0, 42.0], [-74.9, 42.0], [-74.9, 42.1]], "longitude/latitude"),
+        ({"coordinates": "lonlat"}, [[500.0, 500.0], [600.0, 500.0], [600.0, 600.0]], r"feature 1 \(a\).*cannot be pl"),
+    ],
+)
+def test_places_that_cannot_be_are_one_clear_error(tmp_path: Path, options, points, message: str):
+    (tmp_path / "r.geojson").write_text(collection(feature(polygon(points), name="a")))
+    with pytest.raises(InputError, match=message):
+        read_regions(tmp_path / "r.geojson", SHAPE, transform=TRANSFORM, crs=UTM18, **options)
 
 
-@pytest.mark.parametrize("number", ["9" * 30, "1_0", "1.0"])
-def test_pixel_numbers_that_are_none(tmp_path: Path, number: str):
-    (tmp_path / "r.csv").write_text(f"row0,col0\n1,{number}\n")
-    with pytest.raises(InputError, match="no whole numbers") as caught:
-        read_regions(tmp_path / "r.csv", SHAPE)
-    assert "r.csv:2" in str(caught.value)
+def test_sets_of_pixels():
+    a, b, c = (rectangle_region(n, at, at, SHAPE) for n, at in (("a", (0, 3)), ("b", (3, 5)), ("c", (8, 9))))
+    assert (a.n, overlaps([a, b, c])) == (16, [("a", "b", 1)])
+    labels, count = objects(a.mask | c.mask | rectangle_region("d", (4, 4), (4, 4), SHAPE).mask)
+    assert (count, labels[0, 0], labels[4, 4], labels[8, 8], labels[0, 9]) == (2, 1, 1, 2, 0)  # they join over corners
+    for lines, samples in (((0, 10), (0, 1)), ((3, 2), (0, 1)), ((0, 1), (-1, 1))):
+        with pytest.raises(InputError, match="not in the image"):
+            rectangle_region("r", lines, samples, SHAPE)
+    with pytest.raises(UsageError):
+        Region("a", np.ones(SHAPE), "x")

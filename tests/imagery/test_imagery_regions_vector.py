@@ -13,8 +13,7 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery import RegionDrawing, read_regions
-from hyperval.imagery.regions import _wkb_geometry
+from hyperval.imagery import read_regions
 
 SHAPE = (10, 12)
 SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
@@ -40,14 +39,6 @@ def polygon(*rings) -> bytes:
         closed = [*ring, ring[0]]
         out += struct.pack("<I", len(closed)) + b"".join(struct.pack("<2d", *p) for p in closed)
     return out
-
-
-def multi(kind: int, *members: bytes) -> bytes:
-    return struct.pack("<BII", 1, kind, len(members)) + b"".join(members)
-
-
-def point(x: float, y: float) -> bytes:
-    return struct.pack("<BI2d", 1, 1, x, y)
 
 
 def write(path: Path, shapes, names=None, *, kind="Polygon", crs: str | None = "EPSG:32618", **options):
@@ -88,58 +79,11 @@ def test_the_square_of_every_other_format(tmp_path, end, system):
     assert np.array_equal(regions["grass"].mask, expected())
 
 
-@pytest.mark.parametrize("end", ["gpkg", "shp"])
-def test_holes_and_parts_are_kept(tmp_path, end):
-    small = [(8.0, 1.0), (10.0, 1.0), (10.0, 2.0), (8.0, 2.0)]
-    whole = multi(6, polygon(on_map(SQUARE), on_map(HOLE)), polygon(on_map(small)))
-    path = write(tmp_path / f"r.{end}", [whole], ["grass"], kind="MultiPolygon")
-    want = expected(hole=True)
-    want[1, 8:10] = True
-    assert np.array_equal(read_regions(path, SHAPE, **PLACED)["grass"].mask, want)
-
-
-def test_features_of_one_name_are_united_and_points_hold_their_pixel(tmp_path):
-    path = write(
-        tmp_path / "p.gpkg",
-        [point(*on_map([(0.5, 0.5)])[0]), point(*on_map([(1.5, 0.5)])[0]), point(*on_map([(7.9, 9.9)])[0])],
-        ["a", "a", "b"],
-        kind="Point",
-    )
-    regions = read_regions(path, SHAPE, **PLACED)
-    assert {k: list(zip(*np.nonzero(r.mask), strict=True)) for k, r in regions.items()} == {
-        "a": [(0, 0), (0, 1)],
-        "b": [(9, 7)],
-    }
-
-
 def test_every_layer_is_read_and_names_the_region(tmp_path):
     path = write(tmp_path / "l.gpkg", [polygon(on_map(SQUARE))], layer="grass")
     write(path, [polygon(on_map(HOLE))], layer="panel", append=True)
     regions = read_regions(path, SHAPE, **PLACED)
     assert {name: r.n for name, r in regions.items()} == {"grass": 20, "panel": 4}
-
-
-def test_a_ring_that_is_not_closed_and_a_geometry_cut_short():
-    big = struct.pack(">BII", 0, 3, 1) + struct.pack(">I", 3) + struct.pack(">6d", 2, 2, 8, 2, 8, 8)
-
-    def place(points, where, ring):
-        return points
-
-    drawing = RegionDrawing(SHAPE)
-    drawing.add(_wkb_geometry(big, "f"), place, "f")
-    assert drawing.area == 18.0
-    with pytest.raises(InputError, match="not understood"):
-        _wkb_geometry(big[:-4], "f")
-
-
-def test_a_polygon_that_leaves_the_image_is_cut_and_one_outside_refused(tmp_path):
-    path = write(tmp_path / "o.gpkg", [polygon(on_map([(8, 3), (16, 3), (16, 8), (8, 8)]))], ["grass"])
-    region = read_regions(path, SHAPE, **PLACED)["grass"]
-    assert region.n == 20
-    assert "50.0 % of its area is outside" in region.remarks[0]
-    path = write(tmp_path / "p.gpkg", [polygon(on_map([(22, 3), (34, 3), (34, 8)]))], ["grass"])
-    with pytest.raises(InputError, match=r"region 'grass': the region leaves the image: samples 22\.00 to 34\.00"):
-        read_regions(path, SHAPE, **PLACED)
 
 
 @pytest.mark.parametrize(
@@ -191,20 +135,6 @@ def test_which_attribute_names_the_regions_is_asked_where_none_is_known(tmp_path
     }
 
 
-def test_lines_have_no_area(tmp_path):
-    line = struct.pack("<BII4d", 1, 2, 2, *on_map([(1, 1)])[0], *on_map([(4, 4)])[0])
-    path = write(tmp_path / "l.gpkg", [line], ["road"], kind="LineString")
-    with pytest.raises(InputError, match="geometry 'LineString'"):
-        read_regions(path, SHAPE, **PLACED)
-
-
-def test_a_shapefile_without_its_companions_is_named(tmp_path):
-    path = write(tmp_path / "s.shp", [polygon(on_map(SQUARE))], ["grass"])
-    path.with_suffix(".dbf").unlink()
-    with pytest.raises(InputError, match=r"the \.dbf file of the Shapefile is missing"):
-        read_regions(path, SHAPE, **PLACED)
-
-
 def test_a_companion_outside_the_root_is_refused(tmp_path):
     inside = tmp_path / "root"
     inside.mkdir()
@@ -231,3 +161,27 @@ def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatc
     path.write_bytes(head + bytes(100))
     with pytest.raises(UsageError, match=r"pip install hyperval\[vector\]"):
         read_regions(path, SHAPE)
+
+
+@pytest.mark.parametrize("end", ["gpkg", "shp"])
+def test_parts_and_holes_are_kept_and_lines_have_no_area(tmp_path, end):
+    def parts(kind: int, *members: bytes) -> bytes:
+        return struct.pack("<BII", 1, kind, len(members)) + b"".join(members)
+
+    small = [(8.0, 1.0), (10.0, 1.0), (10.0, 2.0), (8.0, 2.0)]
+    whole = parts(6, polygon(on_map(SQUARE), on_map(HOLE)), polygon(on_map(small)))
+    path = write(tmp_path / f"r.{end}", [whole], ["grass"], kind="MultiPolygon")
+    want = expected(hole=True)
+    want[1, 8:10] = True
+    assert np.array_equal(read_regions(path, SHAPE, **PLACED)["grass"].mask, want)
+    line = struct.pack("<BII4d", 1, 2, 2, *on_map([(1, 1)])[0], *on_map([(4, 4)])[0])
+    with pytest.raises(InputError, match="geometry 'LineString'"):
+        read_regions(write(tmp_path / f"l.{end}", [line], ["road"], kind="LineString"), SHAPE, **PLACED)
+    points = [struct.pack("<BI2d", 1, 1, *p) for p in on_map([(0.5, 0.5), (1.5, 0.5), (7.9, 9.9)])]
+    path = write(tmp_path / f"p.{end}", points, ["a", "a", "b"], kind="Point")
+    found = {name: np.argwhere(r.mask).tolist() for name, r in read_regions(path, SHAPE, **PLACED).items()}
+    assert found == {"a": [[0, 0], [0, 1]], "b": [[9, 7]]}
+    if end == "shp":
+        path.with_suffix(".dbf").unlink()
+        with pytest.raises(InputError, match=r"the \.dbf file of the Shapefile is missing"):
+            read_regions(path, SHAPE, **PLACED)

@@ -14,7 +14,6 @@ from hyperval.imagery import (
     Region,
     TargetMasks,
     all_pixels,
-    cut_out,
     guard,
     intersected_objects,
     read_targets,
@@ -64,13 +63,6 @@ def test_heading_turns_a_long_target(tmp_path: Path):
     assert np.isnan(north.side_m)
 
 
-def test_position_uncertainty_widens_the_mask(tmp_path: Path):
-    text = "material,line,sample,side_m,position_uncertainty_m\na,7.5,11.5,0.5,0\nb,7.5,11.5,0.5,2\n"
-    sure, unsure = targets(tmp_path, text, pixel_size_m=1.0)
-    assert sure.mask.sum() == 1
-    assert unsure.mask.sum() == 13  # lattice points within 2 pixels
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -84,14 +76,15 @@ def test_position_uncertainty_widens_the_mask(tmp_path: Path):
         ("material,row0,col0,side_m\na,25,1,1\n", "leaves the image"),
         ("material,name,row0,col0,side_m\na,p,1,1,1\na,p,2,2,1\n", "stands twice"),
         ("material,row0,col0,side_m\n", "holds no target"),
+        ("material,row0,col0,side_m,shape\na,5,5,1,star\n", "t.csv:2: shape is 'star'"),
+        ("material,row0,col0,width_m,length_m,shape\na,5,5,1,2,circle\n", "a circle of 1 m by 2 m"),
+        ("material,row0,col0,side_m,area_m2\na,5,5,1,-4\n", "area_m2 is -4"),
+        ("material,row0,col0,side_m,position_uncertainty_m\na,5,5,1,-2\n", "position_uncertainty_m is -2"),
     ],
 )
 def test_bad_lists(tmp_path: Path, text: str, message: str):
     with pytest.raises(InputError, match=message):
         targets(tmp_path, text, pixel_size_m=1.0)
-
-
-def test_pixel_size_must_be_known(tmp_path: Path):
     with pytest.raises(UsageError, match="pixel_size_m"):
         targets(tmp_path, "material,row0,col0,side_m\na,1,1,1\n")
 
@@ -128,12 +121,6 @@ def test_a_widened_mask_in_a_window_is_that_in_the_whole_image(tmp_path: Path, r
     assert np.array_equal(unsure.mask, guard(sure.mask, doubt))
 
 
-def test_the_window_of_nothing_holds_nothing():
-    corner, part = cut_out(np.zeros(SHAPE, bool))
-    assert corner == (0, 0)
-    assert not part.any()
-
-
 def test_a_round_target_has_the_area_of_its_circle(tmp_path: Path):
     path = tmp_path / "t.csv"
     path.write_text(
@@ -151,22 +138,6 @@ def test_a_round_target_has_the_area_of_its_circle(tmp_path: Path):
     assert np.array_equal(found["round"].mask, near < 4.0)
     assert found["round"].mask.sum() < found["square"].mask.sum()
     assert found["long"].mask.sum(axis=0).max() == 9
-
-
-@pytest.mark.parametrize(
-    ("columns", "row", "message"),
-    [
-        ("side_m,shape", "1,star", "shape is 'star'"),
-        ("width_m,length_m,shape", "1,2,circle", "a circle of 1 m by 2 m"),
-        ("side_m,area_m2", "1,-4", "area_m2 is -4"),
-        ("side_m,position_uncertainty_m", "1,-2", "position_uncertainty_m is -2"),
-    ],
-)
-def test_sizes_that_cannot_be(tmp_path: Path, columns: str, row: str, message: str):
-    (tmp_path / "t.csv").write_text(f"material,row0,col0,{columns}\nwood,5,5,{row}\n")
-    with pytest.raises(InputError, match=message) as caught:
-        read_targets(tmp_path / "t.csv", (10, 10), pixel_size_m=1.0)
-    assert "t.csv:2" in str(caught.value)
 
 
 def test_a_list_as_a_spreadsheet_writes_it(tmp_path: Path):
