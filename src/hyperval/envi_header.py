@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import reader, refusal
 from hyperval.storage import decoded
 
 MAX_HEADER_BYTES = 1 << 20
@@ -122,35 +122,19 @@ class EnviHeader:
         if parts[-1] == "" and len(parts) > 1:  # a comma before the closing brace
             parts = parts[:-1]
         out = np.array([_number(part) for part in parts])
-        if not np.isfinite(out).all():
-            i = int(np.flatnonzero(~np.isfinite(out))[0])
-            what = "finite" if np.isinf(out[i]) or "nan" in parts[i].lower() else "a number"
-            raise InputError(
-                f"item {i + 1} of {key!r} is not {what}: {parts[i][:40]!r}",
-                where=self.where(key),
-                expected="numbers with a decimal point, divided by commas",
-            )
+        for i in np.flatnonzero(~np.isfinite(out)):
+            kind = "finite" if np.isinf(out[i]) or "nan" in parts[i].lower() else "a number"
+            raise refusal("header.item", self.where(key), item=i + 1, key=key, kind=kind, text=parts[i][:40])
         if count is not None and out.size != count:
-            raise InputError(
-                f"{key!r} has {out.size} values for {count} bands",
-                where=self.where(key),
-                expected=f"{count} values",
-                mend="list one value for each band, or delete the entry where it may be left out",
-            )
+            raise refusal("header.count", self.where(key), key=key, size=out.size, count=count)
         return out
 
     def number(self, key: str) -> float | None:
         """A single number, None when the entry is absent; NaN and infinity are passed on."""
         value = self.text(key)
-        if value is None:
-            return None
-        number = _number(_bare(value))
-        if np.isnan(number) and "nan" not in value.lower():
-            raise InputError(
-                f"{key!r} is not a number: {value[:40]!r}",
-                where=self.where(key),
-                mend="correct it, or delete the entry",
-            )
+        number = None if value is None else _number(_bare(value))
+        if value is not None and number != number and "nan" not in value.lower():
+            raise refusal("header.number", self.where(key), key=key, text=value[:40])
         return number
 
 
@@ -159,19 +143,14 @@ def header_beside(data: Path) -> Path | None:
 
     ``name.hdr`` beside a table ``name.csv`` or ``name.txt`` is that of an image of the same name.
     """
-    ends = (".hdr", ".HDR")
-    candidates = {data.with_name(data.name + end) for end in ends}
+    candidates = {data.with_name(data.name + end) for end in (".hdr", ".HDR")}
     if data.suffix.lower() not in (".csv", ".txt"):
-        candidates |= {data.with_suffix(end) for end in ends}
+        candidates |= {data.with_suffix(end) for end in (".hdr", ".HDR")}
     headers = sorted(p for p in candidates - {data} if p.is_file())
     # One file under two names on a file system that ignores case is one header.
     unique = {p.resolve().stat().st_ino: p for p in reversed(headers)}
     if len(unique) > 1:
-        raise UsageError(
-            "two headers beside the data file: " + ", ".join(p.name for p in headers),
-            where=str(data),
-            mend="state which one is meant (header:), or move the other away",
-        )
+        raise refusal("header.two", data, names=", ".join(p.name for p in headers))
     return next(iter(unique.values()), None)
 
 
@@ -197,68 +176,56 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
     try:
         with open(path, "rb") as stream:
             raw = stream.read(MAX_HEADER_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError("no such header file", where=str(path), expected="an ENVI header (.hdr)") from None
     except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+        none = isinstance(error, FileNotFoundError)
+        raise refusal("header.none" if none else "file.unreadable", path, why=error.strerror) from error
     if len(raw) > MAX_HEADER_BYTES:
-        raise InputError(f"the header is larger than {MAX_HEADER_BYTES} bytes", where=str(path))
+        raise refusal("header.large", path, most=MAX_HEADER_BYTES)
     wide = next((name for name, start in _WIDE.items() if raw.startswith(start)), None)
-    if wide is not None:
-        header = parse_header(raw.decode(wide, errors="replace").lstrip("\ufeff"), path, sidecar=sidecar)
-        return replace(header, notes=("the header is written in UTF-16", *header.notes))
-    return parse_header(decoded(raw), path, sidecar=sidecar)
+    if wide is None:
+        return parse_header(decoded(raw), path, sidecar=sidecar)
+    header = parse_header(raw.decode(wide, errors="replace").lstrip("\ufeff"), path, sidecar=sidecar)
+    return replace(header, notes=("the header is written in UTF-16", *header.notes))
 
 
 def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     """Parse header text by the rules of :func:`read_header`; ``path`` stands in messages."""
-    entries, line_of, repeated = _entries(text, str(path))
-    notes = list(repeated)
+    entries, line_of, notes = _entries(text, str(path))
 
     def where(key: str) -> str:
         return f"{path}:{line_of[key]}" if key in line_of else str(path)
 
-    def integer(key: str, default: int | None = None, least: int = 0) -> int:
-        if key not in entries:
-            if default is None:
-                raise InputError(f"the key {key!r} is missing", where=str(path))
-            return default
-        value = _bare(entries[key])
-        if not re.fullmatch(r"[+-]?[0-9]{1,18}", value) or int(value) < least:
+    def integer(key: str, default: str | None = None, least: int = 0) -> int:
+        value = entries.get(key, default)
+        if value is None:
+            raise refusal("header.missing", path, key=key)
+        if not re.fullmatch(r"[+-]?[0-9]{1,18}", _bare(value)) or int(_bare(value)) < least:
             kind = "a positive integer" if least == 1 else "an integer of 0 or more"
-            raise InputError(f"{key!r} is {value[:40]!r}", where=where(key), expected=kind)
-        return int(value)
+            raise refusal("header.integer", where(key), key=key, text=_bare(value)[:40], kind=kind)
+        return int(_bare(value))
 
     samples, lines, bands = (integer(key, least=1) for key in ("samples", "lines", "bands"))
-    data_type = integer("data type", default=0 if sidecar else None)
+    data_type = integer("data type", "0" if sidecar else None)
     if data_type not in DATA_TYPES and not (sidecar and "data type" not in entries):
+        known = ", ".join(f"{code} ({np.dtype(name).name})" for code, name in DATA_TYPES.items())
         kind = " (complex)" if data_type in (6, 9) else ""
-        raise InputError(
-            f"unknown data type {data_type}{kind}",
-            where=where("data type"),
-            expected="one of " + ", ".join(f"{code} ({np.dtype(name).name})" for code, name in DATA_TYPES.items()),
-        )
+        raise refusal("header.type", where("data type"), code=data_type, kind=kind, known=known)
     byte_order, remark = _byte_order(entries.get("byte order"), where("byte order"))
     if remark and data_type not in (0, 1):  # a single byte has no order
         notes.append(remark)
-    allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
     if "interleave" not in entries and bands > 1 and not sidecar:
-        raise InputError("the key 'interleave' is missing", where=str(path))
+        raise refusal("header.missing", path, key="interleave")
     # A single band has one order only.
-    interleave = _bare(entries.get("interleave", "tif" if sidecar else "bsq")).lower()
-    interleave = "tif" if interleave == "tiff" else interleave
+    interleave = _bare(entries.get("interleave", "tif" if sidecar else "bsq")).lower().replace("tiff", "tif")
+    allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
     if interleave not in allowed:
-        raise InputError(
-            f"unknown interleave {interleave!r}", where=where("interleave"), expected="one of " + ", ".join(allowed)
-        )
-    if integer("file compression", default=0) != 0:
-        raise InputError(
-            "compressed data cannot be read", where=where("file compression"), mend="decompress the data file"
-        )
+        raise refusal("header.interleave", where("interleave"), interleave=interleave, allowed=", ".join(allowed))
+    if integer("file compression", "0") != 0:
+        raise refusal("header.compressed", where("file compression"))
     for key in ("major frame offsets", "minor frame offsets"):
         if any(part.strip() not in ("", "0") for part in entries.get(key, "").split(",")):
-            raise InputError(f"{key} cannot be read", where=where(key), mend="rewrite the cube without them")
-    layout = samples, lines, bands, data_type, interleave, byte_order, integer("header offset", default=0)
+            raise refusal("header.frames", where(key), key=key)
+    layout = samples, lines, bands, data_type, interleave, byte_order, integer("header offset", "0")
     return EnviHeader(path, *layout, _bare(entries.get("file type", "")), entries, line_of, tuple(notes))
 
 
@@ -272,16 +239,11 @@ def _byte_order(value: str | None, where: str) -> tuple[int, str]:
     for order, words in _ORDER_WORDS.items():
         if len(bare) <= MAX_WORDS and re.fullmatch(words, bare.lower()):
             return order, f"byte order {bare!r}: read as {order}, {('little', 'big')[order]}-endian"
-    raise InputError(
-        f"unknown byte order {bare[:40]!r}",
-        where=where,
-        expected="0 (little-endian) or 1 (big-endian)",
-        mend="write 0 where the values were written on a PC, 1 where in network order",
-    )
+    raise refusal("header.order", where, text=bare[:40])
 
 
 def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list[str]]:
-    """Keys in lower case with their text and line, and notes on keys that stand twice: one pass over the lines."""
+    """Keys with their texts and lines, and notes of keys that stand twice; linear in the length of the text."""
     entries: dict[str, str] = {}
     line_of: dict[str, int] = {}
     notes: list[str] = []
@@ -292,52 +254,43 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
         elif _squeezed(entries[key]) == _squeezed(value):
             notes.append(f"header: {key!r} stands twice and says the same (lines {line_of[key]} and {number})")
         else:
-            raise InputError(
-                f"the key {key!r} stands twice (first on line {line_of[key]}): " + _difference(entries[key], value),
-                where=f"{name}:{number}",
-                mend="delete the wrong one",
-            )
+            told = _difference(entries[key], value)
+            raise refusal("header.twice", f"{name}:{number}", key=key, first=line_of[key], told=told)
         if len(entries) > MAX_KEYS:
-            raise InputError(f"more than {MAX_KEYS} keys", where=f"{name}:{number}")
+            raise refusal("header.keys", f"{name}:{number}", most=MAX_KEYS)
 
     lines = text.rstrip("\0\x1a \t\r\n").splitlines()  # some programs fill up a block, or mark the end of the text
     if not lines or lines[0].strip() != "ENVI":
-        raise InputError("the first line is not 'ENVI'", where=f"{name}:1", expected="an ENVI header")
+        raise refusal("header.first", f"{name}:1")
     key, start, depth = "", 0, 0
     parts: list[str] = []
-    for number, line in enumerate(lines[1:], start=2):
-        stripped = line.strip()
-        if not stripped or stripped.startswith(";"):
+    for number, line in enumerate(map(str.strip, lines[1:]), start=2):
+        if not line or line.startswith(";"):
             continue
         if depth == 0:
-            if stripped.startswith("{") and key in entries and not entries[key]:
-                del entries[key]  # its list begins on the line below
-                line, number = f"{key} = {stripped}", line_of.pop(key)
-            key, equals, value = line.partition("=")
-            key = " ".join(key.split()).lower()
-            value = value.strip()
-            if not equals or not key:
-                raise InputError(
-                    f"not of the form 'key = value': {stripped[:60]!r}",
-                    where=f"{name}:{number}",
-                    expected="a list opens its brace on the line of its key, or the next",
-                )
-            if not value.startswith("{"):
-                add(key, value, number)
-                continue
-            start, parts, stripped = number, [], value
-        depth += stripped.count("{") - stripped.count("}")
-        parts.append(stripped)
+            start, parts = number, []
+            if line.startswith("{") and entries.get(key) == "":  # its list begins on the line below
+                start = line_of.pop(key)
+                del entries[key]
+            else:
+                key, equals, value = line.partition("=")
+                key, value = " ".join(key.split()).lower(), value.strip()
+                if not equals or not key:
+                    raise refusal("header.form", f"{name}:{number}", text=line[:60])
+                if not value.startswith("{"):
+                    add(key, value, number)
+                    continue
+                line = value
+        depth += line.count("{") - line.count("}")
+        parts.append(line)
         if depth <= 0:
-            depth = 0
-            whole = "\n".join(parts)
-            end = whole.rindex("}")
-            rest = whole[end + 1 :].strip()
+            depth, whole = 0, "\n".join(parts)
+            listed, rest = whole[: whole.rindex("}")], whole[whole.rindex("}") + 1 :].strip()
             if rest and not rest.startswith(";"):
-                raise InputError(f"text after the closing brace: {rest[:40]!r}", where=f"{name}:{number}")
-            add(key, whole[1:end].strip(), start)
+                raise refusal("header.behind", f"{name}:{number}", text=rest[:40])
+            add(key, listed[1:].strip(), start)
     if depth:
-        raise InputError(f"the brace of {key!r} is never closed", where=f"{name}:{start}", expected="a closing '}'")
+        raise refusal("header.open", f"{name}:{start}", key=key)
     return entries, line_of, notes
 
 

@@ -10,9 +10,9 @@ import os
 import stat
 import traceback
 from collections.abc import Callable
-from functools import wraps
+from functools import cache, wraps
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -56,6 +56,27 @@ class EngineError(HypervalError):
     """An external engine (6S, MODTRAN) that is missing or failed (exit code 3)."""
 
     exit_code = 3
+
+
+def refusal(name: str, where: object = None, /, **values: object) -> HypervalError:
+    """The error of a name in ``refusals.yaml``: what is wrong, what was expected, how to mend it, filled with values.
+
+    >>> str(refusal("header.missing", "a.hdr", key="bands"))
+    "a.hdr: the key 'bands' is missing"
+    """
+    words = _refusals()[name]
+    parts = {key: str(words[key]).format(**values) for key in ("expected", "mend") if key in words}
+    kind = UsageError if words.get("usage") else InputError
+    return kind(words["what"].format(**values), where=None if where is None else str(where), **parts)
+
+
+@cache
+def _refusals() -> dict[str, dict[str, Any]]:
+    import yaml  # of the few runs that end in an error
+
+    text = (_OWN / "refusals.yaml").read_text("utf-8")
+    found: dict[str, dict[str, Any]] = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506
+    return found
 
 
 def reader(function: Callable[P, R]) -> Callable[P, R]:

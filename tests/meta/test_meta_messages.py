@@ -9,8 +9,10 @@ import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from string import Formatter
 
 import click
+import yaml
 from typer.main import get_command
 
 import hyperval
@@ -105,9 +107,17 @@ def keys() -> set[str]:
     return set(below(Model))
 
 
+def refusals() -> dict[str, dict[str, str]]:
+    """The words of errors that stand apart from the code."""
+    found: dict[str, dict[str, str]] = yaml.safe_load((ROOT / "src/hyperval/refusals.yaml").read_text("utf-8"))
+    return found
+
+
 def mends(path: Path) -> Iterator[str]:
     """Every text that says how to mend an error."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    if path.name == "refusals.yaml":
+        yield from (words[key] for words in refusals().values() for key in ("mend", "expected") if key in words)
+    for node in ast.walk(ast.parse(path.read_text("utf-8") if path.suffix == ".py" else "")):
         if isinstance(node, ast.keyword) and node.arg in ("mend", "expected"):
             yield from (
                 n.value for n in ast.walk(node.value) if isinstance(n, ast.Constant) and isinstance(n.value, str)
@@ -125,9 +135,24 @@ def named_keys(text: str) -> list[str]:
 
 def test_keys_that_are_named_are_there():
     known = keys()
-    named = {
-        (key, str(p.relative_to(ROOT))) for p in SOURCES if p.suffix == ".py" for m in mends(p) for key in named_keys(m)
-    }
+    named = {(key, str(p.relative_to(ROOT))) for p in SOURCES for m in mends(p) for key in named_keys(m)}
     assert len(named) > 10
     assert [x for x in sorted(named) if x[0] not in known] == []
     assert "columns" in named_keys("state columns: [0, 1, 2]")
+
+
+def test_every_refusal_is_used_and_gets_what_its_words_name():
+    """A name without words, words without a use, or a value that is not handed on would be an error in an error."""
+    words, used = refusals(), set()
+    for path in (p for p in SOURCES if p.suffix == ".py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "refusal":
+                names = {n.value for n in ast.walk(node.args[0]) if isinstance(n, ast.Constant) and "." in str(n.value)}
+                given = {k.arg for k in node.keywords}
+                used |= names
+                for name in names:
+                    assert words[name].keys() <= {"what", "expected", "mend", "usage"}, name
+                    texts = " ".join(str(words[name].get(key, "")) for key in ("what", "expected", "mend"))
+                    fields = {f.partition("[")[0] for _, f, _, _ in Formatter().parse(texts) if f}
+                    assert fields <= given or None in given, (path.name, node.lineno, name, fields - given)
+    assert used == words.keys()

@@ -5,7 +5,7 @@ from .cube import Block, Cube, open_cube
 from .description import Description, Raster, record
 from .drawing import RegionDrawing, area_inside, outside_error, polygon_mask, polygon_of
 from .envi import EnviRaster, crs_of, pixel_area_m2, pixel_sides_m, transform_of
-from .interchange import cube_to_spy, cube_to_xarray, envi_writer, map_to_spy, map_to_xarray, write_cube
+from .interchange import cube_to_spy, cube_to_xarray, map_to_spy, map_to_xarray
 from .placing import (
     LocationTable,
     LookupTable,
@@ -40,6 +40,7 @@ from .truth import (
     read_targets,
     region_objects,
 )
+from .write import envi_writer, write_cube
 
 __all__ = [
     "Block",

@@ -1,7 +1,7 @@
 """Images in files of named arrays, read by blocks of lines like any other raster.
 
-Files that are opened once for many reads, parts of the arrays in them, lines that are kept for the next read.  In
-what an installed engine of xarray opens, an array with a wavelength coordinate is a cube.
+HDF5, NetCDF, Zarr and whatever else an engine of xarray opens, where the array with a wavelength coordinate is the
+image; MATLAB and NumPy files; arrays of xarray and SPy that are at hand.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -26,15 +25,24 @@ import scipy
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import reader, refusal
 from hyperval.hdf5 import check_hdf5
-from hyperval.imagery.description import Description, Index, ListedBands, Raster, crs_of_wkt, gdal_transform
-from hyperval.units import radiance_to_internal, wavelength_to_nm
+from hyperval.imagery.description import (
+    Description,
+    Index,
+    ListedBands,
+    Raster,
+    crs_of_wkt,
+    gdal_transform,
+    in_nm,
+    is_radiance,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Selection = tuple[slice, ...]
+Numbers = npt.NDArray[Any]
 AXES = "bls"  # bands, lines, samples: the order in which values are handed out
 MAX_CHUNK_BYTES = 256 << 20
 SMALL_BYTES = 1 << 20
@@ -43,6 +51,7 @@ SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored 
 MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
+MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
 _WAVE = re.compile(r"wave|wvl|lambda|band_?cent", re.IGNORECASE)
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
@@ -51,181 +60,100 @@ _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|r
 _FRACTIONS = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}
 
 
-class OpenedFile:
-    """A file that is opened for each read or, inside :meth:`kept_open`, once for all of them."""
+# What is opened: a mapping from names to arrays ---------------------------------------------------------------------
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._lock = threading.Lock()
+
+class Store:
+    """A file that is opened for each read or, inside :meth:`kept_open`, once for all of them.
+
+    ``opener`` (path, *arguments) gives what is opened; another process opens it for itself.
+    """
+
+    def __init__(self, path: Path, opener: Callable[..., Any], *arguments: Any) -> None:
+        self.path, self.opener, self.arguments = path, opener, arguments
+        self.lock = threading.Lock()
         self._opened: Any = None
         self._users = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Another process opens it for itself."""
-        return type(self), (self.path,)
-
-    def open(self) -> Any:
-        """The opened file."""
-        raise NotImplementedError
-
-    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
-        """A part of a named array."""
-        raise NotImplementedError
-
-    def chunks(self, name: str) -> tuple[int, ...] | None:
-        """Size of the blocks that an array is stored in, None when it is stored as one."""
-        return None
+        return type(self), (self.path, self.opener, *self.arguments)
 
     @contextmanager
     def kept_open(self) -> Iterator[Any]:
-        """The opened file, closed when the last of its users has left."""
-        with self._lock:
+        """What is opened, closed when the last of its users has left; arrays in memory stay."""
+        with self.lock:
             if self._opened is None:
-                self._opened = self.open()
+                self._opened = self.opener(self.path, *self.arguments)
             self._users += 1
         try:
             yield self._opened
         finally:
-            with self._lock:
+            with self.lock:
                 self._users -= 1
-                if not self._users:
+                if not self._users and hasattr(self._opened, "close"):
                     self._opened.close()
                     self._opened = None
 
-
-class Hdf5Store(OpenedFile):
-    """An HDF5 file, NetCDF-4 and HDF-EOS5 among them."""
-
-    def open(self) -> h5py.File:
-        """The file; InputError when it is none, cut short, or one that the library does not come back from."""
-        check_hdf5(self.path)
-        try:
-            return h5py.File(self.path, "r", rdcc_nbytes=CACHE_BYTES)
-        except OSError as error:
-            raise InputError(
-                f"not a readable HDF5 file: {error}", where=str(self.path), mend="copy the file again"
-            ) from error
-
-    def dataset(self, file: h5py.File, name: str) -> h5py.Dataset | None:
-        """An array of the opened file, None when there is none of that name.
-
-        Raises
-        ------
-        InputError : blocks that are too large to be read one by one.
-        """
-        at = file.get(name)
-        if not isinstance(at, h5py.Dataset):
-            return None
-        if at.chunks is not None and int(np.prod(at.chunks)) * at.dtype.itemsize > MAX_CHUNK_BYTES:
-            raise InputError(
-                f"one block of {name!r} needs more than {MAX_CHUNK_BYTES >> 20} MiB",
-                where=str(self.path),
-                mend="rewrite it with smaller chunks (h5repack)",
-            )
-        return at
-
-    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
-        """A part of an array."""
-        with self.kept_open() as file:
+    def read(self, name: str, selection: Selection) -> Numbers:
+        """A part of a named array; InputError where it cannot be read."""
+        with self.kept_open() as opened:
             try:
-                dataset = file[name]
-                shape = tuple(len(range(*s.indices(n))) for s, n in zip(selection, dataset.shape, strict=True))
-                out = page_array(shape, dataset.dtype)
-                dataset.read_direct(out, selection)
+                array = opened[name]
+                if not isinstance(array, h5py.Dataset):
+                    return np.asarray(array[selection])
+                shape = tuple(len(range(*s.indices(n))) for s, n in zip(selection, array.shape, strict=True))
+                out = _page_array(shape, array.dtype)
+                array.read_direct(out, selection)
                 return out
             except (OSError, KeyError, ValueError) as error:
-                raise InputError(f"{name!r} cannot be read: {error}", where=str(self.path)) from error
+                raise refusal("array.unreadable", self.path, name=name, why=error) from error
 
     def chunks(self, name: str) -> tuple[int, ...] | None:
-        """Size of the blocks that an array is stored in."""
-        with self.kept_open() as file:
-            size: tuple[int, ...] | None = file[name].chunks
+        """Size of the blocks that an array is stored in, None when it is stored as one."""
+        with self.kept_open() as opened:
+            array = opened[name]
+            size: tuple[int, ...] | None = getattr(array, "encoding", {}).get("chunksizes") or getattr(
+                array if isinstance(array, h5py.Dataset) else None, "chunks", None
+            )
             return size
 
 
-class XarrayStore(OpenedFile):
+def hdf5(path: Path) -> h5py.File:
+    """An HDF5 file, NetCDF-4 and HDF-EOS5 among them.
+
+    Raises
+    ------
+    InputError : it is none, is cut short, or one that the library does not come back from.
+    """
+    check_hdf5(path)
+    try:
+        return h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES)
+    except OSError as error:
+        raise refusal("array.hdf5", path, why=error) from error
+
+
+def _labelled(path: Path, engine: str | None, group: str | None) -> xr.Dataset:
     """A group of a file as an engine of xarray opens it; packed values are unpacked by the CF conventions."""
-
-    def __init__(self, path: Path, engine: str | None = None, group: str | None = None) -> None:
-        super().__init__(path)
-        self.engine, self.group = engine, group
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Another process opens it for itself."""
-        return type(self), (self.path, self.engine, self.group)
-
-    def open(self) -> xr.Dataset:
-        """The group; InputError when no installed engine opens it."""
-        import xarray as xr
-
-        try:
-            with unpacking():
-                return xr.open_dataset(self.path, group=self.group, **options(self.engine))
-        except Exception as error:  # each engine has errors of its own
-            raise InputError(f"no engine of xarray opens it: {error}", where=str(self.path)) from error
-
-    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
-        """A part of an array."""
-        with self.kept_open() as data:
-            return np.asarray(data[name][selection].values)
-
-    def chunks(self, name: str) -> tuple[int, ...] | None:
-        """Size of the blocks that an array is stored in."""
-        with self.kept_open() as data:
-            size: tuple[int, ...] | None = data[name].encoding.get("chunksizes")
-            return size
-
-
-def unpacking() -> AbstractContextManager[Any]:
-    """Without the warning that an array has two no-data values: both are taken as such."""
     import xarray as xr
 
-    return warnings.catch_warnings(action="ignore", category=xr.SerializationWarning)
+    try:
+        with _two_fills():
+            return xr.open_dataset(path, group=group, **_options(engine))
+    except Exception as error:  # each engine has errors of its own
+        raise refusal("array.engine", path, why=error) from error
 
 
-def options(engine: str | None) -> dict[str, Any]:
-    """An engine of xarray with options that leave times alone and let HDF5 files be read that name no dimensions."""
-    plain: dict[str, Any] = {"engine": engine, "cache": False, "decode_times": False}
-    return plain | {"phony_dims": "sort"} if engine == "h5netcdf" else plain
+def _matrix(path: Path, name: str, kind: str) -> dict[str, Numbers]:
+    """An array of a MATLAB 5 file, read whole, or of a NumPy file, which is mapped."""
+    with _readable(path, kind):
+        if kind == "NumPy":
+            return {name: np.load(path, mmap_mode="r", allow_pickle=False)}
+        return {name: scipy.io.loadmat(path, variable_names=[name])[name]}
 
 
-class MemoryStore(OpenedFile):
-    """An array that is at hand, such as one of xarray or SPy; it is read by parts as well."""
-
-    def __init__(self, array: Any, path: Path) -> None:
-        self.array, self.path = array, path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """With its array."""
-        return type(self), (self.array, self.path)
-
-    @contextmanager
-    def kept_open(self) -> Iterator[Any]:
-        """Nothing to open."""
-        yield self.array
-
-    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
-        """A part of the array."""
-        return np.asarray(self.array[selection])
-
-
-class MatrixStore(MemoryStore):
-    """An array of a MATLAB 5 file, read whole when it is first asked for, or of a NumPy file, which is mapped."""
-
-    def __init__(self, path: Path, name: str, kind: str) -> None:
-        self.path, self.name, self.kind = path, name, kind
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Another process reads it for itself."""
-        return type(self), (self.path, self.name, self.kind)
-
-    @cached_property
-    def array(self) -> Any:
-        """The whole array."""
-        with _readable(self.path, self.kind):
-            if self.kind == "NumPy":
-                return np.load(self.path, mmap_mode="r", allow_pickle=False)
-            return scipy.io.loadmat(self.path, variable_names=[self.name])[self.name]
+def at_hand(path: Path, name: str, array: Any) -> dict[str, Any]:
+    """An array of xarray or SPy; it is read by parts as well."""
+    return {name: array}
 
 
 @contextmanager
@@ -234,11 +162,24 @@ def _readable(path: Path, kind: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # each library has errors of its own
-        what = f"not a readable {kind} file: " + (str(error).split("\n", 1)[0][:200] or type(error).__name__)
-        raise InputError(what, where=str(path), mend="copy the file again") from error
+        why = str(error).split("\n", 1)[0][:200] or type(error).__name__
+        raise refusal("array.matrix", path, kind=kind, why=why) from error
 
 
-def page_array(shape: tuple[int, ...], dtype: np.dtype) -> npt.NDArray[Any]:
+def _two_fills() -> AbstractContextManager[Any]:
+    """Without the warning that an array has two no-data values: both are taken as such."""
+    import xarray as xr
+
+    return warnings.catch_warnings(action="ignore", category=xr.SerializationWarning)
+
+
+def _options(engine: str | None) -> dict[str, Any]:
+    """An engine of xarray with options that leave times alone and let HDF5 files be read that name no dimensions."""
+    plain: dict[str, Any] = {"engine": engine, "cache": False, "decode_times": False}
+    return plain | {"phony_dims": "sort"} if engine == "h5netcdf" else plain
+
+
+def _page_array(shape: tuple[int, ...], dtype: np.dtype) -> Numbers:
     """An array in pages of its own, which go back to the system with it.
 
     After the first few large arrays the C library serves the next ones from memory that it keeps, and a pass over
@@ -252,28 +193,25 @@ def page_array(shape: tuple[int, ...], dtype: np.dtype) -> npt.NDArray[Any]:
 
 def check_own_values(path: Path) -> None:
     """Raise InputError where an HDF5 file leads to others: external links, external or virtual arrays."""
-
     foreign: list[str] = []  # an error raised by a visitor would be lost in the library
 
-    def visit_link(name: str, link: Any) -> None:
-        if isinstance(link, h5py.ExternalLink):
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.ExternalLink) or (
+            isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
+        ):
             foreign.append(name)
 
-    def visit_item(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
-            foreign.append(name)
-
-    with Hdf5Store(path).kept_open() as file:
-        file.visititems_links(visit_link)
-        file.visititems(visit_item)
+    with Store(path, hdf5).kept_open() as file:
+        file.visititems_links(visit)
+        file.visititems(visit)
     if foreign:
-        raise InputError(
-            f"the values of {foreign[0]!r} lie in another file", where=str(path), mend="copy them into one file"
-        )
+        raise refusal("array.foreign", path, name=foreign[0])
 
 
-@dataclass(frozen=True)
-class Term:
+# The image in its arrays --------------------------------------------------------------------------------------------
+
+
+class Term(NamedTuple):
     """One array of a sum: weight * stored, NaN where the stored value is ``ignore``."""
 
     name: str
@@ -281,8 +219,7 @@ class Term:
     ignore: float | None = None
 
 
-@dataclass(frozen=True)
-class Piece:
+class Piece(NamedTuple):
     """Arrays that give some bands of the image.
 
     Attributes
@@ -304,27 +241,6 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Slab:
-    """Consecutive lines that are at hand: in memory, or in a file without a name that goes when it is closed."""
-
-    first: int
-    lines: int
-    dtype: np.dtype
-    values: npt.NDArray[Any] | None = None  # (bands, lines, samples)
-    file: Any = None  # (lines, bands, samples)
-    row: tuple[int, int] = (0, 0)  # bands and samples
-
-    def read(self, start: int, count: int) -> npt.NDArray[Any]:
-        """(bands, count, samples) values from line ``start`` of the slab on."""
-        if self.values is not None:
-            return self.values[:, start : start + count]
-        out = page_array((count, *self.row), self.dtype)
-        self.file.seek(start * out[0].nbytes)
-        self.file.readinto(out.data.cast("B"))
-        return out.transpose(1, 0, 2)
-
-
-@dataclass(frozen=True, eq=False)
 class ArrayRaster(Raster):
     """An image of one or several arrays of a file, their bands one after the other.
 
@@ -335,10 +251,10 @@ class ArrayRaster(Raster):
     zero_for : a value that is handed out as 0, as the fill of a lookup table is
     """
 
-    store: OpenedFile = field(kw_only=True)
+    store: Store = field(kw_only=True)
     pieces: tuple[Piece, ...] = field(kw_only=True)
     zero_for: float | None = None
-    _slabs: threading.local = field(default_factory=threading.local, repr=False)
+    _held: threading.local = field(default_factory=threading.local, repr=False)  # what this thread read last
     _unpacking: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     kind = "arrays of a file"
@@ -354,49 +270,56 @@ class ArrayRaster(Raster):
         """Inside, the file is opened once for all reads; the lines that this thread holds are given back after."""
         with self.store.kept_open() as opened:
             yield opened
-        self._slabs.last = None
+        self._held.slab = None
 
-    def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
-        """Consecutive lines, of a slab that this thread holds or that takes its place.
+    def _read(self, first: int, count: int, buffer: Numbers | None) -> Numbers:
+        """Consecutive lines, of those that this thread holds or that take their place.
 
         Arrays that are stored in blocks are read by as many lines as their blocks have, and these are kept for the
         next call of the same thread: in memory where they fit into ``SLAB_BYTES``, else unpacked into a file, so
         that no block is unpacked twice and few are in memory.  Lines far from those before are read alone.
         """
-        slab: Slab | None = getattr(self._slabs, "last", None)
-        if slab is None or first < slab.first or first + count > slab.first + slab.lines:
-            self._slabs.last = slab = None  # the memory of the one before is given back first
+        held = getattr(self._held, "slab", None)
+        if held is None or first < held[0] or first + count > held[0] + held[1]:
+            self._held.slab = held = None  # the memory of the one before is given back first
             block = max(1, *(self._block(piece)["l"] for piece in self.pieces))
             lines = count
-            if first == 0 or 0 <= first - getattr(self._slabs, "end", -block) <= block:  # one after the other
+            if first == 0 or 0 <= first - getattr(self._held, "end", -block) <= block:  # one after the other
                 lines = max(count, min((first // block + 1) * block - first, self.lines - first))
-            self._slabs.last = slab = self._slab(first, count, lines)
-        self._slabs.end = first + count
-        return slab.read(first - slab.first, count)
+            self._held.slab = held = self._slab(first, count, lines)
+        self._held.end = first + count
+        return held[2](first - held[0], count)
 
-    def _slab(self, first: int, count: int, lines: int) -> Slab:
-        """At least ``count`` lines, ``lines`` of them where they fit."""
+    def _slab(self, first: int, count: int, lines: int) -> tuple[int, int, Callable[[int, int], Numbers]]:
+        """First line, number of lines and reader of at least ``count`` lines, ``lines`` of them where they fit."""
         size = self.samples * self.bands * self.dtype.itemsize
         fit = max(count, SLAB_BYTES // size)
         if fit < lines <= UNPACKED_BYTES // size:
             try:
-                return self._unpacked(first, lines)
+                return first, lines, self._unpacked(first, lines)
             except OSError:
                 pass  # no room for the file: each block is unpacked several times, which only takes longer
         lines = min(lines, fit)
-        if len(self.pieces) == 1:
-            return Slab(first, lines, self.dtype, self._values(self.pieces[0], self._lines(first, lines)))
-        out = np.empty((self.bands, lines, self.samples), self.dtype)
-        for at, piece in self._places():
-            out[at : at + piece.size("b")] = self._values(piece, self._lines(first, lines))
-        return Slab(first, lines, self.dtype, out)
+        parts = [self._values(piece, self._lines(first, lines)) for piece in self.pieces[:1]]
+        values = parts[0]
+        if len(self.pieces) > 1:
+            values = np.empty((self.bands, lines, self.samples), self.dtype)
+            for at, piece in self._places():
+                values[at : at + piece.size("b")] = self._values(piece, self._lines(first, lines))
+        return first, lines, lambda start, count: values[:, start : start + count]
 
-    def _unpacked(self, first: int, lines: int) -> Slab:
-        """Lines in a file, one after the other with all their bands; those of one block are in memory at once."""
-        file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open for as long as the slab is there
-        slab = Slab(first, lines, self.dtype, None, file, (self.bands, self.samples))
-        weakref.finalize(slab, file.close)
+    def _unpacked(self, first: int, lines: int) -> Callable[[int, int], Numbers]:
+        """Reader of lines in a file, one after the other with all their bands; those of one block are in memory."""
+        file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open for as long as its reader is there
         row = self.samples * self.dtype.itemsize
+
+        def read(start: int, count: int) -> Numbers:
+            out = _page_array((count, self.bands, self.samples), self.dtype)
+            file.seek(start * self.bands * row)
+            file.readinto(out.data.cast("B"))
+            return out.transpose(1, 0, 2)
+
+        weakref.finalize(read, file.close)
         for at, piece in self._places():
             for bands in self._some_bands(piece):
                 with self._unpacking:  # one thread at a time reads a file of arrays: no other holds what it is to read
@@ -405,9 +328,9 @@ class ArrayRaster(Raster):
                         file.seek((line * self.bands + at + bands.start) * row)
                         file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
                     del values
-        return slab
+        return read
 
-    def read_some_bands(self, first: int, count: int, bands: Sequence[int]) -> npt.NDArray[Any]:
+    def read_some_bands(self, first: int, count: int, bands: Sequence[int]) -> Numbers:
         """(n, count, samples) values of consecutive lines in a few bands, which alone are read."""
         out = np.empty((len(bands), count, self.samples), self.dtype)
         with self.kept_open():
@@ -418,7 +341,7 @@ class ArrayRaster(Raster):
                         out[i] = self._values(piece, self._lines(first, count) | alone)[0]
         return out
 
-    def _window(self, lines: slice, samples: slice) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+    def _window(self, lines: slice, samples: slice) -> Iterator[tuple[int, Numbers]]:
         for at, piece in self._places():
             for bands in self._some_bands(piece):
                 yield at + bands.start, self._values(piece, {"l": lines, "s": samples, "b": bands})
@@ -455,7 +378,7 @@ class ArrayRaster(Raster):
         for start in range(0, piece.size("b"), step):
             yield slice(start, min(start + step, piece.size("b")))
 
-    def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> npt.NDArray[Any]:
+    def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> Numbers:
         """(bands, lines, samples) of a part of a piece, all of its bands where none are named."""
         ranges = {"b": slice(0, piece.size("b")), **ranges}
         selection = tuple(ranges[axis] for axis in piece.axes)
@@ -476,7 +399,7 @@ class ArrayRaster(Raster):
 
 def array_raster(
     path: Path,
-    store: OpenedFile,
+    store: Store,
     pieces: tuple[Piece, ...],
     description: Description = Description(),  # noqa: B008 - cannot be changed
     position: tuple[Affine | None, CRS | None] = (None, None),
@@ -490,18 +413,17 @@ def array_raster(
     InputError : arrays of different lines or samples.
     """
     if len({(p.size("l"), p.size("s")) for p in pieces}) > 1:
-        raise InputError(
-            "arrays of different lines or samples: " + ", ".join(str(p.shape) for p in pieces), where=str(path)
-        )
+        raise refusal("array.sizes", path, shapes=", ".join(str(p.shape) for p in pieces))
     size = pieces[0].size("l"), pieces[0].size("s"), sum(piece.size("b") for piece in pieces)
-    dtype = np.result_type(*(piece.dtype for piece in pieces))
-    about = path, size, dtype, description, position, other_files
+    about = path, size, np.result_type(*(piece.dtype for piece in pieces)), description, position, other_files
     return ArrayRaster(*about, store=store, pieces=pieces, zero_for=zero_for)
 
 
-@dataclass(frozen=True, eq=False)
-class CandidateArray:
-    """An array of three axes, and the coordinate that may tell its wavelengths."""
+# Arrays with labels: xarray -----------------------------------------------------------------------------------------
+
+
+class LabelledArray(NamedTuple):
+    """An array of three axes in a group of a file, and the coordinate that may tell its wavelengths."""
 
     group: str
     array: xr.DataArray
@@ -531,8 +453,8 @@ def open_labelled(path: Path, variable: str | None = None, engine: str | None = 
     InputError : no installed engine opens it, or no array has three axes and wavelengths.
     UsageError : several arrays could be meant, or ``variable`` is none of them.
     """
-    chosen = _chosen(_groups(path, engine), variable, str(path))
-    return _labelled_raster(chosen, XarrayStore(path, engine, None if chosen.group == "/" else chosen.group), path)
+    chosen = _chosen(_groups(path, engine), variable, path)
+    return _labelled_raster(chosen, Store(path, _labelled, engine, None if chosen.group == "/" else chosen.group))
 
 
 def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None) -> ArrayRaster:
@@ -547,10 +469,10 @@ def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None
     path = Path(str(array.encoding.get("source") or "xarray"))
     if isinstance(array, xr.DataArray):
         array = array.to_dataset(name=array.name or "array")
-    with unpacking():
+    with _two_fills():
         data = xr.decode_cf(array, decode_times=False)
-    chosen = _chosen([("/", data)], variable, str(path))
-    return _labelled_raster(chosen, MemoryStore(chosen.array.variable, path), path)
+    chosen = _chosen([("/", data)], variable, path)
+    return _labelled_raster(chosen, Store(path, at_hand, str(chosen.array.name), chosen.array.variable))
 
 
 def _groups(path: Path, engine: str | None) -> list[tuple[str, xr.Dataset]]:
@@ -560,50 +482,36 @@ def _groups(path: Path, engine: str | None) -> list[tuple[str, xr.Dataset]]:
     if path.is_file():  # whatever the engine, HDF5 is read by the one library
         check_hdf5(path)
     try:
-        with unpacking():
+        with _two_fills():
             try:
-                tree = xr.open_datatree(path, **options(engine))
+                tree = xr.open_datatree(path, **_options(engine))
             except (NotImplementedError, TypeError, ValueError):  # an engine without groups
-                with xr.open_dataset(path, **options(engine)) as data:
+                with xr.open_dataset(path, **_options(engine)) as data:
                     return [("/", data)]
         with tree:
             return [(node.path, node.to_dataset()) for node in tree.subtree]
     except Exception as error:  # each engine has errors of its own
-        raise InputError(
-            "no installed engine of xarray opens it: " + str(error).split("\n", 1)[0],
-            where=str(path),
-            expected="a file of " + ", ".join(sorted(xr.backends.list_engines())),
-            mend="install the engine of its kind, or save the array as an ENVI cube with its wavelengths",
-        ) from error
+        known = ", ".join(sorted(xr.backends.list_engines()))
+        raise refusal("array.no_engine", path, why=str(error).split("\n", 1)[0], known=known) from error
 
 
 def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
     """The coordinate of one axis that holds wavelengths, by its name, its standard name or its unit."""
 
-    def named(name: str, attrs: dict[str, object]) -> bool:
-        return attrs.get("standard_name") == "radiation_wavelength" or _WAVE.search(name) is not None
+    def standard(v: xr.Variable) -> bool:
+        return bool(v.attrs.get("standard_name") == "radiation_wavelength")
 
-    def in_wavelengths(name: str, attrs: dict[str, object]) -> bool:
-        try:
-            return wavelength_to_nm(str(attrs.get("units", ""))) > 0
-        except UsageError:
-            return False
-
-    listed = [v for v in data.variables.values() if v.ndim == 1 and v.dims[0] in array.dims and v.dtype.kind in "iuf"]
-    names = {id(v): str(name) for name, v in data.variables.items()}
-    tests: list[Callable[[str, dict[str, object]], bool]] = [named, in_wavelengths]
-    for test in tests:
-        fits = [names[id(v)] for v in listed if test(names[id(v)], v.attrs)]
-        fits = [n for n in fits if not _WIDTH.search(n) or data[n].attrs.get("standard_name") == "radiation_wavelength"]
-        if len(fits) == 1:
-            return data[fits[0]]
-    return None
+    listed = {n: v for n, v in data.variables.items() if v.ndim == 1 and v.dims[0] in array.dims}
+    listed = {n: v for n, v in listed.items() if v.dtype.kind in "iuf" and (standard(v) or not _WIDTH.search(str(n)))}
+    named = [n for n, v in listed.items() if standard(v) or _WAVE.search(str(n))]
+    in_unit = [n for n, v in listed.items() if in_nm(str(v.attrs.get("units", ""))) is not None]
+    return next((data[fits[0]] for fits in (named, in_unit) if len(fits) == 1), None)
 
 
-def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: str) -> CandidateArray:
+def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: Path) -> LabelledArray:
     """The array that is named, else the only one with wavelengths."""
     candidates = [
-        CandidateArray(group, array, data, _wavelengths(array, data))
+        LabelledArray(group, array, data, _wavelengths(array, data))
         for group, data in groups
         for array in data.data_vars.values()
         if array.ndim == 3 and array.dtype.kind in "iuf" and 0 not in array.shape
@@ -612,56 +520,41 @@ def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: s
     if variable is not None:
         named = [c for c in candidates if variable.strip("/") in (c.array.name, c.path)]
         if len(named) != 1:
-            raise UsageError(f"{len(named)} arrays {variable!r}", where=where, expected=f"one of {listed or 'none'}")
+            raise refusal("array.unknown", where, count=len(named), variable=variable, listed=listed or "none")
         if named[0].wave is None:
-            raise InputError(
-                f"{named[0].label} has no wavelength coordinate",
-                where=where,
-                mend="give a table of the bands, and save the array as an ENVI cube (docs/formats.md)",
-            )
+            raise refusal("array.no_coordinate", where, label=named[0].label)
         return named[0]
     cubes = [c for c in candidates if c.wave is not None]
     if not cubes:
-        raise InputError(
-            "no array of the file has a wavelength coordinate",
-            where=where,
-            expected=f"one of its arrays with wavelengths along an axis; it has {listed or 'none of three axes'}",
-            mend="save the array as an ENVI cube, wavelengths in the header (docs/formats.md, Cubes)",
-        )
+        raise refusal("array.no_coordinates", where, listed=listed or "none of three axes")
     if len(cubes) > 1:
-        raise UsageError(
-            f"{len(cubes)} arrays could be meant",
-            where=where,
-            expected="; ".join(c.label for c in cubes),
-            mend="state variable: which of them is the image",
-        )
+        raise refusal("array.several", where, count=len(cubes), labels="; ".join(c.label for c in cubes))
     return cubes[0]
 
 
-def _labelled_raster(chosen: CandidateArray, store: OpenedFile, path: Path) -> ArrayRaster:
+def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     array, data, wave = chosen.array, chosen.data, chosen.wave
     assert wave is not None  # noqa: S101 - chosen by it
     axes = _axes(array, str(wave.dims[0]))
     piece = Piece((Term(str(array.name)),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = _quantity(_stated_unit(array), str(array.name))
-    good = _beside(data, wave, _GOOD)
-    centre, width = np.asarray(wave.values, float), _beside(data, wave, _WIDTH)
+    good, centre = _beside(data, wave, _GOOD), np.asarray(wave.values, float)
     about = Description(
         product=f"array {str(array.name)!r}",
         bands=ListedBands(
-            np.where(centre > 0, centre, np.nan), width, _stated_unit(wave), None if good is None else good != 0
+            np.where(centre > 0, centre, np.nan),
+            _beside(data, wave, _WIDTH),
+            _stated_unit(wave),
+            None if good is None else good != 0,
         ),
-        packing=(
-            float(array.encoding.get("scale_factor", 1.0)),
-            float(array.encoding.get("add_offset", 0.0)),
-        ),
+        packing=(float(array.encoding.get("scale_factor", 1.0)), float(array.encoding.get("add_offset", 0.0))),
         quantity=quantity,
         unit=unit,
         sensor=str(data.attrs.get("instrument", data.attrs.get("sensor", ""))),
         entries={str(k): str(v) for k, v in data.attrs.items() if isinstance(v, str | int | float)},
         notes=notes,
     )
-    return array_raster(path, store, (piece,), about, _labelled_position(data, array, axes))
+    return array_raster(store.path, store, (piece,), about, _labelled_position(data, array, axes))
 
 
 def _stated_unit(array: xr.DataArray) -> str | None:
@@ -678,11 +571,9 @@ def _axes(array: xr.DataArray, band_axis: str) -> str:
 
 def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tuple[str, ...]]:
     """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says."""
-    try:
-        radiance_to_internal(unit or "")
+    if is_radiance(unit):
         return "radiance", unit, ()
-    except UsageError:
-        known = _FRACTIONS.get((unit or "1").lower())
+    known = _FRACTIONS.get((unit or "1").lower())
     if known is None:
         return None, None, (f"the array states its unit as {unit!r}, which is not known",)
     named = re.search("reflectance|rfl|rrs", name, re.IGNORECASE)
@@ -707,30 +598,27 @@ def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tupl
         return transform, crs
     steps = {}
     for dim, letter in zip(array.dims, axes, strict=True):
-        if letter == "b":
-            continue
-        if dim not in data.variables or data[dim].ndim != 1 or data[dim].size < 2:
-            return None, crs
-        at = np.asarray(data[dim].values, float)
-        step = np.diff(at)
-        if not np.all(np.isfinite(at)) or step[0] == 0 or not np.allclose(step, step[0], rtol=1e-3):
-            return None, crs
-        steps[letter] = (at[0], (at[-1] - at[0]) / (at.size - 1))
+        if letter != "b":
+            at = np.asarray(data[dim].values, float) if dim in data.variables and data[dim].ndim == 1 else np.empty(0)
+            step = np.diff(at)
+            if not step.size or not np.all(np.isfinite(at)) or not step[0] or not np.allclose(step, step[0], rtol=1e-3):
+                return None, crs
+            steps[letter] = (at[0], (at[-1] - at[0]) / (at.size - 1))
     (y, dy), (x, dx) = steps["l"], steps["s"]
     return Affine(dx, 0.0, x - 0.5 * dx, 0.0, dy, y - 0.5 * dy), crs
 
 
-MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
+# Arrays without labels: MATLAB, NumPy -------------------------------------------------------------------------------
 
 
-def _matrices(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
+def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     """The numeric arrays of a MATLAB or NumPy file and their shapes, without their values."""
     if kind == "MATLAB 7.3":
         check_own_values(path)
-        with Hdf5Store(path).kept_open() as file:
+        with Store(path, hdf5).kept_open() as file:
             return {n: d.shape[::-1] for n, d in file.items() if isinstance(d, h5py.Dataset) and d.dtype.kind in "iuf"}
     if kind == "NumPy":
-        return {path.stem: MatrixStore(path, path.stem, kind).array.shape}
+        return {path.stem: _matrix(path, path.stem, kind)[path.stem].shape}
     with _readable(path, kind):
         listed = scipy.io.whosmat(path)
     return {name: shape for name, shape, what in listed if re.match("u?int|single|double|logical", what)}
@@ -749,41 +637,35 @@ def open_matrix(
     InputError : none that fits, one that is too large to be read whole, or a damaged file.
     UsageError : several that could be meant, or ``variable`` is none of them.
     """
-    shapes, where = _matrices(path, kind), str(path)
-    listed = ", ".join(f"{name} {' x '.join(map(str, shape))}" for name, shape in shapes.items()) or "no numbers"
+    shapes = _shapes(path, kind)
     fits = [n for n, s in shapes.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
     fits = [n for n in fits if variable in (None, n)]
-    wanted = f"an array of {plane[0]} lines and {plane[1]} samples" if plane else "an array of lines, samples and bands"
     if not fits:
-        raise InputError(
-            f"the file has {listed}", where=where, expected=f"{wanted}{f' named {variable}' * bool(variable)}"
-        )
+        listed = ", ".join(f"{name} {' x '.join(map(str, shape))}" for name, shape in shapes.items()) or "no numbers"
+        wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
+        raise refusal("array.none", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
     if len(fits) > 1:
-        raise UsageError(
-            f"{len(fits)} arrays could be meant: {', '.join(fits)}",
-            where=where,
-            mend="state name_field: which is the map" if plane else "state variable: (init: --key) which is the image",
-        )
+        raise refusal("array.maps" if plane else "array.images", path, count=len(fits), names=", ".join(fits))
     name = fits[0]
     size = 8 * int(np.prod(shapes[name]))
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
-        raise InputError(
-            f"{name!r} would need {size >> 20} MiB in memory at once",
-            where=where,
-            mend="save it with '-v7.3', which is read by parts, or as an ENVI cube",
-        )
+        raise refusal("array.memory", path, name=name, mib=size >> 20)
     tree = kind == "MATLAB 7.3"
-    store: OpenedFile = Hdf5Store(path) if tree else MatrixStore(path, name, kind)
     axes, shape = ("bsl" if tree else "lsb"), shapes[name][:: -1 if tree else 1]
+
+    def stored(name: str) -> Store:
+        return Store(path, hdf5) if tree else Store(path, _matrix, name, kind)
+
+    store = stored(name)
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     if dtype.kind not in "iufb":
-        raise InputError(f"{name!r} holds {dtype}", where=where, expected="whole or real numbers")
+        raise refusal("array.type", path, name=name, dtype=dtype)
     piece = Piece((Term(name),), axes.replace("b", "") if plane else axes, shape, dtype.newbyteorder("="))
     lists = {}
     for pattern in (_WAVE, _WIDTH):
         named = [n for n, s in shapes.items() if pattern.search(n) and max(s) == piece.size("b") == int(np.prod(s)) > 1]
         if len(named) == 1:
-            beside = store if tree else MatrixStore(path, named[0], kind)
-            lists[pattern] = beside.read(named[0], (slice(None),) * len(shapes[named[0]])).astype(float).ravel()
+            whole = (slice(None),) * len(shapes[named[0]])
+            lists[pattern] = stored(named[0]).read(named[0], whole).astype(float).ravel()
     own = ListedBands(lists[_WAVE], lists.get(_WIDTH)) if _WAVE in lists else None
     return array_raster(path, store, (piece,), Description(f"array {name!r} of a {kind} file", own))

@@ -13,16 +13,8 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import UsageError, reader
-from hyperval.imagery.description import (
-    Bands,
-    Raster,
-    Scale,
-    check_values_of,
-    equals,
-    given_bands,
-    usable_pixels,
-)
+from hyperval.errors import reader, refusal
+from hyperval.imagery.description import Bands, Raster, Scale, equals, given_bands, usable_pixels
 from hyperval.imagery.envi import pixel_area_m2
 from hyperval.imagery.rasters import open_raster
 from hyperval.spectra.axis import SpectralAxis
@@ -34,6 +26,14 @@ Where = Mask | tuple[npt.ArrayLike, npt.ArrayLike]
 
 BLOCK_BYTES = 8 << 20
 _WHOLE = ("ii", "uu", "iu", "ui")
+# Above these the 95th percentile of a cube says that its scale was not stated: a white surface under the zenith sun
+# gives a radiance of about 65.
+PLAUSIBLE = {
+    "reflectance": (1.5, "what multiplies the stored values (0.01 where they are percent, 0.0001 where they are "
+                    "reflectance times 10000)"),
+    "radiance": (200.0, "(what multiplies the stored values) or unit:"),
+}  # fmt: skip
+_CHECKED_LINES, _CHECKED_SAMPLES = 16, 64
 # Header entries that have their own place in a cube.
 _TAKEN = (
     "wavelength", "wavelength units", "fwhm", "bbl", "map info", "coordinate system string",
@@ -173,7 +173,7 @@ class Cube:
         size = self.samples * self.bands * np.dtype(dtype).itemsize
         step = max(1, BLOCK_BYTES // size) if lines_per_block is None else int(lines_per_block)
         if step < 1:
-            raise UsageError(f"lines_per_block is {lines_per_block}", expected="1 or more")
+            raise refusal("cube.blocks", lines=lines_per_block)
         for first in range(0, self.lines, step):
             yield self.read(first, min(step, self.lines - first), dtype)
 
@@ -204,8 +204,7 @@ class Cube:
         stored = self.raster.read_bands(first_line, count, buffer)
         if self._reordered:
             stored = stored[self.stored_band]
-        usable = usable_pixels(stored, ignore=self.ignore_value, zero_is_fill=self.quantity != "other", needed=needed)
-        return stored, usable
+        return stored, self._usable(stored, needed)
 
     def pixels(self, where: Where) -> Array:
         """(n, B) values of the pixels of a mask (in line order) or of (rows, cols); NaN for ignored values."""
@@ -232,17 +231,14 @@ class Cube:
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
             if rows.shape != cols.shape or rows.ndim != 1 or rows.dtype.kind + cols.dtype.kind not in _WHOLE:
-                raise UsageError("rows and cols must be whole numbers of equal count")
-            inside = (rows >= 0) & (rows < self.lines) & (cols >= 0) & (cols < self.samples)
-            if not inside.all():
-                raise UsageError(
-                    f"pixels outside the cube: lines {rows.min()}-{rows.max()}, samples {cols.min()}-{cols.max()}",
-                    expected=f"lines 0-{self.lines - 1}, samples 0-{self.samples - 1}",
-                )
+                raise refusal("cube.index")
+            if not np.all((rows >= 0) & (rows < self.lines) & (cols >= 0) & (cols < self.samples)):
+                given = {"top": rows.min(), "bottom": rows.max(), "left": cols.min(), "right": cols.max()}
+                raise refusal("cube.outside", last_line=self.lines - 1, last_sample=self.samples - 1, **given)
             return rows.astype(np.intp), cols.astype(np.intp)
         mask = np.asarray(where)
         if mask.dtype != bool or mask.shape != self.shape:
-            raise UsageError(f"a mask of {mask.dtype} {mask.shape} for a cube of {self.shape}")
+            raise refusal("cube.mask", dtype=mask.dtype, shape=mask.shape, cube=self.shape)
         rows, cols = np.nonzero(mask)
         return rows, cols
 
@@ -254,18 +250,35 @@ class Cube:
         np.multiply(stored, self.gain.astype(dtype), out=values, dtype=dtype, casting="unsafe")
         if np.any(self.scaling.offset):
             values += self.offset.astype(dtype)
-        valid = np.ones(stored.shape[:-1], bool)
-        good = slice(None) if self.axis.good.all() else self.axis.good
         if self.ignore_value is not None:
-            ignored = equals(stored, self.ignore_value)
-            if ignored.any():
-                values[ignored] = np.nan
-                valid &= ~ignored[..., good].any(axis=-1)
-        if stored.dtype.kind == "f":
-            valid &= np.isfinite(values[..., good]).all(axis=-1)
-        if self.quantity != "other":
-            valid &= stored.any(axis=-1)
-        return values, valid
+            values[equals(stored, self.ignore_value)] = np.nan
+        return values, self._usable(np.moveaxis(stored, -1, 0), self.axis.good)
+
+    def _usable(self, stored: npt.NDArray[Any], needed: Mask | None) -> Mask:
+        """Which pixels (...) of stored numbers (B, ...) hold data."""
+        zero_is_fill = self.quantity != "other"
+        return usable_pixels(stored, ignore=self.ignore_value, zero_is_fill=zero_is_fill, needed=needed)
+
+    def check_values(self) -> None:
+        """Raise InputError when the values are too large for the quantity: a scale that was not stated."""
+        if self.quantity not in PLAUSIBLE:
+            return
+        limit, how = PLAUSIBLE[self.quantity]
+        lines = np.unique(np.linspace(0, self.lines - 1, _CHECKED_LINES).astype(int))
+        cols = np.linspace(0, self.samples - 1, min(self.samples, _CHECKED_SAMPLES)).astype(int)
+        some = [self.spectra((np.full(cols.size, line), cols))[:, self.axis.good].ravel() for line in lines]
+        high = float(np.percentile(np.concatenate(some), 95)) if any(part.size for part in some) else 0.0
+        if high > limit:
+            unit = "" if self.unit == "1" else f" {self.unit}"
+            raise refusal(
+                "scale.implausible",
+                self.raster.path,
+                quantity=self.quantity,
+                high=high,
+                unit=unit,
+                limit=limit,
+                how=how,
+            )
 
 
 @reader
@@ -335,5 +348,5 @@ def open_cube(
         notes=notes,
     )
     if check_values:
-        check_values_of(cube)
+        cube.check_values()
     return cube

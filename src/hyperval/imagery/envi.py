@@ -18,9 +18,9 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.envi_header import EnviHeader, read_header
-from hyperval.errors import InputError
-from hyperval.imagery.arrays import OpenedFile
-from hyperval.imagery.description import Index, Raster, crs_of_wkt, gain_file_beside, header_description
+from hyperval.errors import refusal
+from hyperval.imagery.arrays import Store
+from hyperval.imagery.description import Description, Index, Raster, crs_of_wkt
 from hyperval.paths import checked_file
 
 _METRES = ("meters", "metres", "meter", "metre", "m")
@@ -59,13 +59,9 @@ def transform_of(header: EnviHeader) -> Affine | None:
         x_ref, y_ref, east, north, dx, dy = (float(p) for p in parts[1:7])
         rotation = math.radians(float(_options(parts).get("rotation", 0.0)))
     except (ValueError, IndexError):
-        raise InputError(
-            "'map info' is not understood",
-            where=header.where("map info"),
-            expected="{projection, x, y, easting, northing, x size, y size, ...}",
-        ) from None
-    if not all(math.isfinite(v) for v in (x_ref, y_ref, east, north, dx, dy, rotation)) or dx <= 0 or dy <= 0:
-        raise InputError("'map info' has sizes that are not positive or finite", where=header.where("map info"))
+        raise refusal("image.map_info", header.where("map info")) from None
+    if not all(map(math.isfinite, (x_ref, y_ref, east, north, dx, dy, rotation))) or dx <= 0 or dy <= 0:
+        raise refusal("image.map_sizes", header.where("map info"))
     if parts[0].strip().lower() in ("arbitrary", "none") and (east, north, dx, dy) == (x_ref, y_ref, 1.0, 1.0):
         return None  # ENVI writes this for an image in pixel coordinates
     cos, sin = math.cos(rotation), math.sin(rotation)
@@ -134,38 +130,12 @@ def pixel_area_m2(transform: Affine | None, crs: CRS | None, entries: Mapping[st
     return area if _options(entries.get("map info", "").split(",")).get("units", "").lower() in _METRES else None
 
 
-class StoredFile(OpenedFile):
+def _without_buffer(path: Path) -> BinaryIO:
     """A file that several threads read at stated places."""
-
-    def open(self) -> BinaryIO:
-        """The file without a buffer of its own."""
-        stream = open(self.path, "rb", buffering=0)  # noqa: SIM115 - closed when its last user leaves
-        if hasattr(os, "posix_fadvise"):
-            os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
-        return stream
-
-    def fill(self, out: npt.NDArray[Any], offset: int) -> None:
-        """Read a contiguous array from a place in the file.
-
-        Raises
-        ------
-        InputError : the file ends before.
-        """
-        view = memoryview(out.reshape(-1).view("u1").data)  # contiguous, so this is no copy
-        done = 0
-        with self.kept_open() as stream:
-            while done < len(view):
-                step = self._read(stream, view[done:], offset + done)
-                if not step:
-                    raise InputError("the file became shorter while it was read", where=str(self.path))
-                done += step
-
-    def _read(self, stream: BinaryIO, view: memoryview, offset: int) -> int:
-        if hasattr(os, "preadv"):
-            return os.preadv(stream.fileno(), [view], offset)
-        with self._lock:
-            stream.seek(offset)
-            return stream.readinto(view) or 0  # type: ignore[attr-defined]
+    stream = open(path, "rb", buffering=0)  # noqa: SIM115 - closed when its last user leaves
+    if hasattr(os, "posix_fadvise"):
+        os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
+    return stream
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,23 +157,39 @@ class EnviRaster(Raster):
         return crs_of(self.header)
 
     @cached_property
-    def _file(self) -> StoredFile:
-        return StoredFile(self.path)
+    def _file(self) -> Store:
+        return Store(self.path, _without_buffer)
 
     def kept_open(self) -> AbstractContextManager[object]:
         """Inside, the file is opened once for all reads."""
         return self._file.kept_open()
 
+    def _fill(self, out: npt.NDArray[Any], values: int) -> None:
+        """Read a contiguous array that begins so many values behind the first."""
+        view = memoryview(out.reshape(-1).view("u1").data)  # contiguous, so this is no copy
+        at, done = self.header.header_offset + values * self.dtype.itemsize, 0
+        with self._file.kept_open() as stream:
+            while done < len(view):
+                if hasattr(os, "preadv"):
+                    step = os.preadv(stream.fileno(), [view[done:]], at + done)
+                else:
+                    with self._file.lock:
+                        stream.seek(at + done)
+                        step = stream.readinto(view[done:])
+                if not step:
+                    raise refusal("image.shrunk", self.path)
+                done += step
+
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
-        samples, bands, start = self.samples, self.bands, self.header.header_offset
+        lines, samples, bands = self.size
         flat = np.empty(count * samples * bands, self.dtype) if buffer is None else buffer[: count * samples * bands]
         if self.header.interleave == "bsq":
             by_band = flat.reshape(bands, count, samples)
             with self._file.kept_open():
                 for band in range(bands):
-                    self._file.fill(by_band[band], start + (band * self.lines + first) * samples * self.dtype.itemsize)
+                    self._fill(by_band[band], (band * lines + first) * samples)
             return by_band
-        self._file.fill(flat, start + first * samples * bands * self.dtype.itemsize)
+        self._fill(flat, first * samples * bands)
         if self.header.interleave == "bil":
             return flat.reshape(count, bands, samples).transpose(1, 0, 2)
         return flat.reshape(count, samples, bands).transpose(2, 0, 1)
@@ -226,12 +212,19 @@ def open_envi(data: Path, header: Path, root: Path | None = None) -> EnviRaster:
     """
     parsed = read_header(checked_file(header, root=root, what="ENVI header"))
     _check_size(data, parsed)
-    whole = parsed.dtype.kind in "iu" and not {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
-    gains = gain_file_beside(data) if whole else None
-    others = [parsed.path, *([checked_file(gains, root=root, what="gain file")] if gains else [])]
+    scaled = {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
+    gains = None if scaled or parsed.dtype.kind == "f" else _gain_file_beside(data)
+    others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, root=root, what="gain file"))
+    about = Description(entries=parsed.extras, notes=parsed.notes, header=parsed, gains=gains)
     size = parsed.lines, parsed.samples, parsed.bands
-    about = header_description(parsed, gains_path=gains)
-    return EnviRaster(data, size, parsed.dtype, about, other_files=tuple(others), header=parsed)
+    return EnviRaster(data, size, parsed.dtype, about, other_files=others, header=parsed)
+
+
+def _gain_file_beside(image: Path) -> Path | None:
+    """The ``.gain`` file that the image's name begins with, as f130612t01p00r10rdn_e.gain; None without one."""
+    files = sorted(image.parent.glob("*.[gG][aA][iI][nN]"))
+    return max((p for p in files if image.name.lower().startswith(p.stem.lower())), key=lambda p: len(p.stem),
+               default=None)  # fmt: skip
 
 
 def _check_size(data: Path, header: EnviHeader) -> None:
@@ -239,20 +232,16 @@ def _check_size(data: Path, header: EnviHeader) -> None:
     size, expected = data.stat().st_size, header.expected_bytes
     if size == expected:
         return
-    described = (
-        f"{header.header_offset} + {header.samples} samples x {header.lines} lines x {header.bands} bands "
-        f"x {header.dtype.itemsize} bytes = {expected} bytes ({header.path})"
-    )
     with open(data, "rb") as stream:
         head = stream.read(6)
     packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
-    if packed is not None:
-        what, mend = f"the data file is compressed ({packed})", "decompress it"
-    elif size < expected:
-        missing = 100.0 * (expected - size) / expected
-        what = f"the file is truncated: {size} bytes, {missing:.3g} % missing"
-        mend = "copy the file again, or correct the header"
-    else:
-        what = f"the file is longer than its header says: {size} bytes, {size - expected} too many"
-        mend = "correct the header (lines, bands, data type or header offset)"
-    raise InputError(what, where=str(data), expected=described, mend=mend)
+    sides = f"{header.samples} samples x {header.lines} lines x {header.bands} bands x {header.dtype.itemsize} bytes"
+    raise refusal(
+        "image.packed" if packed else "image.short" if size < expected else "image.long",
+        data,
+        packed=packed,
+        size=size,
+        missing=100.0 * (expected - size) / expected,
+        more=size - expected,
+        described=f"{header.header_offset} + {sides} = {expected} bytes ({header.path})",
+    )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -23,9 +23,26 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.envi_header import parse_header
-from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery.arrays import ArrayRaster, Hdf5Store, Piece, Term, array_raster, check_own_values
-from hyperval.imagery.description import Description, ListedBands, Raster, Scale, crs_of_wkt, gdal_transform
+from hyperval.errors import InputError, reader, refusal
+from hyperval.imagery.arrays import (
+    MAX_CHUNK_BYTES,
+    ArrayRaster,
+    Piece,
+    Store,
+    Term,
+    array_raster,
+    check_own_values,
+    hdf5,
+)
+from hyperval.imagery.description import (
+    Description,
+    ListedBands,
+    Raster,
+    Scale,
+    crs_of_wkt,
+    gdal_transform,
+    is_radiance,
+)
 from hyperval.imagery.envi import crs_of, transform_of
 from hyperval.units import radiance_to_internal
 
@@ -33,9 +50,10 @@ Array = npt.NDArray[np.float64]
 MAX_BANDS = 20_000
 SAMPLED_LINES = 16
 SUN_ZENITH = re.compile(r"(sun|solar)\W+zenith", re.IGNORECASE)
-_FILL_NAMES = ("_FillValue", "Data_Ignore_Value", "missing_value")
+_FILLS = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
 Reference = str | float
+Position = tuple[Affine | None, CRS | None, tuple[str, ...]]
 
 
 class ProductLayout(dict[str, Any]):
@@ -55,11 +73,12 @@ def layouts() -> ProductLayout:
 
 
 @dataclass(frozen=True)
-class Values:
-    """What the references of a layout mean in one opened file."""
+class ProductTree:
+    """What the references of a layout mean in one opened file; ``layout`` is None where it has none that is known."""
 
     file: h5py.File
     path: Path
+    layout: ProductLayout
 
     def item(self, reference: str) -> Any:
         """The array, group or attribute of a reference, None when there is none.
@@ -79,21 +98,22 @@ class Values:
             found = found[part]
         return found.attrs.get(attribute) if at else found
 
-    def holds(self, array: ProductLayout) -> bool:
-        """Whether the file has the image and the wavelengths of an array of a layout."""
-        items = [(reference, self.item(reference)) for reference in (array.path, array.wavelength)]
-        return all(found is not None if "@" in name else isinstance(found, h5py.Dataset) for name, found in items)
+    def has_all(self) -> bool:
+        """Whether the file has the images and the wavelengths of the layout."""
+        names = [name for array in self.layout.arrays for name in (array.path, array.wavelength)]
+        found = [(name, self.item(name)) for name in names]
+        return all(item is not None if "@" in name else isinstance(item, h5py.Dataset) for name, item in found)
 
-    def raw(self, reference: str) -> Any:
+    def raw(self, reference: str | None) -> Any:
         """The content of a small array or an attribute, None when the file has none."""
-        found = self.item(reference)
-        if "@" in reference:
-            return found
-        return found[()] if isinstance(found, h5py.Dataset) and found.size <= MAX_BANDS * 100 else None
+        found = None if reference is None else self.item(reference)
+        if isinstance(found, h5py.Dataset):
+            return found[()] if found.size <= MAX_BANDS * 100 else None
+        return found if "@" in (reference or "") else None
 
     def text(self, reference: str | None) -> str | None:
         """A text or number as text; None when the file has none."""
-        value = None if reference is None else self.raw(reference)
+        value = self.raw(reference)
         if isinstance(value, np.ndarray):
             value = value.ravel()[0] if value.size == 1 else " ".join(str(v) for v in value.ravel())
         if isinstance(value, bytes):
@@ -109,45 +129,43 @@ class Values:
         except (TypeError, ValueError, IndexError):
             number = np.nan
         if not np.isfinite(number):
-            raise InputError(
-                f"no number {reference!r}", where=str(self.path), expected="as the product's layout has it"
-            )
+            raise refusal("product.number", self.path, reference=reference)
         return number
 
     def numbers(self, reference: str, count: int, what: str) -> Array:
         """(count,) numbers; InputError when the file does not have as many."""
         value = self.raw(reference)
         try:
-            out = np.asarray(value, dtype=float).ravel()
+            out = np.zeros(0) if value is None else np.asarray(value, dtype=float).ravel()
         except (TypeError, ValueError):
             out = np.zeros(0)
-        if value is None or out.size != count:
-            raise InputError(
-                f"{0 if value is None else out.size} {what} ({reference!r}) for {count} bands", where=str(self.path)
-            )
+        if out.size != count:
+            raise refusal("product.numbers", self.path, size=out.size, what=what, reference=reference, count=count)
         return out
 
-    def image(self, store: Hdf5Store, reference: str) -> h5py.Dataset:
-        """An array of three axes; InputError where it is none."""
-        name = self.item(reference).name.strip("/")
-        dataset = store.dataset(self.file, name)
-        if dataset is None or dataset.dtype.kind not in "iuf" or dataset.ndim != 3 or 0 in dataset.shape:
-            raise InputError(f"{name!r} is no image of three axes", where=str(self.path))
-        return dataset
+    def image(self, reference: str, axes: int = 3) -> h5py.Dataset | None:
+        """An array of so many axes, None without any; InputError where it is none or cannot be read by its blocks."""
+        array = self.item(reference)
+        if not isinstance(array, h5py.Dataset):
+            return None
+        name = array.name.strip("/")
+        if array.chunks is not None and int(np.prod(array.chunks)) * array.dtype.itemsize > MAX_CHUNK_BYTES:
+            raise refusal("array.block", self.path, name=name, mib=MAX_CHUNK_BYTES >> 20)
+        if array.dtype.kind not in "iuf" or array.ndim != axes or 0 in array.shape:
+            raise refusal("product.image" if axes == 3 else "product.table", self.path, name=name)
+        return array
 
 
-def tree_of(values: Values) -> ProductLayout | None:
-    """The layout whose images and wavelengths the file holds, None when it is none of them."""
-    return next((tree for tree in layouts().trees if all(map(values.holds, tree.arrays))), None)
+def _tree(file: h5py.File, path: Path) -> ProductTree | None:
+    """The file by the layout whose images and wavelengths it holds, None when it is none of them."""
+    trees = (ProductTree(file, path, layout) for layout in layouts().trees)
+    return next((tree for tree in trees if tree.has_all()), None)
 
 
-def stated_number(attributes: Mapping[str, Any], names: Sequence[str]) -> float | None:
+def _stated(attributes: Mapping[str, Any], *names: str) -> float | None:
     """The number in the first of some attributes that holds a single one; None without any."""
-    for name in names:
-        value = attributes.get(name)
-        if value is not None and np.size(value) == 1:
-            return float(np.asarray(value).ravel()[0])
-    return None
+    found = (attributes.get(name) for name in names)
+    return next((float(np.asarray(v).ravel()[0]) for v in found if v is not None and np.size(v) == 1), None)
 
 
 @reader
@@ -158,194 +176,185 @@ def open_product(path: Path) -> ArrayRaster | None:
     ------
     InputError : cut short, or contents that contradict the layout.
     """
-    store = Hdf5Store(path)
+    store = Store(path, hdf5)
     with store.kept_open() as file:
-        values = Values(file, path)
-        tree = tree_of(values)
+        tree = _tree(file, path)
         if tree is None:
             return None
-        datasets = [values.image(store, array.path) for array in tree.arrays]
-        ignore = _ignore(tree, values, datasets[0])
-        pieces = tuple(_piece(a, d, store, values, ignore) for a, d in zip(tree.arrays, datasets, strict=True))
-        transform, crs, notes = (None, None, ()) if tree.lookup_table else _position(tree, values, pieces[0])
+        layout = tree.layout
+        images = [_image(tree, array.path) for array in layout.arrays]
+        ignore = _ignore(tree, images[0])
+        pieces = tuple(_piece(tree, a, image, ignore) for a, image in zip(layout.arrays, images, strict=True))
+        transform, crs, notes = (None, None, ()) if layout.lookup_table else _position(tree, pieces[0])
         summed = any(len(p.terms) > 1 for p in pieces)
-        about = _description(tree, values, datasets, pieces, None if summed else ignore, notes)
+        about = _description(tree, images, pieces, None if summed else ignore, notes)
     return array_raster(path, store, pieces, about, (transform, crs))
 
 
 @contextmanager
-def _product_of(raster: Raster) -> Iterator[tuple[ProductLayout, Values, Hdf5Store] | None]:
+def _product_of(raster: Raster) -> Iterator[ProductTree | None]:
     """The layout and the opened file of an image, None where it is no product."""
-    if not isinstance(raster, ArrayRaster) or not isinstance(raster.store, Hdf5Store):
+    if not isinstance(raster, ArrayRaster) or raster.store.opener is not hdf5:
         yield None
         return
     with raster.store.kept_open() as file:
-        values = Values(file, raster.path)
-        tree = tree_of(values)
-        yield None if tree is None else (tree, values, raster.store)
+        yield _tree(file, raster.path)
 
 
 def lookup_raster(raster: Raster) -> ArrayRaster | None:
     """The geographic lookup table in a product in scanner geometry, as an image of two bands; None without."""
-    with _product_of(raster) as product:
-        if product is None or product[0].lookup_table is None:
+    with _product_of(raster) as tree:
+        if tree is None or tree.layout.lookup_table is None:
             return None
-        tree, values, store = product
-        columns = [c for name in product[0].lookup_table if (c := store.dataset(values.file, name)) is not None]
+        columns = [c for name in tree.layout.lookup_table if (c := tree.image(name, axes=2)) is not None]
         if len(columns) < 2:
             return None
-        pieces = []
-        for column in columns:
-            if column.ndim != 2 or column.dtype.kind not in "iuf":
-                raise InputError(f"{column.name!r} is no lookup table", where=str(raster.path))
-            pieces.append(Piece((Term(column.name.strip("/")),), "ls", column.shape, np.dtype(np.int32)))
-        fill = stated_number(columns[0].attrs, _FILL_NAMES)
-        position = _position(tree, values, pieces[0])[:2]
-    return array_raster(raster.path, store, tuple(pieces), position=position, zero_for=fill)
+        pieces = tuple(Piece((Term(c.name.strip("/")),), "ls", c.shape, np.dtype(np.int32)) for c in columns)
+        fill, position = _stated(columns[0].attrs, *_FILLS), _position(tree, pieces[0])[:2]
+    return array_raster(raster.path, Store(raster.path, hdf5), pieces, position=position, zero_for=fill)
 
 
 def location_raster(raster: Raster) -> ArrayRaster | None:
     """Longitude and latitude of every pixel of a product, as an image of two bands; None without."""
-    with _product_of(raster) as product:
-        if product is None or product[0].location is None:
+    with _product_of(raster) as tree:
+        names, shape = (tree.layout.location or ()) if tree is not None else (), raster.size[:2]
+        if tree is None or not names or any(getattr(tree.item(n), "shape", None) != shape for n in names):
             return None
-        tree, values, store = product
-        names, shape = tree.location or (), raster.size[:2]
-        if any(getattr(values.item(name), "shape", None) != shape for name in names):
-            return None
-        pieces = tuple(Piece((Term(name),), "ls", shape, np.dtype(np.float64)) for name in names)
-        return array_raster(raster.path, store, pieces)
+    pieces = tuple(Piece((Term(name),), "ls", shape, np.dtype(np.float64)) for name in names)
+    return array_raster(raster.path, Store(raster.path, hdf5), pieces)
 
 
-def _piece(
-    array: ProductLayout, dataset: h5py.Dataset, store: Hdf5Store, values: Values, ignore: float | None
-) -> Piece:
-    first = Term(dataset.name.strip("/"))
+def _image(tree: ProductTree, reference: str) -> h5py.Dataset:
+    """An array of three axes."""
+    found = tree.image(reference)
+    if found is None:
+        raise refusal("product.image", tree.path, name=reference)
+    return found
+
+
+def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore: float | None) -> Piece:
+    first = Term(image.name.strip("/"))
     if array.plus is None:
-        return Piece((first,), array.dimensions, dataset.shape, dataset.dtype.newbyteorder("="))
-    second = values.image(store, array.plus[0])
-    if second.shape != dataset.shape:
-        raise InputError(f"{second.name!r} is of another shape than {dataset.name!r}", where=str(store.path))
-    weight = 1.0 / values.number(array.plus[1])
-    terms = (
-        Term(first.name, 1.0, ignore),
-        Term(second.name.strip("/"), weight, stated_number(second.attrs, _FILL_NAMES)),
-    )
-    return Piece(terms, array.dimensions, dataset.shape, np.dtype(np.float32))
+        return Piece((first,), array.dimensions, image.shape, image.dtype.newbyteorder("="))
+    second = _image(tree, array.plus[0])
+    if second.shape != image.shape:
+        raise refusal("product.shape", tree.path, name=second.name, other=image.name)
+    weight = 1.0 / tree.number(array.plus[1])
+    terms = first._replace(ignore=ignore), Term(second.name.strip("/"), weight, _stated(second.attrs, *_FILLS))
+    return Piece(terms, array.dimensions, image.shape, np.dtype(np.float32))
 
 
 def _description(
-    tree: ProductLayout,
-    values: Values,
-    datasets: list[h5py.Dataset],
+    tree: ProductTree,
+    images: list[h5py.Dataset],
     pieces: tuple[Piece, ...],
     ignore: float | None,
     notes: tuple[str, ...],
 ) -> Description:
+    layout = tree.layout
     columns: dict[str, list[Array]] = {"wavelength": [], "fwhm": [], "good": [], "gain": [], "offset": []}
-    for array, dataset, piece in zip(tree.arrays, datasets, pieces, strict=True):
+    for array, image, piece in zip(layout.arrays, images, pieces, strict=True):
         bands = piece.size("b")
-        columns["wavelength"].append(values.numbers(array.wavelength, bands, "wavelengths"))
-        for name, reference, what in (("fwhm", array.fwhm, "widths"), ("good", array.good, "flags")):
-            if reference is not None and values.raw(reference) is not None:
-                columns[name].append(values.numbers(reference, bands, what))
+        for name, what in (("wavelength", "wavelengths"), ("fwhm", "widths"), ("good", "flags")):
+            reference = array.get(name)
+            if name == "wavelength" or tree.raw(reference) is not None:
+                columns[name].append(tree.numbers(str(reference), bands, what))
             elif name == "good":
                 columns[name].append(np.ones(bands))
-        for name, number in zip(("gain", "offset"), _scale(array, dataset, values), strict=True):
+        for name, number in zip(("gain", "offset"), _scale(tree, array, image), strict=True):
             columns[name].append(np.full(bands, number))
-    wavelength = np.concatenate(columns["wavelength"])
-    good = np.concatenate(columns["good"]) != 0
-    for reference in tree.bad_ranges_nm or ():
-        low_high = values.raw(reference)
+    complete = {name: np.concatenate(parts) for name, parts in columns.items() if len(parts) == len(pieces)}
+    wavelength, good = complete["wavelength"], complete["good"] != 0
+    for reference in layout.bad_ranges_nm or ():
+        low_high = tree.raw(reference)
         if low_high is not None and np.size(low_high) == 2:
             low, high = np.sort(np.asarray(low_high, float))
             good &= ~((wavelength >= low) & (wavelength <= high))
-    sensor = (values.text(tree.sensor) if tree.sensor.startswith("@") else tree.sensor) or ""
-    entries = {key: text for key, reference in (tree.entries or {}).items() if (text := values.text(reference))}
-    unit, unit_notes = _unit(tree, datasets)
-    width = np.concatenate(columns["fwhm"]) if len(columns["fwhm"]) == len(pieces) else None
-    gain, offset = np.concatenate(columns["gain"]), np.concatenate(columns["offset"])
+    sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
+    entries = {key: text for key, reference in (layout.entries or {}).items() if (text := tree.text(reference))}
+    unit, unit_notes = _unit(layout, images)
+    centre = np.where(wavelength > 0, wavelength, np.nan)
     return Description(
-        product=tree.product,
-        bands=ListedBands(np.where(wavelength > 0, wavelength, np.nan), width, tree.wavelength_unit, good),
-        scale=Scale(gain, offset, f"scale of the {tree.product}"),
-        quantity=tree.quantity,
+        product=layout.product,
+        bands=ListedBands(centre, complete.get("fwhm"), layout.wavelength_unit, good),
+        scale=Scale(complete["gain"], complete["offset"], f"scale of the {layout.product}"),
+        quantity=layout.quantity,
         unit=unit,
         ignore_value=ignore,
         sensor=sensor,
-        sorts=bool(tree.sorts),
+        sorts=bool(layout.sorts),
         entries=entries | ({"sensor": sensor} if sensor else {}),
-        notes=(*unit_notes, *notes, *([tree.remark] if tree.remark else [])),
-        sun_zenith_deg=_sun(tree, values),
+        notes=(*unit_notes, *notes, *([layout.remark] if layout.remark else [])),
+        sun_zenith_deg=_sun(tree),
     )
 
 
-def _scale(array: ProductLayout, dataset: h5py.Dataset, values: Values) -> tuple[float, float]:
+def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tuple[float, float]:
     """Gain and offset of an array by its layout, else by the attributes that the CF conventions have for them."""
     if not {"scale", "divisor", "offset", "subtract", "range", "plus"} & array.keys():
-        gain, offset = (stated_number(dataset.attrs, (name,)) for name in ("scale_factor", "add_offset"))
+        gain, offset = (_stated(image.attrs, name) for name in ("scale_factor", "add_offset"))
         return 1.0 if gain is None else gain, offset or 0.0
     if array.range is not None:
-        low, high = (values.number(r) for r in array.range)
+        low, high = (tree.number(r) for r in array.range)
         return (high - low) / _HIGHEST, low
-    divisor, scale, offset, subtract = (
-        values.number(array.get(key, default))
-        for key, default in (("divisor", 1.0), ("scale", 1.0), ("offset", 0.0), ("subtract", 0.0))
-    )
+    neutral = {"divisor": 1.0, "scale": 1.0, "offset": 0.0, "subtract": 0.0}
+    divisor, scale, offset, subtract = (tree.number(array.get(key, value)) for key, value in neutral.items())
     if divisor == 0:
-        raise InputError(f"{array.divisor!r} is 0", where=str(values.path), expected="a number to divide by")
+        raise refusal("product.divisor", tree.path, name=array.divisor)
     return scale / divisor, offset - subtract
 
 
-def _unit(tree: ProductLayout, datasets: list[h5py.Dataset]) -> tuple[str, tuple[str, ...]]:
+def _unit(layout: ProductLayout, images: list[h5py.Dataset]) -> tuple[str, tuple[str, ...]]:
     """The unit of the layout; a unit that the image itself states takes its place when it is another."""
-    for dataset in datasets if tree.quantity == "radiance" else ():
+    for image in images if layout.quantity == "radiance" else ():
         for name in ("units", "Units", "unit", "Unit"):
-            stated = dataset.attrs.get(name)
+            stated = image.attrs.get(name)
             text = stated.decode("utf-8", "replace") if isinstance(stated, bytes) else stated
-            try:
-                if isinstance(text, str) and radiance_to_internal(text) != radiance_to_internal(tree.unit):
-                    return text, (f"radiance in {text} as the file states, where the layout has {tree.unit}",)
-            except UsageError:
+            if not isinstance(text, str) or not is_radiance(text):
                 continue  # a spelling that is not known: that of the layout stands
-    return tree.unit, ()
+            if radiance_to_internal(text) != radiance_to_internal(layout.unit):
+                return text, (f"radiance in {text} as the file states, where the layout has {layout.unit}",)
+    return layout.unit, ()
 
 
-def _ignore(tree: ProductLayout, values: Values, dataset: h5py.Dataset) -> float | None:
-    if isinstance(tree.ignore, str):
+def _ignore(tree: ProductTree, image: h5py.Dataset) -> float | None:
+    own, ignore = _stated(image.attrs, *_FILLS), tree.layout.ignore
+    if isinstance(ignore, str):
         try:
-            return values.number(tree.ignore)
+            return tree.number(ignore)
         except InputError:
-            return stated_number(dataset.attrs, _FILL_NAMES)
-    stated = stated_number(dataset.attrs, _FILL_NAMES)
-    return tree.ignore if stated is None else stated
+            return own
+    return ignore if own is None else own
 
 
-def _position(tree: ProductLayout, values: Values, piece: Piece) -> tuple[Affine | None, CRS | None, tuple[str, ...]]:
+def _position(tree: ProductTree, piece: Piece) -> Position:
     """Transform and system of the image, or of the lookup table of one in scanner geometry."""
-    crs = _crs(tree, values)
-    if tree.map_info is not None:
-        info = values.text(tree.map_info)
-        if info is None:
-            return None, crs, ()
-        lines = [f"samples = {piece.size('s')}", f"lines = {piece.size('l')}", "bands = 1", "data type = 1"]
-        header = parse_header("\n".join(["ENVI", *lines, f"map info = {{{info}}}"]), values.path)
+    layout, crs = tree.layout, _crs(tree)
+    lines, samples = piece.size("l"), piece.size("s")
+    if (info := tree.text(layout.map_info)) is not None:
+        sizes = f"samples = {samples}\nlines = {lines}\nbands = 1\ndata type = 1"
+        header = parse_header(f"ENVI\n{sizes}\nmap info = {{{info}}}", tree.path)
         return transform_of(header), crs or crs_of(header), ()
-    if tree.geotransform is not None:
-        return gdal_transform(values.text(tree.geotransform)), crs, ()
-    if tree.corner_pixels is not None and tree.pixel_size is not None:
-        return _from_corners(tree, values, piece, crs)
-    if tree.struct_metadata is not None:
-        return _from_struct_metadata(values.text(tree.struct_metadata), piece), crs, ()
-    return None, crs, ()
+    if layout.geotransform is not None:
+        return gdal_transform(tree.text(layout.geotransform)), crs, ()
+    if layout.corner_pixels is not None:
+        return _from_corners(tree, lines, samples, crs)
+    # The corner points of HDF-EOS5's StructMetadata are the outer edges of the corner pixels.
+    number = r"\s*([-+0-9.eE]+)\s*"
+    corners = [
+        re.search(rf"{name}\s*=\s*\({number},{number}\)", tree.text(layout.struct_metadata) or "")
+        for name in ("UpperLeftPointMtrs", "LowerRightMtrs")
+    ]
+    if corners[0] is None or corners[1] is None:
+        return None, crs, ()
+    west, north, east, south = (float(text) for corner in corners if corner is not None for text in corner.groups())
+    return Affine((east - west) / samples, 0.0, west, 0.0, (south - north) / lines, north), crs, ()
 
 
-def _from_corners(
-    tree: ProductLayout, values: Values, piece: Piece, crs: CRS | None
-) -> tuple[Affine | None, CRS | None, tuple[str, ...]]:
+def _from_corners(tree: ProductTree, lines: int, samples: int, crs: CRS | None) -> Position:
     """From the corners of the product, which are centres or edges of pixels: whichever gives the pixel its size."""
-    west, north, east, south = (values.number(r) for r in tree.corner_pixels or ())
-    size, lines, samples = float(tree.pixel_size or 0.0), piece.size("l"), piece.size("s")
+    west, north, east, south = (tree.number(r) for r in tree.layout.corner_pixels)
+    size = float(tree.layout.pixel_size)
     for inner, kind in ((1, "centres"), (0, "edges")):
         if samples > inner < lines and np.allclose(
             [(east - west) / (samples - inner), (north - south) / (lines - inner)], size, rtol=1e-3
@@ -353,43 +362,28 @@ def _from_corners(
             half = 0.5 * size * inner
             note = f"the corners of the product are taken as {kind} of pixels, which gives {size:g} m"
             return Affine(size, 0.0, west - half, 0.0, -size, north + half), crs, (note,)
-    raise InputError(
-        f"corners {east - west:g} x {north - south:g} m apart do not give pixels of {size:g} m",
-        where=str(values.path),
-    )
+    raise refusal("product.corners", tree.path, across=east - west, along=north - south, size=size)
 
 
-def _from_struct_metadata(text: str | None, piece: Piece) -> Affine | None:
-    """From the corner points of HDF-EOS5's StructMetadata, which are the outer edges of the corner pixels."""
-    corners = [
-        re.search(rf"{name}\s*=\s*\(\s*([-+0-9.eE]+)\s*,\s*([-+0-9.eE]+)\s*\)", text or "")
-        for name in ("UpperLeftPointMtrs", "LowerRightMtrs")
-    ]
-    if any(corner is None for corner in corners):
-        return None
-    (west, north), (east, south) = ((float(c[1]), float(c[2])) for c in corners if c is not None)
-    return Affine((east - west) / piece.size("s"), 0.0, west, 0.0, (south - north) / piece.size("l"), north)
-
-
-def _crs(tree: ProductLayout, values: Values) -> CRS | None:
-    wkt, code = values.text(tree.crs), values.text(tree.epsg)
-    if wkt is None and tree.crs is not None:  # of the grid mapping of CF, which has both names for it
-        wkt = values.text(tree.crs.replace("@spatial_ref", "@crs_wkt"))
+def _crs(tree: ProductTree) -> CRS | None:
+    wkt, code = tree.text(tree.layout.crs), tree.text(tree.layout.epsg)
+    if wkt is None and tree.layout.crs is not None:  # of the grid mapping of CF, which has both names for it
+        wkt = tree.text(tree.layout.crs.replace("@spatial_ref", "@crs_wkt"))
+    numbers = re.findall(r"[0-9]{4,6}", code or "")
     try:
-        if code is not None and re.search(r"[0-9]{4,6}", code):
-            return CRS.from_epsg(int(re.findall(r"[0-9]{4,6}", code)[-1]))
+        return CRS.from_epsg(int(numbers[-1])) if numbers else crs_of_wkt(wkt)
     except CRSError:
         return None
-    return crs_of_wkt(wkt)
 
 
-def _sun(tree: ProductLayout, values: Values) -> float | None:
+def _sun(tree: ProductTree) -> float | None:
     """The zenith angle of the sun [degrees] that a product states for the whole image; None without."""
-    found = None if tree.sun_zenith is None else values.item(tree.sun_zenith)
+    reference = tree.layout.sun_zenith
+    found = None if reference is None else tree.item(reference)
     try:
         if isinstance(found, h5py.Dataset) and found.ndim == 2:
             return median_angle(_some_lines(found))
-        return median_angle(np.array([float(values.text(tree.sun_zenith) or "nan")]))
+        return median_angle(np.array([float(tree.text(reference) or "nan")]))
     except (ValueError, OSError):
         return None
 
@@ -410,11 +404,11 @@ def sun_of_observation(path: Path, shape: tuple[int, int]) -> Array | None:
     InputError : no HDF5 file, or one whose values lie elsewhere.
     """
     check_own_values(path)
-    with Hdf5Store(path).kept_open() as file:
-        values = Values(file, path)
+    with Store(path, hdf5).kept_open() as file:
         for layout in layouts().observations:
-            array = values.item(layout.sun_zenith or layout.image or "")
-            names = values.item(layout.names) if layout.names is not None else None
+            tree = ProductTree(file, path, layout)
+            array = tree.item(layout.sun_zenith or layout.image or "")
+            names = tree.item(layout.names) if layout.names is not None else None
             if not isinstance(array, h5py.Dataset):
                 continue
             if layout.sun_zenith is not None and array.shape == shape:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from hyperval.envi_header import header_beside
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import reader, refusal
 from hyperval.imagery.arrays import MATRICES, check_own_values, open_labelled, open_matrix
 from hyperval.imagery.description import Raster
 from hyperval.imagery.envi import open_envi
 from hyperval.imagery.products import open_product
-from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, image_of, open_tiff
+from hyperval.imagery.sidecars import image_of
+from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, open_tiff
 from hyperval.paths import checked_file, checked_folder
 
 _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
@@ -54,12 +55,13 @@ def open_raster(
     data = checked_file(path, root=root, what="image file")
     if engine is not None:
         return open_labelled(data, variable, engine)
-    if header is None and data.suffix.lower() == ".hdr":
+    ending = data.suffix.lower()
+    if header is None and ending == ".hdr":
         header, data = data, checked_file(_data_beside(data), root=root, what="image file")
-    elif header is None and data.suffix.lower() == ".xml":
+    elif header is None and ending == ".xml":
         data = checked_file(image_of(data, variable), root=root, what="GeoTIFF")
     if data.suffix.lower() == ".hdr":
-        raise UsageError("the cube is a header file", where=str(data), mend="name the data file")
+        raise refusal("image.is_header", data)
     kind = kind_of(data)
     if kind == _TIFF:
         return open_tiff(data, header, root)
@@ -75,17 +77,8 @@ def open_raster(
     if kind in MATRICES.values():
         return open_matrix(data, str(kind), variable)
     if kind is not None:
-        raise InputError(
-            f"a {kind} file, which is not read as a cube",
-            where=str(data),
-            expected="an ENVI cube with its header, or a GeoTIFF",
-            mend="save its array as an ENVI cube, wavelengths in the header (docs/formats.md, Cubes)",
-        )
-    raise InputError(
-        "no header beside the data file",
-        where=str(data),
-        expected=f"{data.name}.hdr or {data.with_suffix('.hdr').name}",
-    )
+        raise refusal("image.kind", data, kind=kind)
+    raise refusal("image.no_header", data, first=f"{data.name}.hdr", second=data.with_suffix(".hdr").name)
 
 
 def kind_of(path: Path) -> str | None:
@@ -98,22 +91,16 @@ def kind_of(path: Path) -> str | None:
 
 def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
-    return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in (
-        _TIFF,
-        _HDF5,
-        _NETCDF3,
-        *MATRICES.values(),
-    )
+    own = (_TIFF, _HDF5, _NETCDF3, *MATRICES.values())
+    return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in own
 
 
 def _data_beside(header: Path) -> Path:
     stem = header.with_suffix("")
-    candidates = [stem.with_name(stem.name + end) for end in _DATA_SUFFIXES]
-    candidates = [p for p in candidates if p.is_file()]
-    if len(candidates) != 1:
-        names = ", ".join(p.name for p in candidates) or "none"
-        raise InputError(f"data files beside the header: {names}", where=str(header), mend="name the data file instead")
-    return candidates[0]
+    found = [p for end in _DATA_SUFFIXES if (p := stem.with_name(stem.name + end)).is_file()]
+    if len(found) != 1:
+        raise refusal("image.data_files", header, names=", ".join(p.name for p in found) or "none")
+    return found[0]
 
 
 def raster_of_size(path: Path, shape: tuple[int, int], root: Path | None = None, variable: str | None = None) -> Raster:
@@ -126,9 +113,5 @@ def raster_of_size(path: Path, shape: tuple[int, int], root: Path | None = None,
     matrix = kind in MATRICES.values() and header_beside(path) is None
     raster = open_matrix(path, str(kind), variable, shape) if matrix else open_raster(path, root=root)
     if raster.size[:2] != shape:
-        raise InputError(
-            f"the raster has {raster.lines} lines and {raster.samples} samples",
-            where=str(path),
-            expected=f"{shape[0]} lines and {shape[1]} samples, as the cube",
-        )
+        raise refusal("image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
     return raster

@@ -24,7 +24,7 @@ from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
 from hyperval.executors import in_order, single_blas_thread
-from hyperval.imagery.interchange import envi_writer, write_cube
+from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
 from hyperval.simulate import schema
 from hyperval.simulate.inputs import SensorNumbers, SimulationInputs, load_inputs
