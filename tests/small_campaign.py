@@ -44,11 +44,16 @@ def with_stand_in_atmosphere(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("hyperval.atmosphere.atmospheric_terms", stand_in_atmosphere)
 
 
-def without_figures(patch: pytest.MonkeyPatch) -> None:
-    """Leave out figures, charts and arrays, which are most of a small run's time."""
-    patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
+def undrawn(patch: pytest.MonkeyPatch, pictures: Any = lambda *_, **__: []) -> None:
+    """Leave out the figures of a page; ``pictures`` stands for what draws those of the scene."""
+    patch.setattr("hyperval.figures.pictures.draw_pictures", pictures)
     patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
     patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
+
+
+def without_figures(patch: pytest.MonkeyPatch) -> None:
+    """Leave out figures, charts and arrays, which are most of a small run's time."""
+    undrawn(patch)
     patch.setattr("hyperval.run.write_products", lambda folder, *sides, **words: (folder / "products.nc").touch())
     # Sets of objects for p-values that no test of the small campaign asks for: a fifth of what is left.
     patch.setattr("hyperval.compare.detection.REPLICATES", 400)

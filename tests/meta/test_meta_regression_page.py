@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 import yaml
 
-from hyperval import cli
 from hyperval.baseline import Accepted, split_key
 from hyperval.config import parse_yaml
 
@@ -49,18 +47,6 @@ def test_every_example_checks_and_writes_junit(example):
     (found,) = [c for text in texts(example) for c in commands(text)]
     assert found[0] == "check"
     assert found[found.index("--junit") + 1] == "check.xml"
-
-
-def test_every_command_of_the_page_has_the_options_it_is_given():
-    root = typer.main.get_command(cli.app)
-    listed = [c for text in [PAGE, *(t for e in EXAMPLES for t in texts(e))] for c in commands(text)]
-    assert len(listed) >= 4
-    for words in listed:
-        command = root
-        while hasattr(command, "commands"):
-            command = command.commands[words.pop(0)]
-        known = {name for parameter in command.params for name in parameter.opts}
-        assert {w for w in words if w.startswith("-")} <= known, words
 
 
 def test_the_line_of_a_baseline_is_one():

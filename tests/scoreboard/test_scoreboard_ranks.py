@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from hyperval.pixels import AlarmBlocks
-from hyperval.scoreboard.ranks import MEASURES, BlockCounts, counts_by_block, fewest_objects, rank_sets, ranked
+from hyperval.scoreboard.ranks import MEASURES, BlockCounts, counts_by_block, rank_sets, ranked
 
 
 def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 2000) -> BlockCounts:
@@ -24,14 +24,6 @@ def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 200
     over, tie = (np.stack([p[i] for p in pairs], axis=1) for i in (0, 1))
     names = tuple(f"d{i}" for i in range(len(shift)))
     return BlockCounts(names, over, tie, np.bincount(block), np.arange(objects), {})
-
-
-def test_fewest_objects_is_where_the_sign_test_can_reject():
-    for detectors in range(2, 12):
-        m = fewest_objects(detectors)
-        assert 2.0 ** (1 - m) <= 0.05 / (detectors - 1) + 1e-12
-        assert 2.0 ** (2 - m) > 0.05 / (detectors - 1)
-    assert fewest_objects(7) == 8
 
 
 def test_detectors_far_apart_have_one_rank_each_and_equal_ones_share_all():

@@ -58,24 +58,6 @@ def predict(page: sync_api.Page, **changes: str) -> None:
     page.wait_for_selector("#charts[data-ready]")
 
 
-def test_scenario_to_download(page):
-    page.goto("/")
-    picture(page, "start")
-    page.get_by_role("link", name="Sub-pixel planks painted yellow on asphalt").click()
-    picture(page, "predict")
-    field = page.get_by_label("meteorological range [km]").first
-    assert field.input_value() == "23"
-    field.fill("40")
-    page.get_by_role("button", name="Run", exact=True).first.click()
-    page.wait_for_selector("#charts[data-ready]")
-    assert page.locator("#charts figure").count() >= 4
-    assert page.locator(".bk-Canvas, .bk-Column").count() > 0
-    picture(page, "result")
-    with page.expect_download() as download:
-        page.get_by_role("link", name="scenario.yaml").click()
-    assert "meteorological_range_km: 40" in download.value.path().read_text()
-
-
 def test_wrong_value_is_marked_at_its_field(page):
     page.goto("/predict?scenario=yellow-planks-asphalt")
     page.locator("[name='atmosphere.water_vapour_g_cm2']").fill("99")

@@ -20,7 +20,7 @@ from hyperval.cli import app as command
 from hyperval.figures import Drawing
 from hyperval.run import read_pair
 from hyperval.web.store import view_name
-from small_campaign import SmallCampaign, scene_data, write_yaml
+from small_campaign import SmallCampaign, scene_data, undrawn, write_yaml
 
 PLANK = "scene.targets.[yellow plank].subjects"
 STUDY = {
@@ -53,9 +53,7 @@ DRAWINGS = [
 def run(own):
     client = own.session()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: DRAWINGS)
-        patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
-        patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
+        undrawn(patch, lambda *_, **__: DRAWINGS)
         told = client.post(f"{own.address}/api/v1/validations", json={"campaign": "small"}).json()
         told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
@@ -108,9 +106,7 @@ def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run
     observed, compared = threading.Event(), threading.Event()
     predict = hyperval.model.forward.predict
     monkeypatch.setattr("hyperval.model.forward.predict", lambda *a, **k: observed.wait(60) and predict(*a, **k))
-    monkeypatch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: compared.wait(60) and [])
-    monkeypatch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
-    monkeypatch.setattr("hyperval.report.html.further_figures", lambda *_: [])
+    undrawn(monkeypatch, lambda *_, **__: compared.wait(60) and [])
     context = browser.new_context(base_url=own.address)
     context.set_default_timeout(60_000)
     own.long.gate.clear()
@@ -253,9 +249,7 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
     client = own.session()
     url = f"{own.address}/api/v1/uploads"
     with monkeypatch.context() as patch:
-        patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
-        patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
-        patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
+        undrawn(patch)
         run = client.post(url, files={k: (None, v) for k, v in BROUGHT.items()}).json()["run"]
         told = client.get(f"{own.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
@@ -263,9 +257,7 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
     (tmp_path / "campaign.yaml").write_bytes(text)
     shutil.copytree(own.app.state.settings.data / "collection", tmp_path / "collection")
     with monkeypatch.context() as patch:
-        patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
-        patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
-        patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
+        undrawn(patch)
         words = ["validate", str(tmp_path / "campaign.yaml"), "-o", str(tmp_path / "out")]
         done = CliRunner().invoke(command, words)
     assert done.exit_code in (0, 1), done.output

@@ -15,21 +15,13 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from hyperval.cli import app as command
-from hyperval.config import load_yaml
 from hyperval.scenario import Scenario, load_scenario
-from hyperval.web.forms import Form
-from hyperval.web.inputs import needs, plain, predefined, scenario_form, yaml_text
+from hyperval.web.inputs import needs, plain, predefined, scenario_form
 from hyperval.web.pages_predict import walk
 from hyperval.web.store import view_name
+from small_campaign import undrawn
 
 EASY = {"name": "yellow-planks-asphalt"}
-
-
-@pytest.fixture
-def no_figures(monkeypatch):
-    monkeypatch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
-    monkeypatch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
-    monkeypatch.setattr("hyperval.report.html.further_figures", lambda *_: [])
 
 
 class Fields(HTMLParser):
@@ -132,18 +124,6 @@ def test_sections_of_a_form_count_what_was_changed(client, server, name):
     assert changed == [str(2 + day), str(1 + day), "1", "1"], "the form, atmosphere, scene, target"
 
 
-def test_parts_of_a_form_that_stay_the_same_are_drawn_once(monkeypatch):
-    """Drawn whole at each mistake, the form of hysu took 0.2 s."""
-    data, form = plain(predefined()["hysu"]), scenario_form()
-    first = {n.path: n for n in walk(form.nodes(data, data))}
-    data["scene"]["targets"][1]["host"] = "nowhere"
-    again = {n.path: n for n in walk(form.nodes(data, plain(predefined()["hysu"])))}
-    assert again["scene.targets.0"] is first["scene.targets.0"]
-    assert again["scene.targets.1"] is not first["scene.targets.1"]
-    assert [again[path].changes for path in ("scene", "scene.targets", "scene.targets.1", "scene.targets.0")] == [
-        1, 1, 1, 0]  # fmt: skip
-
-
 def test_scene_of_a_collection_needs_its_files(client, server, monkeypatch):
     if not needs(predefined()["hysu"]):
         run = client.post(f"{server.address}/api/v1/predictions?wait=60", json={"name": "hysu"}).json()
@@ -173,31 +153,6 @@ def test_sensor_file_is_brought_and_used(client, server):
         assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "sensors"), name
         assert words in answer.json()["errors"][0]["message"]
         assert str(server.folder) not in answer.text
-
-
-def test_every_entry_of_the_schema_has_its_field():
-    def paths(nodes):
-        for n in nodes:
-            yield n.path
-            yield from paths(n.children)
-
-    known = set(paths(Form(Scenario).nodes(plain(load_scenario("yellow-planks-asphalt")))))
-    for name in Scenario.model_json_schema()["$defs"]["AtmosphericState"]["properties"]:
-        assert f"atmosphere.{name}" in known
-    assert {"uncertainty.aot550", "processing.bands.windows_only", "scene.targets.0.illumination.sky_view"} <= known
-
-
-def test_page_runs_a_scenario_and_shows_its_numbers(client, server):
-    fields = Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent
-    answer = client.post(
-        f"{server.address}/predict", data=[*fields, ("action", "run")], headers={"accept": "text/html"}
-    )
-    assert answer.status_code == 200
-    assert "/runs/" in answer.url
-    assert "yellow plank 0.05" in answer.text
-    assert "Probability of detection" in answer.text
-    snr = answer.text[answer.text.index('id="snr"') :].partition("</table>")[0]
-    assert all(f"<td>{name}</td>" in snr for name in ("asphalt", "grass", "soil", "white panel"))
 
 
 def test_wrong_value_is_told_at_its_field_and_nothing_runs(client, server):
@@ -240,9 +195,7 @@ def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, se
     files = f"{server.address}/api/v1/runs/{run['id']}/files"
     (tmp_path / "scenario.yaml").write_bytes(client.get(f"{files}/scenario.yaml").content)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.figures.pictures.draw_pictures", lambda *_, **__: [])
-        patch.setattr("hyperval.report.html.first_figures", lambda sides, table: [])
-        patch.setattr("hyperval.report.html.further_figures", lambda *_: [])
+        undrawn(patch)
         done = CliRunner().invoke(command, ["predict", str(tmp_path / "scenario.yaml"), "-o", str(tmp_path / "out")])
     assert done.exit_code == 0
     assert (tmp_path / "out" / "results.csv").read_bytes() == client.get(f"{files}/results.csv").content
@@ -297,16 +250,8 @@ def test_what_went_says_what_stands_in_its_place(client, server):
         assert words in answer.json()["errors"][0]["message"], path
 
 
-def test_yaml_reads_as_it_was_written(tmp_path: Path):
-    data = {
-        "a": ["1e5", "no", "0x1f", "16:30", "~", " x", "x: y", "# z", "é"],
-        "b": {"c": 1e-9, "d": 1e300, "e": None},
-    }
-    (tmp_path / "a.yaml").write_text(yaml_text(data), "utf-8")
-    assert load_yaml(tmp_path / "a.yaml")[0] == data
-
-
-def test_api_needs_four_lines_as_its_page_has_them(server, no_figures, capsys):
+def test_api_needs_four_lines_as_its_page_has_them(server, monkeypatch, capsys):
+    undrawn(monkeypatch)
     page = (Path(__file__).resolve().parents[2] / "docs" / "web.md").read_text("utf-8")
     code = page[page.index("    import requests") :].partition("\n\n")[0]
     lines = [line.removeprefix("    ") for line in code.splitlines()]

@@ -60,14 +60,6 @@ def test_oldest_go_first_when_there_are_too_many_bytes_or_days(store):
     assert [r.id for r in third.runs("a")] == [runs[3].id]
 
 
-def test_run_is_the_sessions_own(store):
-    run = finished(store, owner="a")
-    with pytest.raises(KeyError):
-        store.run(run.id, "b")
-    with pytest.raises(KeyError):
-        store.place("../../etc")
-
-
 def test_full_disk_refuses_orders_and_shows_what_there_is(make_server, monkeypatch):
     server = make_server()
     client = server.session()
