@@ -7,7 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_world import BACKGROUND, BANDS, PLANTED, TARGET, RadianceWorld, World, reflectances, target_rows
+from small_world import (
+    AXIS,
+    BACKGROUND,
+    BANDS,
+    PLANTED,
+    TARGET,
+    UNIT,
+    RadianceWorld,
+    World,
+    background_spread,
+    reflectances,
+    target_rows,
+)
 
 
 @pytest.fixture
@@ -15,7 +27,7 @@ def world(tmp_path: Path) -> World:
     """A reflectance cube with a region and five targets of two groups, ready to observe."""
     made = World(tmp_path, reflectances())
     made.write()
-    made.library("library.csv", ("paint", TARGET), ("ground", BACKGROUND))
+    made.library("library.csv", paint=TARGET, ground=BACKGROUND)
     made.text("targets.csv", target_rows(PLANTED))
     made.collection = {
         "cube": {"path": "cube.img", "quantity": "reflectance"},
@@ -30,6 +42,25 @@ def world(tmp_path: Path) -> World:
 
 
 @pytest.fixture
+def make_field(world: World) -> Callable[..., World]:
+    """Turn the world into one region ``all``, by default drawn pixels (lines, samples) of a t law, without targets."""
+
+    def make(values: np.ndarray | None = None, dof: float = np.inf, shape: tuple[int, int] = (60, 60)) -> World:
+        if values is None:
+            rng = np.random.default_rng(3)
+            z = rng.multivariate_normal(np.zeros(BANDS), background_spread(), shape)
+            if np.isfinite(dof):
+                z *= np.sqrt((dof - 2) / rng.chisquare(dof, shape))[..., None]
+            values = 0.3 + z
+        world.write(values)
+        world.detection, world.collection["targets"] = None, None
+        world.regions(all=[0, 0, *values.shape[:2]])
+        return world
+
+    return make
+
+
+@pytest.fixture
 def make_radiance(world: World) -> Callable[..., RadianceWorld]:
     """Turn the world into radiance L = offset + gain rho with two flat panels of known reflectance."""
 
@@ -40,13 +71,9 @@ def make_radiance(world: World) -> Callable[..., RadianceWorld]:
         scene[0:4, 36:40] = 0.05
         noise = np.random.default_rng(8).standard_normal(scene.shape)
         world.write((offset + gain * scene) * (1.0 + relative_noise * noise))
-        world.text("panels.csv", "wavelength_nm,white,black\n" + "".join(
-            f"{w},0.6,0.05\n" for w in range(400, 1701)
-        ))  # fmt: skip
-        world.collection["cube"] |= {"quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"}
-        world.collection["regions"] += [
-            {"name": "white", "rectangle": [0, 30, 4, 4]}, {"name": "black", "rectangle": [0, 36, 4, 4]},
-        ]  # fmt: skip
+        world.library("panels.csv", white=0.6, black=0.05)
+        world.collection["cube"] |= UNIT
+        world.regions(corner=[35, 5, 10, 20], white=[0, 30, 4, 4], black=[0, 36, 4, 4])
         world.collection["leave_out"] = ["white", "black"]
         world.collection["empirical_line"] = {
             "panels": [{"region": n, "spectrum": world.source("panels.csv", n)} for n in ("white", "black")]
@@ -54,3 +81,16 @@ def make_radiance(world: World) -> Callable[..., RadianceWorld]:
         return RadianceWorld(world, gain, offset, scene)
 
     return make
+
+
+@pytest.fixture
+def sites(tmp_path: Path) -> World:
+    """Collected spectra of sites: two of one flight line and one of another, without an error; see the constants."""
+    made = World(tmp_path, np.empty(0))
+    made.text("bands.txt", "# centre width\n" + "".join(f"{w / 1000:.5f} 0.0020\n" for w in AXIS.centre_nm))
+    made.collection = {
+        "spectra": [],
+        "bands": {"path": "bands.txt", "wavelength_unit": "um", "centre_column": 0, "fwhm_column": 1},
+        "calibration": {"relative": 0.02},
+    }
+    return made

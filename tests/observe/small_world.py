@@ -13,16 +13,18 @@ from rasterio.crs import CRS
 from hyperval.collection import CollectionSection, Detection
 from hyperval.imagery import write_cube
 from hyperval.model import Sources
-from hyperval.observe import Observed, observe
+from hyperval.observe import Observed, Place, observe, open_place
 from hyperval.scenario import SpectrumSource
 from hyperval.spectra import SpectralAxis
 
 LINES, SAMPLES, BANDS = 50, 40, 8
 AXIS = SpectralAxis(np.array([450.0, 550, 660, 680, 790, 870, 1050, 1650]), np.full(BANDS, 2.0))
+GRID = Affine(2.0, 0, 500000.0, 0, -2.0, 4700000.0)
 BACKGROUND = np.array([0.04, 0.08, 0.05, 0.05, 0.40, 0.42, 0.38, 0.25])
 TARGET = np.array([0.30, 0.35, 0.10, 0.10, 0.20, 0.20, 0.30, 0.50])
 # Pixels that hold a target, with the part that it fills; each stands alone.
 PLANTED = {(10, 10): 0.8, (10, 20): 0.8, (20, 10): 0.3, (20, 20): 0.3, (30, 20): 0.3}
+UNIT = {"quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"}
 
 
 def background_spread() -> np.ndarray:
@@ -40,6 +42,25 @@ def reflectances() -> np.ndarray:
     return scene
 
 
+def near_targets(radius: int = 1) -> np.ndarray:
+    """(LINES, SAMPLES) the targets and what lies within so many pixels of them."""
+    line, sample = np.indices((LINES, SAMPLES))
+    return np.any([np.hypot(line - i, sample - j) <= radius for i, j in PLANTED], axis=0)
+
+
+def moments(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (B,) and covariance (B, B) of pixels (..., B) by plain NumPy."""
+    flat = pixels.reshape(-1, pixels.shape[-1])
+    return flat.mean(axis=0), np.cov(flat, rowvar=False)
+
+
+def matched_filter(pixels: np.ndarray, target: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Plain NumPy: (x - m) C^-1 (t - m) / ((t - m) C^-1 (t - m))."""
+    d = target - mean
+    weights = np.linalg.inv(covariance) @ d
+    return (pixels - mean) @ weights / (d @ weights)
+
+
 @dataclass
 class World:
     """Files of one collection in one folder, and the settings that read them."""
@@ -53,8 +74,7 @@ class World:
         """Write the cube as float64, so that what is read is what was drawn."""
         if values is not None:
             self.values = values
-        given = {"data_type": 5, "axis": AXIS, "transform": Affine(2.0, 0, 500000.0, 0, -2.0, 4700000.0),
-                 "crs": CRS.from_epsg(32618)}  # fmt: skip
+        given = {"data_type": 5, "axis": AXIS, "transform": GRID, "crs": CRS.from_epsg(32618)}
         write_cube(self.folder / "cube.img", self.values, **(given | options))
 
     def text(self, name: str, content: str) -> str:
@@ -62,11 +82,11 @@ class World:
         (self.folder / name).write_text(content)
         return name
 
-    def library(self, name: str, *spectra: tuple[str, np.ndarray]) -> str:
+    def library(self, name: str, **spectra: np.ndarray | float) -> str:
         """A table of reflectance spectra that are straight lines between the bands' centres."""
         grid = np.arange(400.0, 1701.0, 1.0)
-        columns = [np.interp(grid, AXIS.centre_nm, values) for _, values in spectra]
-        rows = [",".join(["wavelength_nm", *(label for label, _ in spectra)])]
+        columns = [np.interp(grid, AXIS.centre_nm, np.broadcast_to(values, BANDS)) for values in spectra.values()]
+        rows = [",".join(["wavelength_nm", *spectra])]
         rows += [",".join([f"{w:g}", *(f"{v:.9f}" for v in row)]) for w, *row in zip(grid, *columns, strict=True)]
         return self.text(name, "\n".join(rows) + "\n")
 
@@ -74,7 +94,7 @@ class World:
         """How a spectrum of :meth:`library` is named in a campaign."""
         return {"file": file, "record": record, "wavelength_unit": "nm", "reflectance_unit": "fraction"}
 
-    def on_bands(self, file: str, record: str) -> np.ndarray:
+    def on_bands(self, record: str = "paint", file: str = "library.csv") -> np.ndarray:
         """(B,) a spectrum of :meth:`library` as the bands see it."""
         source = SpectrumSource.model_validate(self.source(file, record))
         return Sources(AXIS, {}, self.resolve).spectrum(source, record).mean
@@ -82,10 +102,29 @@ class World:
     def resolve(self, reference: str) -> Path:
         return self.folder / reference
 
-    def observe(self) -> Observed:
+    def regions(self, *more: dict[str, Any], **rectangles: list[int]) -> None:
+        """Give the collection these regions alone."""
+        self.collection["regions"] = [{"name": n, "rectangle": r} for n, r in rectangles.items()] + list(more)
+
+    def squares(self, name: str, **corners: tuple[float, float, float]) -> dict[str, str]:
+        """A vector file of squares by their names: (sample, line) of the corner and side, in pixels."""
+        features = ",".join(
+            f'{{"type":"Feature","properties":{{"name":"{n}"}},"geometry":{{"type":"Polygon","coordinates":'
+            f"[[[{x},{y}],[{x + s},{y}],[{x + s},{y + s}],[{x},{y + s}],[{x},{y}]]]}}}}"
+            for n, (x, y, s) in corners.items()
+        )
+        self.text(name, f'{{"type":"FeatureCollection","features":[{features}]}}')
+        return {"file": name, "coordinates": "pixel"}
+
+    def place(self) -> Place:
+        """Open the collection as it stands."""
+        return open_place(CollectionSection.model_validate(self.collection), self.resolve, show_progress=False)
+
+    def observe(self, **options: Any) -> Observed:
         """Run the pipeline on the settings as they stand."""
         detection = None if self.detection is None else Detection.model_validate(self.detection)
-        return observe(CollectionSection.model_validate(self.collection), detection, self.resolve, show_progress=False)
+        collection = CollectionSection.model_validate(self.collection)
+        return observe(collection, detection, self.resolve, show_progress=False, **options)
 
 
 @dataclass
@@ -97,10 +136,27 @@ class RadianceWorld:
     offset: np.ndarray
     reflectance: np.ndarray
 
+    @property
+    def panels(self) -> list[dict[str, Any]]:
+        """The panels of the line, which a test may change."""
+        return self.world.collection["empirical_line"]["panels"]
 
-def target_rows(planted: dict[tuple[int, int], float]) -> str:
+    def more_panels(self, noise: float = 0.0, **stated: float) -> World:
+        """Panels more, of 0.30 and 0.45 on the ground, under the reflectances that the field has of them."""
+        values = self.world.values.copy()
+        draws = 1.0 + noise * np.random.default_rng(4).standard_normal((2, 4, 4, BANDS))
+        for place, level, factor, name in zip((30, 36), (0.30, 0.45), draws, stated, strict=True):
+            values[6:10, place : place + 4] = (self.offset + self.gain * level) * factor
+            self.world.collection["regions"].append({"name": name, "rectangle": [6, place, 4, 4]})
+        self.world.write(values)
+        self.world.library("more.csv", **stated)
+        self.panels.extend({"region": n, "spectrum": self.world.source("more.csv", n)} for n in stated)
+        return self.world
+
+
+def target_rows(planted: dict[tuple[int, int], float], side_m: float = 0.5) -> str:
     """Target list: a name, the pixel and an area of fill times 4 m2; the group is the fill."""
     rows = ["name,material,row0,col0,side_m,area_m2,group"]
     for i, ((line, sample), fill) in enumerate(planted.items()):
-        rows.append(f"t{i},paint,{line},{sample},0.5,{4.0 * fill:g},fill {fill:g}")
+        rows.append(f"t{i},paint,{line},{sample},{side_m},{4.0 * fill:g},fill {fill:g}")
     return "\n".join(rows) + "\n"

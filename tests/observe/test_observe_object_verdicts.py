@@ -44,7 +44,7 @@ def collection(folder, seed, *, spectrum_error=0.0, dof=None):
         rows.append(f"t{i},paint,{line},{sample},0.5,0.25")
     world = World(folder, scene)
     world.write()
-    world.library("library.csv", ("paint", TARGET), ("ground", BACKGROUND))
+    world.library("library.csv", paint=TARGET, ground=BACKGROUND)
     world.text("targets.csv", "\n".join(rows) + "\n")
     world.collection = {
         "cube": {"path": "cube.img", "quantity": "reflectance"},

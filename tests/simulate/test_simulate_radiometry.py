@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
+from small_scene import BANDS, numbers
 
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.simulate.collection import Detector, detector
-from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
+from hyperval.simulate import Detector, SimulationInputs, detector, sensor_numbers
 
-BANDS = 12
 N = 40_000
 
 
 def chain(sensor) -> Detector:
-    zero = np.zeros(BANDS, np.float32)
+    zero = np.zeros(len(sensor.axis), np.float32)
     return Detector(sensor, zero, zero + 1, 1000.0)
 
 
-def quiet(make_sensor, **changes):
-    """A sensor with shot noise alone."""
-    return make_sensor(
-        **(
-            {
-                "fixed_noise_electrons": np.zeros(BANDS),
-                "relative_calibration": np.zeros(BANDS),
-                "lsb_radiance": np.zeros(BANDS),
-            }
-            | changes
-        )
-    )
+def quiet(**changes):
+    """A sensor with shot noise alone, unless told otherwise; one number stands for all bands."""
+    silent = dict.fromkeys(("fixed_noise_electrons", "relative_calibration", "lsb_radiance"), 0.0) | changes
+    return numbers(**{name: np.full(BANDS, v) if isinstance(v, float) and name not in ("noise_factor", "bit_error_rate")
+                      else v for name, v in silent.items()})  # fmt: skip
 
 
-def measured(sensor, level: float, seed: int = 1) -> np.ndarray:
-    radiance = np.full((N, BANDS), level, np.float32)
+def measured(sensor, level: float, seed: int = 1, n: int = N) -> np.ndarray:
+    radiance = np.full((n, len(sensor.axis)), level, np.float32)
     return chain(sensor).measured(radiance, np.random.default_rng(seed)).astype(float)
 
 
@@ -52,42 +42,38 @@ def assert_same_spread(found: np.ndarray, expected: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("electrons", [0.5, 4.0, 300.0, 900.0, 1100.0, 60_000.0])
-def test_shot_and_fixed_noise_agree_with_counting(make_sensor, electrons):
+def test_shot_and_fixed_noise_agree_with_counting(electrons):
     gain, fixed = 5000.0, 7.0
-    found = measured(quiet(make_sensor, fixed_noise_electrons=np.full(BANDS, fixed)), electrons / gain)
+    found = measured(quiet(fixed_noise_electrons=fixed), electrons / gain)
     rng = np.random.default_rng(2)
     counted = rng.poisson(np.float64(np.float32(electrons / gain)) * gain, N * BANDS)
     assert_same_spread(found * gain, counted + fixed * rng.standard_normal(N * BANDS))
 
 
-def test_few_electrons_are_whole_and_skewed(make_sensor):
-    found = measured(quiet(make_sensor), 4.0 / 5000.0) * 5000.0
+def test_few_electrons_are_whole_and_skewed():
+    found = measured(quiet(), 4.0 / 5000.0) * 5000.0
     assert np.max(np.abs(found - np.rint(found))) < 1e-3
     z = (found - found.mean()) / found.std()
     # Skewness of a Poisson law of mean 4 is 0.5; 5 standard errors of a skewness, about sqrt(15/n).
     assert np.mean(z**3) == pytest.approx(0.5, abs=5 * np.sqrt(15 / found.size))
 
 
-def test_the_noise_factor_multiplies_the_noise_and_not_the_signal(make_sensor):
-    plain, doubled = measured(quiet(make_sensor), 2.0), measured(quiet(make_sensor, noise_factor=2.0), 2.0)
+def test_the_noise_factor_multiplies_the_noise_and_not_the_signal():
+    plain, doubled = measured(quiet(), 2.0), measured(quiet(noise_factor=2.0), 2.0)
     assert np.allclose(doubled - 2.0, 2.0 * (plain - 2.0), atol=1e-6)
 
 
-def test_digital_numbers_are_whole_and_the_rounding_is_uniform(make_sensor):
+def test_digital_numbers_are_whole_and_the_rounding_is_uniform():
     lsb = 0.05  # two and a half times the shot noise of 0.02: the rounding shows
-    found = measured(quiet(make_sensor, lsb_radiance=np.full(BANDS, lsb)), 2.0)
+    found = measured(quiet(lsb_radiance=lsb), 2.0)
     assert np.max(np.abs(found / lsb - np.rint(found / lsb))) < 1e-3
     rng = np.random.default_rng(3)
     raw = rng.poisson(2.0 * 5000.0, N * BANDS) / 5000.0
     assert_same_spread(found, np.rint(raw / lsb) * lsb)
 
 
-def test_relative_calibration_error_scales_with_the_signal(make_sensor):
-    bright = quiet(
-        make_sensor,
-        electrons_per_radiance=np.full(BANDS, 1e9),
-        relative_calibration=np.full(BANDS, 0.02),
-    )
+def test_relative_calibration_error_scales_with_the_signal():
+    bright = quiet(electrons_per_radiance=1e9, relative_calibration=0.02)
     for level in (1.0, 10.0):
         relative = measured(bright, level) / level - 1.0
         # 5 standard errors of a standard deviation: sqrt(1/(2 n)).
@@ -96,10 +82,10 @@ def test_relative_calibration_error_scales_with_the_signal(make_sensor):
         assert np.max(np.abs(correlation)) < 6 / np.sqrt(N)  # independent from band to band
 
 
-def test_bit_errors_flip_the_expected_share_by_powers_of_two(make_sensor):
+def test_bit_errors_flip_the_expected_share_by_powers_of_two():
     rate, bits, lsb = 1e-3, 8, 0.05
-    common = {"electrons_per_radiance": np.full(BANDS, 1e12), "lsb_radiance": np.full(BANDS, lsb), "bits": bits}
-    found = measured(quiet(make_sensor, bit_error_rate=rate, **common), 100 * lsb)
+    common = {"electrons_per_radiance": 1e12, "lsb_radiance": lsb, "bits": bits}
+    found = measured(quiet(bit_error_rate=rate, **common), 100 * lsb)
     steps = np.rint(found / lsb - 100).astype(int)
     share = 1 - (1 - rate) ** bits
     assert np.mean(steps != 0) == pytest.approx(share, abs=5 * np.sqrt(share / steps.size))
@@ -113,10 +99,10 @@ def test_bit_errors_flip_the_expected_share_by_powers_of_two(make_sensor):
     assert_same_spread(steps, words - 100)
 
 
-def test_a_sensor_known_by_its_noise_alone(make_sensor):
+def test_a_sensor_known_by_its_noise_alone():
     a, b, c = 0.01, 0.5, 0.004
     parts = tuple(np.full(BANDS, v) for v in (a, b, c))
-    found = measured(quiet(make_sensor, measured=parts), 3.0)
+    found = measured(quiet(measured=parts), 3.0)
     assert found.std() == pytest.approx(a * np.sqrt(b + 3.0) + c, rel=5 / np.sqrt(2 * N * BANDS))
 
 
@@ -131,8 +117,8 @@ def test_radiance_is_the_sum_over_all_bounces_between_ground_and_sky(inputs: Sim
     assert np.allclose(found, expected, rtol=1e-6)
 
 
-def test_full_scale_limits_the_numbers_and_is_counted(make_sensor):
-    sensor = quiet(make_sensor, bits=8, lsb_radiance=np.full(BANDS, 0.01))
+def test_full_scale_limits_the_numbers_and_is_counted():
+    sensor = quiet(bits=8, lsb_radiance=0.01)
     c = chain(sensor)
     radiance = np.full((5, BANDS), 3.0, np.float32)
     assert c.measured(radiance, np.random.default_rng(0)).max() == pytest.approx(2.55)
@@ -140,9 +126,8 @@ def test_full_scale_limits_the_numbers_and_is_counted(make_sensor):
     assert c.saturated(radiance - 1.0) == 0
 
 
-def test_stored_integers_round_and_count_what_does_not_fit(make_sensor):
-    c = dataclasses.replace(chain(make_sensor()), counts_per_radiance=1000.0)
-    values, clipped = c.stored(np.array([[1.2344, -0.0016, 32.7671, 33.0, -40.0]], np.float32))
+def test_stored_integers_round_and_count_what_does_not_fit():
+    values, clipped = chain(numbers()).stored(np.array([[1.2344, -0.0016, 32.7671, 33.0, -40.0]], np.float32))
     assert values.tolist() == [[1234, -2, 32767, 32767, -32768]]
     assert values.dtype == np.dtype("<i2")
     assert clipped == 2
@@ -153,9 +138,7 @@ def test_stored_integers_round_and_count_what_does_not_fit(make_sensor):
 def test_every_sensor_of_the_library_draws_the_noise_that_its_model_predicts(name, level):
     sensor = sensor_numbers(name)
     bands, n = len(sensor.axis), 2000
-    zero = np.zeros(bands, np.float32)
-    radiance = np.full((n, bands), level, np.float32)
-    found = Detector(sensor, zero, zero + 1, 1000.0).measured(radiance, np.random.default_rng(6)).astype(float)
+    found = measured(sensor, level, seed=6, n=n)
     noise = load_sensor(name).noise()
     variance = noise.variance(np.full(bands, level))
     # What lies beyond the full scale is cut there: the model's variance is that of bands that hold the level.

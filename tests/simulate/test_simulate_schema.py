@@ -7,12 +7,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from small_scene import area, planks, scene_data
 
 from hyperval.errors import UsageError
-from hyperval.simulate import load_scene
-from hyperval.simulate.inputs import load_inputs
-from hyperval.simulate.layout import lay_out, regions
-from hyperval.simulate.schema import PaintedArea
+from hyperval.simulate import PaintedArea, lay_out, load_inputs, load_scene, regions
 from hyperval.statistics_library import BUILTIN_NAMES
 
 TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
@@ -44,14 +42,6 @@ def test_the_two_twins_differ_in_the_broken_assumptions_alone():
     assert differing == {"name", "mode", "broken"}
 
 
-GROUP = {
-    "name": "g",
-    "material": "yellow-paint-plank",
-    "host": "asphalt",
-    "fill": 0.3,
-    "count": 2,
-    "area": {"lines": [36, 50], "samples": [4, 25]},
-}
 ADMIXTURE = {"host": "grass", "surface": "soil", "mean": 0.05, "sd": 0.02}
 
 
@@ -62,14 +52,14 @@ ADMIXTURE = {"host": "grass", "surface": "soil", "mean": 0.05, "sd": 0.02}
         ({"schema": 2}, "schema"),
         ({"mode": "broken"}, "needs at least one option under 'broken'"),
         ({"broken": {"soft_edges": True}}, "mode 'closure' takes none"),
-        ({"layout": [{"surface": "grass", "lines": [0, 61], "samples": [0, 48]}]}, "outside the image"),
-        ({"layout": [{"surface": "grass", "lines": [5, 5], "samples": [0, 48]}]}, "first < end"),
-        ({"targets": [GROUP | {"side_m": 1.0}]}, "exactly one of fill, side_m"),
-        ({"targets": [GROUP | {"fill": 1.2}]}, "less than 1"),
-        ({"targets": [GROUP | {"count": 7}]}, "7 planks on a grid of 2 x 3"),
-        ({"targets": [GROUP | {"spacing_pixels": 5}]}, "greater than or equal to 6"),
-        ({"targets": [GROUP | {"host": "water"}]}, "'water' covers no area"),
-        ({"targets": [GROUP, GROUP]}, "two target groups carry the same name"),
+        ({"layout": [area("grass", [0, 61], [0, 48])]}, "outside the image"),
+        ({"layout": [area("grass", [5, 5], [0, 48])]}, "first < end"),
+        ({"targets": [planks(side_m=1.0)]}, "exactly one of fill, side_m"),
+        ({"targets": [planks(fill=1.2)]}, "less than 1"),
+        ({"targets": [planks(count=7)]}, "7 planks on a grid of 2 x 3"),
+        ({"targets": [planks(spacing_pixels=5)]}, "greater than or equal to 6"),
+        ({"targets": [planks(host="water")]}, "'water' covers no area"),
+        ({"targets": [planks(), planks()]}, "two target groups carry the same name"),
         ({"regions": [{"name": "white", "surface": "grass"}]}, "two regions carry the same name"),
         ({"mode": "broken", "broken": {"heavy_tails": {"dof": 2.0}}}, "greater than 2"),
         ({"mode": "broken", "broken": {"admixtures": [ADMIXTURE | {"sd": 0.4}]}}, "no share between 0 and 1"),
@@ -77,20 +67,14 @@ ADMIXTURE = {"host": "grass", "surface": "soil", "mean": 0.05, "sd": 0.02}
         ({"name": "../escape"}, "a name of letters"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_named_with_its_file_and_line(make_scene_data, tmp_path, changes, words):
+def test_a_mistake_is_named_with_its_file_and_line(tmp_path, changes, words):
     path = tmp_path / "scene.yaml"
-    data = json.loads(json.dumps(make_scene_data(**changes)))  # no part twice: YAML would make it an anchor
+    data = json.loads(json.dumps(scene_data(**changes)))  # no part twice: YAML would make it an anchor
     path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     with pytest.raises(UsageError, match=words) as error:
         load_scene(path)
     assert "scene.yaml:" in str(error.value)
     assert error.value.exit_code == 2
-
-
-def test_the_small_scene_itself_is_valid(make_scene_data, tmp_path):
-    path = tmp_path / "scene.yaml"
-    path.write_text(yaml.safe_dump(make_scene_data(), sort_keys=False), encoding="utf-8")
-    assert load_scene(path).name == "small"
 
 
 def test_a_surface_that_is_none_is_told_before_the_engine_runs(tmp_path, monkeypatch):

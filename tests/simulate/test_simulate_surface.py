@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import chi2, kurtosis
+from small_scene import area, planks, small_scene
 
 from hyperval.data import ClassStatistics
-from hyperval.simulate import schema
-from hyperval.simulate.layout import lay_out
-from hyperval.simulate.surface import SurfaceRenderer, sampler
+from hyperval.simulate import SurfaceRenderer, lay_out, sampler
 
 # Each statistical test below fails by chance with this probability per assertion.
 ALPHA = 1e-5
@@ -32,20 +31,16 @@ def assert_drawn_from(values: np.ndarray, statistics: ClassStatistics) -> None:
     assert np.sum(products**2) / n < chi2.isf(ALPHA, products.size) * 1.05  # 5 %: products have heavier tails
 
 
-def test_draws_have_the_mean_and_covariance_of_the_class(classes):
-    values = sampler(classes["grass"]).draw(40_000, np.random.default_rng(1))
-    assert_drawn_from(values, classes["grass"])
-
-
-def test_rendered_pixels_have_the_statistics_of_their_class(make_scene, classes):
-    scene = make_scene(targets=[], panels=[])
+def test_rendered_pixels_have_the_statistics_of_their_class(classes):
+    scene = small_scene(targets=[], panels=[])
     renderer = SurfaceRenderer(scene, lay_out(scene), classes)
     for name, lines in (("grass", range(30)), ("asphalt", range(30, 60))):
         assert_drawn_from(np.concatenate([renderer.reflectance(line) for line in lines]), classes[name])
 
 
-def test_the_check_of_statistics_can_fail(classes):
-    values = sampler(classes["grass"]).draw(20_000, np.random.default_rng(1))
+def test_draws_have_the_mean_and_covariance_of_the_class(classes):
+    values = sampler(classes["grass"]).draw(40_000, np.random.default_rng(1))
+    assert_drawn_from(values, classes["grass"])
     with pytest.raises(AssertionError):
         assert_drawn_from(values * np.float32(1.01), classes["grass"])
 
@@ -81,19 +76,13 @@ def test_a_plank_pixel_is_the_mixture_of_its_plank_and_its_host(scene, classes):
     assert seen == np.count_nonzero(ground.fill) > 0
 
 
-def test_every_plank_has_its_own_spectrum(make_scene, make_scene_data, classes):
-    group = make_scene_data()["targets"][0] | {"count": 400}
-    big = make_scene(
-        lines=400,
-        samples=400,
-        layout=[{"surface": "asphalt", "lines": [0, 400], "samples": [0, 400]}],
-        panels=[],
-        regions=[],
-        targets=[group | {"area": {"lines": [5, 155], "samples": [5, 395]}}],
-    )
-    renderer = SurfaceRenderer(big, lay_out(big), classes)
-    assert renderer.target_spectra.shape[0] == 400
-    assert_drawn_from(renderer.target_spectra, classes["yellow-paint-plank"])
+def test_every_plank_has_its_own_spectrum(classes):
+    group = planks(count=400, area={"lines": [5, 155], "samples": [5, 395]})
+    ground = {"lines": 400, "samples": 400, "layout": [area("asphalt", [0, 400], [0, 400])]}
+    big = small_scene(**ground, panels=[], regions=[], targets=[group])
+    spectra = SurfaceRenderer(big, lay_out(big), classes).target_spectra
+    assert spectra.shape[0] == 400
+    assert_drawn_from(spectra, classes["yellow-paint-plank"])
 
 
 def test_a_line_is_the_same_however_often_and_in_whatever_order_it_is_drawn(scene, classes):
@@ -106,9 +95,12 @@ def test_a_line_is_the_same_however_often_and_in_whatever_order_it_is_drawn(scen
     assert not np.array_equal(first.reflectance(3), first.reflectance(4))
 
 
-def test_streams_are_independent():
-    a = schema.generator(1, schema.SURFACE, 0).standard_normal(20_000)
-    for other in ((1, schema.SURFACE, 1), (1, schema.NOISE, 0), (2, schema.SURFACE, 0)):
-        b = schema.generator(*other).standard_normal(20_000)
-        # 5 sigma of a correlation of 20,000 pairs.
-        assert abs(np.corrcoef(a, b)[0, 1]) < 5 / np.sqrt(20_000)
+def test_streams_of_lines_and_seeds_are_independent(classes):
+    def drawn(seed, line):
+        scene = small_scene(seed=seed, samples=1000, targets=[], panels=[], layout=[area("grass", [0, 60], [0, 1000])],
+                            regions=[])  # fmt: skip
+        return whitened(SurfaceRenderer(scene, lay_out(scene), classes).reflectance(line), classes["grass"]).ravel()
+
+    for other in ((1, 1), (2, 0)):
+        # 5 sigma of a correlation of 12,000 pairs.
+        assert abs(np.corrcoef(drawn(1, 0), drawn(*other))[0, 1]) < 5 / np.sqrt(12_000)

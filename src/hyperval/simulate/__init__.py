@@ -1,6 +1,6 @@
 """Pixel-level scene generator: a simulated collection with its truth, sampled and not derived."""
 
-from hyperval.simulate.collection import SimulatedCollection, simulate, simulate_to_folder
-from hyperval.simulate.schema import SceneFile, load_scene
+import lazy_loader
 
-__all__ = ["SceneFile", "SimulatedCollection", "load_scene", "simulate", "simulate_to_folder"]
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

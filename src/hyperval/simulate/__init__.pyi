@@ -1,0 +1,61 @@
+"""Pixel-level scene generator: a simulated collection with its truth, sampled and not derived."""
+
+from .collection import (
+    Detector,
+    SimulatedCollection,
+    detector,
+    field_axis,
+    simulate,
+    simulate_to_folder,
+)
+from .inputs import (
+    SensorNumbers,
+    SimulationInputs,
+    load_inputs,
+    sensor_numbers,
+)
+from .layout import (
+    centred_fill,
+    lay_out,
+    pixel_weights,
+    regions,
+    side_for_fill,
+    square_footprint,
+)
+from .schema import (
+    PaintedArea,
+    SceneFile,
+    load_scene,
+)
+from .surface import (
+    SurfaceRenderer,
+    admixture_share,
+    correlated_field,
+    sampler,
+)
+
+__all__ = [
+    "Detector",
+    "PaintedArea",
+    "SceneFile",
+    "SensorNumbers",
+    "SimulatedCollection",
+    "SimulationInputs",
+    "SurfaceRenderer",
+    "admixture_share",
+    "centred_fill",
+    "correlated_field",
+    "detector",
+    "field_axis",
+    "lay_out",
+    "load_inputs",
+    "load_scene",
+    "pixel_weights",
+    "regions",
+    "sampler",
+    "sensor_numbers",
+    "side_for_fill",
+    "simulate",
+    "simulate_to_folder",
+    "square_footprint",
+]

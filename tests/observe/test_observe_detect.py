@@ -1,0 +1,531 @@
+"""Detection on pixels: scores equal plain NumPy; bands, groups, pools, halos, areas, unmixing, notes and errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_world import (
+    AXIS,
+    BACKGROUND,
+    BANDS,
+    LINES,
+    PLANTED,
+    SAMPLES,
+    TARGET,
+    background_spread,
+    matched_filter,
+    moments,
+    near_targets,
+    target_rows,
+)
+
+from hyperval.compare import product_rows
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery import write_cube
+from hyperval.pixels import DETECTORS, empirical_roc, footprint_maxima, pixel_detector, whitener_of
+from hyperval.products import background_of
+
+FILLS = {"fill 0.8": 0.8, "fill 0.3": 0.3}
+
+
+def shown(*positions: tuple[int, int]) -> np.ndarray:
+    """Mask of single pixels."""
+    mask = np.zeros((LINES, SAMPLES), bool)
+    mask[tuple(zip(*positions, strict=True))] = True
+    return mask
+
+
+@pytest.mark.parametrize(
+    ("background", "pixels"),
+    [
+        (["scene"], lambda v: v[~near_targets()]),
+        (["image"], lambda v: v),
+        (["corner"], lambda v: v[35:45, 5:25]),
+        # A region over targets: neither they nor their guard ring are in the covariance.
+        (["middle"], lambda v: v[5:35, 5:30][~near_targets()[5:35, 5:30]]),
+    ],
+    ids=["scene", "image", "region", "region over targets"],
+)
+def test_scores_equal_plain_numpy(world, background, pixels):
+    world.collection["regions"].append({"name": "middle", "rectangle": [5, 5, 30, 25]})
+    world.detection |= {"background": background, "detectors": ["cem", "cem-correlation"]}
+    target, (mean, covariance) = world.on_bands(), moments(pixels(world.values))
+    found = world.observe().detected.score_maps
+    assert set(found) == {"paint-cem", "paint-cem-correlation"}
+    expected = matched_filter(world.values, target, mean, covariance)
+    assert found["paint-cem"] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    inverse = np.linalg.inv(covariance + np.outer(mean, mean))
+    expected = world.values @ inverse @ target / (target @ inverse @ target)
+    assert found["paint-cem-correlation"] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_scores_on_radiance_are_those_of_the_reflectance(make_radiance):
+    made = make_radiance()
+    scores = made.world.observe().detected.score_maps["paint-cem"]
+    keep = ~near_targets()
+    keep[0:4, 30:34] = keep[0:4, 36:40] = False
+    expected = matched_filter(made.reflectance, made.world.on_bands(), *moments(made.reflectance[keep]))
+    assert scores == pytest.approx(expected, rel=1e-6, abs=1e-8)
+
+
+def test_detection_on_radiance_needs_a_line(make_radiance):
+    world = make_radiance().world
+    del world.collection["empirical_line"]
+    with pytest.raises(UsageError, match=r"(?s)detection on radiance needs .*add collection\.empirical_line with two"):
+        world.observe()
+    world.detection = None
+    seen = world.observe()
+    assert (seen.observation.reflectance, seen.statistics) == ({}, {})  # no reflectance, no statistics to hand on
+    assert set(seen.observation.radiance) == {"corner", "white", "black"}
+
+
+def test_every_detector_makes_its_maps_and_curves(world):
+    world.detection |= {"detectors": list(DETECTORS), "background": ["image"], "undesired": ["corner"]}
+    seen = world.observe()
+    mean, covariance = moments(world.values)
+    corner, whitener = moments(world.values[35:45, 5:25])[0], whitener_of(mean, covariance)
+    assert set(seen.detected.score_maps) == {"rx" if d == "rx" else f"paint-{d}" for d in DETECTORS}
+    for name in DETECTORS:
+        found = seen.detected.score_maps["rx" if name == "rx" else f"paint-{name}"]
+        expected = pixel_detector(name, world.on_bands(), mean, covariance, corner[None]).score(world.values, whitener)
+        assert found == pytest.approx(expected, rel=1e-8, abs=1e-9)
+    units = {(detector, unit) for _, detector, unit in seen.observation.roc}
+    assert units == {(d, u) for d in DETECTORS for u in ("pixel", "object")}
+
+
+def test_a_local_window_moves_the_mean_with_the_pixel(world):
+    world.detection |= {"detectors": ["cem", "ace", "rx"], "local_window": {"outer_pixels": 11, "inner_pixels": 3}}
+    seen = world.observe()
+    assert any("windows of 11 less 3 pixels; 0 pixels without" in note for note in seen.observation.notes)
+    keep, (line, sample) = seen.place.background(["scene"]), next(iter(PLANTED))
+    covariance = moments(world.values[keep])[1]
+    ring = np.zeros((LINES, SAMPLES), bool)
+    ring[line - 5 : line + 6, sample - 5 : sample + 6] = True
+    ring[line - 1 : line + 2, sample - 1 : sample + 2] = False
+    own = world.values[ring & keep].mean(axis=0)
+    for name in ("cem", "ace", "rx"):
+        detector, whitener = pixel_detector(name, world.on_bands(), own, covariance), whitener_of(own, covariance)
+        found = seen.detected.score_maps["rx" if name == "rx" else f"paint-{name}"]
+        expected = float(detector.score(world.values[line, sample], whitener))
+        assert found[line, sample] == pytest.approx(expected, rel=1e-8)
+
+
+def test_targets_stay_out_of_the_covariance_or_the_filter_suppresses_them(world):
+    # The trap: 5 % of the pixels are targets, and the spectrum looked for is off by 4 %, up and down by band.
+    flat, level, sd = np.full(BANDS, 0.212), np.full(BANDS, 0.364), 0.01
+    values = flat + sd * np.random.default_rng(11).standard_normal((LINES, SAMPLES, BANDS))
+    planted = {(line, sample): 1.0 for line in range(2, LINES, 5) for sample in range(1, SAMPLES, 4)}
+    share, own = 0.05, shown(*planted)
+    assert own.mean() == share
+    values[own] += level - flat
+    world.write(values)
+    world.library("library.csv", paint=level * (1 + 0.04 * (-1.0) ** np.arange(BANDS)), ground=flat)
+    world.text("targets.csv", target_rows(planted))
+
+    def separation(background):
+        world.detection["background"] = background
+        scores = world.observe().detected.score_maps["paint-cem"]
+        return (scores[own].mean() - scores[~own].mean()) / scores[~own].std(ddof=1)
+
+    # In units of the noise, d to the target and e the error of its spectrum: without targets in the covariance the
+    # filter is d + e - (mean), with them d is weighed down by 1 + a (1 - a) d.(d + e).
+    d, e = (level - flat) / sd, (world.on_bands() - level) / sd
+    clean = d @ (d + e) / np.linalg.norm(d + e)
+    assert clean == pytest.approx(43, rel=0.02)
+    assert separation(["scene"]) == pytest.approx(clean, rel=0.05)
+    mixed = share * (1 - share)
+    moved = d * (1 - share) + e  # from the mean of all pixels
+    weights = moved - d * mixed * (d @ moved) / (1 + mixed * (d @ d))
+    spoilt = d @ weights / np.linalg.norm(weights)
+    assert spoilt == pytest.approx(5, rel=0.1)
+    assert separation(["image"]) == pytest.approx(spoilt, rel=0.1)
+
+
+@pytest.mark.parametrize(("choice", "used"), [("all", [0, 1, 2, 3, 4, 5, 6, 7]), ("good", [0, 1, 2, 3, 4, 5, 7]),
+                                              ("windows", [0, 1, 2, 3, 4, 5, 7])])  # fmt: skip
+def test_bands_of_the_detectors(world, choice, used):
+    world.write(axis=type(AXIS)(AXIS.centre_nm, AXIS.fwhm_nm, np.arange(BANDS) != 6))
+    world.detection["bands"] = choice
+    seen = world.observe()
+    assert np.flatnonzero(seen.detected.bank.bands).tolist() == used
+    assert f"detectors use {len(used)} of {BANDS} bands" in seen.observation.notes
+    mean, covariance = moments(world.values[~near_targets()][:, used])
+    expected = matched_filter(world.values[..., used], world.on_bands()[used], mean, covariance)
+    assert seen.detected.score_maps["paint-cem"] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_bands_that_are_left_out_are_listed_with_the_rule(world):
+    centre = np.array([500.0, 600, 700, 850, 1050, 1380, 1400, 1650])
+    values = world.values.copy()
+    values[..., 2] += np.random.default_rng(3).normal(0.0, 0.5 * values[..., 2].mean(), values.shape[:2])
+    world.write(values, axis=type(AXIS)(centre, AXIS.fwhm_nm, ~np.isin(np.arange(BANDS), [1])))
+    rows = [f"{w},{0.5 - w / 8000}" for w in range(450, 1601)]
+    world.text("part.csv", "\n".join(["wavelength_nm,paint", *rows]) + "\n")
+    world.detection |= {"bands": "windows", "least_snr": 4}
+    world.detection["targets"][0]["spectrum"] = world.source("part.csv", "part")
+    seen = world.observe().detected
+    assert np.flatnonzero(seen.bank.bands).tolist() == [0, 3, 4]
+    told = (
+        "bands that the detectors do not use: 1 bad in the band list (600 nm); 2 in absorption bands "
+        "(1380-1400 nm); 1 not in the target spectra (1650 nm); 1 with an SNR below 4 in the background (700 nm)"
+    )
+    assert told in seen.notes
+    world.detection["least_snr"] = 1000
+    with pytest.raises(UsageError, match=r"no band is left .* SNR below 1000"):
+        world.observe()
+
+
+def without_wavelengths(world, spectrum):
+    """The same cube, its header without wavelengths, and the target as one value a band."""
+    world.write(axis=None)
+    rows = [f"{i + 1} {value:.15g}" for i, value in enumerate(spectrum)]
+    world.text("paint.txt", "# band, reflectance\n" + "\n".join(rows) + "\n")
+    world.collection["cube"]["by_number"] = True
+    world.detection["targets"][0]["spectrum"] = {"file": "paint.txt"}
+
+
+def test_bands_by_number_give_the_scores_that_wavelengths_give_and_refuse_what_goes_by_them(world):
+    world.detection["detectors"] = ["matched-filter", "ace"]
+    spectrum, known = world.on_bands(), world.observe()
+    without_wavelengths(world, spectrum)
+    by_number = world.observe()
+    for name, values in known.detected.score_maps.items():
+        np.testing.assert_allclose(by_number.detected.score_maps[name], values, rtol=1e-9, atol=1e-12)
+    assert by_number.observation.axis.centre_nm.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert any("it is the number of a band" in note for note in by_number.observation.notes)
+    assert not by_number.observation.distribution
+    for spoil, error, message in (
+        (lambda: world.text("paint.txt", "0.1\n" * 7), InputError, "7 values for 8 bands"),
+        (lambda: world.text("paint.txt", "0.1\nnone\n"), InputError, r"(?s)not a row of numbers.*begins with #"),
+        (lambda: world.detection["targets"][0].update(spectrum={"constant": 0.3}), UsageError,
+         "goes by wavelength, the bands of the cube by number"),
+        (lambda: world.collection["cube"].pop("by_number"), InputError, "lists no wavelengths"),
+    ):  # fmt: skip
+        spoil()
+        with pytest.raises(error, match=message):
+            world.observe()
+
+
+def test_products_of_each_group(world):
+    seen = world.observe()
+    scores, observation = seen.detected.score_maps["paint-cem"], seen.observation
+    noise = scores[~near_targets()]
+    assert set(observation.roc) == {(s, "cem", u) for s in FILLS for u in ("pixel", "object")}
+    for subject, fill in FILLS.items():
+        own = shown(*(at for at, f in PLANTED.items() if f == fill))
+        pixels, found = scores[own], observation.scores[subject, "cem"]
+        assert (found.mean, found.sd) == pytest.approx((pixels.mean(), pixels.std(ddof=1)), rel=1e-12)
+        assert found.mean == pytest.approx(fill, abs=0.05)  # the background's own scatter is 0.01 to 0.02
+        behind = observation.scores[background_of(subject), "cem"]
+        assert (behind.mean, behind.sd) == pytest.approx((noise.mean(), noise.std(ddof=1)), abs=1e-12)
+        curve = observation.roc[subject, "cem", "pixel"]
+        assert (found.n, curve.n_target, curve.n_background) == (pixels.size, pixels.size, noise.size)
+        assert np.array_equal(curve.pd, empirical_roc(pixels, noise, curve.pfa).pd)
+        assert curve.background_area_km2 == pytest.approx(noise.size * 4.0 / 1e6)
+        spectrum = observation.reflectance[subject]
+        assert (spectrum.n, spectrum.mean) == (pixels.size, pytest.approx(world.values[own].mean(axis=0), rel=1e-12))
+    world.detection["false_alarms"] = ["corner"]
+    curve = world.observe().observation.roc["fill 0.3", "cem", "pixel"]
+    assert (curve.n_background, curve.background_area_km2) == (200, pytest.approx(200 * 4.0 / 1e6))
+
+
+def test_an_object_scores_its_best_pixel(world):
+    # A side of 4 m is two pixels: the object touches 3 x 3 pixels around the centre of its middle pixel.
+    world.text("targets.csv", target_rows(PLANTED, side_m=4.0))
+    world.detection["group"] = "{name}"
+    seen = world.observe()
+    nine = seen.detected.score_maps["paint-cem"][9:12, 9:12]
+    found, objects = seen.observation.scores["t0", "cem"], seen.observation.roc["t0", "cem", "object"]
+    assert (found.n, found.mean) == (9, pytest.approx(nine.mean()))
+    assert objects.n_target == 1
+    # Detected exactly where the threshold lies below the best pixel.
+    detected = (objects.threshold < nine.max()) | (objects.pfa >= 1.0)
+    assert np.array_equal(objects.pd, detected.astype(float))
+    world.collection["targets"]["pixels"] = "centre"
+    assert world.observe().observation.scores["t0", "cem"].n == 1
+
+
+def test_pools_count_the_targets_of_their_subjects(world):
+    world.detection["pools"] = [{"name": "all", "subjects": list(FILLS)}]
+    roc = world.observe().observation.roc
+    few, many, pool = (roc[s, "cem", "pixel"] for s in (*FILLS, "all"))
+    assert pool.n_target == 5
+    assert pool.pd == pytest.approx((2 * few.pd + 3 * many.pd) / 5, abs=1e-12)
+
+
+def test_a_halo_scores_background_and_objects_alike(world):
+    world.detection["halo_pixels"] = 1
+    seen = world.observe()
+    scores, guarded = seen.detected.score_maps["paint-cem"], seen.place.background(["scene"])
+    curve = seen.observation.roc["fill 0.8", "cem", "object"]
+    tiles = footprint_maxima(scores, np.ones((3, 3), bool), ~guarded)[0]
+    # Two objects of one shape share their placements.
+    assert (curve.n_target, curve.n_background) == (2, tiles.size)
+    assert curve.background_area_km2 == pytest.approx(tiles.size * 9 * 4.0 / 1e6)
+    # By pixel nothing changes.
+    assert seen.observation.roc["fill 0.8", "cem", "pixel"].n_background == LINES * SAMPLES - 5 * len(PLANTED)
+    each = np.array([scores[9:12, 9:12].max(), scores[9:12, 19:22].max()])
+    assert curve.pd[curve.threshold < each.max()].max() == 1
+    other = seen.observation.roc["fill 0.8", "cem", "object-by-pixel"]
+    halos = np.zeros_like(guarded)
+    halos[9:12, 9:12] = halos[9:12, 19:22] = True
+    background = scores[guarded & ~halos]
+    assert (other.n_target, other.n_background) == (2, background.size)
+    at = np.flatnonzero(np.abs(other.pfa - 0.1) < 1e-9)[0]
+    threshold = np.sort(background)[::-1][round(0.1 * background.size)]
+    assert other.pd[at] == np.mean(each > threshold)
+    both = [(i, j) for i, p in enumerate(curve.pfa) for j in np.flatnonzero(np.isclose(other.pfa, p, rtol=1e-9))]
+    assert len(both) > 20
+    assert all(other.pd[j] >= curve.pd[i] for i, j in both)  # a false alarm has fewer chances: it favours detection
+    assert any("they favour detection" in note for note in seen.detected.notes)
+    world.detection["halo_pixels"] = 24
+    with pytest.raises(UsageError, match=r"'t0' with a halo of 24 pixels is larger"):
+        world.observe()
+    world.detection |= {"halo_pixels": 9, "false_alarms": ["corner"]}
+    with pytest.raises(UsageError, match="with a halo of 9 pixels no footprint of the targets fits"):
+        world.observe()
+
+
+def test_alarms_before_the_first_detection(world):
+    """RIT's rule: the list of pixels by falling score, read until it meets a pixel of any object."""
+    world.detection["first_detection"] = True
+    world.values[45, 30:33] = world.values[10, 10]  # as full as the best ones, and not in the truth
+    world.values[45, 35] = TARGET
+    world.write()
+    seen = world.observe()
+    scores, guarded = seen.detected.score_maps["paint-cem"], seen.place.background(["scene"])
+    curves = {s: curve for (s, _, unit), curve in seen.observation.roc.items() if unit == "object"}
+    order = np.argsort(-scores, axis=None, kind="stable")
+    for subject, fill in FILLS.items():
+        own = shown(*(at for at, f in PLANTED.items() if f == fill)).ravel()[order]
+        assert curves[subject].alarms_before_first == guarded.ravel()[order][: np.argmax(own)].sum()
+    assert curves["fill 0.8"].alarms_before_first >= 1  # the full one, and which of the others only noise decides
+    assert curves["fill 0.3"].alarms_before_first == 4
+    assert any("RIT's self-test" in note for note in seen.detected.notes)
+    rows = product_rows(seen.observation, "observed")
+    assert {r.subject: r.value for r in rows if r.metric == "alarms_before_first"} == {
+        s: c.alarms_before_first for s, c in curves.items()
+    }
+
+
+def test_areas_are_sums_of_scores_times_the_pixel_area(world):
+    world.detection["areas"] = [{"target": "paint", "detector": "cem", "margin_pixels": 1}]
+    seen = world.observe()
+    scores, area = seen.detected.score_maps["paint-cem"], seen.observation.abundance["fill 0.8", "cem"]
+    expected = np.mean([scores[i - 1 : i + 2, j - 1 : j + 2].sum() * 4.0 for (i, j), f in PLANTED.items() if f == 0.8])
+    assert (area.n, area.area_m2) == (18, pytest.approx(expected, rel=1e-12))
+    assert seen.detected.nominal_area_m2["fill 0.8", "cem"] == pytest.approx(3.2)
+    # 9 independent pixels of background for each of 2 objects; their mean: sd sqrt(9/2) times 4 m2.  The spread
+    # over about 180 placements is known to 5 %; 25 % is five times that.
+    sd = scores[~near_targets()].std(ddof=1)
+    assert area.standard_uncertainty == pytest.approx(sd * np.sqrt(9 / 2) * 4.0, rel=0.25)
+    assert abs(area.area_m2 - 3.2) < 4.0 * area.standard_uncertainty
+    # The margin leaves out the pixels of neighbours.
+    world.text("targets.csv", target_rows({(10, 10): 0.8, (10, 11): 0.3}))
+    seen = world.observe()
+    scores, area = seen.detected.score_maps["paint-cem"], seen.observation.abundance["fill 0.8", "cem"]
+    assert (area.n, area.area_m2) == (
+        8, pytest.approx(4.0 * (scores[9:12, 9:12].sum() - scores[10, 11]), rel=1e-12)
+    )  # fmt: skip
+
+
+def test_the_error_of_an_area_knows_nothing_of_the_targets(world):
+    # With every pixel behind the filter the targets must still not count as noise of the sum.
+    areas = [{"target": "paint", "detector": "cem", "margin_pixels": 0}]
+    world.detection |= {"background": ["image"], "areas": areas}
+    seen = world.observe()
+    sd = seen.detected.score_maps["paint-cem"][~near_targets()].std(ddof=1)
+    # Every pixel is a placement: the same number without sampling error.
+    found = seen.observation.abundance["fill 0.3", "cem"].standard_uncertainty
+    assert found == pytest.approx(sd / np.sqrt(3) * 4.0, rel=1e-9)
+
+
+def test_few_pixels_shrink_the_covariance_and_say_so(world):
+    world.collection["regions"].append({"name": "patch", "rectangle": [40, 30, 4, 5]})
+    world.detection["background"] = ["patch"]
+    seen = world.observe()
+    pixels = world.values[40:44, 30:35].reshape(-1, BANDS)
+    (note,) = [n for n in seen.observation.notes if "shrunk" in n]
+    assert note.startswith("20 background pixels are few: covariance shrunk by ")
+    # Ledoit and Wolf (2004), written out.
+    z = pixels - pixels.mean(axis=0)
+    s = z.T @ z / len(z)
+    mu = np.trace(s) / BANDS
+    d2 = ((s - mu * np.eye(BANDS)) ** 2).sum()
+    b2 = min(d2, sum(((np.outer(x, x) - s) ** 2).sum() for x in z) / len(z) ** 2)
+    unbiased = s * len(z) / (len(z) - 1)
+    shrunk = (1 - b2 / d2) * unbiased + b2 / d2 * np.trace(unbiased) / BANDS * np.eye(BANDS)
+    expected = matched_filter(world.values, world.on_bands(), pixels.mean(axis=0), shrunk)
+    assert seen.detected.score_maps["paint-cem"] == pytest.approx(expected, rel=1e-8, abs=1e-10)
+    # The model's filter is made of the same covariance.
+    assert seen.statistics["patch"].covariance == pytest.approx(shrunk, rel=1e-9, abs=1e-12)
+    world.detection["background"] = ["scene"]
+    seen = world.observe()
+    assert not any("shrunk" in n for n in seen.observation.notes)
+    assert seen.statistics["patch"].covariance == pytest.approx(unbiased, rel=1e-9, abs=1e-12)
+
+
+def test_invalid_pixels_have_no_score_and_count_nowhere(world):
+    values = world.values.copy()
+    values[25, 25, 3] = np.nan
+    values[20, 20, :] = np.nan  # a target pixel
+    world.write(values)
+    seen = world.observe()
+    scores, observation = seen.detected.score_maps["paint-cem"], seen.observation
+    assert np.argwhere(np.isnan(scores)).tolist() == [[20, 20], [25, 25]]
+    counted = observation.scores["fill 0.3", "cem"].n, observation.roc["fill 0.3", "cem", "object"].n_target
+    assert counted == (2, 2)
+    assert observation.scores[background_of("fill 0.3"), "cem"].n == (~near_targets()).sum() - 1
+
+
+def test_two_spectra_of_one_material(world):
+    world.detection["targets"].append({"name": "second", "material": "paint", "spectrum": {"constant": 0.5}})
+    with pytest.raises(UsageError, match=r"(?s)two targets give the subject 'fill 0\.8'.*\{target\}"):
+        world.observe()
+    world.detection["group"] = "{target} {group}"
+    subjects = {s for s, _, _ in world.observe().observation.roc}
+    assert subjects == {f"{t} {f}" for t in ("paint", "second") for f in FILLS}
+
+
+def looked_for(**spectrum) -> dict:
+    return {"targets": [{"name": "a", "material": "paint", "spectrum": spectrum}]}
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"group": "{size}"}, UsageError, r"detection.group '\{size\}' does not fit the truth.*"),
+        ({"group": "{0}"}, UsageError, "does not fit the truth: no '0'"),
+        ({"group": "{name.__class__}"}, UsageError, "does not fit the truth"),
+        ({"group": "{name:>999999999999}"}, UsageError, "does not fit the truth"),  # not a terabyte of blanks
+        ({"background": ["nowhere"]}, UsageError, "no region 'nowhere'"),
+        ({"false_alarms": ["nowhere"]}, UsageError, "no region 'nowhere'"),
+        ({"detectors": ["osp"], "undesired": ["nowhere"]}, UsageError, "no region 'nowhere'"),
+        ({"pools": [{"name": "all", "subjects": ["fill 0.8", "fill 0.9"]}]}, UsageError,
+         "pool 'all': no curve of fill 0.9"),
+        ({"pools": [{"name": "fill 0.8", "subjects": ["fill 0.8", "fill 0.3"]}]}, UsageError,
+         "bears the name of a subject"),
+        ({"areas": [{"target": "paint", "detector": "cem-correlation"}]}, UsageError,
+         "no score map of target 'paint'"),
+        ({"areas": [{"target": "pain", "detector": "cem"}]}, UsageError, "no score map of target 'pain'"),
+        ({"targets": [{"name": "a", "material": "metal", "spectrum": {"constant": 0.3}}]}, UsageError,
+         "no object of material 'metal'"),
+        (looked_for(file="no.csv"), InputError, "no such"),
+        (looked_for(measured="corner"), UsageError,
+         "measured statistics of region 'corner', which were not handed in"),
+        (looked_for(builtin="gras"), UsageError, "unknown built-in surface 'gras'"),
+        ({"detectors": ["amf"]}, ValueError, "unknown detector 'amf'; one of "),
+        ({"detectors": []}, ValueError, "at least 1 item"),
+        ({"targets": []}, ValueError, "without targets the detectors can only be rx"),
+        ({"targets": [], "detectors": ["rx"], "halo_pixels": 1}, ValueError, "halo_pixels need targets"),
+        ({"targets": looked_for(constant=0.3)["targets"] * 2}, ValueError, "two detection targets are named 'a'"),
+        ({"pools": [{"name": "all", "subjects": ["fill 0.8"]}]}, ValueError, "at least 2 items"),
+        ({"bands": "some"}, ValueError, "Input should be 'all', 'good' or 'windows'"),
+        ({"detectors": ["osp"]}, ValueError, "go together"),
+        ({"undesired": ["corner"]}, ValueError, "go together"),
+        *(({"local_window": {"outer_pixels": outer, "inner_pixels": inner}}, ValueError, "odd")
+          for outer, inner in ((10, 3), (5, 5), (9, 4))),
+        ({"detectors": ["sam"], "local_window": {"outer_pixels": 9, "inner_pixels": 3}}, ValueError,
+         "no mean that could be local"),
+        ({"unmixing": {"targets": [{"target": "paint"}], "background": "moor"}}, UsageError, "no region 'moor'"),
+        ({"unmixing": {"targets": [{"target": "tar"}], "background": "corner"}}, UsageError,
+         "no detection target 'tar'"),
+        ({"unmixing": {"targets": [{"target": "paint"}], "background": "corner", "ring_pixels": 1}}, InputError,
+         r"target 't0' has no pixel of 'corner' within 1 pixels(?s:.*)background around every target"),
+    ],
+)  # fmt: skip
+def test_each_field_of_the_detection_has_its_error(world, change, error, message):
+    world.detection |= change
+    with pytest.raises(error, match=message):
+        world.observe()
+
+
+def test_no_truth_and_a_band_without_variance(world):
+    world.values[:, :, 7] = 0.25
+    world.write()
+    with pytest.raises(UsageError, match=r"1 of 8 bands have no variance \(first: band 8\)"):
+        world.observe()
+    del world.collection["targets"]
+    with pytest.raises(UsageError, match="the truth has no object of material 'paint'"):
+        world.observe()
+
+
+def test_mean_score_has_its_own_error_where_the_filter_is_made_of_the_pixels_it_scores(world):
+    world.detection["detectors"] = ["cem-correlation"]
+    same = world.observe().observation.scores[background_of("fill 0.8"), "cem-correlation"]
+    assert 0.0 < same.mean_error < same.sd / same.n**0.5
+    assert abs(same.mean_bias) < same.mean_error
+    world.detection["background"] = ["corner"]
+    assert np.isnan(world.observe().observation.scores[background_of("fill 0.8"), "cem-correlation"].mean_error)
+
+
+@pytest.fixture
+def unmixing(world):
+    """The five targets of the world, unmixed with the background around them."""
+    world.regions(ground=[0, 0, LINES, SAMPLES])
+    world.detection["unmixing"] = {"targets": [{"target": "paint", "endmembers": "field"}], "background": "ground",
+                                   "weights": ["equal", "background"], "ring_pixels": 5}  # fmt: skip
+    return world
+
+
+def test_areas_by_unmixing_and_what_their_prediction_needs(unmixing):
+    found = unmixing.observe()
+    areas, unmixed = found.observation.abundance, found.unmixed
+    for method in ("fcls field", "fcls-weighted field"):
+        for subject, fill in FILLS.items():
+            area = areas[subject, method]
+            assert area.nominal_m2 == pytest.approx(4.0 * fill)
+            assert area.area_m2 == pytest.approx(4.0 * fill, abs=4 * area.standard_uncertainty + 0.35)
+            assert area.standard_uncertainty > 0.0
+    weighted, equal = (areas["fill 0.3", m].standard_uncertainty for m in ("fcls-weighted field", "fcls field"))
+    assert weighted < equal
+    assert [(s.subject, s.objects) for s in unmixed.subjects] == [("fill 0.8", 2), ("fill 0.3", 3)]
+    assert unmixed.covariances["fcls"] is None
+    assert unmixed.covariances["fcls-weighted"].shape == (BANDS, BANDS)
+    assert unmixed.pixel_area_m2 == 4.0
+
+
+def test_background_of_unmixing_lies_around_the_target_and_areas_of_objects_add_up(unmixing):
+    together = unmixing.observe().observation.abundance
+    unmixing.detection["group"] = "{name}"
+    found = unmixing.observe()
+    alone = found.observation.abundance
+    lines, samples = np.indices((LINES, SAMPLES))
+    for subject, (line, sample) in zip(found.unmixed.subjects, PLANTED, strict=True):
+        assert alone[subject.subject, "fcls field"].n == 1
+        expected = (np.hypot(lines - line, samples - sample) <= 5.0) & ~near_targets()
+        assert subject.ring == expected.sum()
+    for subject, fill in FILLS.items():
+        own = [alone[f"t{i}", "fcls field"] for i, f in enumerate(PLANTED.values()) if f == fill]
+        group = together[subject, "fcls field"]
+        assert group.area_m2 == pytest.approx(np.mean([a.area_m2 for a in own]), rel=1e-12)
+        expected = np.sqrt(sum(a.standard_uncertainty**2 for a in own)) / len(own)
+        assert group.standard_uncertainty == pytest.approx(expected, rel=1e-12)
+
+
+SIDE = 120
+LINE = np.indices((SIDE, SIDE))[0]
+
+
+@pytest.mark.parametrize("bright", [LINE < SIDE // 2, LINE // 10 % 2 == 0], ids=["halves", "stripes"])
+def test_the_layout_of_classes_is_no_chance(world, bright):
+    """Independent pixels of two classes, of which one has the alarms: sd of ln P_FA is sqrt((1 - 2 P)/(n P)).
+
+    Stated over true, mean over two collections and P_FA of 0.1 and 0.01: 1.12 and 1.09 for halves and stripes, with
+    standard deviations of 0.08 and 0.05 (200 other seeds each), so that a set lies outside 0.9 to 1.4 in less than
+    one run in 1,000.  Where the classes are left out of account it is 15 and 4.
+    """
+    write_cube(world.folder / "classes.img", np.where(bright, 1, 2)[..., None], data_type=1)
+    world.regions({"file": "classes.img", "classes": {"bright": 1, "dark": 2}})
+    ratios = []
+    for seed in range(2):
+        rng = np.random.default_rng([27, seed])
+        values = rng.multivariate_normal(BACKGROUND, background_spread(), (SIDE, SIDE))
+        world.write(values + 0.3 * bright[..., None] * (TARGET - BACKGROUND))
+        curve = world.observe().observation.exceedance["paint", "cem"]
+        for level in (1e-1, 1e-2):
+            point = np.argmin(np.abs(np.log(curve.probability / level)))
+            p = curve.probability[point]
+            stated = np.log(curve.upper[point] / curve.lower[point]) / (2.0 * 1.96)
+            ratios.append(stated / np.sqrt((1.0 - 2.0 * p) / (p * curve.n)))
+    assert 0.9 < np.mean(ratios) < 1.4

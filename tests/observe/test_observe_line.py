@@ -1,0 +1,418 @@
+"""The empirical line of a collection: its panels and their errors, what it warns of, what it refuses, sites' lines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_world import AXIS, BACKGROUND, BANDS, TARGET, World
+
+from hyperval.collection import CalibrationUncertainty, CollectionSection, EmpiricalLineSource, PathRadiance
+from hyperval.compare import compare_spectra
+from hyperval.errors import InputError, UsageError
+from hyperval.model import correlation
+from hyperval.observe import calibration_covariance, path_estimate, rounding_variance
+from hyperval.results import ResultTable
+from hyperval.scenario import load_scenario
+from hyperval.spectra import SpectralAxis
+from small_campaign import stand_in_atmosphere
+
+
+def test_the_line_recovers_gain_offset_and_reflectance(make_radiance):
+    made = make_radiance()
+    seen = made.world.observe()
+    assert seen.elm.gain == pytest.approx(made.gain, rel=1e-9)
+    assert seen.elm.offset == pytest.approx(made.offset, rel=1e-8)
+    pixels = made.reflectance[35:45, 5:25].reshape(-1, BANDS)
+    corner, radiance = seen.observation.reflectance["corner"], seen.observation.radiance["corner"]
+    assert corner.mean == pytest.approx(pixels.mean(axis=0), rel=1e-9)
+    assert corner.pixel_covariance == pytest.approx(np.cov(pixels, rowvar=False), rel=1e-6, abs=1e-14)
+    assert radiance.mean == pytest.approx(made.offset + made.gain * pixels.mean(axis=0), rel=1e-12)
+    assert "empirical line through white, black: usable in 8 bands" in seen.observation.notes
+
+
+def test_the_line_s_error_is_part_of_the_reflectance(make_radiance):
+    made = make_radiance(relative_noise=0.02)
+    seen = made.world.observe()
+    corner = seen.observation.reflectance["corner"]
+    assert set(corner.budget) == {"sampling", "empirical line"}
+    total = np.hypot(corner.budget["sampling"], corner.budget["empirical line"])
+    assert corner.standard_uncertainty == pytest.approx(total, rel=1e-12)
+    # 16 pixels at 2 %: the gain's relative error is about 0.5 % of the white panel's level.
+    gain_error = np.sqrt(seen.elm.covariance[:, 0, 0])
+    assert gain_error == pytest.approx(0.02 * (made.offset + 0.6 * made.gain) / 4 / 0.55, rel=0.6)
+    # Eight bands, errors independent between them: |z| above 4 has probability 5e-4 for all together.
+    truth = made.reflectance[35:45, 5:25].reshape(-1, BANDS).mean(axis=0)
+    assert np.abs((corner.mean - truth) / corner.standard_uncertainty).max() < 4.0
+    # It is known by the pixels of the panels; the rest is of their field spectra.
+    _, *of_panels = corner.estimated  # the first is of its own pixels
+    assert len(of_panels) == len(made.panels)
+    sampled = sum(np.diag(part.covariance) for part in of_panels)
+    assert np.all((sampled > 0.0) & (sampled <= corner.budget["empirical line"] ** 2 * (1.0 + 1e-9)))
+
+
+def test_errors_of_a_panel_and_of_the_darkest_pixel_by_hand(make_radiance):
+    made = make_radiance()
+    white = {**made.panels[0], "relative_uncertainty": 0.02, "correlation_nm": 300}
+    dark = {"reflectance": 0.03, "uncertainty": 0.01, "radiance_noise": 0.02}
+    made.world.collection["empirical_line"] = {"panels": [white], "darkest_pixel": dark}
+    found = made.world.observe().elm
+    assert found.names == ("white", "darkest pixel")
+    least = made.offset + made.gain * made.reflectance.reshape(-1, BANDS).min(axis=0)
+    assert found.reflectance(least) == pytest.approx(np.full(BANDS, 0.03), abs=1e-9)
+    # The panel: 2 % of 0.6 with the stated correlation.  The dark surface: one unknown for all bands, and noise
+    # that is each band's own.
+    apart = np.abs(AXIS.centre_nm[:, None] - AXIS.centre_nm[None])
+    first, second = found.panels
+    assert np.diag(first.reflectance_error) == pytest.approx(np.full(BANDS, 0.012**2), rel=1e-9)
+    assert np.all(np.diff(first.reflectance_error[0][np.argsort(apart[0])]) < 0)
+    assert second.reflectance_error == pytest.approx(np.full((BANDS, BANDS), 0.01**2), rel=1e-12)
+    assert second.radiance_error == pytest.approx(np.full(BANDS, 0.02**2), rel=1e-12)
+    # Two points: var k = (sum of var L + k^2 var rho)/(rho_2 - rho_1)^2.
+    expected = (0.02**2 + found.gain**2 * (0.01**2 + 0.012**2)) / 0.57**2
+    assert found.covariance[:, 0, 0] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("length", "divisor", "n"), [(None, None, 9), (1e6, None, 9), (None, "spread", 1)])
+def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_radiance, length, divisor, n):
+    made = make_radiance()
+    rows = "".join(f"{w},0.6,0.03,0.05,0.03\n" for w in range(400, 1701))
+    heading = "# means of N = 9 readings and their standard deviations\nwavelength_nm,white,white_sd,black,black_sd\n"
+    made.world.text("panels.csv", heading + rows)
+    for panel in made.panels:
+        panel |= {"correlation_nm": length} | ({"divisor": divisor} if divisor else {})
+    for panel in made.world.observe().elm.panels:
+        assert np.diag(panel.reflectance_error) == pytest.approx(np.full(BANDS, 0.03**2 / n), rel=1e-9)
+
+
+def test_replicate_spectra_of_a_panel_widen_the_line(make_radiance):
+    """Three readings that differ by 5 %: their standard error by Student's t is that of the panel."""
+    made = make_radiance(relative_noise=0.001)
+    for i, level in enumerate((0.57, 0.60, 0.63)):
+        made.world.library(f"white{i}.csv", white=level)
+    before = made.world.observe().observation.reflectance["corner"].budget["empirical line"]
+    made.panels[0]["spectrum"] = {"replicates": {"files": "white?.csv", "wavelength_unit": "nm"}}
+    after = made.world.observe().observation.reflectance["corner"].budget["empirical line"]
+    assert np.all(after > before)
+
+
+def test_a_panel_with_a_full_pixel_is_refused_save_in_bad_bands(make_radiance):
+    made = make_radiance()
+    world, scale = made.world, 2.5e-4
+    for panel in made.panels:
+        panel["relative_uncertainty"] = 0.02
+    world.collection["empirical_line"]["saturation"] = float(world.values[0:4, 30:34].max()) + 0.01
+    assert world.observe().elm is not None
+    values = world.values.copy()
+    values[2, 31, 0] += 0.02
+    world.write(values)
+    with pytest.raises(UsageError, match=r"'white' is saturated in 1 of 16 pixels .first: band 1, 450 nm"):
+        world.observe()
+    # A stored integer at the end of its type is full too.
+    del world.collection["empirical_line"]["saturation"]
+    world.collection["cube"]["scale"] = scale
+    numbers = np.rint(values / scale)
+    numbers[0, 30, 2] = numbers[1, 33, 6] = 65535
+    world.write(numbers, data_type=12)
+    with pytest.raises(UsageError, match=r"'white' is saturated in 2 of 16 pixels .first: band 3"):
+        world.observe()
+    bad = ~np.isin(np.arange(BANDS), [2, 6])
+    world.write(numbers, data_type=12, axis=type(AXIS)(AXIS.centre_nm, AXIS.fwhm_nm, bad))
+    assert world.observe().elm is not None
+
+
+@pytest.mark.parametrize("dark", [None, 0.0, 0.03])
+def test_a_material_of_the_scene_as_colour_standard(make_radiance, dark):
+    """One surface of known spectrum, not flat, that lies in the scene; alone, or with the darkest pixel."""
+    made = make_radiance()
+    world, colour, scene = made.world, np.linspace(0.25, 0.65, BANDS), made.reflectance.copy()
+    scene[12:18, 30:36] = colour
+    scene[44, 38] = np.linspace(0.01, 0.03, BANDS)  # the darkest pixel in every band
+    world.write(made.offset + made.gain * scene)
+    world.library("standards.csv", tarpaulin=colour, other=0.5 * colour)
+    world.collection["regions"].append({"name": "tarpaulin", "rectangle": [12, 30, 6, 6]})
+    source = {"region": "tarpaulin", "spectrum": world.source("standards.csv", "tarpaulin")}
+    alone = {"intercept": False} if dark is None else {"darkest_pixel": {"reflectance": dark, "uncertainty": 0.01}}
+    world.collection["empirical_line"] = {"panels": [source | {"relative_uncertainty": 0.02}], **alone}
+    found, known = world.observe().elm, world.on_bands("tarpaulin", "standards.csv")
+    standard, least = world.values[12, 30], world.values.min(axis=(0, 1))
+    assert least == pytest.approx(world.values[44, 38])
+    x = world.values[20:30, 5:9]
+    expected = known * x / standard  # rho = rho_s L/L_s
+    if dark is not None:  # rho = rho_d + (rho_s - rho_d)(L - L_d)/(L_s - L_d)
+        expected = dark + (known - dark) * (x - least) / (standard - least)
+    usable = found.usable
+    assert usable.sum() >= BANDS - 1
+    assert found.reflectance(x)[..., usable] == pytest.approx(expected[..., usable], rel=1e-6, abs=1e-9)
+    # The standard itself comes out as it is known, whatever the assumption about the dark end.
+    assert found.reflectance(standard)[usable] == pytest.approx(known[usable], rel=1e-9)
+    rho, c = found.reflectance(least), found.covariance
+    if dark is None:
+        assert not found.offset.any()
+        assert np.all(rho > scene[44, 38])  # the path radiance is taken for reflectance
+    else:
+        # The darkest pixel is not what it was taken for; the stated 0.01 covers an error of 0.03 at three sd.
+        sd = np.sqrt((rho**2 * c[:, 0, 0] + 2.0 * rho * c[:, 0, 1] + c[:, 1, 1]) / found.gain**2)
+        assert np.all(np.abs(rho - scene[44, 38])[usable] <= 3.1 * sd[usable])
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (lambda p: p[0].update(region="grey"), UsageError, "empirical line: no region 'grey'"),
+        (lambda p: p[1].update(region="white"), UsageError, "the gain is below 5 times"),
+        (lambda p: p[0]["spectrum"].update(record="grey"), UsageError, "no record 'grey'"),
+        (lambda p: p[0]["spectrum"].update(file="no.csv"), InputError, "no such"),
+        (lambda p: p[1].update(spectrum=p[0]["spectrum"]), UsageError, "differ by 0 in reflectance"),
+    ],
+)
+def test_panels_that_cannot_fix_a_line(make_radiance, change, error, message):
+    made = make_radiance()
+    change(made.panels)
+    with pytest.raises(error, match=message):
+        made.world.observe()
+
+
+def test_a_dark_colour_standard_is_refused(make_radiance):
+    made = make_radiance()
+    made.world.collection["empirical_line"] = {"panels": made.panels[1:], "darkest_pixel": {"reflectance": 0.0}}
+    with pytest.raises(UsageError, match=r"differ by 0\.05 in reflectance"):
+        made.world.observe()
+
+
+def rows(observation, subject):
+    estimate = observation.reflectance[subject]
+    return ResultTable(compare_spectra(
+        estimate, estimate, product="reflectance", subject=subject, method="m", axis=observation.axis
+    ))  # fmt: skip
+
+
+def test_panels_of_a_line_are_no_evidence_for_it(make_radiance):
+    made = make_radiance(relative_noise=0.002)
+    seen = made.world.observe().observation
+    for panel in ("white", "black"):
+        (row,) = rows(seen, panel)
+        assert np.isnan(row.value)
+        assert "no degree of freedom" in row.reason
+    assert len(rows(seen, "corner")) > 1
+    # Of more than two, each is seen by the line through the others; the last is not what it is taken for.
+    world = made.more_panels(1e-3, grey=0.30, light=0.50)
+    light = world.observe().observation.reflectance["light"]
+    del made.panels[3]
+    alone = world.observe().observation.reflectance["light"]
+    assert light.circular == ""
+    assert light.mean == pytest.approx(alone.mean, rel=1e-9)  # 0.45, as it is no panel of that line
+    assert light.mean == pytest.approx(0.45, abs=0.01)
+    assert light.error_covariance == pytest.approx(alone.error_covariance, rel=1e-6)
+
+
+def test_panels_that_contradict_each_other_widen_the_line_and_are_warned_of(make_radiance):
+    made = make_radiance(relative_noise=0.002)
+    world = made.more_panels(1e-3, grey=0.30, light=0.45)
+    for panel in made.panels:
+        panel["relative_uncertainty"] = 0.01
+    agreeing = world.observe()
+    assert not [n for n in agreeing.observation.notes if n.startswith("warning:")]
+    world.library("more.csv", grey=0.30, light=0.62)
+    apart = world.observe()
+    notes = apart.observation.notes
+    assert np.abs(apart.elm.leave_one_out[3] + 0.17) == pytest.approx(np.zeros(BANDS), abs=0.01)
+    (told,) = (n for n in notes if "leave-one-panel-out" in n)
+    assert "light -0.17 (median over bands, at most -0.17)" in told
+    chi2 = np.median(apart.elm.reduced_chi2)
+    assert chi2 > 20
+    assert f"empirical line: reduced chi-square of its panels {chi2:.3g} (median over bands)" in notes
+    warned = [n for n in notes if n.startswith("warning:")]
+    assert any(f"do not lie on one line within their stated errors: reduced chi-square {chi2:.3g}" in n for n in warned)
+    assert any("line give light a reflectance that is off by 0.17" in n for n in warned)
+    # The line itself hardly turns, so that its width is what differs.
+    width, wide = (s.observation.reflectance["corner"].budget["empirical line"] for s in (agreeing, apart))
+    assert wide == pytest.approx(width * np.sqrt(chi2), rel=0.25)
+
+
+def test_a_line_without_most_of_the_bands_is_warned_of(make_radiance):
+    world = make_radiance(relative_noise=0.002).world
+    world.library("panels.csv", white=0.6, black=np.where(AXIS.centre_nm < 700, 0.05, 0.55))
+    notes = world.observe().observation.notes
+    assert any("warning: the empirical line can be used in 4 of 8 good bands only" in n for n in notes)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.1, 0.2, 0.35])
+def test_rounding_to_whole_steps_leaves_its_error_in_a_mean(spread):
+    # Mean over the normal law by quadrature, mean square over 400 places within a step.
+    x = (np.arange(400) + 0.5) / 400.0
+    z = np.linspace(-6, 6, 4001)
+    density = np.exp(-0.5 * z**2)
+    error = np.rint(x[:, None] + spread * z) @ (density / density.sum()) - x
+    assert rounding_variance(1.0, spread) == pytest.approx(np.mean(error**2), rel=0.02)
+    assert rounding_variance(0.5, 0.5 * spread) == pytest.approx(0.25 * rounding_variance(1.0, spread))
+    assert rounding_variance(1.0, 1.0) < 1e-17  # noise of a step smooths the rounding away
+
+
+def test_a_flat_panel_in_whole_numbers_has_the_error_of_its_rounding(make_radiance):
+    world = make_radiance().world
+    world.write(np.rint(world.values * 10.0), data_type=2)
+    world.collection["cube"]["scale"] = 0.1
+    found = world.observe()
+    radiance, reflectance = found.observation.radiance["white"], found.observation.reflectance["corner"]
+    assert radiance.standard_uncertainty == pytest.approx(0.1 / np.sqrt(12.0), rel=0.01)
+    assert radiance.rounding == pytest.approx(np.full(BANDS, 0.01 / 12.0))
+    assert reflectance.rounding == pytest.approx(0.01 / 12.0 / found.elm.gain**2)
+
+
+def test_calibration_with_a_correlation_length_from_a_table_and_band_by_band(tmp_path, make_radiance):
+    (tmp_path / "error.txt").write_text("400 0.04\n1000 0.01\n1400 0.01\n")
+    level, gap = np.linspace(10.0, 1.0, BANDS), AXIS.centre_nm[:, None] - AXIS.centre_nm
+    table = level * np.interp(AXIS.centre_nm, [400, 1000, 1400], [0.04, 0.01, 0.01])  # 1650 nm takes the last value
+    for given, expected in (
+        ({"relative": 0.03}, np.outer(0.03 * level, 0.03 * level)),
+        ({"file": "error.txt", "correlation_nm": 50.0}, np.outer(table, table) * np.exp(-0.5 * (gap / 50.0) ** 2)),
+        ({"file": "error.txt", "uncorrelated": 0.02}, np.diag(table**2 + (0.02 * level) ** 2)),
+        ({"relative": 0.03, "uncorrelated": 0.01},
+         np.outer(0.03 * level, 0.03 * level) + np.diag((0.01 * level) ** 2)),
+    ):  # fmt: skip
+        found = calibration_covariance(level, AXIS, CalibrationUncertainty(**given), tmp_path.joinpath)
+        assert found == pytest.approx(expected)
+    made = make_radiance()
+    made.world.collection["calibration"] = {"relative": 0.05}
+    corner = made.world.observe().observation.radiance["corner"]
+    assert corner.budget["calibration"] == pytest.approx(0.05 * corner.mean)
+    total = np.hypot(corner.budget["calibration"], corner.budget["sampling"])
+    assert corner.standard_uncertainty == pytest.approx(total)
+
+
+GAIN, PATH = np.linspace(60.0, 8.0, BANDS), np.linspace(3.0, 0.02, BANDS)
+SURFACES = {"lawn": BACKGROUND, "turf": TARGET, "sand": np.linspace(0.35, 0.55, BANDS)}
+
+
+def radiance_of(rho: np.ndarray) -> np.ndarray:
+    return PATH + GAIN * rho
+
+
+@pytest.fixture
+def lines(sites) -> World:
+    """Three sites of one flight line and one of another, their radiances without an error."""
+    names = sites.library("field.csv", **SURFACES, lot=0.3 * BACKGROUND + 0.05)
+    panels = []
+    for name in (*SURFACES, "lot"):
+        rows = zip(AXIS.centre_nm, radiance_of(sites.on_bands(name, names)), strict=True)
+        sites.text(f"{name}.txt", "".join(f"{w} {v:.12g}\n" for w, v in rows))
+        spectrum = {"subject": name, "path": f"{name}.txt", "pixels": 9, "line": "b" if name == "lot" else "a"}
+        sites.collection["spectra"].append(spectrum)
+        source = {"region": name, "spectrum": sites.source(names, name), "relative_uncertainty": 0.02}
+        panels.append({**source, "correlation_nm": 200})
+    sites.collection["calibration"] = {"relative": 0.05, "uncorrelated": 0.01}
+    sites.collection["empirical_line"] = {"panels": panels, "path_radiance": []}
+    return sites
+
+
+def test_each_site_follows_from_the_others_of_its_flight_line(lines):
+    seen = lines.observe().observation
+    assert set(seen.reflectance) == set(SURFACES)
+    for name, estimate in seen.reflectance.items():
+        usable = np.isfinite(estimate.mean)
+        assert usable.sum() >= 4  # two sites that reflect alike fix no line
+        assert estimate.mean[usable] == pytest.approx(lines.on_bands(name, "field.csv")[usable], rel=1e-9)
+        assert estimate.n == 9
+    words = "\n".join(seen.notes)
+    assert "sand: reflectance by the empirical line through lawn and turf" in words
+    assert "lot: no reflectance by other sites of its flight line: no other site is known" in words
+
+
+def test_the_interval_is_that_of_drawn_field_spectra(lines):
+    # 4000 draws of the two panels' reflectances; the variance of each band is known to 2.2 %: 4 sigma are 9 %.
+    rng = np.random.default_rng(4)
+    estimate = lines.observe().observation.reflectance["sand"]
+    root = np.linalg.cholesky(correlation(AXIS, 200.0) + 1e-12 * np.eye(BANDS))
+    rho = {n: lines.on_bands(n, "field.csv") for n in SURFACES}
+    low, high = (rho[n] * (1.0 + 0.02 * rng.standard_normal((4000, BANDS)) @ root.T) for n in ("lawn", "turf"))
+    a, b, c = (radiance_of(rho[n]) for n in ("lawn", "turf", "sand"))
+    with np.errstate(all="ignore"):
+        drawn = low + (c - a) * (high - low) / (b - a)
+    use = np.isfinite(estimate.mean) & (np.abs(a - b) > 0.1 * GAIN)
+    assert use.sum() >= 4
+    assert np.diag(estimate.error_covariance)[use] == pytest.approx(drawn[:, use].var(axis=0), rel=0.09)
+    # Sites share the calibration: no part of the budget is its.
+    assert set(estimate.budget) == {"empirical line"}
+
+
+@pytest.fixture
+def air(tmp_path, monkeypatch) -> tuple[str, PathRadiance]:
+    """A scenario with an atmosphere, and the path radiance that it states for flight line a."""
+    monkeypatch.setattr("hyperval.model.world.atmospheric_terms", stand_in_atmosphere)
+    text = """
+schema: 1
+name: air
+atmosphere: {aerosol: rural, aot550: 0.1, sensor_altitude_km: 2.3, solar_zenith_deg: 40, solar_azimuth_deg: 150,
+  day_of_year: 312}
+sensor: aviris-ng
+scene: {classes: [{name: ground, fraction: 1.0, spectrum: {constant: 0.25}, covariance: {relative_sd: 0.0}}]}
+processing: {detectors: []}
+uncertainty: {engine: {relative: 0.01, path_relative: 0.05}}
+"""
+    (tmp_path / "air.yaml").write_text(text)
+    return text, PathRadiance(scenario="air.yaml", line="a")
+
+
+def test_path_radiance_is_what_a_scenario_sees_of_black_ground(air, tmp_path):
+    text, source = air
+    axis = SpectralAxis(np.array([550.0, 850.0, 1240.0]), np.full(3, 5.0))
+    estimate = path_estimate(source, axis, tmp_path.joinpath)
+    t = stand_in_atmosphere(load_scenario(tmp_path / "air.yaml").atmosphere).at_bands(axis)
+    expected = t.path_radiance + 0.25 * t.adjacency / (1.0 - 0.25 * t.spherical_albedo)
+    assert estimate.mean == pytest.approx(expected, rel=1e-12)
+    assert np.all(estimate.standard_uncertainty >= 0.0499 * t.path_radiance)
+    (tmp_path / "air.yaml").write_text(text[: text.index("uncertainty")])
+    with pytest.raises(UsageError, match="the scenario states no uncertainty"):
+        path_estimate(source, axis, tmp_path.joinpath)
+
+
+def test_one_other_site_needs_the_path_radiance(lines, air):
+    spectra, line = lines.collection["spectra"], lines.collection["empirical_line"]
+    del spectra[2:], line["panels"][2:]
+    seen = lines.observe().observation
+    assert seen.reflectance == {}
+    assert any("lawn: no reflectance by other sites" in n and "path_radiance" in n for n in seen.notes)
+    path = path_estimate(air[1], seen.axis, lines.resolve)
+    line["path_radiance"] = [{"line": "a", "scenario": "air.yaml"}]
+    rho = {n: lines.on_bands(n, "field.csv") for n in ("lawn", "turf")}
+    a, b = (path.mean + GAIN * rho[name] for name in rho)
+    for name, level in zip(rho, (a, b), strict=True):
+        rows = zip(AXIS.centre_nm, level, strict=True)
+        lines.text(f"{name}.txt", "".join(f"{w} {v:.12g}\n" for w, v in rows))
+    seen = lines.observe().observation
+    lawn = seen.reflectance["lawn"]
+    assert lawn.mean == pytest.approx(rho["lawn"], rel=1e-9)
+    assert any("lawn: reflectance by the one-point empirical line through turf" in n for n in seen.notes)
+    # rho = r (L - P) / (l - P): d rho / d ln r = rho, d rho / d P = r (L - l) / (l - P)^2; a gain g of all sites
+    # leaves rho as it is, but for P, which is then P / g.
+    by_path = rho["turf"] * (a - b) / (b - path.mean) ** 2
+    variance = np.diag(path.error_covariance) + path.mean**2 * (0.05**2 + 0.01**2)
+    expected = 0.02**2 * rho["lawn"] ** 2 + by_path**2 * variance
+    assert np.diag(lawn.error_covariance) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"panels": [{"region": "roof", "spectrum": {"constant": 0.1}}], "intercept": False}, UsageError,
+         "no site 'roof'"),
+        ({"path_radiance": [{"line": "c", "scenario": "air.yaml"}]}, UsageError, "no site of flight line 'c'"),
+        ({"saturation": 50.0}, ValueError, "spectra show no darkest_pixel and no saturation"),
+        ({"darkest_pixel": {}}, ValueError, "spectra show no darkest_pixel and no saturation"),
+        ({"path_radiance": [{"scenario": "a"}, {"scenario": "b"}]}, ValueError, "a flight line stands twice"),
+        ({"intercept": False, "path_radiance": [{"scenario": "a"}]}, ValueError, "which intercept: false says is none"),
+    ],
+)  # fmt: skip
+def test_lines_of_sites_that_contradict_themselves(lines, change, error, message):
+    lines.collection["empirical_line"].update(change)
+    with pytest.raises(error, match=message):
+        lines.observe()
+
+
+def test_lines_that_nothing_fixes_are_refused(lines):
+    with pytest.raises(ValueError, match="needs two panels"):
+        EmpiricalLineSource.model_validate({"panels": [{"region": "white", "spectrum": {"constant": 0.5}}]})
+    cube = {"cube": {"path": "c", "quantity": "reflectance"}, "spectra": []}
+    lines.collection["empirical_line"]["path_radiance"] = [{"scenario": "a"}]
+    with pytest.raises(ValueError, match="path_radiance is for spectra; a cube shows its darkest_pixel"):
+        CollectionSection.model_validate(lines.collection | cube)

@@ -1,0 +1,343 @@
+"""Opening a collection: regions and truth of every kind, what is left out, places, and the errors of each field."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from affine import Affine
+from rasterio.crs import CRS
+from small_world import AXIS, GRID, LINES, PLANTED, SAMPLES, near_targets
+
+from hyperval import api, datasets
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery import write_cube
+
+HYSU = "campaigns/hysu-2018/campaign.yaml"
+
+
+def mask_file(world, name: str, classes: np.ndarray) -> str:
+    write_cube(world.folder / name, classes[:, :, None].astype(float), data_type=1)
+    return name
+
+
+def planted() -> np.ndarray:
+    out = np.zeros((LINES, SAMPLES), int)
+    out[tuple(zip(*PLANTED, strict=True))] = 1
+    return out
+
+
+def drawn(world, *sources: dict, **more) -> None:
+    world.collection["targets"] = {"regions": [{"material": "paint", **s} for s in sources], **more}
+    world.detection["group"] = "{material}"
+
+
+@pytest.mark.parametrize(("radius", "pixels"), [(0, 1), (1, 5), (2, 13)])
+def test_targets_and_their_guard_are_left_out_of_the_scene(world, radius, pixels):
+    world.collection["targets"]["guard_pixels"] = radius
+    place = world.place()
+    assert near_targets(radius).sum() == pixels * len(PLANTED)
+    assert np.array_equal(place.near_targets, near_targets(radius))
+    assert np.array_equal(place.background(["scene"]), ~near_targets(radius))
+    assert place.background(["image"]).all()
+
+
+def test_regions_are_left_out_where_named_and_keep_clear_of_targets(world):
+    world.regions(corner=[35, 5, 10, 20], around=[8, 8, 4, 4])
+    place = world.place()
+    corner = np.zeros((LINES, SAMPLES), bool)
+    corner[35:45, 5:25] = True
+    assert np.array_equal(place.region("corner"), corner)
+    assert [place.background(names).sum() for names in (["around"], ["around", "corner"])] == [16 - 5, 11 + 200]
+    world.collection["leave_out"] = ["corner"]
+    assert np.array_equal(world.place().background(["scene"]), ~near_targets() & ~corner)
+
+
+def test_normalised_difference_equals_numpy(world):
+    rule = {"high_nm": [780, 880], "low_nm": [650, 690], "above": 0.75, "below": 0.79}
+    world.regions({"name": "green", "normalized_difference": rule})
+    # The reader gives float32 here; pixels that lie on a limit to its precision may fall either way.
+    high, low = (world.values[..., b].astype(np.float32).astype(float).mean(axis=-1) for b in ([4, 5], [2, 3]))
+    index = (high - low) / (high + low)
+    assert min(np.abs(index - limit).min() for limit in (0.75, 0.79)) > 1e-9
+    mask = world.place().region("green")
+    assert np.array_equal(mask, (index >= 0.75) & (index < 0.79))
+    assert 0 < mask.sum() < mask.size
+
+
+def test_a_file_gives_its_regions_or_one_of_them(world):
+    source = world.squares("rois.geojson", a=(0, 0, 4), b=(10, 10, 2))
+    world.regions(source)
+    assert {n: int(m.sum()) for n, m in world.place().regions.items()} == {"a": 16, "b": 4}
+    world.regions({**source, "name": "b"})
+    assert list(world.place().regions) == ["b"]
+    world.regions({**source, "name": "c"})
+    with pytest.raises(InputError, match=r"rois\.geojson: no region 'c' among a, b"):
+        world.place()
+    world.regions({"name": "a", "rectangle": [20, 20, 2, 2]}, source)
+    with pytest.raises(UsageError, match="two regions are named 'a'"):
+        world.place()
+
+
+def test_a_file_of_the_whole_site_serves_a_line_that_holds_some(world):
+    shapes = {"court": (10, 20, 4), "far": (1000, 20, 4), "plank 1": (30, 10, 4), "plank 2": (900, 10, 4)}
+    site = world.squares("site.geojson", **shapes)
+    drawn(world, {"regions": ["plank 1"], **site})
+    world.regions({"name": "court", **site})
+    place = world.place()
+    assert place.region("court").sum() == 16
+    assert [t.name for t in place.targets] == ["plank 1"]
+    for wanted in ("far", None):
+        world.regions({"name": wanted, **site})
+        with pytest.raises(InputError, match="leaves the image"):
+            world.place()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"regions": [{"name": "far", "rectangle": [45, 0, 6, 5]}]}, InputError,
+         "'far'.*lines 45-50.*not in the image"),
+        ({"regions": [{"name": "none", "rectangle": [0, 0, 0, 5]}]}, InputError, "'none'.*not in the image"),
+        ({"regions": [{"name": "a", "rectangle": [0, 0, 2, 2]}] * 2}, UsageError, "two regions are named 'a'"),
+        ({"leave_out": ["nowhere"]}, UsageError, "leave_out names 'nowhere'"),
+        ({"regions": [{"name": "nd", "normalized_difference": {"high_nm": [2000, 2100], "low_nm": [650, 690]}}]},
+         UsageError, "no usable band between 2000 and 2100 nm"),
+        ({"regions": [{"name": "nd", "normalized_difference": {"high_nm": [780, 880], "low_nm": [650, 690],
+                                                               "above": 0.999}}]},
+         InputError, "'nd' holds no pixel"),
+        ({"regions": [{"file": "no.geojson", "coordinates": "pixel"}]}, InputError, "no such"),
+        ({"targets": {"csv": "no.csv"}}, InputError, "no such target list"),
+        ({"cube": {"path": "no.img", "quantity": "reflectance"}}, InputError, "no such"),
+        ({"cube": None}, ValueError, "give exactly one of cube, spectra"),
+        ({"spectra": [{"subject": "a", "path": "a.txt"}]}, ValueError, "give exactly one of cube, spectra"),
+        ({"regions": [{"name": "a"}]}, ValueError, "give exactly one of file, rectangle"),
+        ({"regions": [{"rectangle": [0, 0, 1, 1]}]}, ValueError, "needs a name"),
+        ({"targets": {}}, ValueError, "give exactly one of regions, rasters, csv"),
+        ({"targets": {"regions": []}}, ValueError, "give exactly one of regions, rasters, csv"),
+        ({"targets": {"regions": [{"material": "a", "file": "f"}], "csv": "t.csv"}}, ValueError, "exactly one of reg"),
+        ({"targets": {"regions": [{"material": "a", "file": "f"}], "pixels": "centre"}}, ValueError, "only a list"),
+        ({"empirical_line": {"panels": []}}, ValueError, "at least 1 item"),
+        ({"calibration": {}}, ValueError, "give exactly one of relative, file"),
+        ({"cube": {"path": "c.img", "quantity": "radiance"}}, ValueError, "unit of the radiance is not stated"),
+        ({"cube": {"path": "c.img", "quantity": "reflectance", "by_number": True, "sort_bands": True}}, ValueError,
+         "by_number is for reflectance or counts"),
+        ({"simulate": "s.yaml", "cube": None, "radcalnet": {"path": "r"}}, ValueError, "simulated collection is a"),
+    ],
+)  # fmt: skip
+def test_each_field_has_its_error(world, change, error, message):
+    world.collection |= change
+    with pytest.raises(error, match=message):
+        world.place()
+
+
+def test_notes_of_regions(world):
+    """Pixels shared, holes, what leaves the image, targets inside, and the words of the header."""
+    ring, hole = [[30, 5], [50, 5], [50, 15], [30, 15], [30, 5]], [[32, 7], [35, 7], [35, 9], [32, 9], [32, 7]]
+    world.text("rois.geojson", f'{{"type":"Polygon","coordinates":[{ring},{hole}]}}')
+    world.regions(
+        {"file": "rois.geojson", "coordinates": "pixel", "name": "court"},
+        **{"ground": [30, 15, 10, 10], "on target": [10, 10, 1, 1], "overlap": [39, 15, 10, 3]},
+    )
+    world.write(extra={"calculated co2 shift": "3.65", "fps": "67.00"})
+    place = world.place()
+    touched = np.logical_or.reduce([t.mask for t in place.targets])
+    ground = place.region("ground")
+    inside, guarded = int((ground & touched).sum()), int((ground & place.near_targets).sum())
+    assert 0 < inside < guarded < 100
+    expected = (
+        "the regions 'ground' and 'overlap' share 3 pixels",
+        # 200 - 6 pixels in all, 100 - 6 inside.
+        "warning: the region 'court' leaves the image: 51.5 % of its area is outside, 94 pixels are left",
+        "the region 'court' has a hole of 6 pixels, which are not part of it",
+        f"the region 'ground' holds {inside} pixels of targets and {guarded - inside} of their guard among 100: "
+        "left out of its statistics",
+        "warning: the region 'on target' holds 1 pixels of targets and 0 of their guard, which is all of it: they "
+        "stay in its statistics",
+    )
+    assert set(expected) <= set(place.notes)
+    assert not any("'overlap' holds" in note for note in place.notes)
+    assert all(any(words in note for note in place.notes) for words in ("CO2 shift 3.65 nm found", "fps 67.00"))
+
+
+def test_targets_that_touch_the_same_pixel_are_counted(world):
+    rows = "name,material,group,row0,col0,side_m\na,paint,x,10,10,1\nb,paint,x,10,10,1\n"
+    world.text("targets.csv", rows)
+    assert "1 pixels may hold parts of more than one target" in world.place().notes
+    world.text("targets.csv", rows.replace("b,paint", "b,cloth"))
+    assert "1 pixels may hold parts of more than one target: 1 of 'paint' and 'cloth'" in world.place().notes
+
+
+@pytest.mark.data
+def test_hysu_materials_overlap(data_dir):
+    """The masks of neighbouring materials share pixels; the note says which."""
+    from hyperval.observe import open_place
+
+    data_dir("hysu/README.md")
+    place = open_place(api.load_campaign(HYSU).campaign.collection, datasets.resolve, show_progress=False)
+    (said,) = [n for n in place.notes if "more than one target" in n]
+    red, green = (
+        np.any([t.mask for t in place.targets if t.material == name], axis=0) for name in ("red_fabric", "green_fabric")
+    )
+    assert f"{np.sum(red & green)} of 'red_fabric' and 'green_fabric'" in said
+    assert np.sum(red & green) > 0
+
+
+def test_a_cube_without_a_map_takes_the_stated_pixel_size(world):
+    placed = [t.mask.sum() for t in world.place().targets]
+    for place, message in (
+        ({"transform": None, "crs": None}, r"ground size of a pixel is not known.*\n.*targets\.pixel_size_m"),
+        ({"transform": Affine(2e-5, 0, -77.0, 0, -2e-5, 43.0), "crs": CRS.from_epsg(4326)},
+         r"degrees have no ground size.*\n.*targets\.pixel_size_m"),
+    ):  # fmt: skip
+        world.collection["targets"] = {"csv": "targets.csv", "guard_pixels": 1}
+        world.write(**place)
+        with pytest.raises(UsageError, match=message):
+            world.place()
+        world.collection["targets"]["pixel_size_m"] = 2.0
+        opened = world.place()
+        assert opened.pixel_area_m2 == 4.0
+        assert [t.mask.sum() for t in opened.targets] == placed
+        drawn(world, {"file": mask_file(world, "mask.img", planted())}, pixel_size_m=2.0)
+        assert world.place().pixel_area_m2 == 4.0
+    world.write()
+    with pytest.raises(UsageError, match=r"has a map position, and 'targets\.pixel_size_m' is stated"):
+        world.place()
+
+
+def test_a_map_in_feet_gives_targets_of_the_same_size(world):
+    world.text("targets.csv", "material,row0,col0,side_m\npaint,10,10,7\n")  # 3.5 pixels
+    in_metres = world.place()
+    foot = 1200.0 / 3937.0  # [m] US survey foot
+    world.write(transform=Affine(2.0 / foot, 0, 500000.0, 0, -2.0 / foot, 1000000.0), crs=CRS.from_epsg(2261))
+    place = world.place()
+    assert place.pixel_area_m2 == pytest.approx(4.0)
+    assert np.array_equal(place.targets[0].mask, in_metres.targets[0].mask)
+    assert place.targets[0].mask.sum() == 25
+
+
+def test_a_lookup_table_places_regions_and_targets_of_a_raw_line(world):
+    """A line flown southwards: its first line lies in the south, so the table turns the lines round."""
+    line, sample = np.indices((LINES, SAMPLES))
+    table = np.stack([sample + 1, LINES - line], axis=-1)
+    write_cube(world.folder / "glt.dat", table, data_type=3, transform=GRID, crs=CRS.from_epsg(32618))
+    ring = [[500010, 4699940], [500050, 4699940], [500050, 4699920], [500010, 4699920], [500010, 4699940]]
+    world.text("rois.geojson", f'{{"type":"Polygon","coordinates":[{ring}]}}')
+    world.text("targets.csv", "material,easting,northing,side_m\npaint,500021,4699979,0.5\n")
+    world.collection["cube"]["glt"] = "glt.dat"
+    world.regions({"name": "court", "file": "rois.geojson", "coordinates": "map"})
+    with pytest.raises(UsageError, match=r"has a map position, and 'cube\.glt' is stated"):
+        world.place()
+    world.write(transform=None, crs=None)
+    place = world.place()
+    expected = np.zeros((LINES, SAMPLES), bool)
+    expected[30:40, 5:25] = True  # on the grid, counted from the north
+    assert np.array_equal(place.region("court"), expected[::-1])
+    assert place.targets[0].centre_pixel == (LINES - 1 - 10, 10)
+    assert place.pixel_area_m2 == pytest.approx(4.0)
+    assert "places on the map are found by the lookup table glt.dat, pixels of 4 m2" in place.notes
+    assert {p.name for p in place.source_files} == {"cube.img", "cube.hdr", "glt.dat", "glt.hdr"}
+    world.collection["targets"]["pixel_size_m"] = 2.0
+    with pytest.raises(UsageError, match="has a map position"):
+        world.place()
+
+
+def test_a_mask_alone_finds_what_a_list_of_the_same_pixels_finds(world):
+    world.detection["group"] = "{material}"
+    listed = world.observe()
+    drawn(world, {"file": mask_file(world, "mask.img", planted())})
+    found = world.observe()
+    assert [o.name for o in found.place.targets] == [f"mask {i}" for i in range(1, len(PLANTED) + 1)]
+    for key in (("paint", "cem", "pixel"), ("paint", "cem", "object")):
+        assert np.array_equal(found.observation.roc[key].pd, listed.observation.roc[key].pd)
+    assert np.array_equal(found.place.background(["scene"]), listed.place.background(["scene"]))
+
+
+def test_touching_pixels_are_one_object_unless_each_region_is_one(world):
+    classes = np.zeros((LINES, SAMPLES), int)
+    classes[5:7, 5:7] = classes[7, 7] = 1  # the last by its corner
+    classes[20, 20] = classes[30, 30] = 2
+    drawn(world, {"file": mask_file(world, "c.img", classes), "side_m": 2.0})
+    assert [(o.name, int(o.part.sum())) for o in world.place().targets] == [("c-1", 5), ("c-2 1", 1), ("c-2 2", 1)]
+    drawn(world, {"file": "c.img", "objects": "regions", "side_m": 2.0})
+    one, two = world.place().targets
+    assert (two.name, int(two.mask.sum()), two.area_m2, dict(two.attributes)) == (
+        "c-2", 2, 4.0, {"material": "paint", "region": "c-2", "pixels": "2", "side_m": "2"}
+    )  # fmt: skip
+    assert one.window == (slice(5, 8), slice(5, 8))
+    drawn(world, {"file": "c.img", "regions": ["*-2"]})
+    assert [o.name for o in world.place().targets] == ["c-2 1", "c-2 2"]
+
+
+def test_a_polygon_has_every_pixel_it_touches_and_one_that_is_cut_a_warning(world):
+    # The second one holds no pixel's centre and lies on a corner of four pixels.
+    drawn(world, world.squares("truth.geojson", large=(4, 6, 3), small=(19.9, 29.9, 0.2), cut=(-2, 6, 4)))
+    place = world.place()
+    large, small, cut = place.targets
+    assert np.argwhere(small.mask).tolist() == [[29, 19], [29, 20], [30, 19], [30, 20]]
+    assert large.mask[6:9, 4:7].all()
+    assert np.isnan(small.side_m)
+    assert small.centre_pixel is None
+    assert cut.mask.sum() > 0
+    warning = next(n for n in place.notes if n.startswith("warning") and "targets" in n)
+    assert "the region 'cut' leaves the image: 50.0 % of its area is outside" in warning
+
+
+def test_names_that_are_not_there_or_stand_twice_are_refused(world):
+    file = mask_file(world, "mask.img", planted())
+    drawn(world, {"file": file, "regions": ["plank*"]})
+    with pytest.raises(UsageError, match=r"mask\.img: no region 'plank\*'"):
+        world.place()
+    drawn(world, {"file": file}, {"file": file, "material": "cloth"})
+    assert {o.name for o in world.place().targets} >= {"mask 1", "cloth mask 1"}
+    drawn(world, {"file": file}, {"file": file})
+    with pytest.raises(UsageError, match="two targets are named 'mask 1'"):
+        world.place()
+
+
+def test_where_no_size_is_known_no_area_is_compared(world):
+    drawn(world, {"file": mask_file(world, "mask.img", planted())})
+    world.detection["areas"] = [{"target": "paint", "detector": "cem"}]
+    found = world.observe()
+    assert ("paint", "cem") in found.observation.abundance
+    assert not found.detected.nominal_area_m2
+    world.detection["unmixing"] = {"background": "corner", "targets": [{"target": "paint"}]}
+    with pytest.raises(UsageError, match="does not say how large the targets of 'paint' are"):
+        world.observe()
+    del world.detection["unmixing"]
+    drawn(world, {"file": "mask.img", "side_m": 2.0})
+    assert world.observe().detected.nominal_area_m2 == {("paint", "cem"): 4.0}
+
+
+def test_rasters_of_materials_and_sizes_are_truth_and_areas_need_a_ground_size(world):
+    write_cube(world.folder / "cube.img", world.values, data_type=5, axis=AXIS)
+    for name in ("sizes.img", "paint.img"):
+        write_cube(world.folder / name, planted()[..., None], data_type=1, file_type="ENVI Standard")
+    world.collection["targets"] = {
+        "rasters": {"materials": {"paint": "paint.img"}, "size_classes": "sizes.img", "side_m": {1: 0.5}}
+    }
+    world.detection |= {"group": "{material} {side_m} m", "areas": [{"target": "paint", "detector": "cem"}]}
+    with pytest.raises(UsageError, match="areas need the ground area of a pixel"):
+        world.observe()
+    world.detection["areas"] = []
+    observation = world.observe().observation
+    assert observation.scores["paint 0.5 m", "cem"].n == 5
+    assert observation.roc["paint 0.5 m", "cem", "pixel"].background_area_km2 is None
+
+
+def test_a_region_of_the_whole_image_has_the_statistics_of_the_scene(world):
+    world.regions({"name": "everything", "whole_image": True})
+    found = world.observe()
+    pixels = world.values[~found.place.near_targets]
+    assert found.place.region("everything").all()
+    assert np.allclose(found.statistics["everything"].mean, pixels.mean(axis=0), rtol=1e-12)
+    assert np.allclose(found.statistics["everything"].covariance, np.cov(pixels.T), rtol=1e-9)
+
+
+def test_regions_that_overlap_are_classes_of_their_own(world):
+    """Pixels of the same regions are of one class: of two rectangles that overlap, and the rest, four."""
+    world.regions(one=[0, 0, 20, 20], two=[10, 10, 20, 20])
+    place = world.place()
+    one, two = (place.region(name) for name in ("one", "two"))
+    found = {(bool(a), bool(b)): set(place.classes[(one == a) & (two == b)]) for a in (0, 1) for b in (0, 1)}
+    assert all(len(numbers) == 1 for numbers in found.values())
+    assert set.union(*found.values()) == {0, 1, 2, 3}

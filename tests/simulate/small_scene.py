@@ -1,0 +1,76 @@
+"""A small scene on invented surfaces, atmosphere and sensor: nothing here depends on the model's rooms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hyperval.atmosphere import AtmosphericTerms
+from hyperval.data import ClassStatistics
+from hyperval.simulate import SceneFile, SensorNumbers
+from hyperval.spectra import SpectralAxis
+
+BANDS = 12
+AXIS = SpectralAxis(np.linspace(450.0, 2200.0, BANDS), np.full(BANDS, 10.0))
+
+
+def surface(name: str, level: float, spread: float) -> ClassStatistics:
+    """A class with a sloped mean and a covariance of full rank with strong correlation between bands."""
+    x = np.linspace(-1.0, 1.0, BANDS)
+    modes = np.stack([np.ones(BANDS), x, x**2 - 0.3]) * np.array([[1.0], [0.4], [0.3]]) * spread
+    covariance = modes.T @ modes + (0.2 * spread) ** 2 * np.eye(BANDS)
+    return ClassStatistics(name, AXIS, level * (1.0 + 0.3 * x), covariance)
+
+
+LEVELS = {
+    "grass": (0.30, 0.02), "asphalt": (0.12, 0.008), "soil": (0.25, 0.02), "yellow-paint-plank": (0.45, 0.02),
+    "white-panel": (0.60, 0.004),
+}  # fmt: skip
+
+
+def terms() -> AtmosphericTerms:
+    """Terms of plausible size that fall with wavelength."""
+    fall, one = (500.0 / AXIS.centre_nm) ** 2, np.ones(BANDS)
+    parts = 2.0 * fall**2, 40.0 * fall, 4.0 * fall**2, 0.15 * fall, 100 * fall, one
+    return AtmosphericTerms(AXIS.centre_nm, *parts, {"engine": "invented"})
+
+
+def numbers(**changes: Any) -> SensorNumbers:
+    """A sensor with every source of noise."""
+    values: dict[str, Any] = {
+        "name": "invented", "axis": AXIS, "noise_factor": 1.0, "bits": 14, "bit_error_rate": 0.0,
+        "electrons_per_radiance": np.full(BANDS, 5000.0), "fixed_noise_electrons": np.full(BANDS, 60.0),
+        "relative_calibration": np.full(BANDS, 0.005), "lsb_radiance": np.full(BANDS, 0.005),
+    }  # fmt: skip
+    return SensorNumbers(**(values | changes))
+
+
+def area(surface: str, lines: list[int], samples: list[int], **more: Any) -> dict[str, Any]:
+    return {"surface": surface, "lines": lines, "samples": samples} | more
+
+
+def planks(**changes: Any) -> dict[str, Any]:
+    """A group of six planks on the asphalt."""
+    place = {"lines": [36, 50], "samples": [4, 25]}
+    group = {"name": "planks", "material": "yellow-paint-plank", "host": "asphalt", "fill": 0.3, "count": 6}
+    return group | {"area": place} | changes
+
+
+def scene_data(**changes: Any) -> dict[str, Any]:
+    """Plain data of a small scene, as a YAML file would hold it."""
+    data: dict[str, Any] = {
+        "schema": 1, "name": "small", "mode": "closure", "seed": 7, "lines": 60, "samples": 48, "gsd_m": 2.0,
+        "map": {"utm_zone": 18, "easting_m": 275400.0, "northing_m": 4753700.0}, "sensor": "invented",
+        "atmosphere": {"aerosol": "rural", "meteorological_range_km": 40.0, "sensor_altitude_km": 1.0,
+                       "solar_zenith_deg": 40.0, "solar_azimuth_deg": 180.0, "day_of_year": 264},
+        "psf_fwhm_pixels": 1.0, "layout": [area("grass", [0, 60], [0, 48]), area("asphalt", [30, 60], [0, 48])],
+        "panels": [area("white-panel", [10, 18], [30, 38], name="white")], "targets": [planks()],
+        "regions": [{"name": "grass-field", "surface": "grass"}, {"name": "court", "surface": "asphalt"}],
+    }  # fmt: skip
+    return data | changes
+
+
+def small_scene(**changes: Any) -> SceneFile:
+    """The small scene as a model."""
+    return SceneFile.model_validate(scene_data(**changes))
