@@ -204,8 +204,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def write_collection(folder: Path) -> None:
     """Simulate the scene into ``folder``/collection, with the sensor file beside it."""
-    from hyperval.simulate import SceneFile, simulate
-    from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
+    from hyperval.simulate import SceneFile, SimulationInputs, sensor_numbers, simulate
     from hyperval.statistics_library import builtin_class
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -44,7 +44,7 @@ def test_the_campaign_passes_as_it_stands(small):
 
 def scaled_spectrum(small: SmallCampaign, source: dict, builtin: str, factor: float) -> None:
     """Write a built-in mean times ``factor`` as a field spectrum and let ``source`` name it."""
-    from hyperval.simulate.collection import field_axis
+    from hyperval.simulate import field_axis
 
     axis = field_axis()
     values = factor * builtin_class(builtin, axis).mean

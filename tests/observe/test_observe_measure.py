@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_world import AXIS, BANDS, LINES, SAMPLES, background_spread, moments
 
-from hyperval.campaign.sides import with_measured_fractions, without_circles
+from hyperval.campaign import with_measured_fractions, without_circles
 from hyperval.collection import Classification
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Sources

@@ -64,6 +64,43 @@ def test_normalised_difference_equals_numpy(world):
     assert 0 < mask.sum() < mask.size
 
 
+FIELD = {"name": "field", "rectangle": [35, 5, 10, 20]}
+
+
+def test_halves_share_no_pixel_and_are_cut_across_the_longer_side(world):
+    halves = [{"name": which, "half": {"of": "field", "which": which}} for which in ("first", "second")]
+    world.regions(FIELD, *halves)
+    place = world.place()
+    first, second = place.region("first"), place.region("second")
+    assert not (first & second).any()
+    assert np.array_equal(first | second, place.region("field"))
+    assert np.argwhere(first)[:, 1].max() == 14  # samples 5 to 24 are the longer side
+    world.regions({"name": "field", "rectangle": [35, 5, 1, 1]}, *halves)
+    with pytest.raises(InputError, match="too small to be halved"):
+        world.place()
+
+
+def test_a_ring_is_what_lies_between_two_distances(world):
+    """Against distances from every pixel of the region, one by one; lines 4 m apart, samples 1 m."""
+    world.write(transform=Affine(1.0, 0, 500000.0, 0, -4.0, 4700000.0))
+    near = {"name": "near", "ring": {"of": "field", "outer_pixels": 1.5}}
+    world.regions(FIELD, {"name": "around", "ring": {"of": "field", "inner_m": 3.0, "outer_m": 11.0}}, near)
+    place = world.place()
+    inside, every = np.argwhere(place.region("field")), np.argwhere(np.ones((LINES, SAMPLES), bool))
+    for name, pixel, inner, outer in (("around", (4.0, 1.0), 3.0, 11.0), ("near", (1.0, 1.0), 0.0, 1.5)):
+        apart = (every[:, None] - inside[None]) * np.array(pixel)
+        distance = np.sqrt((apart**2).sum(axis=-1).min(axis=1)).reshape(LINES, SAMPLES)
+        assert np.array_equal(place.region(name), (distance > inner) & (distance <= outer))
+    world.write(transform=None, crs=None)
+    world.collection["targets"] = None
+    with pytest.raises(UsageError, match=r"ground size of a pixel is not known(?s:.*)give inner_pixels"):
+        world.place()
+
+
+def around(**ring) -> dict:
+    return {"regions": [FIELD, {"name": "around", "ring": {"of": "field"} | ring}]}
+
+
 def test_a_file_gives_its_regions_or_one_of_them(world):
     source = world.squares("rois.geojson", a=(0, 0, 4), b=(10, 10, 2))
     world.regions(source)
@@ -105,6 +142,13 @@ def test_a_file_of_the_whole_site_serves_a_line_that_holds_some(world):
         ({"regions": [{"name": "nd", "normalized_difference": {"high_nm": [780, 880], "low_nm": [650, 690],
                                                                "above": 0.999}}]},
          InputError, "'nd' holds no pixel"),
+        ({"regions": [{"name": "a", "half": {"of": "field", "which": "first"}}, FIELD]}, UsageError,
+         "'a' is half of 'field', which is no region above it"),
+        (around(of="meadow", outer_m=9.0), UsageError, "'around' is a ring around 'meadow', which is no region above"),
+        (around(inner_pixels=500.0, outer_pixels=501.0), InputError, "no pixel of the image lies in the ring"),
+        (around(inner_m=9.0, outer_m=9.0), ValueError, "must exceed the inner one, 9"),
+        (around(inner_pixels=2.0, outer_m=9.0), ValueError, "one unit"),
+        (around(), ValueError, "exactly one of outer_m, outer_pixels"),
         ({"regions": [{"file": "no.geojson", "coordinates": "pixel"}]}, InputError, "no such"),
         ({"targets": {"csv": "no.csv"}}, InputError, "no such target list"),
         ({"cube": {"path": "no.img", "quantity": "reflectance"}}, InputError, "no such"),

@@ -12,7 +12,7 @@ from small_world import AXIS, BANDS
 
 from hyperval import api, datasets
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.campaign.dry_run import dry_run, summary
+from hyperval.campaign import dry_run, summary
 from hyperval.collection import CollectionSection, RadCalNetSource
 from hyperval.compare import compare_spectra
 from hyperval.errors import InputError, UsageError

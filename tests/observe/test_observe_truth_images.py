@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from small_world import World
 
 from hyperval import api, cli
-from hyperval.campaign.sides import with_fills_of_truth
+from hyperval.campaign import with_fills_of_truth
 from hyperval.collection import Detection
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.imagery import open_raster

@@ -30,7 +30,7 @@ from hyperval.pixels import (
     statistics_of_factor,
 )
 from hyperval.products import EstimatedPart
-from hyperval.simulate.surface import correlated_field
+from hyperval.simulate import correlated_field
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 

@@ -11,7 +11,7 @@ from uncertain_scene import AXIS, scenario
 from hyperval.data import ClassStatistics, Components
 from hyperval.errors import UsageError
 from hyperval.model import Evaluation, Origins, predict, read
-from hyperval.simulate.surface import sampler
+from hyperval.simulate import sampler
 from hyperval.statistics_library import builtin_class
 
 BANDS = len(AXIS)
