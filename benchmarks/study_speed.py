@@ -31,7 +31,7 @@ from hyperval.executors import Parcel, in_order, parcel, workers
 from hyperval.model import Origins, evaluations, false_alarm_grid, predict, read, with_values
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.study.evaluate import Evaluator
+from hyperval.study import Evaluator
 
 RANGE, FILL = "atmosphere.meteorological_range_km", "scene.targets.plank.fill.fixed"
 ERROR, SIGNAL = "sensor_changes.calibration_error_percent", "sensor_changes.signal_factor"

@@ -21,7 +21,7 @@ from hyperval.campaign import Campaign
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import SensorSpecification
 from hyperval.simulate.schema import SceneFile
-from hyperval.study.schema import StudyFile
+from hyperval.study import StudyFile
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "files.md"
 FILES: tuple[tuple[str, type[BaseModel], str], ...] = (

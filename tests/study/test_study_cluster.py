@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.study import run as study_run
-from hyperval.study.run import study_to_folder
+from hyperval.study import study_to_folder
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
 
@@ -65,8 +64,8 @@ def cluster(tmp_path):
 @pytest.mark.filterwarnings("default")  # of the libraries behind the scheduler
 def test_the_same_table_with_one_worker_killed_in_the_middle(make_study, tmp_path, monkeypatch, cluster):
     address, both = cluster
-    monkeypatch.setattr(study_run, "_SMALLEST", 32)
-    _, path = make_study(TEXT)
+    monkeypatch.setattr("hyperval.study.run._SMALLEST", 32)
+    path = make_study(TEXT)
     study_to_folder(path, tmp_path / "here")
     kept: Path = tmp_path / "there" / ".hyperval-partial" / "values.f64"
     seen = []

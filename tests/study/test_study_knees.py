@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from hyperval.study.page import knee
+from hyperval.study import knee
+
+U = np.linspace(0.0, 1.0, 41)
+SATURATING = 1.0 - np.exp(-6.0 * U)
 
 
 def test_exponential_saturation_by_hand():
@@ -17,23 +20,15 @@ def test_exponential_saturation_by_hand():
     assert found.curvature == pytest.approx(k * np.sqrt(0.5) / 1.5**1.5, rel=2e-3)
 
 
-def test_units_do_not_matter():
-    x = np.linspace(1.0, 2.0, 30)
-    y = np.tanh(4.0 * (x - 1.0))
-    assert knee(1000.0 * x, 0.01 * y).x == pytest.approx(1000.0 * knee(x, y).x, rel=1e-9)
-
-
-def test_logarithm_of_the_input():
-    u = np.linspace(0.0, 1.0, 41)
-    y = 1.0 - np.exp(-6.0 * u)
-    plain, scaled = knee(u, y), knee(10.0 ** (2.0 * u), y, logarithmic=True)
+def test_units_and_the_logarithm_of_the_input():
+    plain, scaled = knee(U, SATURATING), knee(10.0 ** (2.0 * U), SATURATING, logarithmic=True)
+    assert knee(1000.0 * U, 0.01 * SATURATING).x == pytest.approx(1000.0 * plain.x, rel=1e-9)
     assert np.log10(scaled.x) / 2.0 == pytest.approx(plain.x, rel=1e-9)
 
 
 def test_concave_and_convex_parts_of_an_s_curve():
     x = np.linspace(-1.0, 1.0, 81)
-    y = np.tanh(4.0 * x)
-    up, down = knee(x, y, bend="convex"), knee(x, y, bend="concave")
+    up, down = (knee(x, np.tanh(4.0 * x), bend=bend) for bend in ("convex", "concave"))
     assert up.x == pytest.approx(-down.x, abs=1e-6)
     assert up.x < 0.0 < down.x
 

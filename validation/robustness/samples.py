@@ -50,7 +50,7 @@ from hyperval.sensor.specification import load_sensor
 from hyperval.simulate.schema import load_scene
 from hyperval.spectra import read_records, read_spectrum
 from hyperval.statistics_library import read_statistics_library
-from hyperval.study.schema import load_study
+from hyperval.study import load_study
 
 ROOT = Path(__file__).parents[2]
 

@@ -14,7 +14,7 @@ from .detection import (
     unmixing_figure,
 )
 from .pictures import draw_pictures, quicklook_figure, score_map_figures
-from .print import Print, drawings_of
+from .print import Print, canvas_of, drawings_of, house_style
 from .sides import EigenvalueSpectrum, ExpectedScores, Quicklook, ScoreMap, TailCurve, difference
 from .spec import Axis, ColourScale, Drawing, Figure, Mark, Panels, Part, statement
 from .spectra import (
@@ -46,6 +46,7 @@ __all__ = [
     "best_counted",
     "budget_figure",
     "campaigns_figure",
+    "canvas_of",
     "class_error_figure",
     "criteria_figure",
     "densities_figure",
@@ -57,6 +58,7 @@ __all__ = [
     "exceedance_figure",
     "first_figures",
     "further_figures",
+    "house_style",
     "many_objects_figure",
     "object_score_figure",
     "quicklook_figure",

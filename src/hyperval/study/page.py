@@ -468,8 +468,7 @@ def _text(value: Any) -> str:
     return number_text(float(value)) if isinstance(value, int | float) else str(value)
 
 
-_MOST_REASONS = 12
-_MOST_VALUES = 12
+_MOST_REASONS = _MOST_VALUES = 12
 _MOST_KNEES = 24
 
 

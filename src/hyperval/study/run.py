@@ -22,7 +22,7 @@ from hyperval.storage import partial_folder, whole_folder
 from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
 from hyperval.study.plan import Plan, answers, plan_study
 from hyperval.study.schema import load_study
-from hyperval.study.tables import Field, PointStore, StudyTable, input_fields, write_tables
+from hyperval.study.tables import Field, PointStore, StudyTable, input_fields, moved, write_tables
 
 Array = npt.NDArray[np.float64]
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
@@ -130,8 +130,6 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     study, points, evaluator = packed.open()
     parts, reasons = [], dict[int, str]()
     for low in range(start, stop, _BATCH):
-        from hyperval.study.tables import moved
-
         columns = moved({i.name: i for i in study.inputs}, points.stretch(low, min(low + _BATCH, stop)))
         values, problems = evaluator.values(columns, study.outputs)
         said = {i: [text] for i, text in problems.items()}

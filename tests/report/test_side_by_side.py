@@ -1,5 +1,7 @@
 """Two runs side by side."""
 
+from __future__ import annotations
+
 import dataclasses
 import json
 import re
@@ -9,15 +11,14 @@ from synthetic_run import make_run
 
 from hyperval import cli
 from hyperval.errors import InputError
-from hyperval.report import write_outputs
-from hyperval.report.side_by_side import _names, compare_runs, difference_table, paired
-from hyperval.results import Outcome, Result, ResultTable, Role
-from hyperval.run import Run, read_rows
+from hyperval.report import compare_runs, write_outputs
+from hyperval.results import Outcome, Result, ResultTable, Role, paired
+from hyperval.run import Run, read_rows, write_table
 
 
-def _row(metric="bias_ratio", value=1.0, outcome=Outcome.AGREES, **more):
-    interval = {"lower": value - 0.1, "upper": value + 0.1}
-    return Result("c", "radiance", "grass", "sixs", metric, value, role=Role.GATE, outcome=outcome, **interval, **more)
+def _row(metric="bias_ratio", value=1.0, half=0.1, **more):
+    interval = {"lower": value - half, "upper": value + half, "outcome": Outcome.AGREES}
+    return Result("c", "radiance", "grass", "sixs", metric, value, role=Role.GATE, **(interval | more))
 
 
 @pytest.fixture(scope="module")
@@ -36,53 +37,50 @@ def folders(tmp_path_factory):
     return tmp_path
 
 
-def test_a_stored_table_is_read_back_as_it_was(folders):
+def compared(one, other, out) -> str:
+    compare_runs(one, other, out)
+    return (out / "report.html").read_text("utf-8")
+
+
+def test_a_stored_table_is_read_back_as_it_was(folders, tmp_path):
+    """Also one that repeats the names of the columns in each row: results of earlier days stay comparable."""
     stored = Run.open(folders / "a")
     assert stored.table.frame().equals(make_run().table.frame())
     assert stored.figures
-
-
-def test_a_table_of_the_version_before_is_read_too(folders, tmp_path):
-    """It repeated the names of the columns in each row; results of earlier days stay comparable."""
     now = json.loads((folders / "a" / "results.json").read_text())
-    before = {
-        **now, "schema_version": 2, "rows": [dict(zip(now["columns"], row, strict=True)) for row in now["rows"]],
-    }  # fmt: skip
-    (tmp_path / "results.json").write_text(json.dumps(before))
-    assert Run.open(tmp_path).table.frame().equals(Run.open(folders / "a").table.frame())
+    rows = [dict(zip(now["columns"], row, strict=True)) for row in now["rows"]]
+    (tmp_path / "results.json").write_text(json.dumps({**now, "schema_version": 2, "rows": rows}))
+    assert Run.open(tmp_path).table.frame().equals(stored.table.frame())
 
 
-def test_a_verdict_that_turned_stands_first(folders):
-    assert cli.run(["-q", "compare", str(folders / "a"), str(folders / "b"), "-o", str(folders / "out")]) == 0
-    page = (folders / "out" / "report.html").read_text("utf-8")
+def test_a_verdict_that_turned_stands_first(folders, tmp_path):
+    assert cli.run(["-q", "compare", str(folders / "a"), str(folders / "b"), "-o", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
     changed = page[page.index("Outcomes that changed") : page.index("What moved")]
     assert "disagrees" in changed
     assert "agrees" in changed
     assert not re.search(r'(src|href)="https?:', page)
     assert len(page) < 5_000_000
+    assert 'class="chart"' not in page, "the curves are the same"
 
 
 def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
     run = make_run()
     (tmp_path / "moved").mkdir()
     radiance = {k: dataclasses.replace(e, mean=1.1 * e.mean) for k, e in run.prediction.radiance.items()}
-    moved = dataclasses.replace(run.prediction, radiance=radiance)
     table = ResultTable(dataclasses.replace(row, value=row.value * 1.1) for row in run.table)
+    moved = dataclasses.replace(run.prediction, radiance=radiance)
     write_outputs(dataclasses.replace(run, prediction=moved, table=table), tmp_path / "moved")
-    compare_runs(folders / "a", tmp_path / "moved", tmp_path / "out")
-    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    page = compared(folders / "a", tmp_path / "moved", tmp_path / "out")
     assert "run A (dashed) and run B" in page
     assert page.count('id="chart-radiance"') == page.count('id="chart-snr"') == 1
-    compare_runs(folders / "a", folders / "b", tmp_path / "verdicts")  # of the same curves
-    assert 'class="chart"' not in (tmp_path / "verdicts" / "report.html").read_text("utf-8")
 
 
-def test_a_run_against_itself_has_no_difference(folders):
-    compare_runs(folders / "a", folders / "a", folders / "same")
-    rows = list(read_rows(folders / "same"))
+def test_a_run_against_itself_has_no_difference(folders, tmp_path):
+    page = compared(folders / "a", folders / "a", tmp_path / "same")
+    rows = list(read_rows(tmp_path / "same"))
     assert rows
     assert all(r.value == 0 or r.value != r.value for r in rows)
-    page = (folders / "same" / "report.html").read_text("utf-8")
     assert f"Identical: all {len(rows)} comparisons have the same value" in page
     assert "Outcomes that changed" not in page
     assert "<img" not in page
@@ -92,29 +90,22 @@ def test_a_run_against_itself_has_no_difference(folders):
 
 def test_differences_count_in_half_intervals():
     (pair,) = paired(ResultTable([_row(value=1.0)]), ResultTable([_row(value=1.3)]))
-    assert pair.difference == pytest.approx(0.3)
-    assert pair.size == pytest.approx(3.0)
+    assert (pair.difference, pair.size) == (pytest.approx(0.3), pytest.approx(3.0))
     assert not pair.verdict_changed
-
-
-def test_rounding_beside_an_interval_of_no_width_is_no_news():
-    def area(value):
-        return dataclasses.replace(_row(value=value), lower=value - 1e-16, upper=value + 1e-16)
-
-    (pair,) = paired(ResultTable([area(1.0)]), ResultTable([area(1.000001)]))
+    # Rounding beside an interval of no width is no news.
+    (pair,) = paired(ResultTable([_row(half=1e-16)]), ResultTable([_row(value=1.000001, half=1e-16)]))
     assert 0.0 < pair.size < 0.01
 
 
-def test_runs_in_folders_of_one_name_are_told_apart(tmp_path):
-    assert _names(tmp_path / "old" / "hysu", tmp_path / "new" / "hysu") == ("old/hysu", "new/hysu")
-    assert _names(tmp_path / "a", tmp_path / "b") == ("a", "b")
-    assert _names(tmp_path / "a", tmp_path / "a") == ("a", "a")
-
-
-def test_a_gate_that_one_run_lacks_is_a_changed_verdict():
-    pairs = paired(ResultTable([_row("bias_ratio"), _row("z")]), ResultTable([_row("bias_ratio")]))
-    assert [p.verdict_changed for p in pairs] == [False, True]
-    rows = list(difference_table(pairs))
+def test_a_gate_that_one_run_lacks_is_a_changed_verdict_and_folders_of_one_name_are_told_apart(tmp_path):
+    for name, rows in (("old", [_row("bias_ratio"), _row("z")]), ("new", [_row("bias_ratio")])):
+        (tmp_path / name / "hysu").mkdir(parents=True)
+        write_table(ResultTable(rows), tmp_path / name / "hysu")
+    page = compared(tmp_path / "old" / "hysu", tmp_path / "new" / "hysu", tmp_path / "out")
+    assert "Outcomes that changed" in page
+    assert "old/hysu" in page
+    assert "new/hysu" in page
+    rows = list(read_rows(tmp_path / "out"))
     assert [r.outcome for r in rows] == [Outcome.NONE, Outcome.SKIPPED]
     assert rows[1].reason == "only in run A"
 

@@ -1,0 +1,9 @@
+"""Trade-off studies: many evaluations of the model over grids, lists and random designs."""
+
+from .evaluate import Evaluator
+from .page import knee
+from .plan import answers
+from .run import study_to_folder
+from .schema import Output, Required, StudyFile, load_study
+
+__all__ = ["Evaluator", "Output", "Required", "StudyFile", "answers", "knee", "load_study", "study_to_folder"]

@@ -1,0 +1,191 @@
+"""The verdict says "met" only where criteria of the model are met and none is not; numbers as a reader wants them."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hyperval import cli
+from hyperval.figures import campaigns_figure, criteria_figure
+from hyperval.metrics import Evidence, plain_words
+from hyperval.report import first_screen, last_line, number_text
+from hyperval.report.verdict import interval_text, limits_text, value_text, verdict
+from hyperval.results import Outcome, Result, Role
+
+A, D, U, S, E, N = (
+    Outcome.AGREES, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.ERROR, Outcome.NONE,
+)  # fmt: skip
+WHAT = "mean level of the radiance"
+
+
+def row(outcome, subject="grass", role=Role.GATE, **more):
+    return Result("c", "radiance", subject, "6S", "bias_ratio", 0.01, outcome=outcome, role=role, **more)
+
+
+def informing(outcome, subject="grass"):
+    return row(outcome, subject, Role.INFORM)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "tone", "head"),
+    [
+        ([A, A], A, "Met"), ([A, S], U, "Met in part"), ([A, U], U, "Met in part"), ([A, D], D, "Not met"),
+        ([D], D, "Not met"), ([A, E], E, "Not met"), ([S], S, "Not run"), ([U], U, "Inconclusive"),
+        ([], N, "No acceptance criteria"),
+    ],
+)  # fmt: skip
+def test_status_and_words_follow_the_outcomes(outcomes, tone, head):
+    rows = [row(o) for o in outcomes] + [informing(D)]
+    found, words = verdict(rows)
+    screen = first_screen(rows)
+    assert (found, screen.outcome, screen.head) == (tone, tone, head)
+    assert words.startswith(f"{head}." if head not in ("Not run", "No acceptance criteria") else (
+        "Not run:", "This campaign has no acceptance criteria"))  # fmt: skip
+    assert screen.steps
+    assert f"1 informational comparison is not met ({WHAT}: grass)" in words
+
+
+def test_checks_of_the_pipeline_are_counted_apart_and_are_no_agreement_of_the_model():
+    checks = [row(A, evidence=Evidence.PIPELINE) for _ in range(18)]
+    tone, words = verdict(checks)
+    assert tone is U
+    assert words.startswith("Inconclusive: no criterion of the model was decided.")
+    assert f"18 checks of the pipeline are met ({WHAT}: grass)." in words
+    told = f"Met. 12 acceptance criteria are met ({WHAT}: grass). 18 checks of the pipeline are met ({WHAT}: grass)."
+    assert verdict([row(A) for _ in range(12)] + checks) == (A, told)
+
+
+def test_what_disagrees_fails_and_was_skipped_is_named():
+    assert verdict([row(D, "lawn"), row(E, "turf"), row(U, "lot"), row(A)])[1] == (
+        f"Not met. 1 acceptance criterion is not met ({WHAT}: lawn), 1 ended in an error ({WHAT}: turf), "
+        f"1 is inconclusive ({WHAT}: lot), 1 is met ({WHAT}: grass)."
+    )
+
+
+def test_many_are_counted_and_not_named():
+    many = [replace(row(S), campaign=f"line-{i}") for i in range(10)]
+    assert "10 acceptance criteria were not run (10 campaigns)" in verdict(many)[1]
+    assert "line-8" in verdict(many[:9])[1]
+    others = [informing(D, f"field {i}") for i in range(10)]
+    told = plain_words(others[0].metric, "radiance")
+    assert f"10 informational comparisons are not met ({told}: 10)" in verdict([row(A), *others])[1]
+    parts = ("windows", "vnir", "swir1", "swir2", "absorption")
+    metrics = ("p_value_full", *(f"median_difference_ratio_{part}" for part in parts))
+    every = [replace(other, metric=metric) for metric in metrics for other in others]
+    assert "60 informational comparisons are not met (60 of radiance)" in verdict([row(A), *every])[1]
+
+
+def test_one_falsified_criterion_turns_the_verdict_and_no_reason_does():
+    rows = [row(A) for _ in range(20)]
+    told = "disagrees; would not pass at most 1; inconsistent; outside"
+    assert verdict([*rows, row(N, role=Role.INFORM, reason=told), row(A, reason=told)])[0] is A
+    assert verdict([*rows[:7], row(D), *rows[7:]])[0] is D
+
+
+def test_inconclusive_criteria_are_counted_in_the_last_line():
+    assert last_line([row(A), row(U), row(U), informing(D)]) == "acceptance criteria: 1 met, 2 inconclusive"
+    assert last_line([informing(D)]) == "acceptance criteria: none"
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "text"),
+    [
+        (0.123456, math.nan, "0.1235"), (12345.678, math.nan, "12346"), (3.0, math.nan, "3"), (0.123456, 0.01, "0.123"),
+        (-0.5, 0.2, "−0.50"), (1.2e-7, math.nan, "1.2e−07"), (math.nan, math.nan, "–"), (math.inf, math.nan, "∞"),
+        (0.0, math.nan, "0"),
+    ],
+)  # fmt: skip
+def test_numbers_have_sensible_digits(value, spread, text):
+    assert number_text(value, spread) == text
+
+
+def test_value_and_interval_share_their_digits():
+    r = Result("c", "abundance", "t", "CEM", "area", 8.21234, "m2", lower=7.1, upper=9.4)
+    assert (value_text(r), interval_text(r)) == ("8.2 m2", "7.1 to 9.4")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "< 1e−300"), (0.18472, "0.18"), (3.219e-7, "3.2e−07"), (0.99979, "> 0.999")]
+)
+def test_p_values_have_two_digits_and_are_never_nothing(value, text):
+    assert value_text(Result("c", "radiance", "panel", "6S", "p_value_full", value)) == text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [(math.nan, 0.06, "≤ 0.06"), (0.01, math.nan, "≥ 0.01"), (-0.015, 0.015, "−0.015 to 0.015"),
+     (math.nan, math.nan, "")],
+)  # fmt: skip
+def test_a_range_is_printed_from_its_limits_whatever_the_reason_says(low, high, text):
+    assert limits_text(row(A, limit_low=low, limit_high=high, reason="at most a sixth more planks")) == text
+
+
+def test_the_sentence_of_a_page_says_what_the_table_says(small, tmp_path):
+    """Half a minute with the page: what is met, what is not, what is inconclusive, counted anew."""
+    small.gate("radiance")["at_most"] = 0.002  # some of it does not hold, some cannot be told
+    cli.run(["-q", "validate", str(small.write()), "-o", str(tmp_path / "out")])
+    page = (tmp_path / "out" / "report.html").read_text()
+    (sentence,) = re.findall(r"<summary>All of it in words</summary><p>(.*?)</p>", page, re.DOTALL)
+    with (tmp_path / "out" / "results.csv").open(newline="") as stream:
+        model = [r for r in csv.DictReader(stream) if r["role"] == "gate" and r["evidence"] == "model"]
+    verbs = {"agrees": "(?:is|are) met", "disagrees": "(?:is|are) not met", "undecided": "(?:is|are) inconclusive"}
+    seen = {r["outcome"] for r in model}
+    assert len(seen & set(verbs)) >= 2
+    said = re.search(r"\d+ acceptance criteri.*?\)\.", sentence)[0]
+    for outcome, verb in verbs.items():
+        own = [r for r in model if r["outcome"] == outcome]
+        told = re.search(rf"(\d+)(?: acceptance criteri\w+)? {verb} \((.*?)\)", said)
+        assert (int(told[1]) if told else 0) == len(own), outcome
+        for product in {r["product"] for r in own}:
+            in_words = {"roc": "probability of detection"}.get(product, product)
+            assert in_words in told[2] or product in told[2], (outcome, product)
+    assert sentence.startswith("Not met.") == ("disagrees" in seen)
+    assert ('<p class="status">Not met</p>' in page) == ("disagrees" in seen)
+    failed = sum(r["outcome"] == "disagrees" for r in model)
+    assert f'<p class="lead">{failed} of {len(model)} acceptance criteria' in page
+
+
+def criterion(outcome, value, subject="grass", half=0.02, **more):
+    told = {"effect": 100.0 * value, "effect_unit": "% of radiance", "ideal": 0.0}
+    told |= {"effect_lower": 100.0 * (value - half), "effect_upper": 100.0 * (value + half)}
+    told |= {"accepted_low": -5.0, "accepted_high": 5.0}
+    names = "c", "radiance", subject, "m", "median_difference_ratio_windows"
+    return Result(*names, value, role=Role.GATE, outcome=outcome, **told, **more)
+
+
+def test_criteria_are_drawn_in_units_of_the_field_with_what_is_accepted():
+    rows = [criterion(A, 0.01), criterion(D, 0.12, "lawn", detectable_low=-8.0, detectable_high=8.0)]
+    (part,) = criteria_figure(rows).views[0].parts
+    assert part.y.names == ("lawn", "grass"), "the worst first"
+    assert part.y.notes == ("+12 % (10 to 14)", "+1 % (−1 to 3)")
+    assert part.x.label == "Radiance: level [% of radiance]"
+    marks = [mark for mark in part.marks if not np.isnan(next(iter(mark.columns.values()))).all()]
+    accepted, failed, met, found = marks
+    np.testing.assert_allclose([accepted.columns["left"][0], accepted.columns["right"][0]], [-5.0, 5.0])
+    np.testing.assert_allclose([failed.columns["x"][0], met.columns["x"][0]], [12.0, 1.0])
+    np.testing.assert_allclose(sorted(found.columns["x"]), [-8.0, 8.0])
+    assert {mark.label for mark in part.marks} == {"", "accepted range", "not met", "met", "smallest detectable error"}
+
+
+def test_a_forest_says_no_more_than_is_known_and_folds_what_is_met():
+    (part,) = criteria_figure([criterion(A, 0.01, half=0.0)]).views[0].parts
+    assert part.y.notes == ("+1 %",), "without stated uncertainty no interval"
+    rows = [criterion(A, 0.001 * i, f"subject {i}") for i in range(30)] + [criterion(D, 0.2, "lawn")]
+    (part,) = criteria_figure(rows).views[0].parts
+    assert part.y.names[-1].endswith("more, met")
+    assert len(part.y.names) < 12
+    assert criteria_figure([row(S)]) is None
+
+
+def test_campaigns_are_one_figure_the_worst_first():
+    figure = campaigns_figure({"good": [row(A)] * 4, "bad": [row(A), row(D)], "absent": [row(S)]})
+    (part,) = figure.views[0].parts
+    assert (part.y.names, part.y.notes) == (("bad", "good"), ("1 not met, 1 met", "4 met"))
+    failed, met = part.marks
+    np.testing.assert_allclose([failed.columns["right"][0], met.columns["left"][0]], 50.0)
+    assert campaigns_figure({"absent": [row(S)]}) is None

@@ -1,0 +1,331 @@
+"""The whole command: designs, tables, answers, interruption, workers, exit codes.
+
+That a study gives what ``predict`` gives, whatever moves, is a property of the model (tests/model).
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from scipy.optimize import brentq
+from scipy.stats import kstest, truncnorm
+
+from hyperval import api, cli
+from hyperval.errors import UsageError
+from hyperval.executors import workers
+from hyperval.model import predict, read
+from hyperval.run import Run, read_rows
+from hyperval.scenario import load_scenario
+from hyperval.settings import with_settings
+from hyperval.study import Evaluator, Output, Required, answers, load_study, study_to_folder
+
+FILL = "scene.targets.plank.fill.fixed"
+OUT = "outputs: [{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}]\n"
+TEXT = f"""
+title: A trial
+inputs:
+  - {{name: c, label: calibration error, unit: "%", path: sensor_changes.calibration_error_percent,
+     grid: {{start: 0.1, stop: 3, count: 15}}}}
+  - {{name: haze, path: atmosphere.aot550, values: [0.1, 0.4]}}
+  - {{name: fill, label: fill, path: {FILL}, values: [0.02, 0.05, 0.1, 0.15, 0.2]}}
+outputs:
+  - {{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}}
+  - {{name: snr, kind: snr, subject: asphalt, range_nm: [450, 650]}}
+required:
+  - {{name: signal, path: sensor_changes.signal_factor, between: [0.01, 100], spacing: log, output: pd, equals: 0.99,
+     report: [snr]}}
+knees: [{{output: pd, along: fill, bend: concave}}]
+plots:
+  - {{kind: lines, x: c, output: pd, family: fill}}
+  - {{kind: heat, x: c, y: fill, output: pd}}
+"""
+
+
+@pytest.fixture
+def table_of(make_study):
+    """From YAML text to the table of the study."""
+    return lambda text: api.study(make_study(text), show_progress=False).to_dataframe()
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Small chunks, so that a short study has several."""
+    monkeypatch.setattr("hyperval.study.run._SMALLEST", 32)
+
+
+def tables(folder) -> dict[str, bytes]:
+    return {n: (folder / n).read_bytes() for n in ("table.csv", "table.nc", "results.csv")}
+
+
+def test_a_study_writes_everything(make_study, tmp_path, quick, scenario_file, monkeypatch):
+    path, out = make_study(TEXT), tmp_path / "out"
+    monkeypatch.setattr("hyperval.study.tables.find_spec", lambda name: None)
+    assert cli.run(["-q", "study", str(path), "-o", str(out)]) == 0
+    assert not (out / "table.parquet").exists(), "pyarrow is an extra"
+    table = pd.read_csv(out / "table.csv")
+    assert list(table) == ["point", "c", "haze", "fill", "pd", "snr", "signal", "signal.snr", "reason"]
+    assert len(table) == 150
+    assert table["pd"].between(0, 1).all()
+    with xr.open_dataset(out / "table.nc", engine="h5netcdf") as data:
+        for name in ("c", "fill", "pd", "signal"):
+            np.testing.assert_array_equal(data[name].values, table[name].to_numpy())
+        assert (data["c"].attrs["units"], data["c"].attrs["long_name"]) == ("%", "calibration error")
+    assert {str(r.outcome) for r in read_rows(out)} <= {"none", "skipped"}
+    unsolved = table["signal"].isna()
+    assert table.loc[unsolved, "reason"].str.contains("stays below 0.99").all()
+    page = (out / "report.html").read_text()
+    assert page.count('<div class="chart"') == len(list((out / "figures").glob("*.svg"))) == 2
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert {"provenance.json", "products.nc"} <= {p.name for p in out.iterdir()}
+    assert not (out / ".hyperval-partial").exists()
+    # The answer by another solver and the plain evaluator, and the ratio there.
+    row = table[~unsolved].iloc[0]
+    stated = {"sensor_changes.calibration_error_percent": row["c"], "atmosphere.aot550": row["haze"], FILL: row["fill"]}
+
+    def at(signal: float):
+        changes = {**stated, "sensor_changes.signal_factor": signal}
+        return predict(with_settings(load_scenario(scenario_file), changes))
+
+    def miss(log_signal: float) -> float:
+        curve = at(float(np.exp(log_signal))).roc["plank", "cem", "pixel"]
+        return float(curve.pd[np.argmin(np.abs(curve.pfa - 1e-3))]) - 0.99
+
+    root = float(np.exp(brentq(miss, np.log(0.01), np.log(100.0), xtol=1e-10)))
+    assert row["signal"] == pytest.approx(root, rel=1e-6)
+    there = at(root)
+    w = there.axis.centre_nm
+    bands = (w >= 450) & (w <= 650) & there.axis.good
+    assert row["signal.snr"] == pytest.approx(there.snr["asphalt"].mean[bands].mean(), rel=1e-3)
+
+
+def test_parquet_holds_the_table_of_the_csv(make_study, tmp_path):
+    pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
+    study_to_folder(make_study(TEXT.replace("count: 15", "count: 2")), tmp_path / "out")
+    read = {"keep_default_na": False, "na_values": {"signal": [""], "signal.snr": [""]}}
+    written = pd.read_csv(tmp_path / "out" / "table.csv", **read)
+    found = pd.read_parquet(tmp_path / "out" / "table.parquet")
+    assert list(found.columns) == list(written.columns)
+    for name in found.columns:
+        np.testing.assert_array_equal(found[name].to_numpy(), written[name].to_numpy())
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bytes(make_study, tmp_path, quick, monkeypatch):
+    """Also where the last chunk was cut in the middle; another study begins anew."""
+    path, broken = make_study(TEXT), tmp_path / "broken"
+    study_to_folder(path, tmp_path / "whole")
+    calls = []
+    from hyperval.study import run as study_run
+
+    right = study_run.run_chunk
+
+    def failing(piece):
+        calls.append(piece[2])
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return right(piece)
+
+    monkeypatch.setattr("hyperval.study.run.run_chunk", failing)
+    with pytest.raises(KeyboardInterrupt):
+        study_to_folder(path, broken)
+    assert all(p.name.startswith(".hyperval") for p in broken.iterdir())
+    values = broken / ".hyperval-partial" / "values.f64"
+    assert values.stat().st_size == 2 * 32 * 4 * 8
+    with open(values, "ab") as stream, open(values.with_name("reasons.jsonl"), "a") as reasons:
+        stream.write(bytes(24))
+        reasons.write('[64, "of a lost chunk"]\n[65, "brok')
+    calls.clear()
+    calls += [0] * 3
+    study_to_folder(path, broken)
+    assert calls[3] == 96, "from the third chunk on"
+    assert tables(broken) == tables(tmp_path / "whole")
+    (tmp_path / "other" / ".hyperval-partial").mkdir(parents=True)
+    (tmp_path / "other" / ".hyperval-partial" / "study.txt").write_text("of another study")
+    study_to_folder(path, tmp_path / "other")
+    assert tables(tmp_path / "other") == tables(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_bytes(make_study, tmp_path, quick):
+    path = make_study(TEXT)
+    study_to_folder(path, tmp_path / "one")
+    with workers(2) as where:
+        study_to_folder(path, tmp_path / "two", executor=where)
+    assert tables(tmp_path / "one") == tables(tmp_path / "two")
+
+
+RANDOM = f"""
+inputs:
+  - {{name: fill, path: {FILL}, values: [0.1, 0.2, 0.3]}}
+  - {{name: c, path: sensor_changes.calibration_error_percent, random: {{uniform: [0, 4]}}}}
+  - {{name: s, path: sensor_changes.signal_factor, random: {{log_uniform: [0.1, 10]}}}}
+  - {{name: f, path: sensor_changes.fixed_noise_factor, random: {{normal: [1, 0.5], within: [0.5, 3]}}}}
+design: {{count: 512, seed: 4}}
+{OUT}"""
+
+
+def test_draws_follow_their_distributions_and_the_seed(table_of):
+    """Sobol points are more even than random ones, of which Kolmogorov's distance has a 5 % limit of 0.06."""
+    whole = table_of(RANDOM)
+    assert len(whole) == 3 * 512
+    assert whole["fill"].tolist()[:4] == [0.1, 0.2, 0.3, 0.1], "the last listed input moves fastest"
+    assert kstest(whole["c"][::3] / 4.0, "uniform").statistic < 0.01
+    assert kstest((np.log10(whole["s"][::3]) + 1.0) / 2.0, "uniform").statistic < 0.01
+    assert kstest(whole["f"][::3], truncnorm(-1.0, 4.0, 1.0, 0.5).cdf).statistic < 0.01
+    other = table_of(RANDOM.replace("seed: 4", "seed: 5").replace("count: 512", "count: 8"))
+    assert not np.isin(other["c"], whole["c"]).any()
+
+
+def test_several_entries_move_together(table_of, scenario_file):
+    table = table_of("""
+inputs:
+  - name: grass
+    moves: [{path: scene.classes.grass.fraction}, {path: scene.classes.asphalt.fraction, factor: -1, offset: 0.8}]
+    values: [0.1, 0.3]
+  - {name: way, moves: [{path: sensor_operation.frames_averaged}, {path: sensor_operation.averaged}],
+     values: [[1, after recording], [4, before recording]]}
+outputs: [{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}, {name: snr, kind: snr, subject: asphalt, band_nm: 550}]
+""")
+    for (grass, frames, way), row in zip(
+        [(0.1, 1, "after recording"), (0.1, 4, "before recording"), (0.3, 1, "after recording"),
+         (0.3, 4, "before recording")], table.itertuples(), strict=True,
+    ):  # fmt: skip
+        changes = {"scene.classes.grass.fraction": grass, "scene.classes.asphalt.fraction": 0.8 - grass}
+        changes |= {"sensor_operation.frames_averaged": frames, "sensor_operation.averaged": way}
+        alone = predict(with_settings(load_scenario(scenario_file), changes))
+        band = np.argmin(np.abs(alone.axis.centre_nm - 550.0))
+        assert row.snr == pytest.approx(alone.snr["asphalt"].mean[band], rel=1e-9)
+        assert row.pd == pytest.approx(np.interp(1e-3, *(getattr(alone.roc["plank", "cem", "pixel"], n)
+                                                         for n in ("pfa", "pd"))), rel=1e-6)  # fmt: skip
+
+
+def test_one_at_a_time_gives_a_tornado(make_study, tmp_path):
+    path = make_study(f"""
+design: {{kind: one-at-a-time}}
+inputs:
+  - {{name: haze, path: atmosphere.aot550, values: [0.1, 0.4]}}
+  - {{name: sensor, path: sensor, values: [prospectir-vs]}}
+  - {{name: fill, path: {FILL}, values: [0.02, 0.1]}}
+outputs: [{{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}}]
+plots: [{{kind: tornado, output: pd}}]
+""")
+    study_to_folder(path, tmp_path / "out")
+    table = pd.read_csv(tmp_path / "out" / "table.csv")
+    assert table["fill"].isna().tolist() == [True, True, True, True, False, False]
+    assert table["pd"].notna().all()
+    assert table["pd"].iloc[0] == pytest.approx(table["pd"].iloc[3], rel=1e-9)  # the same sensor, read anew
+    assert "read anew for each value" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_random_atmosphere_is_interpolated_and_says_so(make_study, tmp_path):
+    path = make_study(f"""
+inputs:
+  - {{name: haze, path: atmosphere.aot550, random: {{uniform: [0.05, 0.9]}}}}
+  - {{name: fill, path: {FILL}, random: {{uniform: [0.02, 0.2]}}}}
+design: {{count: 64}}
+{OUT}
+plots: [{{kind: lines, x: haze, output: pd}}, {{kind: heat, x: haze, y: fill, output: pd}}]
+""")
+    study_to_folder(path, tmp_path / "out")
+    rows = Run.open(tmp_path / "out").table
+    error = {r.subject: r.value for r in rows if r.metric == "error_at_held_out_states"}
+    assert 0 < error["radiance, worst"] < 0.03
+    assert error["radiance, rms"] <= error["radiance, worst"]
+    assert 0 < error["output pd"] < 0.03
+    assert "is interpolated between engine runs" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_areas_and_false_alarms_against_the_curve(table_of):
+    """AUC in closed form, with Gaussian and t backgrounds, and P_FA at a P_D against the curve, finely drawn."""
+    pfa = np.concatenate([np.geomspace(1e-10, 0.01, 300, endpoint=False), np.linspace(0.01, 1.0 - 1e-9, 500)])
+    head = """settings: {scene.targets.plank.fill: {mean: 0.03, sd: 0.01}}
+inputs:
+  - {name: tail, path: scene.classes.asphalt.tail_dof, values: [2.5, 6.0, 40.0]}
+"""
+    curves = table_of(f"{head}  - {{name: x, path: pfa, values: {pfa.tolist()}}}\n"
+                      "outputs: [{name: pd, kind: pd, subject: plank}]")["pd"].to_numpy().reshape(3, -1)  # fmt: skip
+    found = table_of(head + "outputs: [{name: auc, kind: auc, subject: plank}, "
+                     "{name: log_pfa, kind: log10-pfa, subject: plank, pd: 0.7}]")  # fmt: skip
+    np.testing.assert_allclose(found["auc"], np.trapezoid(curves, pfa, axis=1), atol=2e-4)
+    back = [np.interp(log_pfa, np.log10(pfa), curve) for log_pfa, curve in zip(found["log_pfa"], curves, strict=True)]
+    np.testing.assert_allclose(back, 0.7, rtol=2e-3)
+
+
+def test_a_point_that_can_not_be_gets_a_reason(scenario_file):
+    """Fractions that do not sum to 1 at one of four points: that one alone has no value."""
+    columns = {"scene.classes.asphalt.fraction": np.array([0.5, 0.5, 0.6, 0.5])}
+    output = Output(name="pd", kind="pd", subject="plank", pfa=1e-3)
+    found, problems = Evaluator(read(load_scenario(scenario_file))).values(columns, [output])
+    assert np.isnan(found[:, 0]).tolist() == [False, False, True, False]
+    assert list(problems) == [2]
+    assert "partition" in problems[2]
+
+
+class Sine:
+    """An output that is sin(7 x - 1), or x: what is looked for has several solutions, or one."""
+
+    def __init__(self, several):
+        self.several = several
+
+    def values(self, columns, outputs):
+        x = columns[FILL]
+        return (np.sin(7.0 * x - 1.0) if self.several else x)[:, None], {}
+
+
+@pytest.mark.parametrize(("several", "root"), [(True, 1.0 / 7.0), (False, 0.31)])
+def test_of_several_solutions_the_lowest_is_told(several, root):
+    question = {"name": "q", "path": FILL, "between": (0.0, 1.0), "output": "pd", "equals": 0.0 if several else 0.31}
+    output = Output(name="pd", kind="pd", subject="plank", pfa=1e-3)
+    found = answers(Sine(several), {"other": np.zeros(1)}, Required.model_validate(question), [output])
+    np.testing.assert_allclose(found.values, root, rtol=1e-6)
+    assert found.reasons == ({0: "not monotone: 2 solutions; the lowest is told"} if several else {})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"inputs: [{{name: a, path: {FILL}}}]\n{OUT}", "exactly one of values, grid, random"),
+        (f"inputs: [{{name: a, path: {FILL}, values: [0.1], gird: 1}}]\n{OUT}", "did you mean 'grid'"),
+        (f"inputs: [{{name: pd, path: {FILL}, values: [0.1]}}]\n{OUT}", "names stand twice"),
+        (f"inputs: [{{name: a, path: {FILL}, random: {{normal: [1, 2]}}}}]\n{OUT}", "within and normal"),
+        (f"inputs: [{{name: a, path: {FILL}, values: [0.1]}}]\n{OUT}knees: [{{output: pd, along: b}}]", "none of a"),
+        (f"inputs: [{{name: a, path: pfa, values: [0.1]}}]\n{OUT}", "and not both"),
+        (f"inputs: [{{name: a, path: x.y, values: [1]}}, {{name: b, path: x.y, values: [1]}}]\n{OUT}", "two inputs"),
+        (f"inputs: [{{name: a, path: x.y, values: [1]}}]\n{OUT}plots: [{{kind: tornado, output: pd}}]", "tornado goes"),
+        ("inputs:\n" + "".join(f"  - {{name: a{k}, path: x.y{k}, grid: {{start: 0, stop: 1, count: 100000}}}}\n"
+                               for k in range(2)) + OUT, "10,000,000,000 points"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_told(make_study, text, message):
+    with pytest.raises(UsageError, match=message):
+        load_study(make_study(text))
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        (("fill.fixed", "fill.fixt"), 2, "fixt"),
+        (("stop: 3}", "stop: 300}"), 2, "less than 100"),
+        (("subject: plank", "subject: plonk"), 2, "no subject 'plonk'"),
+        (("range_nm: [450, 650]", "range_nm: [3000, 4000]"), 2, "no usable band"),
+        (("scenario: small.yaml", "scenario: none.yaml"), 3, "no such file"),
+    ],
+)
+def test_bad_studies_stop_at_once(make_study, tmp_path, capsys, changes, code, words):
+    path = make_study(TEXT.replace("stop: 3, count: 15", "count: 15, stop: 3"))
+    path.write_text(path.read_text().replace(*changes))
+    assert cli.run(["-q", "study", str(path), "-o", str(tmp_path / "out")]) == code
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["mine.txt", ".hyperval-partial/thesis.txt"])
+def test_a_folder_of_something_else_is_refused_and_left_alone(make_study, tmp_path, name):
+    kept = tmp_path / "out" / name
+    kept.parent.mkdir(parents=True)
+    kept.write_text(json.dumps("mine"))
+    assert cli.run(["-q", "study", str(make_study(TEXT)), "-o", str(tmp_path / "out")]) == 2
+    assert kept.read_text() == '"mine"'
