@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyperval.campaign import expected_maps, job_of, run_campaign, scene_content
-from hyperval.figures import score_map_figures
+from hyperval.figures import draw_pictures
 from small_campaign import PANELS
 
 
@@ -54,7 +54,7 @@ def test_expected_maps_of_a_closure_campaign(small):
     assert expected_maps(place, detection, {}) == {}
     assert expected_maps(place, detection, {("elsewhere", "yellow", "cem"): 1.0}) == {}
 
-    measured, drawn = score_map_figures(run.score_maps, simulated=True)
+    measured, drawn = draw_pictures(None, run.score_maps, simulated=True)
     assert (measured.name, drawn.name) == ("score-map-1", "score-map-1-expected")
     assert measured.width_px == drawn.width_px
     assert "blank where" in drawn.title

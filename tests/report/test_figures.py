@@ -184,7 +184,7 @@ def test_spectra_hold_both_sides_and_their_difference(run):
     ):
         np.testing.assert_allclose(mark["columns"]["x"], run.prediction.axis.centre_nm, rtol=1e-6)
         np.testing.assert_allclose(mark["columns"]["y"], value, rtol=1e-5, atol=1e-7)
-        np.testing.assert_allclose(mark["columns"]["half"], 1.96 * own_u, rtol=1e-4)
+        np.testing.assert_allclose(mark["columns"]["half"], norm.isf(0.025) * own_u, rtol=1e-5)
     assert [mark["dash"] for mark in above["marks"]] == ["solid", "dashed"]
     # Wavelengths of all subjects stand once, and a half-width in place of two limits: room for pictures.
     assert len(whole["columns"]) == 1 + 2 * 3 * 2
@@ -263,7 +263,7 @@ def test_eigenvalues_of_one_side_have_their_sampling_interval(run):
     ((mark,),) = (part.marks for part in figure.views[0].parts)
     known = np.linalg.eigvalsh(estimate.pixel_covariance)[::-1][: mark.columns["y"].size]
     np.testing.assert_allclose(mark.columns["y"], known, rtol=1e-9)
-    np.testing.assert_allclose(np.log(mark.columns["high"] / mark.columns["y"]), 1.96 * 0.2, rtol=1e-12)
+    np.testing.assert_allclose(np.log(mark.columns["high"] / mark.columns["y"]), norm.isf(0.025) * 0.2, rtol=1e-12)
     low, high = figure.views[0].ends("y", figure.views[0].parts[0])
     assert low < known.min() <= known.max() < high
 

@@ -21,10 +21,11 @@ import xarray as xr
 from hyperval import products
 from hyperval.compare.products import product_rows
 from hyperval.errors import UsageError
-from hyperval.figures.spec import COVERAGE, SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
+from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.interchange import cube_to_xarray
 from hyperval.metrics import Metric
+from hyperval.model.intervals import Z95
 from hyperval.results import ResultTable
 from hyperval.run import to_xarray
 from hyperval.simulate.collection import SimulatedCollection
@@ -82,7 +83,7 @@ class SidesPlot:
         marks = []
         for dash, (side, data) in zip(_DASHES, sides.items(), strict=False):
             for i, subject in enumerate(map(str, data[f"{product}_subject"].to_numpy())):
-                half = COVERAGE * data[f"{product}_standard_uncertainty"].to_numpy()[i]
+                half = Z95 * data[f"{product}_standard_uncertainty"].to_numpy()[i]
                 columns = {"x": data["wavelength"].to_numpy(), "y": data[product].to_numpy()[i], "half": half}
                 colour = SOURCES[subjects.index(subject) % len(SOURCES)]
                 marks.append(Mark("line", columns, f"{subject}, {side}", colour, dash))

@@ -24,7 +24,7 @@ from hyperval.figures.spectra import (
     SPECTRA,
     budget_figure,
     class_error_figure,
-    eigenvalue_figures,
+    eigenvalue_figure,
     sampled_eigenvalue_figures,
     spectra_figure,
     tail_figure,
@@ -52,7 +52,7 @@ def further_figures(
     """What else the products, the rows and the spread of pixels of a run give, with its margin of P_D [1]."""
     made = [
         budget_figure(sides),
-        *(sampled_eigenvalue_figures(eigenvalues) if eigenvalues else eigenvalue_figures(sides)),
+        *(sampled_eigenvalue_figures(eigenvalues) if eigenvalues else [eigenvalue_figure(sides)]),
         tail_figure(tails),
         class_error_figure(sides),
         score_figure(sides),

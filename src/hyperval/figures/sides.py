@@ -146,14 +146,14 @@ def both_first(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> lis
     return common + [k for k in predicted if k not in measured] + [k for k in measured if k not in predicted]
 
 
-def drawn_of(sides: Sides, product: str) -> tuple[Mapping[Any, Any], Mapping[Any, Any], list[Any], bool]:
+def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[Any], bool]:
     """A product of both sides, the keys that are drawn, and whether both sides hold these.
 
     Where anything can be compared, what only one side holds is left to products.nc.
     """
-    predicted, measured = (of_side(side, product) for side in sides)
-    pairs = [key for key in predicted if key in measured]
-    return predicted, measured, pairs or both_first(predicted, measured), bool(pairs)
+    both = [of_side(side, product) for side in sides]
+    pairs = [key for key in both[0] if key in both[1]]
+    return both, pairs or both_first(*both), bool(pairs)
 
 
 def difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:

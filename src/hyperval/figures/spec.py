@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -36,8 +36,8 @@ VIRIDIS = (
     "#20A585", "#2EB27C", "#45BF6F", "#64CB5D", "#88D547", "#AFDC2E", "#D7E219", "#FDE724",
 )  # fmt: skip
 MAX_PANELS = 12
+MOST_ROWS = 40
 SIDES = ("predicted", "measured")
-COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
 WAVELENGTH = "wavelength [nm]"  # over which the absorption of gases is shaded
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 Way = Literal["x", "y"]
@@ -251,68 +251,43 @@ class Drawing:
         return f"data:image/{kind};base64,{base64.b64encode(self.content).decode('ascii')}"
 
 
-@dataclass
-class _Columns:
-    """Columns as little-endian float32 in base64, each once."""
-
-    places: dict[str, int] = field(default_factory=dict)
-
-    def place(self, values: Any) -> int:
-        text = base64.b64encode(np.atleast_1d(np.asarray(values, "<f4")).tobytes()).decode("ascii")
-        return self.places.setdefault(text, len(self.places))
-
-
 def statement(figure: Figure) -> str:
-    """The figure as JSON, which the script of a page draws; nothing in it ends the element that holds it."""
-    columns = _Columns()
-    views = []
-    for view in figure.views:
-        parts = []
-        for part in view.parts:
-            parts.append({
-                "x": _axis(part.x or view.x, view.ends("x", part)), "y": _axis(part.y, view.ends("y", part)),
-                "own": part.x is not None, "rules": part.rules, "marks": [_mark(mark, columns) for mark in part.marks],
-            })  # fmt: skip
-        views.append({"subject": view.subject, "tab": view.tab, "note": view.note, "parts": parts})
-    whole: dict[str, Any] = {
-        "name": figure.name, "section": figure.section, "together": figure.together,
-        "legend_title": figure.legend_title, "views": views, "columns": list(columns.places),
-    }  # fmt: skip
+    """The figure as JSON, which the script of a page draws; nothing in it ends the element that holds it.
+
+    Columns are little-endian float32 in base64, each once; what is empty is left out.
+    """
+    columns: dict[str, int] = {}
+
+    def place(values: Any) -> int:
+        text = base64.b64encode(np.atleast_1d(np.asarray(values, "<f4")).tobytes()).decode("ascii")
+        return columns.setdefault(text, len(columns))
+
+    def said(what: Any, **more: Any) -> dict[str, Any]:
+        return {name: value for name, value in {**vars(what), **more}.items() if value}
+
+    def axis(own: Axis, ends: tuple[float, float]) -> dict[str, Any]:
+        return said(own, ends=ends, absorption=own.label == WAVELENGTH)
+
+    def mark(own: Mark) -> dict[str, Any]:
+        more: dict[str, Any] = {"columns": {name: place(values) for name, values in own.columns.items()}}
+        if own.scale is not None:
+            more["scale"] = {**vars(own.scale), "palette": tones(PALETTES[own.scale.kind], _TONES)}
+            more["shades"] = own.shades if own.beside == "centre" else None
+        return said(own, **more)
+
+    views = [
+        {"subject": view.subject, "tab": view.tab, "note": view.note, "parts": [
+            {"x": axis(part.x or view.x, view.ends("x", part)), "y": axis(part.y, view.ends("y", part)),
+             "own": part.x is not None, "rules": part.rules, "marks": [mark(one) for one in part.marks]}
+            for part in view.parts
+        ]}
+        for view in figure.views
+    ]  # fmt: skip
+    whole: dict[str, Any] = {"views": views, "columns": list(columns)}
+    whole |= {key: getattr(figure, key) for key in ("name", "section", "together", "legend_title")}
     if any(view.x.label == WAVELENGTH for view in figure.views):
         whole["absorption"] = [band[:2] for band in ABSORPTION_BANDS_NM]
     return json.dumps(whole, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
-
-
-def _axis(axis: Axis, ends: tuple[float, float]) -> dict[str, Any]:
-    said: dict[str, Any] = {
-        "label": axis.label,
-        "scale": axis.scale,
-        "ends": ends,
-        "names": axis.names,
-        "notes": axis.notes,
-    }
-    if axis.label == WAVELENGTH:
-        said["absorption"] = True
-    return {name: value for name, value in said.items() if value}
-
-
-def _mark(mark: Mark, columns: _Columns) -> dict[str, Any]:
-    said: dict[str, Any] = {
-        "kind": mark.kind, "columns": {name: columns.place(v) for name, v in mark.columns.items()},
-        "label": mark.label, "colour": mark.colour, "dash": mark.dash, "marker": mark.marker, "hollow": mark.hollow,
-        "along": mark.along, "words": mark.words, "beside": mark.beside, "alpha": mark.alpha, "linked": mark.linked,
-    }  # fmt: skip
-    if mark.scale is not None:
-        own = mark.scale
-        said["scale"] = {
-            "palette": tones(PALETTES[own.kind], _TONES),
-            "low": own.low,
-            "high": own.high,
-            "label": own.label,
-        }
-        if mark.beside == "centre":
-            said["shades"] = mark.shades
-    return {name: value for name, value in said.items() if value}
 
 
 def _extent(mark: Mark, way: Way) -> list[Array]:
@@ -391,27 +366,52 @@ def robust_limits(values: Sequence[Any], *, zero: bool, trim: float = 0.5) -> tu
     return low - (margin if low < 0 or not zero else 0.0), high + margin
 
 
-def row_marks(
-    keys: Sequence[Any], both: Sequence[Mapping[Any, Any]], columns: Callable[[Any], dict[str, Any]],
-    words: Callable[[Any], str],
-) -> tuple[Mark, ...]:  # fmt: skip
-    """Dots of the sides that have any, a row a key, the two sides apart by a part of a row."""
-    marks = []
-    for own, make, marker, shift in zip(
-        both, (predicted_mark, measured_mark), ("circle", "square"), (-0.14, 0.14), strict=True
-    ):
-        rows = [(i + shift, key) for i, key in enumerate(keys) if key in own]
-        if rows:
-            at = {"y": np.array([i for i, _ in rows]), **columns(own)}
-            said = tuple(f"{', '.join(key)}: {words(own[key])}" for _, key in rows)
-            marks.append(make("dots", at, marker=marker, along="x", words=said))
-    return tuple(marks)
+def a_view_each(
+    name: str, section: str, title: str, alt: str, items: Sequence[Any],
+    view: Callable[[Any], tuple[Panels, str]], where: str = "products.nc", **more: Any,
+) -> Figure | None:  # fmt: skip
+    """A figure with a view for each of the first items and the numbers of each in words; None without any."""
+    made = [view(item) for item in items[:MAX_PANELS]]
+    if not made:
+        return None
+    title += left_out(len(made), len(items), where)
+    words = "; ".join(text for _, text in made if text)
+    return Figure(name, section, title, f"{alt} {words}.", tuple(one for one, _ in made), **more)
 
 
-def in_words(keys: Sequence[Any], both: Sequence[Mapping[Any, Any]], text: Callable[[Any], str]) -> str:
-    """What rows of both sides say, for those who cannot see them."""
-    return "; ".join(
+def both_sides(
+    kind: Any, both: Sequence[Mapping[str, Any] | None], words: Sequence[tuple[str, ...]] = ((), ()), **more: Any
+) -> list[Mark]:
+    """A mark of the columns of each side that has any, predicted first, each in its look."""
+    looks = zip(both, (predicted_mark, measured_mark), ("circle", "square"), words, strict=True)
+    return [make(kind, own, marker=marker, words=said, **more) for own, make, marker, said in looks if own is not None]
+
+
+def a_row_each(
+    name: str, section: str, title: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Any]], x: Axis,
+    columns: Callable[[Sequence[Any]], Mapping[str, Any]], words: Callable[[Any], str], *,
+    under: Sequence[Mark] = (), rules: tuple[float, ...] = (), legend: str = "",
+) -> Figure | None:  # fmt: skip
+    """A figure with a row for each of the first keys: dots of the sides that have it, a part of a row apart.
+
+    ``columns`` : of the entries of one side;  ``words`` : what is said of one entry
+    """
+    shown = keys[:MOST_ROWS]
+    if not shown:
+        return None
+    here = [[(i + shift, key) for i, key in enumerate(shown) if key in own]
+            for own, shift in zip(both, (-0.14, 0.14), strict=True)]  # fmt: skip
+    marks = [*under, *both_sides(
+        "dots", [{"y": np.array([i for i, _ in rows]), **columns([own[key] for _, key in rows])} if rows else None
+                 for own, rows in zip(both, here, strict=True)],
+        [tuple(f"{', '.join(key)}: {words(own[key])}" for _, key in rows)
+         for own, rows in zip(both, here, strict=True)], along="x",
+    )]  # fmt: skip
+    told = "; ".join(
         f"{', '.join(key)}: "
-        + ", ".join(f"{name} {text(own[key])}" for name, own in zip(SIDES, both, strict=True) if key in own)
-        for key in keys
+        + ", ".join(f"{side} {words(own[key])}" for side, own in zip(SIDES, both, strict=True) if key in own)
+        for key in shown
     )
+    part = Part(row_names([", ".join(key) for key in shown]), tuple(marks), tuple(("x", at) for at in rules))
+    title += left_out(len(shown), len(keys))
+    return Figure(name, section, title, f"{title}: {told}.", (Panels(x, (part,)),), legend)

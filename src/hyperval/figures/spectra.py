@@ -23,10 +23,10 @@ from hyperval.figures.sides import (
     of_side,
 )
 from hyperval.figures.spec import (
-    COVERAGE,
     DIFFERENCE,
     GREY,
     MAX_PANELS,
+    MOST_ROWS,
     SIDES,
     SOURCES,
     WAVELENGTH,
@@ -35,17 +35,18 @@ from hyperval.figures.spec import (
     Mark,
     Panels,
     Part,
+    a_row_each,
+    a_view_each,
+    both_sides,
     count_text,
-    in_words,
     left_out,
     measured_mark,
     predicted_mark,
     robust_limits,
-    row_marks,
-    row_names,
     single,
 )
-from hyperval.products import ClassificationError, Products, SpectralEstimate
+from hyperval.model.intervals import Z95
+from hyperval.products import ClassificationError, SpectralEstimate
 from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis
 
@@ -81,7 +82,7 @@ def spectra_figure(
     names : what the two sides are, where they are no prediction and collection
     """
     label, title, ratio = SPECTRA[product]
-    predicted, measured, drawn, paired = drawn_of(sides, product)
+    both, drawn, paired = drawn_of(sides, product)
     if not drawn or (not paired and None not in sides):
         return None  # a comparison that has none of this product
     worst: dict[str, int] = {}
@@ -89,37 +90,27 @@ def spectra_figure(
         if row.planned and row.product == product:
             worst[row.subject] = max(worst.get(row.subject, 0), _WEIGHT.get(row.outcome, 0))
     shown = sorted(drawn, key=lambda subject: -worst.get(subject, 0))[:MOST_SUBJECTS]
-    axis = next(side.axis for side, own in zip(sides, (predicted, measured), strict=True) if side and shown[0] in own)
-    gaps: dict[str, tuple[Array, Array]] = {}
-    if paired and sides[0] and sides[1] and sides[0].axis.matches(sides[1].axis):
-        gaps = {subject: difference(predicted[subject], measured[subject], ratio) for subject in shown}
+    axis = next(side.axis for side, own in zip(sides, both, strict=True) if side and shown[0] in own)
+    # Sides on other bands are not drawn over each other.
+    aligned = [own if side and side.axis.matches(axis) else {} for side, own in zip(sides, both, strict=True)]
+    gaps = {s: difference(aligned[0][s], aligned[1][s], ratio) for s in shown if all(s in own for own in aligned)}
     identical = bool(gaps) and not any(np.nan_to_num(gap).any() for gap, _ in gaps.values())
-    if identical:  # nothing to draw
-        gaps = {}
+    gaps = {} if identical else gaps  # nothing to draw
     below = f"difference{' ratio' if ratio else ''}"
-    aligned = [
-        own if side and side.axis.matches(axis) else {} for side, own in zip(sides, (predicted, measured), strict=True)
-    ]
-    views = tuple(
-        _view(axis, subject, [own.get(subject) for own in aligned], gaps.get(subject), label, below, names)
-        for subject in shown
-    )
+    views = tuple(_view(axis, s, [own.get(s) for own in aligned], gaps.get(s), label, below, names) for s in shown)
     keep = in_windows(axis)
     medians = [
         f"{subject} {np.nanmedian(np.abs(gap[keep])):{'.2%' if ratio else '.4f'}}"
-        for subject, (gap, _) in gaps.items()
-        if np.isfinite(gap[keep]).any()
-    ]
+        for subject, (gap, _) in gaps.items() if np.isfinite(gap[keep]).any()
+    ]  # fmt: skip
     alt = f"{title} against {wavelengths(axis).label.partition(' [')[0]}, a subject at a time: {names[0]} (dashed) and "
     alt += f"{names[1]} (solid) with 95 % intervals{', the difference below' if gaps else ''}."
     alt += f" Subjects: {', '.join(shown)}."
-    if medians:
-        alt += f" Median absolute {below} in the windows: {'; '.join(medians)}."
+    alt += f" Median absolute {below} in the windows: {'; '.join(medians)}." if medians else ""
     words = " and ".join(names) if paired else names[0] if sides[0] is not None else names[1]
-    words += ", which are identical" if identical else ""
-    words += "" if axis.numbered else " (grey: absorption)"
-    caption = f"{title}: {words}{left_out(len(shown), len({*predicted, *measured}))}"
-    return Figure(product, product, caption, alt, views, head=f"{title}: {words}", together="offered")
+    head = f"{title}: {words}{', which are identical' * identical}{'' if axis.numbered else ' (grey: absorption)'}"
+    every = {*both[0], *both[1]}
+    return Figure(product, product, head + left_out(len(shown), len(every)), alt, views, head=head, together="offered")
 
 
 def _view(
@@ -131,12 +122,12 @@ def _view(
     # Dashes on top, so that neither hides the other.
     for estimate, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])):
         if estimate is not None:
-            half = COVERAGE * estimate.standard_uncertainty
+            half = Z95 * estimate.standard_uncertainty
             marks.append(make("line", {"x": w, "y": estimate.mean, "half": half}, name, linked=True))
             edges += [(estimate.mean - half)[keep], (estimate.mean + half)[keep]]
     parts = [Part(Axis(label, ends=robust_limits(edges, zero=True)), tuple(marks))]
     if gap is not None:
-        value, half = gap[0], COVERAGE * gap[1]
+        value, half = gap[0], Z95 * gap[1]
         ends = robust_limits([(value - half)[keep], (value + half)[keep]], zero=True, trim=3.0)
         mark = Mark("line", {"x": w, "y": value, "half": half}, "", DIFFERENCE, linked=True)
         parts.append(Part(Axis(below, ends=ends), (mark,), (("y", 0.0),)))
@@ -145,28 +136,29 @@ def _view(
 
 def budget_figure(sides: Sides) -> Figure | None:
     """Relative uncertainty of the radiance by source, stacked to the total; a view for each subject and side."""
-    estimates = [of_side(side, "radiance") for side in sides]
-    every = both_first(*estimates)
-    panels: dict[str, tuple[Products, SpectralEstimate]] = {}
-    for subject in [s for s in every if all(s in side for side in estimates)] or every:
-        for name, side in zip(SIDES, sides, strict=True):
-            if side is not None and subject in side.radiance and side.radiance[subject].budget:
-                panels[f"{subject} ({name})"] = side, side.radiance[subject]
-    if not panels:
-        return None
-    shown = dict(list(panels.items())[:MAX_PANELS])
-    sources = _ranked_sources([estimate for _, estimate in shown.values()])
+    estimates, drawn, _ = drawn_of(sides, "radiance")
+    panels: dict[str, tuple[SpectralAxis, SpectralEstimate]] = {
+        f"{subject} ({name})": (side.axis, own[subject])
+        for subject in drawn
+        for name, side, own in zip(SIDES, sides, estimates, strict=True)
+        if side is not None and subject in own and own[subject].budget
+    }
+    sources = _ranked_sources([estimate for _, estimate in list(panels.values())[:MAX_PANELS]])
     head = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
-    return Figure(
-        "radiance-budget", "radiance", head + left_out(len(shown), len(panels)),
+    return a_view_each(
+        "radiance-budget", "radiance", head,
         "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
-        f"share of the variance. Sources, largest first: {', '.join(sources)}. Panels: {', '.join(shown)}.",
-        tuple(_stack(side.axis, estimate, sources, name) for name, (side, estimate) in shown.items()), head=head,
+        f"share of the variance. Sources, largest first: {', '.join(sources)}. Panels:",
+        list(panels), lambda name: (_stack(*panels[name], sources, name), name), head=head,
     )  # fmt: skip
 
 
 def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str], subject: str) -> Panels:
-    w, parts = axis.centre_nm, _variances(estimate.budget, sources, estimate.mean.size)
+    w = axis.centre_nm
+    parts = np.zeros((len(sources), w.size))  # variance by source; the last may be everything without its own place
+    for source, u in estimate.budget.items():
+        if source in sources or sources[-1] == _REST:
+            parts[sources.index(source) if source in sources else -1] += np.square(np.asarray(u, float))
     with np.errstate(invalid="ignore", divide="ignore"):
         total = np.sqrt(parts.sum(axis=0))
         # Variances add, uncertainties do not: each source takes its share of the variance in the height.
@@ -178,15 +170,6 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
     ]
     ends = robust_limits([edges[-1][in_windows(axis)]], zero=True)
     return single(wavelengths(axis), "standard uncertainty [% of radiance]", marks, subject=subject, ends=ends)
-
-
-def _variances(budget: Mapping[str, Array], sources: Sequence[str], bands: int) -> Array:
-    """(S, B) variance by source; the last may be everything that has no place of its own."""
-    parts = np.zeros((len(sources), bands))
-    for source, u in budget.items():
-        if source in sources or sources[-1] == _REST:
-            parts[sources.index(source) if source in sources else -1] += np.square(np.asarray(u, float))
-    return parts
 
 
 def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
@@ -202,119 +185,105 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
 
 
 MOST_EIGENVALUES = 30
-_MOST_ROWS = 40
 _UNITS = {"radiance": "(µW cm⁻² sr⁻¹ nm⁻¹)²", "reflectance": "1"}
 
 
-def eigenvalues(estimate: SpectralEstimate) -> Array:
+def _eigenvalues(estimate: SpectralEstimate) -> Array:
     """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
     covariance = np.asarray(estimate.pixel_covariance, dtype=float)
     finite = np.isfinite(np.diag(covariance))
     block = covariance[np.ix_(finite, finite)]
     if block.size == 0 or not np.isfinite(block).all():
         return np.empty(0)
-    values = np.linalg.eigvalsh(block)[::-1]
     rank = block.shape[0] if estimate.n is None else min(block.shape[0], max(estimate.n - 1, 0))
-    values = values[: min(rank, MOST_EIGENVALUES)]
+    values = np.linalg.eigvalsh(block)[::-1][: min(rank, MOST_EIGENVALUES)]
     return values[values > 1e-13 * max(values[0], 0.0)] if values.size else values
 
 
 def sampled_eigenvalue_figures(spectra: Mapping[tuple[str, str], EigenvalueSpectrum]) -> list[Figure]:
     """Eigenvalues of both sides; below each, predicted over measured with the band that chance alone gives."""
-    made = []
-    for quantity, unit in _UNITS.items():
-        own = {subject: s for (subject, q), s in spectra.items() if q == quantity}
-        words = []
-        for subject, s in own.items():
-            inside = int(np.sum((s.measured >= s.lower) & (s.measured <= s.upper)))
-            words.append(
-                f"{subject}: first eigenvalue predicted {s.expected[0]:.3g}, measured {s.measured[0]:.3g}; "
-                f"{inside} of {s.measured.size} inside"
-            )
-        if own:
-            made.append(Figure(
-                f"{quantity}-eigenvalues", "covariance",
-                f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent "
-                "pixels drawn from the prediction)",
-                f"Leading eigenvalues of the pixel-to-pixel covariance of the {quantity}, logarithmic, predicted "
-                "(hollow circles, with the 95 % band of samples of as many pixels) and measured (squares); below, "
-                f"predicted over measured with that band. {'. '.join(words)}.",
-                tuple(_sampled(subject, s, unit) for subject, s in own.items()),
-            ))  # fmt: skip
-    return made
+
+    def view(key: tuple[str, str]) -> tuple[Panels, str]:
+        s, (subject, quantity) = spectra[key], key
+        number = np.arange(1.0, s.measured.size + 1)
+        expected = {"y": s.expected, "low": s.lower, "high": s.upper}
+        above = (
+            predicted_mark("line", {"x": number, **expected}, "predicted, mean and 95 % of samples", marker="circle"),
+            measured_mark("line", {"x": number, "y": s.measured}, marker="square"),
+        )
+        ratio = {"x": number, **{name: values / s.measured for name, values in expected.items()}}
+        below = Part(Axis("predicted / measured"), (Mark("line", ratio, colour=DIFFERENCE),), (("y", 1.0),))
+        label = "eigenvalue" + (f" [{_UNITS[quantity]}]" if _UNITS[quantity] != "1" else "")
+        inside = int(np.sum((s.measured >= s.lower) & (s.measured <= s.upper)))
+        words = f"{subject}: first eigenvalue predicted {s.expected[0]:.3g}, measured {s.measured[0]:.3g}; "
+        words += f"{inside} of {s.measured.size} inside"
+        x = Axis("number of the eigenvalue", ends=(0.0, number[-1] + 1.0))
+        return Panels(x, (Part(Axis(label, "log"), above), below), f"{subject} (n = {count_text(s.n)})"), words
+
+    made = (
+        a_view_each(
+            f"{quantity}-eigenvalues", "covariance",
+            f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent pixels drawn "
+            "from the prediction)",
+            f"Leading eigenvalues of the pixel-to-pixel covariance of the {quantity}, logarithmic, predicted (hollow "
+            "circles, with the 95 % band of samples of as many pixels) and measured (squares); below, predicted over "
+            "measured with that band.", [key for key in spectra if key[1] == quantity], view,
+        )
+        for quantity in _UNITS
+    )  # fmt: skip
+    return [figure for figure in made if figure is not None]
 
 
-def _sampled(subject: str, s: EigenvalueSpectrum, unit: str) -> Panels:
-    number = np.arange(1.0, s.measured.size + 1)
-    expected = {"y": s.expected, "low": s.lower, "high": s.upper}
-    above = (
-        predicted_mark("line", {"x": number, **expected}, "predicted, mean and 95 % of samples", marker="circle"),
-        measured_mark("line", {"x": number, "y": s.measured}, marker="square"),
-    )
-    ratio = {"x": number, **{name: values / s.measured for name, values in expected.items()}}
-    x = Axis("number of the eigenvalue", ends=(0.0, number[-1] + 1.0))
-    below = Part(Axis("predicted / measured"), (Mark("line", ratio, colour=DIFFERENCE),), (("y", 1.0),))
-    label = "eigenvalue" if unit == "1" else f"eigenvalue [{unit}]"
-    return Panels(x, (Part(Axis(label, "log"), above), below), f"{subject} (n = {count_text(s.n)})")
-
-
-def eigenvalue_figures(sides: Sides) -> list[Figure]:
+def eigenvalue_figure(sides: Sides) -> Figure | None:
     """Eigenvalues of the pixel covariance of the radiance of both sides, where no band of chance is known."""
     spectra = [{k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides]
     every = both_first(*spectra)
-    pairs = [subject for subject in every if all(subject in own for own in spectra)]
-    views, words = [], []
-    for subject in (every if None in sides else pairs)[:MAX_PANELS]:
-        marks, firsts = [], []
-        for own, mark, marker in zip(spectra, (predicted_mark, measured_mark), ("circle", "square"), strict=True):
-            if subject in own:
-                n, values = own[subject].n, eigenvalues(own[subject])
-                # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
-                factor = math.exp(COVERAGE * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
-                columns = {"x": np.arange(1.0, values.size + 1), "y": values}
-                marks.append(mark("line", columns | {"low": values / factor, "high": values * factor}, marker=marker))
-                firsts.append(f"{values[0]:.3g}" if values.size else "none")
+
+    def columns(estimate: SpectralEstimate) -> dict[str, Array]:
+        n, values = estimate.n, _eigenvalues(estimate)
+        # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
+        factor = math.exp(Z95 * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
+        return {"x": np.arange(1.0, values.size + 1), "y": values, "low": values / factor, "high": values * factor}
+
+    def view(subject: str) -> tuple[Panels, str]:
+        both = [columns(own[subject]) if subject in own else None for own in spectra]
+        firsts = [f"{own['y'][0]:.3g}" if own["y"].size else "none" for own in both if own is not None]
         x = Axis("number of the eigenvalue", ends=(0.0, MOST_EIGENVALUES + 1.0))
-        views.append(Panels(x, (Part(Axis(f"eigenvalue [{_UNITS['radiance']}]", "log"), tuple(marks)),), subject))
-        words.append(f"{subject} {' and '.join(firsts)}")
-    if not views:
-        return []
-    return [Figure(
+        part = Part(Axis(f"eigenvalue [{_UNITS['radiance']}]", "log"), tuple(both_sides("line", both)))
+        return Panels(x, (part,), subject), f"{subject} {' and '.join(firsts)}"
+
+    return a_view_each(
         "radiance-eigenvalues", "covariance",
-        "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
-        + left_out(len(views), len(pairs or every)),
+        "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)",
         f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
-        f"logarithmic scale. Largest: {'; '.join(words)}.", tuple(views),
-    )]  # fmt: skip
+        "logarithmic scale. Largest:",
+        every if None in sides else [s for s in every if all(s in own for own in spectra)], view,
+    )  # fmt: skip
 
 
 def tail_figure(tails: Mapping[str, TailCurve]) -> Figure | None:
     """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best."""
-    views, words = [], []
-    for subject, t in list(tails.items())[:MAX_PANELS]:
-        views.append(_tails(f"{subject}: {t.dimension} components, n = {count_text(t.n)}", t))
+
+    def view(subject: str) -> tuple[Panels, str]:
+        t = tails[subject]
+        columns = {"x": t.distance, "y": t.measured, "low": t.lower, "high": t.upper}
+        marks = [measured_mark("line", columns, "measured, with its 95 % interval")]
+        if t.predicted is not None:
+            marks.append(predicted_mark("line", {"x": t.distance, "y": t.predicted}, "predicted law"))
+        marks.append(Mark("line", {"x": t.distance, "y": t.normal}, "normal law", GREY, "dotted"))
+        marks.append(Mark("line", {"x": t.distance, "y": t.fitted}, "fitted t", DIFFERENCE, "dashdot"))
         predicted = "" if t.predicted_dof is None else f", {_dof(t.predicted_dof)} predicted"
-        words.append(f"{subject}: {_dof(t.fitted_dof)} measured{predicted}")
-    if not views:
-        return None
-    return Figure(
+        part = Part(Axis("share of pixels farther out", "log", ends=(0.3 / t.n, 1.5)), tuple(marks))
+        x = Axis("Mahalanobis distance", ends=(0.0, float(t.distance[-1]) * 1.03))
+        name = f"{subject}: {t.dimension} components, n = {count_text(t.n)}"
+        return Panels(x, (part,), name), f"{subject}: {_dof(t.fitted_dof)} measured{predicted}"
+
+    return a_view_each(
         "pixel-tails", "covariance",
         "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)",
         "Share of a class's pixels beyond a Mahalanobis distance in the leading components, logarithmic: measured "
-        f"with its 95 % interval, under the predicted law, the normal law, and the fitted t. {'; '.join(words)}.",
-        tuple(views),
+        "with its 95 % interval, under the predicted law, the normal law, and the fitted t.", list(tails), view,
     )  # fmt: skip
-
-
-def _tails(name: str, t: TailCurve) -> Panels:
-    marks = [measured_mark("line", {"x": t.distance, "y": t.measured, "low": t.lower, "high": t.upper},
-                           "measured, with its 95 % interval")]  # fmt: skip
-    if t.predicted is not None:
-        marks.append(predicted_mark("line", {"x": t.distance, "y": t.predicted}, "predicted law"))
-    marks.append(Mark("line", {"x": t.distance, "y": t.normal}, "normal law", GREY, "dotted"))
-    marks.append(Mark("line", {"x": t.distance, "y": t.fitted}, "fitted t", DIFFERENCE, "dashdot"))
-    x = Axis("Mahalanobis distance", ends=(0.0, float(t.distance[-1]) * 1.03))
-    return Panels(x, (Part(Axis("share of pixels farther out", "log", ends=(0.3 / t.n, 1.5)), tuple(marks)),), name)
 
 
 def _dof(dof: float) -> str:
@@ -324,44 +293,26 @@ def _dof(dof: float) -> str:
 def class_error_figure(sides: Sides) -> Figure | None:
     """Classification error of every set of classes and features, both sides, with the bounds from distances."""
     both = [of_side(side, "classification") for side in sides]
-    predicted, measured = both
-    every = list(dict.fromkeys([*measured, *predicted]))
-    keys = every[:_MOST_ROWS]
-    if not keys:
-        return None
-    errors = [e for own in both for e in own.values()]
+    keys = list(dict.fromkeys([*both[1], *both[0]]))
     # Left end of the axis: below every error that was measured or predicted, and not below a millionth.
-    floor = max(min([1e-2, *(x for e in errors for x in (e.error, e.lower) if x > 0)]) / 2.0, 1e-6)
-    bounded = [
-        (at, predicted[key]) for at, key in enumerate(keys) if key in predicted and predicted[key].bound_upper > 0
-    ]
-    marks = []
-    if bounded:
-        at = np.array([i for i, _ in bounded], float)
-        low, high, middle = (
-            np.maximum([getattr(e, name) for _, e in bounded], floor)
-            for name in ("bound_lower", "bound_upper", "approximation")
-        )
-        columns = {"left": low, "right": high, "bottom": at - 0.31, "top": at + 0.31}
-        marks = [
-            Mark("bars", columns, "bounds from the predicted distance"),
-            Mark("dots", {"x": middle, "y": at}, "estimate from it", marker="tick", along="x"),
-        ]
+    least = min([1e-2, *(x for own in both for e in own.values() for x in (e.error, e.lower) if x > 0)])
+    floor = max(least / 2.0, 1e-6)
 
-    def columns_of(own: Mapping[Any, ClassificationError]) -> dict[str, Any]:
-        some = [own[key] for key in keys if key in own]
-        return {name: np.maximum([getattr(e, error) for e in some], floor)
-                for name, error in (("x", "error"), ("low", "lower"), ("high", "upper"))}  # fmt: skip
+    def columns(own: Sequence[ClassificationError], **names: str) -> dict[str, Any]:
+        names = names or {"x": "error", "low": "lower", "high": "upper"}
+        return {name: np.maximum([getattr(e, of) for e in own], floor) for name, of in names.items()}
 
-    title = f"Error of a Gaussian maximum-likelihood classifier{left_out(len(keys), len(every))}"
-    rows = row_names([", ".join(key) for key in keys])
-    x = Axis("probability of error", "log", ends=(floor / 1.4, 1.0))
-    view = Panels(x, (Part(rows, (*marks, *row_marks(keys, both, columns_of, _error_words))),))
-    legend = f"bar: 95 % interval; an error below {floor:.0e} is drawn there"
-    return Figure(
-        "class-error", "classification", title, f"{title}: {in_words(keys, both, _error_words)}.", (view,), legend
-    )
-
-
-def _error_words(e: ClassificationError) -> str:
-    return f"{e.error:.2g} ({e.lower:.1g} to {e.upper:.1g})"
+    bounded = {i: both[0][k] for i, k in enumerate(keys[:MOST_ROWS]) if k in both[0] and both[0][k].bound_upper > 0}
+    at, own = np.array(list(bounded), float), list(bounded.values())
+    bars = columns(own, left="bound_lower", right="bound_upper") | {"bottom": at - 0.31, "top": at + 0.31}
+    ticks = columns(own, x="approximation") | {"y": at}
+    under = [
+        Mark("bars", bars, "bounds from the predicted distance"),
+        Mark("dots", ticks, "estimate from it", marker="tick", along="x"),
+    ] if bounded else []  # fmt: skip
+    return a_row_each(
+        "class-error", "classification", "Error of a Gaussian maximum-likelihood classifier", keys, both,
+        Axis("probability of error", "log", ends=(floor / 1.4, 1.0)), columns,
+        lambda e: f"{e.error:.2g} ({e.lower:.1g} to {e.upper:.1g})", under=under,
+        legend=f"bar: 95 % interval; an error below {floor:.0e} is drawn there",
+    )  # fmt: skip
