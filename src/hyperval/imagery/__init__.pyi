@@ -3,7 +3,7 @@
 from .acquisition import acquisition_notes, time_notes
 from .cube import Block, Cube, open_cube
 from .description import Description, Raster, record
-from .drawing import RegionDrawing, area_inside, outside_error, polygon_mask, polygon_of
+from .drawing import outside_error, polygon_mask
 from .envi import EnviRaster, crs_of, pixel_area_m2, pixel_sides_m, transform_of
 from .interchange import cube_to_spy, cube_to_xarray, map_to_spy, map_to_xarray
 from .placing import (
@@ -51,12 +51,10 @@ __all__ = [
     "LookupTable",
     "Raster",
     "Region",
-    "RegionDrawing",
     "TargetMasks",
     "TargetObject",
     "acquisition_notes",
     "all_pixels",
-    "area_inside",
     "companion",
     "crs_of",
     "cube_to_spy",
@@ -85,7 +83,6 @@ __all__ = [
     "pixel_area_m2",
     "pixel_sides_m",
     "polygon_mask",
-    "polygon_of",
     "raster_of_size",
     "read_regions",
     "read_targets",

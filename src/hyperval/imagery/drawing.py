@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,10 +19,7 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning
 from rasterio.features import rasterize
 from rasterio.warp import transform as reproject
 
-from hyperval.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    import shapely
+from hyperval.errors import HypervalError, refusal
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -32,6 +29,7 @@ _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
 WARNING = "warning: "
 _CHECK = "check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube"
+Rings = list[Array]  # the exterior of a polygon, then its holes, each (n, 2) vertices (sample, line)
 _SMALL = 0.01  # a part outside that is said without a warning
 
 
@@ -61,15 +59,18 @@ def polygon_mask(
     for ring in rings:
         if not inside_image(ring, shape):
             raise outside_error(ring, shape, where)
-    return _burned(rings, shape, touched=touched)
+    return _burned([rings], shape, touched=touched)
 
 
-def _burned(rings: Sequence[Array], shape: tuple[int, int], *, touched: bool = False) -> Mask:
-    """(lines, samples) mask of a polygon: its exterior, then its holes, each (n, 2)."""
-    geometry = {"type": "Polygon", "coordinates": [np.vstack([r, r[:1]]).tolist() for r in rings]}
+def _burned(polygons: Sequence[Rings], shape: tuple[int, int], *, touched: bool = False) -> Mask:
+    """(lines, samples) mask of polygons."""
+    if not polygons:
+        return np.zeros(shape, bool)
+    closed = [[np.vstack([ring, ring[:1]]).tolist() for ring in rings] for rings in polygons]
+    drawn = [({"type": "Polygon", "coordinates": rings}, 1) for rings in closed]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        mask = rasterize([(geometry, 1)], out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
+        mask = rasterize(drawn, out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
     return np.asarray(mask.astype(bool))
 
 
@@ -102,21 +103,17 @@ def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str, ring
     vertices may come back.
     """
     if transform is None:
-        raise InputError("the cube has no position, so map coordinates cannot be placed", where=where)
+        raise refusal("region.no_position", where)
     xy = np.asarray(points, dtype=float).reshape(-1, 2)
     if not isinstance(transform, Affine):
         return transform.to_pixel(xy, where=where, ring=ring)
     return np.column_stack(~transform @ xy.T)
 
 
-def reprojected(xy: Array, source: CRS, target: CRS | None, *, where: str) -> Array:
+def _reprojected(xy: Array, source: CRS, target: CRS | None, where: str) -> Array:
     """(n, 2) map coordinates in ``target`` of points in ``source`` (longitude first)."""
     if target is None:
-        raise InputError(
-            "the coordinate system of the cube is unknown",
-            where=where,
-            mend="give it in the header (coordinate system string), or the coordinates in pixels",
-        )
+        raise refusal("region.no_system", where)
     if source == target:
         return xy
     try:
@@ -124,12 +121,7 @@ def reprojected(xy: Array, source: CRS, target: CRS | None, *, where: str) -> Ar
     except Exception as error:  # such as a latitude beyond the pole; its class has no public name
         placed, why = np.full((1, 2), np.nan), f" ({error})"
     if not np.all(np.isfinite(placed)):
-        low, high = (f"({corner[0]:.6g}, {corner[1]:.6g})" for corner in (xy.min(axis=0), xy.max(axis=0)))
-        raise InputError(
-            f"coordinates from {low} to {high} cannot be places in {source}{why}",
-            where=where,
-            mend="check which coordinate system they are in",
-        )
+        raise refusal("region.no_place", where, low=xy.min(axis=0), high=xy.max(axis=0), source=source, why=why)
     return placed
 
 
@@ -161,20 +153,23 @@ class ImageGrid:
         """
         means, crs = self.coordinates, self.crs
         if means == "map" and stated is not None and crs is not None and stated != crs:
-            raise InputError(f"the file is in {stated}, the cube in {crs}", where=where, mend="leave coordinates out")
+            raise refusal("region.other_system", where, stated=stated, told=f"the cube in {crs}")
         if means == "lonlat" and stated is not None and not stated.is_geographic:
-            raise InputError(
-                f"the file is in {stated}, not in longitude and latitude", where=where, mend="leave coordinates out"
-            )
+            raise refusal("region.other_system", where, stated=stated, told="not in longitude and latitude")
 
         def place(points: Array, where: str, ring: bool) -> Array:
             if means == "pixel":
                 return points
             if means != "map":
-                points = reprojected(points, stated or CRS.from_epsg(4326), crs, where=where)
+                points = _reprojected(points, stated or CRS.from_epsg(4326), crs, where)
             return map_to_pixel(points, self.transform, where=where, ring=ring)
 
         return place
+
+
+def in_pixels(points: Array, where: str, ring: bool) -> Array:
+    """The placing of coordinates that are those of pixels."""
+    return points
 
 
 def named_crs(name: str, where: str) -> CRS:
@@ -182,27 +177,27 @@ def named_crs(name: str, where: str) -> CRS:
     try:
         return CRS.from_user_input(name)
     except (CRSError, ValueError):
-        raise InputError(f"unknown coordinate system {name!r}", where=where) from None
+        raise refusal("region.system", where, name=name) from None
 
 
 def _points(points: npt.ArrayLike, where: str) -> Array:
     xy = np.asarray(points, dtype=float)
     if xy.size and (xy.ndim != 2 or xy.shape[1] != 2):
-        raise UsageError("coordinates are a list of (sample, line) pairs", where=where)
+        raise refusal("region.pairs", where)
     if not np.all(np.isfinite(xy)):
-        raise InputError("coordinates that are not finite", where=where)
+        raise refusal("region.not_finite", where)
     return xy.reshape(-1, 2)
 
 
 def _ring(ring: npt.ArrayLike, where: str) -> Array:
     """(n, 2) vertices of a ring, the closing one left out."""
     if np.shape(ring)[:1] > (MAX_VERTICES,):
-        raise InputError(f"a polygon of more than {MAX_VERTICES} vertices", where=where)
+        raise refusal("region.vertices", where, count=f"more than {MAX_VERTICES}")
     xy = _points(ring, where)
     if len(xy) > 1 and np.array_equal(xy[0], xy[-1]):
         xy = xy[:-1]
     if len(np.unique(xy, axis=0)) < 3:
-        raise InputError(f"a polygon of {len(np.unique(xy, axis=0))} different vertices", where=where)
+        raise refusal("region.vertices", where, count=f"{len(np.unique(xy, axis=0))} different")
     return xy
 
 
@@ -213,15 +208,9 @@ def inside_image(xy: Array, shape: tuple[int, int]) -> bool:
 
 def outside_error(
     xy: Array, shape: tuple[int, int], where: str, what: str = "the region", mend: str = _CHECK
-) -> InputError:
+) -> HypervalError:
     """The error for points (n, 2) that the image does not hold."""
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    return InputError(
-        f"{what} leaves the image: samples {low[0]:.2f} to {high[0]:.2f}, lines {low[1]:.2f} to {high[1]:.2f}",
-        where=where,
-        expected=f"samples 0 to {shape[1]}, lines 0 to {shape[0]} (continuous pixel coordinates)",
-        mend=mend,
-    )
+    return refusal("region.outside", where, what=what, low=xy.min(axis=0), high=xy.max(axis=0), shape=shape, mend=mend)
 
 
 @dataclass(eq=False)
@@ -231,24 +220,17 @@ class RegionDrawing:
     Attributes
     ----------
     shape : (lines, samples) of the image
-    mask : (lines, samples) the pixels of the region
-    area, area_inside : of its polygons, and of what the image holds of them [pixels]
+    polygons : with their holes, in pixel coordinates
+    points : (n, 2) single points
+    pixels : lines and samples of pixels named by their numbers
     stated_pixels : number of pixels as the file states it, None when it does not
-    points, points_outside : single points, and those that the image does not hold
     """
 
     shape: tuple[int, int]
-    mask: Mask = field(init=False)
-    area: float = 0.0
-    area_inside: float = 0.0
+    polygons: list[Rings] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
+    pixels: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]] = field(default_factory=list)
     stated_pixels: int | None = None
-    points: int = 0
-    points_outside: int = 0
-    _outside: list[Array] = field(default_factory=list)
-    _polygons: list[list[Array]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.mask = np.zeros(self.shape, bool)
 
     def add(self, geometry: dict[str, Any], place: Placing, where: str) -> None:
         """Add a polygon or points as GeoJSON has them, their coordinates placed on the image.
@@ -259,92 +241,68 @@ class RegionDrawing:
         """
         kind, parts = geometry.get("type"), geometry.get("coordinates")
         if kind in ("Point", "MultiPoint"):
-            self.add_points(place(_pairs([parts] if kind == "Point" else parts, where), where, False), where=where)
+            found = _pairs([parts] if kind == "Point" else parts, where)
+            self.points.append(_points(place(found, where, False), where))
             return
         if kind not in ("Polygon", "MultiPolygon"):
-            raise InputError(
-                f"geometry {kind!r} has no area", where=where, expected="Polygon, MultiPolygon, Point, MultiPoint"
-            )
+            raise refusal("region.geometry", where, kind=kind)
         polygons = [parts] if kind == "Polygon" else parts
         for rings in polygons if isinstance(polygons, list | tuple) and polygons else [None]:
             if not isinstance(rings, list | tuple) or not rings:
-                raise InputError("a polygon without vertices", where=where)
-            outer, *inner = [place(_pairs(ring, where), where, True) for ring in rings]
-            self.add_polygon(outer, inner, where=where)
+                raise refusal("region.no_vertices", where)
+            self.add_polygon([place(_pairs(ring, where), where, True) for ring in rings], where)
 
-    def add_polygon(self, exterior: npt.ArrayLike, holes: Sequence[npt.ArrayLike] = (), *, where: str) -> None:
-        """Add the pixels whose centre lies in a polygon; what leaves the image is cut off and counted.
+    def add_polygon(self, rings: Sequence[npt.ArrayLike], where: str) -> None:
+        """Add a polygon in pixel coordinates; of what leaves the image only the numbers are looked at.
 
         Raises
         ------
         InputError : fewer than three different vertices, or coordinates that are none.
         """
-        rings = [_ring(r, where) for r in (exterior, *holes)]
-        for ring in rings:
+        polygon = [_ring(r, where) for r in rings]
+        for ring in polygon:
             if np.abs(ring).max() > FARTHEST:
                 raise outside_error(ring, self.shape, where)
-        whole = polygon_of(rings)
-        self.area += whole.area
-        self.area_inside += area_inside(whole, self.shape)
-        self.mask |= _burned(rings, self.shape)
-        self._polygons.append(rings)
-        if not all(inside_image(r, self.shape) for r in rings):
-            self._outside.append(rings[0])
+        self.polygons.append(polygon)
 
-    def add_points(self, points: npt.ArrayLike, *, where: str) -> None:
-        """Add the pixels that hold points (sample, line) in continuous coordinates."""
-        xy = _points(points, where)
-        inside = np.array([inside_image(p, self.shape) for p in xy], dtype=bool)
-        self.points += len(xy)
-        self.points_outside += int((~inside).sum())
-        self.mask |= point_mask(xy[inside], self.shape, where=where)
-        if not inside.all():
-            self._outside.append(xy)
-
-    def add_pixels(self, rows: npt.ArrayLike, cols: npt.ArrayLike, *, where: str) -> None:
+    def add_pixels(self, rows: npt.ArrayLike, cols: npt.ArrayLike, where: str) -> None:
         """Add pixels named by 0-based whole numbers, which must be in the image."""
         r, c = np.asarray(rows, dtype=np.int64), np.asarray(cols, dtype=np.int64)
-        out = (r < 0) | (r >= self.shape[0]) | (c < 0) | (c >= self.shape[1])
-        if out.any():
-            i = int(np.flatnonzero(out)[0])
-            raise InputError(
-                f"{int(out.sum())} of {r.size} pixels are outside the image, first (line {r[i]}, sample {c[i]})",
-                where=where,
-                expected=f"lines 0-{self.shape[0] - 1}, samples 0-{self.shape[1] - 1}",
-            )
-        self.mask[r, c] = True
+        out = np.flatnonzero((r < 0) | (r >= self.shape[0]) | (c < 0) | (c >= self.shape[1]))
+        if out.size:
+            counts = {"outside": out.size, "count": r.size, "line": r[out[0]], "sample": c[out[0]]}
+            raise refusal("region.pixels", where, last=(self.shape[0] - 1, self.shape[1] - 1), **counts)
+        self.pixels.append((r, c))
 
-    @property
-    def touched(self) -> Mask:
-        """(lines, samples) the pixels of the region and all others that its polygons touch."""
-        out = self.mask.copy()
-        for rings in self._polygons:
-            out |= _burned(rings, self.shape, touched=True)
-        return out
+    def drawn(self, where: str, *, touched: bool = False) -> tuple[Mask, tuple[str, ...]]:
+        """(lines, samples) mask of the pixels whose centres the region holds, and what is to be said of it.
 
-    def notes(self) -> tuple[str, ...]:
-        """What is to be said, after the region's name, of the part outside the image; empty without one."""
-        drawn = int(self.mask.sum())
-        out = []
-        # To the millionth of a pixel of the border, see ``inside_image``.
-        part = 1.0 - self.area_inside / self.area if self._outside and self.area > 0.0 else 0.0
+        ``touched`` : of all pixels that its polygons touch.  What leaves the image is cut off and counted.
+
+        Raises
+        ------
+        InputError : nothing of it lies in the image.
+        """
+        points = np.concatenate([np.empty((0, 2)), *self.points])
+        inside = np.array([inside_image(p, self.shape) for p in points], dtype=bool)
+        mask = _burned(self.polygons, self.shape) | point_mask(points[inside], self.shape, where=where)
+        for rows, cols in self.pixels:
+            mask[rows, cols] = True
+        left = [rings[0] for rings in self.polygons if not all(inside_image(r, self.shape) for r in rings)]
+        if (left or not inside.all()) and not mask.any():
+            raise outside_error(np.vstack([*left, points]), self.shape, where)
+        notes, pixels = [], int(mask.sum())
+        part = _share_outside(self.polygons, self.shape) if left else 0.0  # to the millionth of a pixel of the border
         if part > 0.0:
-            sign = "" if part < _SMALL else WARNING
             percent = f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
-            out.append(f"{sign}leaves the image: {percent} of its area is outside, {drawn} pixels are left")
-        if self.points_outside:
-            out.append(
-                f"{WARNING}leaves the image: {self.points_outside} of {self.points} points are outside, "
-                f"{drawn} pixels are left"
-            )
-        if self.stated_pixels not in (None, drawn):
-            out.append(f"has {self.stated_pixels} pixels as its file says; {drawn} have their centre inside")
-        return tuple(out)
-
-    def check(self, where: str) -> None:
-        """Raise InputError where all of the drawing lies outside the image."""
-        if self._outside and not self.mask.any():
-            raise outside_error(np.vstack(self._outside), self.shape, where)
+            sign = "" if part < _SMALL else WARNING
+            notes.append(f"{sign}leaves the image: {percent} of its area is outside, {pixels} pixels are left")
+        if not inside.all():
+            gone = f"{np.sum(~inside)} of {inside.size} points are outside"
+            notes.append(f"{WARNING}leaves the image: {gone}, {pixels} pixels are left")
+        if self.stated_pixels not in (None, pixels):
+            notes.append(f"has {self.stated_pixels} pixels as its file says; {pixels} have their centre inside")
+        return mask | _burned(self.polygons, self.shape, touched=True) if touched else mask, tuple(notes)
 
 
 def _pairs(points: Any, where: str) -> Array:
@@ -352,18 +310,17 @@ def _pairs(points: Any, where: str) -> Array:
     try:
         return np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
     except (TypeError, ValueError, IndexError):
-        raise InputError("coordinates that are not pairs of numbers", where=where) from None
+        raise refusal("region.no_pairs", where) from None
 
 
-def polygon_of(rings: Sequence[Array]) -> shapely.Geometry:
-    """The exterior less the holes; where sides cross, the parts that are enclosed an odd number of times."""
+def _share_outside(polygons: Sequence[Rings], shape: tuple[int, int]) -> float:
+    """Part of the area of polygons that an image (lines, samples) does not hold.
+
+    Each is its exterior less its holes; where sides cross, the parts that are enclosed an odd number of times.
+    """
     import shapely
 
-    return shapely.make_valid(shapely.Polygon(rings[0], rings[1:]))
-
-
-def area_inside(polygon: shapely.Geometry, shape: tuple[int, int]) -> float:
-    """Area of what an image (lines, samples) holds of a polygon [pixels]."""
-    import shapely
-
-    return float(polygon.intersection(shapely.box(0, 0, shape[1], shape[0])).area)
+    drawn = [shapely.make_valid(shapely.Polygon(rings[0], rings[1:])) for rings in polygons]
+    inside = shapely.intersection(drawn, shapely.box(0, 0, shape[1], shape[0]))
+    area = float(np.sum(shapely.area(drawn)))
+    return 1.0 - float(np.sum(shapely.area(inside))) / area if area > 0.0 else 0.0

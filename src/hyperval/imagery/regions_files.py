@@ -1,0 +1,470 @@
+"""Files of regions of interest, each to drawings by name; class rasters to masks.
+
+ENVI regions (XML of 5.x, ASCII export, classic binary), GeoJSON, CSV lists, class rasters; GeoPackage, Shapefile and
+KML by the extra ``vector``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import refusal
+from hyperval.imagery.description import crs_of_wkt, equals
+from hyperval.imagery.drawing import ImageGrid, RegionDrawing, in_pixels, named_crs
+from hyperval.imagery.rasters import raster_of_size
+from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Drawings = dict[str, RegionDrawing]
+MAX_XML_BYTES = 8 << 20
+MAX_BINARY_BYTES = 64 << 20
+MAX_BYTES = 256 << 20
+MAX_FEATURES = 100_000
+MAX_CLASSES = 1000
+_MAX_DIGITS = 300  # more are no float
+_COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
+REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
+_SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
+
+
+def xml_drawings(path: Path, grid: ImageGrid) -> Drawings:
+    """Drawings by name of an ENVI 5 ROI file.
+
+    ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
+    are projected to the cube's system where it differs.
+
+    Raises
+    ------
+    InputError : larger than 8 MiB, with a DOCTYPE or ENTITY, not such a file, or a region that cannot be placed.
+    """
+    root = read_xml(path, MAX_XML_BYTES)
+    if root.tag != "RegionsOfInterest":
+        raise refusal("roi.root", path, tag=root.tag)
+    drawings: Drawings = {}
+    for number, region in enumerate(root.iter("Region"), start=1):
+        name = region.get("name") or str(number)
+        where = f"{path}: region {name!r}"
+        drawing = _new(drawings, name, grid.shape, where)
+        definitions = list(region.iter("GeometryDef"))
+        if not definitions:
+            raise refusal("roi.no_geometry", where)
+        for definition in definitions:
+            system = " ".join((definition.findtext("CoordSysStr") or "none").split())
+            source = None if system.lower() == "none" else crs_of_wkt(system)
+            if source is None and system.lower() != "none":
+                raise refusal("region.system", where, name=system[:60])
+            place = in_pixels if source is None else replace(grid, coordinates=None).placing(source, where)
+            for child in definition:
+                for geometry in _xml_geometries(child, where):
+                    drawing.add(geometry, place, where)
+    return drawings
+
+
+def _xml_geometries(element: ElementTree.Element, where: str) -> Iterator[dict[str, Any]]:
+    """The polygons or points of an element of ENVI's, as GeoJSON has them."""
+    if element.tag in ("Point", "MultiPoint"):
+        yield {"type": "MultiPoint", "coordinates": _xml_pairs(element, where)}
+    elif element.tag in ("Polygon", "MultiPolygon"):
+        for polygon in element.iter("Polygon"):
+            outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
+            if len(outer) != 1:
+                raise refusal("roi.rings", where, count=len(outer))
+            yield {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
+    elif element.tag != "CoordSysStr":
+        yield {"type": element.tag}
+
+
+def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
+    text = " ".join(part.text or "" for part in element.iter("Coordinates"))
+    try:
+        values = np.array([float(v) for v in text.split()])
+    except ValueError:
+        raise refusal("roi.coordinates", where) from None
+    if values.size == 0 or values.size % 2:
+        raise refusal("roi.pairs", where, count=values.size)
+    return values.reshape(-1, 2)
+
+
+def ascii_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
+    """Drawings by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
+
+    Raises
+    ------
+    InputError : the file was made for an image of another size, or its counts do not add up.
+    """
+    names: list[str] = []
+    counts: list[int] = []
+    rows: list[tuple[int, int]] = []
+    made_for = announced = None
+    columns = (1, 2)
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        where = f"{path}:{number}"
+        text = line.strip("; \t\r\0")
+        if text and not line.strip().startswith(";"):
+            parts = text.split()
+            if len(parts) <= max(columns):
+                raise refusal("roi.columns", where, count=len(parts))
+            rows.append((_whole(parts[columns[1]], where) - 1, _whole(parts[columns[0]], where) - 1))
+            continue
+        key, _, value = (part.strip() for part in text.partition(":"))
+        titles = text.lower().split()
+        match key.lower():
+            case "file dimension":
+                made_for = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
+                if made_for is None:
+                    raise refusal("roi.dimension", where, value=value)
+                _check_size((int(made_for[2]), int(made_for[1])), shape, where)
+            case "number of rois":
+                announced = _whole(value, where)
+            case "roi name":
+                names.append(value)
+            case "roi npts":
+                counts.append(_whole(value, where))
+            case _ if not value and {"x", "y"} <= set(titles):
+                columns = titles.index("x"), titles.index("y")
+            case _ if not value and re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text):
+                raise refusal("roi.no_pixels", where, text=text[:60])
+    if made_for is None:
+        raise refusal("roi.no_dimension", path)
+    if len(names) != len(counts) or announced not in (None, len(names)) or sum(counts) != len(rows):
+        told = {"announced": announced, "names": len(names), "points": sum(counts), "rows": len(rows)}
+        raise refusal("roi.counts", path, **told)
+    if len(set(names)) < len(names):
+        raise refusal("roi.names", path)
+    starts = np.cumsum([0, *counts])
+    return _pixel_drawings({name: rows[starts[i] : starts[i + 1]] for i, name in enumerate(names)}, shape, path)
+
+
+def _check_size(made_for: tuple[int, int], shape: tuple[int, int], where: str) -> None:
+    """Raise InputError for regions of an image of another size than that of the cube."""
+    if made_for != shape:
+        raise refusal("roi.size", where, size=made_for, shape=shape)
+
+
+def _pixel_drawings(pixels: Mapping[str, Sequence[tuple[int, int]]], shape: tuple[int, int], path: Path) -> Drawings:
+    """Drawings of pixels (line, sample) from 0 by name."""
+    drawings: Drawings = {}
+    for name, listed in pixels.items():
+        lines, samples = np.array(listed, dtype=np.int64).reshape(-1, 2).T
+        where = f"{path}: region {name!r}"
+        _new(drawings, name, shape, where).add_pixels(lines, samples, where)
+    return drawings
+
+
+def _new(drawings: Drawings, name: str, shape: tuple[int, int], where: str) -> RegionDrawing:
+    """A drawing under a name that none has yet."""
+    if name in drawings:
+        raise refusal("roi.twice", where)
+    drawings[name] = RegionDrawing(shape)
+    return drawings[name]
+
+
+def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
+    """Drawings by name of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
+
+    Raises
+    ------
+    InputError : larger than 64 MiB, cut short, made for an image of another size, or with polylines.
+    """
+    raw, at = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4
+
+    def words(count: int, kind: str = "i") -> tuple[int, ...]:
+        nonlocal at
+        if count < 0 or at + 4 * count > len(raw):
+            raise refusal("roi.short", path)
+        at += 4 * count
+        return struct.unpack_from(f">{count}{kind}", raw, at - 4 * count)
+
+    drawings: Drawings = {}
+    for _ in range(words(1)[0]):
+        length = words(2)[1]
+        if not 0 <= length <= 4096 or at + length > len(raw):
+            raise refusal("roi.name", path)
+        name = raw[at : at + length].split(b"\0")[0].decode("latin-1").strip()
+        at += -(-length // 4) * 4
+        table, where = words(45), f"{path}: region {name!r}"
+        _check_size((table[1], table[0]), shape, where)
+        if table[43]:
+            raise refusal("roi.polylines", where)
+        drawing = _new(drawings, name, shape, where)
+        if table[44]:
+            words(1)
+            addresses = np.array(words(table[3]), dtype=np.int64)
+            drawing.add_pixels(addresses // shape[1], addresses % shape[1], where)
+        elif table[3] > 0:
+            drawing.stated_pixels = table[3]
+        for _ in range(table[42]):
+            vertices = words(2)[0]
+            drawing.add_polygon([np.column_stack([words(vertices, "f"), words(vertices, "f")])], where)
+    return drawings
+
+
+def _whole(text: str, where: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,12}", text.strip()):
+        raise refusal("roi.whole", where, text=text[:40])
+    return int(text)
+
+
+def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
+    """Drawings by name of a CSV pixel list.
+
+    Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
+    ``name`` or ``class`` where the file holds more than one region.
+    """
+    fields, rows = read_table(path, {*REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
+    pair = next((p for p in _COLUMNS if set(p) <= set(fields)), None)
+    if pair is None:
+        raise refusal("region.columns", f"{path}:1", columns=", ".join(fields) or "none")
+    column = next((c for c in REGION_COLUMNS if c in fields), None)
+    pixels: dict[str, list[tuple[int, int]]] = {}
+    for number, row in rows:
+        if not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair):
+            numbers = {"first": row[pair[0]], "second": row[pair[1]]}
+            raise refusal("region.row", f"{path}:{number}", pair=pair, **numbers)
+        name = row[column] if column else path.stem
+        if not name:
+            raise refusal("region.no_name", f"{path}:{number}", column=column)
+        pixels.setdefault(name, []).append((int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]))
+    return _pixel_drawings(pixels, shape, path)
+
+
+def raster_masks(
+    path: Path,
+    shape: tuple[int, int],
+    *,
+    by_value: bool = False,
+    root: Path | None = None,
+    variable: str | None = None,
+) -> dict[str | int, Mask]:
+    """Masks of the classes of a raster of one band, or of the bands of a raster of several.
+
+    One band: a class for every whole number but 0 and the ignore value, under the class name of the
+    header, else under the file's name (a single class) or ``name-value``; under the number itself with
+    ``by_value``.  Several bands: a mask of what is not 0, nor NaN, nor the ignore value, under the band name.
+    """
+    raster = raster_of_size(path, shape, root, variable)
+    stored, about = raster.read_lines(0, raster.lines), raster.description
+    ignore = about.no_data()
+    valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
+    if raster.bands > 1:
+        names = about.band_names
+        if not names or len(set(names)) != len(names):
+            names = tuple(f"band-{i + 1}" for i in range(raster.bands))
+        return {name: (stored[:, :, i] != 0) & valid[:, :, i] for i, name in enumerate(names)}
+    classes = stored[:, :, 0]
+    values = np.unique(classes[valid[:, :, 0]])
+    if np.any(values != np.round(values)) or values.size > MAX_CLASSES:
+        raise refusal("region.classes", path, most=MAX_CLASSES)
+    numbers = [int(v) for v in values if v != 0]
+    if by_value:
+        return {value: classes == value for value in numbers}
+    listed = [name.strip() for name in about.entries.get("class names", "").split(",")]
+    out: dict[str | int, Mask] = {}
+    for value in numbers:
+        # ENVI writes "Name [Red] 67 points" for a class image made from regions.
+        name = listed[value] if 0 < value < len(listed) else ""
+        name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
+        name = name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}")
+        if name in out:
+            raise refusal("region.two_classes", path, name=name)
+        out[name] = classes == value
+    return out
+
+
+def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
+    """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united.
+
+    Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
+    has it.
+    """
+    try:
+        data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse, parse_int=_whole_number)
+    except (ValueError, RecursionError) as error:
+        raise refusal("geojson.text", path, why=error) from error
+    kind = data.get("type") if isinstance(data, dict) else None
+    items = data.get("features") if kind == "FeatureCollection" else [data]
+    if kind is None or not isinstance(items, list):
+        raise refusal("geojson.object", path)
+    name = _within(data, "crs", "properties", "name")
+    stated = named_crs(name, str(path)) if isinstance(name, str) else None
+    assumed = grid.coordinates is None and stated is None
+    if assumed and grid.transform is None:
+        raise refusal("geojson.no_position", path)
+    placed = grid.placing(stated, str(path))
+
+    def place(xy: Array, where: str, ring: bool) -> Array:
+        if assumed and np.any(np.abs(xy) > (180.0, 90.0)):
+            raise refusal("geojson.degrees", where, x=xy[0, 0], y=xy[0, 1])
+        return placed(xy, where, ring)
+
+    drawings: Drawings = {}
+    for number, feature in enumerate(items, start=1):
+        geometry = _within(feature, "geometry") if _within(feature, "type") == "Feature" else feature
+        if not isinstance(geometry, dict):
+            raise refusal("region.no_geometry", f"{path}: feature {number}")
+        properties, own = _within(feature, "properties"), _within(feature, "id")
+        fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
+        known = properties if isinstance(properties, dict) else {}
+        name = _feature_name(known, grid.name_field, fallback, f"{path}: feature {number}")
+        drawing = drawings.setdefault(name, RegionDrawing(grid.shape))
+        drawing.add(geometry, place, f"{path}: feature {number} ({name})")
+    return drawings
+
+
+def _within(data: Any, *keys: str) -> Any:
+    """What stands under keys in objects within each other, None where one is no object."""
+    for key in keys:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data
+
+
+def _feature_name(properties: Mapping[str, Any], name_field: str | None, fallback: str, where: str) -> str:
+    """Name of a feature: that of its attribute, else the fallback.
+
+    Raises
+    ------
+    UsageError : the attribute that is to name it is not there.
+    """
+    lower = {str(key).lower(): value for key, value in properties.items()}
+    columns = REGION_COLUMNS if name_field is None else (name_field.lower(),)
+    named = next((lower[c] for c in columns if lower.get(c) is not None), None)
+    if name_field is not None and named is None:
+        raise refusal("region.property", where, name=name_field, known=", ".join(properties) or "none")
+    text = "" if named is None or named != named else str(named).strip()
+    return text or fallback
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    out = dict(pairs)
+    if len(out) < len(pairs):
+        raise ValueError("a key stands twice in one object")
+    return out
+
+
+def _whole_number(text: str) -> int:
+    if len(text) > _MAX_DIGITS:
+        raise ValueError(f"a number of {len(text)} digits")
+    return int(text)
+
+
+def _refuse(text: str) -> Any:
+    raise ValueError(f"{text} is no JSON number")
+
+
+def is_vector(head: bytes) -> bool:
+    """True for the first bytes of a GeoPackage (an SQLite file), a Shapefile or a KML file."""
+    return head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a" or is_kml(head)
+
+
+def is_kml(head: bytes) -> bool:
+    """True for the first bytes of a KML file."""
+    return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
+
+
+def vector_drawings(path: Path, grid: ImageGrid, root: Path | None = None) -> Drawings:
+    """Drawings by name of the polygons and points of every layer; features of one name are united.
+
+    A name comes from the attribute ``name_field``, or else from ``region``, ``name``, ``class`` or ``class_name``;
+    a layer without attributes of text gives its own.  The file's coordinate system places them; where it has none,
+    ``coordinates`` must say "pixel", "map" or "lonlat".
+
+    Raises
+    ------
+    InputError : too large, not readable, lines instead of areas, or another coordinate system than stated.
+    UsageError : the extra ``vector`` is not installed, nobody says what the coordinates are, or which of several
+        attributes names the regions.
+    """
+    try:
+        import pyogrio
+        from pyogrio.errors import DataLayerError, DataSourceError
+    except ImportError:
+        raise refusal("vector.package", path) from None
+    _check_files(path, root)
+    drawings: Drawings = {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+            for layer in layers:
+                count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
+                if count > MAX_FEATURES:
+                    raise refusal("vector.features", path, count=count, most=MAX_FEATURES)
+                meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
+                fields = dict(zip((str(f) for f in meta["fields"]), columns, strict=True))
+                _layer_drawings(drawings, f"{path}: layer {layer!r}", layer, meta["crs"], shapes, fields, grid)
+    except (DataLayerError, DataSourceError) as error:
+        raise refusal("vector.unreadable", path, why=error) from error
+    return drawings
+
+
+def _layer_drawings(
+    drawings: Drawings,
+    where: str,
+    layer: str,
+    stated: str | None,
+    shapes: Sequence[bytes | None],
+    fields: Mapping[str, Any],
+    grid: ImageGrid,
+) -> None:
+    """Add the features of a layer, whose attributes stand in columns."""
+    own = named_crs(stated, where) if stated else None
+    if own is None and grid.coordinates is None:
+        raise refusal("vector.no_system", where)
+    if own is not None and grid.coordinates == "pixel":
+        raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
+    wanted = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
+    texts = any(np.asarray(values).dtype.kind == "O" for values in fields.values())
+    if not {f.lower() for f in fields} & set(wanted) and (grid.name_field or (len(shapes) > 1 and texts)):
+        what = f"no attribute {grid.name_field!r}" if grid.name_field else "no attribute that names the regions"
+        raise refusal("vector.attribute", where, what=what, known=", ".join(fields) or "none")
+    place = grid.placing(own, where)
+    column = next((f for w in wanted for f in fields if f.lower() == w), None)
+    for i, wkb in enumerate(shapes):
+        fallback = layer if len(shapes) == 1 else f"{layer}-{i + 1}"
+        known = {"name": fields[column][i]} if column is not None else {}
+        name = _feature_name(known, None, fallback, where)
+        at = f"{where}, feature {i + 1} ({name})"
+        drawings.setdefault(name, RegionDrawing(grid.shape)).add(_wkb_geometry(wkb, at), place, at)
+
+
+def _check_files(path: Path, root: Path | None) -> None:
+    files = [path]
+    if is_kml(head_of(path)) and re.search(rb"<!\s*(DOCTYPE|ENTITY)", path.read_bytes()[:MAX_BYTES], re.IGNORECASE):
+        raise refusal("vector.entity", path)
+    if path.suffix.lower() == ".shp":
+        parts = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
+        for end in (".dbf", ".shx"):
+            if end not in parts:
+                raise refusal("vector.part", path, end=end)
+        files += [checked_file(parts[end], root=root, what="region file") for end in _SIDECARS if end in parts]
+    if sum(f.stat().st_size for f in files) > MAX_BYTES:
+        raise refusal("vector.large", path, mib=MAX_BYTES >> 20)
+
+
+def _wkb_geometry(wkb: bytes | None, where: str) -> dict[str, Any]:
+    """A geometry as GeoJSON has it."""
+    if wkb is None:
+        raise refusal("region.no_geometry", where)
+    import shapely
+
+    try:
+        geometry = shapely.from_wkb(bytes(wkb), on_invalid="fix")  # a ring that is not closed is
+    except shapely.errors.ShapelyError:
+        geometry = None
+    if geometry is None:
+        raise refusal("vector.geometry", where)
+    if geometry.is_empty:
+        raise refusal("vector.empty", where)
+    return dict(shapely.geometry.mapping(geometry))
