@@ -23,7 +23,7 @@ import scipy
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import HypervalError, InputError, reader
+from hyperval.errors import HypervalError, reader, refusal
 from hyperval.imagery.description import Raster
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import (
@@ -85,7 +85,7 @@ class LookupTable:
         if ring:
             xy = self._divided(xy, where)
         if not np.all(np.isfinite(xy)):
-            raise InputError("coordinates that are not finite", where=where)
+            raise refusal("region.not_finite", where)
         return np.array([self._place(place, where) for place in xy]).reshape(-1, 2)
 
     @cached_property
@@ -110,7 +110,7 @@ class LookupTable:
     def _place(self, xy: Array, where: str) -> Array:
         fit = self._raw_at(np.array(~self.transform @ (float(xy[0]), float(xy[1]))))
         if fit is None:
-            raise _nowhere(f"({xy[0]:.2f}, {xy[1]:.2f})", "the lookup table", where)
+            raise refusal("place.nowhere", where, place=f"({xy[0]:.2f}, {xy[1]:.2f})", what="the lookup table")
         return fit[0]
 
     def _raw_at(self, cell: Array) -> tuple[Array, float] | None:
@@ -140,9 +140,7 @@ class LookupTable:
         """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
         cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
         if cell is None:
-            raise InputError(
-                "the map of the lookup table is not in a known unit of length", where=str(self.raster.path)
-            )
+            raise refusal("place.unit", self.raster.path, what="the map of the lookup table is not in a known unit")
         return math.sqrt(cell / abs(self.transform.determinant))
 
     def _read(self, first: int, count: int) -> tuple[Index, Index]:
@@ -162,11 +160,9 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loo
     raster = open_raster(table) if isinstance(table, Path | str) else table
     where = str(raster.path)
     if raster.bands != 2 or raster.dtype.kind not in "iu":
-        raise InputError(
-            f"{raster.bands} bands of {raster.dtype}", where=where, expected="a lookup table: two bands of integers"
-        )
+        raise refusal("place.table", where, bands=raster.bands, dtype=raster.dtype)
     if raster.transform is None:
-        raise InputError("the lookup table has no 'map info'", where=where)
+        raise refusal("place.no_map", where)
     names = raster.description.band_names
     swapped = len(names) == 2 and "line" in names[0].lower() and "sample" in names[1].lower()
     opened = LookupTable(raster, raster.transform, raster.crs, shape, swapped)
@@ -174,21 +170,12 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loo
     for first in range(0, raster.lines, _BLOCK):
         sample, line = opened._read(first, min(_BLOCK, raster.lines - first))
         if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):
-            raise InputError(
-                f"cells where one of sample and line is 0 or negative (in lines {first}-{first + len(sample) - 1})",
-                where=where,
-                expected="both 0 outside the flight line, both negative where filled",
-            )
+            raise refusal("place.signs", where, first=first, last=first + len(sample) - 1)
         greatest = np.maximum(greatest, [np.abs(line).max(), np.abs(sample).max()])
     if not greatest.any():
-        raise InputError("the lookup table names no pixel", where=where)
+        raise refusal("place.empty", where)
     if np.any(greatest > shape):
-        raise InputError(
-            f"the lookup table goes to line {greatest[0]}, sample {greatest[1]} (from 1)",
-            where=where,
-            expected=f"{shape[0]} lines and {shape[1]} samples, as the cube",
-            mend="give the lookup table of this flight line",
-        )
+        raise refusal("place.beyond", where, greatest=greatest, shape=shape)
     return opened
 
 
@@ -199,19 +186,10 @@ def divided(ring: Array, where: str) -> Array:
     ahead = np.roll(ring, -1, axis=0)
     length = np.hypot(*(ahead - ring).T)
     if not np.all(np.isfinite(length)) or length.sum() / _SIDE_CELLS > MAX_VERTICES:
-        raise InputError("a polygon far larger than any lookup table", where=where)
+        raise refusal("place.large", where)
     parts = np.maximum(1, np.ceil(length / _SIDE_CELLS)).astype(int)
     share = np.concatenate([np.arange(p) / p for p in parts])
     return np.asarray(np.repeat(ring, parts, axis=0) + share[:, None] * np.repeat(ahead - ring, parts, axis=0))
-
-
-def _nowhere(place: str, what: str, where: str) -> InputError:
-    return InputError(
-        f"the place {place} has no pixel in {what}",
-        where=where,
-        expected="places that the flight line covers",
-        mend="check the coordinate system, and that the table of places belongs to this image",
-    )
 
 
 def _plane(x: Array, y: Array, values: Array) -> tuple[Array, Array]:
@@ -256,7 +234,7 @@ class LocationTable(LookupTable):
     def metres_per_unit(self) -> float:
         """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
         if self.crs is None or not self.crs.is_projected:
-            raise InputError("the places of the pixels are not in a unit of length", where=str(self.raster.path))
+            raise refusal("place.unit", self.raster.path, what="the places of the pixels are not in a unit")
         return float(self.crs.linear_units_factor[1])
 
     @cached_property
@@ -271,7 +249,7 @@ class LocationTable(LookupTable):
             places.append(np.column_stack([x[good], y[good]]))
         place = np.concatenate(places)
         if not len(place):
-            raise InputError("no pixel has a place", where=str(self.raster.path))
+            raise refusal("place.none", self.raster.path)
         geographic = self.crs is not None and self.crs.is_geographic
         scale = np.array([math.cos(math.radians(float(place[:, 1].mean()))) if geographic else 1.0, 1.0])
         return scipy.spatial.cKDTree(place * scale), np.concatenate(nodes), scale
@@ -283,7 +261,7 @@ class LocationTable(LookupTable):
         line, sample = nodes[len(nodes) // 2]
         fit = self._fit(int(line), int(sample))
         if fit is None:
-            raise InputError("the places of the pixels do not change", where=str(self.raster.path))
+            raise refusal("place.same", self.raster.path)
         return math.sqrt(abs(float(np.linalg.det(fit[1]))))
 
     def _place(self, xy: Array, where: str) -> Array:
@@ -301,7 +279,7 @@ class LocationTable(LookupTable):
                     return np.asarray(place)
                 break
             line, sample = near
-        raise _nowhere(f"({xy[0]:.6g}, {xy[1]:.6g})", "the image", where)
+        raise refusal("place.nowhere", where, place=f"({xy[0]:.6g}, {xy[1]:.6g})", what="the image")
 
     def _fit(self, line: int, sample: int) -> tuple[Array, Array] | None:
         """Map coordinates of a pixel's centre, and (2, 2) their change with sample and line; None without any."""
@@ -348,17 +326,13 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     InputError : another size than the image, fewer than two bands, or no pixel with a place.
     """
     if raster.size[:2] != shape or raster.bands < 2:
-        raise InputError(
-            f"{raster.lines} lines, {raster.samples} samples and {raster.bands} bands",
-            where=str(raster.path),
-            expected=f"{shape[0]} lines and {shape[1]} samples, as the image, and two bands: x and y",
-        )
+        raise refusal("place.size", raster.path, size=raster.size, shape=shape)
     table = LocationTable(raster, Affine.identity(), None, shape)
     rows = [table._xy(int(line), 1) for line in _some_lines(shape[0], SAMPLED_LINES)]
     x, y = (np.concatenate([row[i].ravel() for row in rows]) for i in (0, 1))
     good = table._valid(x, y)
     if not good.any():
-        raise InputError("no pixel has a place", where=str(raster.path))
+        raise refusal("place.none", raster.path)
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
     return LocationTable(raster, Affine.identity(), CRS.from_epsg(4326) if degrees else raster.crs, shape)
 

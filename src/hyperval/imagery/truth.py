@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from affine import Affine
 
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import reader, refusal
 from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, outside_error, point_mask, polygon_mask
 from hyperval.imagery.placing import LookupTable
 from hyperval.imagery.regions import Region, guard, patches
@@ -140,20 +140,17 @@ def read_targets(
     fields, rows = read_table(path, {"name", "material", "shape", *_NUMERIC})
     place = next((p for p in _PLACES if p[0] in fields and p[1] in fields), None)
     if place is None or "material" not in fields:
-        raise InputError(
-            f"columns {', '.join(fields) or 'none'}",
-            where=f"{path}:1",
-            expected="material and one of " + "; ".join(",".join(p) for p in _PLACES),
-        )
+        places = "; ".join(",".join(p) for p in _PLACES)
+        raise refusal("target.columns", f"{path}:1", columns=", ".join(fields) or "none", places=places)
     image = _Image(shape, transform, _pixel_size(pixel_size_m, transform, str(path)))
     out: dict[str, TargetObject] = {}
     for line, row in rows:
         target = _target(row, place, image, line, f"{path}:{line}")
         if target.name in out:
-            raise InputError("no material, or a name that stands twice", where=f"{path}:{line}")
+            raise refusal("target.name", f"{path}:{line}")
         out[target.name] = target
     if not out:
-        raise InputError("the list holds no target", where=str(path))
+        raise refusal("target.none", path)
     return list(out.values())
 
 
@@ -173,7 +170,7 @@ def _pixel_size(stated: float | None, transform: Position, where: str) -> float:
         area = transform.determinant if isinstance(transform, Affine) else getattr(transform, "pixel_area_m2", None)
         size = 0.0 if area is None else math.sqrt(abs(area))
     if not size > 0:
-        raise UsageError("the ground size of a pixel is not known", where=where, mend="state targets.pixel_size_m")
+        raise refusal("target.pixel", where)
     return size
 
 
@@ -181,8 +178,8 @@ def _target(row: Mapping[str, str], place: tuple[str, str], image: _Image, line:
     """The target of one row of the list."""
     name = row.get("name") or f"{row['material']} {line - 1}"
     if not row["material"]:
-        raise InputError("no material, or a name that stands twice", where=where)
-    number = {key: _number(row.get(key), key, where) for key in _NUMERIC}
+        raise refusal("target.name", where)
+    number = {key: _number(row.get(key), key, where) for key in sorted(_NUMERIC)}
     width, length, doubt = _size(number, where)
     figure = _figure(row, width, length, where)
     area = number["area_m2"]
@@ -207,7 +204,7 @@ def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]
     """Width and length [m], 0 where nobody states a size, and the uncertainty of the position [m], maybe NaN."""
     for key in ("area_m2", "position_uncertainty_m"):
         if number[key] < 0:
-            raise InputError(f"{key} is {number[key]:g}", where=where, expected="0 or more, or an empty cell")
+            raise refusal("target.negative", where, key=key, value=number[key])
     # A list may hold squares and rectangles.
     width = number["side_m"] if math.isnan(number["width_m"]) else number["width_m"]
     length = width if math.isnan(number["length_m"]) else number["length_m"]
@@ -215,12 +212,7 @@ def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]
     if math.isnan(width) and math.isnan(length) and doubt > 0:
         return 0.0, 0.0, doubt  # a place known to so many metres, of a target whose size nobody states
     if not width > 0 or not length > 0:
-        raise InputError(
-            "no size",
-            where=where,
-            expected="side_m, or width_m and length_m, above 0",
-            mend="where no size is known, state position_uncertainty_m: the target is looked for within it",
-        )
+        raise refusal("target.size", where)
     return width, length, doubt
 
 
@@ -230,7 +222,7 @@ def _position(
     """Centre (sample, line) and corners (n, 2) of a target, in continuous pixel coordinates."""
     first, second = number[place[0]], number[place[1]]
     if math.isnan(first) or math.isnan(second):
-        raise InputError(f"no {place[0]}, {place[1]}", where=where)
+        raise refusal("target.place", where, place=place)
     heading = 0.0 if math.isnan(number["heading_deg"]) else number["heading_deg"]
     shift = _PLACES[place]
     if shift is not None:
@@ -276,18 +268,9 @@ def _figure(row: Mapping[str, str], width: float, length: float, where: str) -> 
     """The figure of a target's outline; InputError for a shape that is none or that its sizes contradict."""
     shape = row.get("shape", "").lower()
     if shape not in _FIGURES:
-        raise InputError(
-            f"shape is {shape[:40]!r}",
-            where=where,
-            expected="square, rectangle, circle or ellipse (or an empty cell)",
-            mend="any other outline can be drawn as a region (targets.regions)",
-        )
+        raise refusal("target.shape", where, shape=shape[:40])
     if shape in ("square", "circle") and width != length:
-        raise InputError(
-            f"a {shape} of {width:g} m by {length:g} m",
-            where=where,
-            expected="side_m, or equal width_m and length_m",
-        )
+        raise refusal("target.sides", where, shape=shape, width=width, length=length)
     return _FIGURES[shape]
 
 
@@ -306,7 +289,7 @@ def _number(text: str | None, key: str, where: str) -> float:
     except ValueError:
         value = math.inf
     if not math.isfinite(value):
-        raise InputError(f"{key} is {text[:40]!r}", where=where, expected="a number")
+        raise refusal("target.number", where, key=key, text=text[:40])
     return value
 
 
@@ -333,11 +316,11 @@ def intersected_objects(
     out = []
     for material, mask in materials.items():
         if mask.shape != classes.shape:
-            raise InputError(f"{material}: mask {mask.shape} and size classes {classes.shape} differ in shape")
+            raise refusal("target.classes", material=material, mask=mask.shape, classes=classes.shape)
         for value, side in side_m.items():
             here = mask & (classes == value)
             if not here.any():
-                raise InputError(f"{material} has no pixel of size class {value}")
+                raise refusal("target.class", material=material, value=value)
             attributes = {"material": material, "side_m": f"{side:g}"}
             of = f"{material} {side:g} m", material, float(side), float(side) ** 2, (here.shape[0], here.shape[1])
             out.append(TargetObject(*of, *cut_out(here), attributes=attributes))
@@ -370,11 +353,7 @@ def region_objects(
     UsageError : sides by marked pixels whose ground area is not known.
     """
     if side_m == "marked" and pixel_area_m2 is None:
-        raise UsageError(
-            "side_m: marked needs the ground area of a pixel",
-            where="targets.regions",
-            mend="state targets.pixel_size_m",
-        )
+        raise refusal("target.marked", "targets.regions")
     out = []
     for region in regions:
         shape = (region.mask.shape[0], region.mask.shape[1])
