@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
+from hyperval.attribute import InjectedError, injected_errors
 from hyperval.campaign import jobs_of, power_table, run_campaign
 from hyperval.errors import UsageError
 from hyperval.report.html import report_page
 from hyperval.report.run import Injected, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
 from hyperval.results import Outcome, Result, Role
-from hyperval.uncertainty.injected import InjectedError, injected_errors
 
 BRIGHT, QUIET, TAILS = "sunlight x 1.05", "noise x 1.5", "tails left out"
 SUBJECTS = ["white-panel", "grey-panel-35"]

@@ -8,20 +8,14 @@ import numpy as np
 import pytest
 
 from hyperval.compare import (
-    Gate,
     compare_classification,
     compare_covariance,
     compare_distribution,
-    compare_products,
-    independent_pixels,
 )
 from hyperval.pixels import noise_part
 from hyperval.products import (
-    Abundance,
     ClassificationError,
-    ObservedProducts,
     PixelDistribution,
-    PredictedProducts,
     SpectralEstimate,
 )
 from hyperval.results import Outcome
@@ -128,12 +122,6 @@ def test_dependent_pixels_and_heavy_tails_widen_the_band():
     assert "4 degrees of freedom or fewer" in refused["comparison"].reason
 
 
-def test_independent_pixels_by_direction():
-    held = PixelDistribution(n=100, effective_n=np.array([5.0, 50.0]))
-    assert independent_pixels(100, held, 4) == pytest.approx([4.0, 49.0, 49.0, 49.0])
-    assert independent_pixels(100, None, 2) == pytest.approx([99.0, 99.0])
-
-
 def tails(predicted, observed):
     rows = compare_distribution(predicted, observed, subject="grass")
     return {row.metric: row for row in rows}
@@ -175,42 +163,6 @@ def test_rows_of_classification():
     wrong = errors(predicted, ClassificationError(0.20, 0.17, 0.24, 500, 300.0, 0.9))
     assert wrong["error_inside_interval"].value == 0.0
     assert errors(predicted, None)["comparison"].outcome is Outcome.SKIPPED
-
-
-def test_all_of_it_is_in_the_table_and_can_gate():
-    predicted = PredictedProducts(
-        AXIS, radiance={"g": estimate(truth())}, distribution={"g": PixelDistribution()},
-        classification={("a / b", "f"): ClassificationError(0.1, 0.09, 0.11)},
-        abundance={(k, "fcls"): Abundance(1.0, 0.1, 4, 1.0) for k in "ab"},
-    )  # fmt: skip
-    observed = ObservedProducts(
-        AXIS, radiance={"g": sample(500)},
-        distribution={"g": PixelDistribution(np.inf, 50.0, np.inf, 0.4, 6, n=500)},
-        classification={("a / b", "f"): ClassificationError(0.1, 0.08, 0.12, 400, 400.0)},
-        abundance={(k, "fcls"): Abundance(1.1, 0.1, 4, 1.0) for k in "ab"},
-    )  # fmt: skip
-    found = {(r.product, r.metric) for r in compare_products(predicted, observed)}
-    assert {
-        ("covariance", "eigenvalue_ratio@1"), ("covariance", "background_tail_dof"),
-        ("classification", "error_difference"), ("abundance", "area_rmse_predicted"),
-        ("abundance", "area_in_predicted_95"), ("abundance", "area_nominal_ratio"),
-    } <= found  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("product", "metric", "limit"),
-    [
-        ("covariance", "eigenvalues_inside_95", {"at_least": 0.0}),
-        ("covariance", "subspace_angle@1", {"at_most": 90.0}),
-        ("covariance", "total_variance_ratio", {"at_least": 0.0}),
-        ("classification", "error_difference", {"at_least": -1.0}),
-        ("classification", "error_observed", {"at_most": 1.0}),
-        ("abundance", "area_in_predicted_95", {"at_most": 1.0}),
-    ],
-)
-def test_limits_that_cannot_fail_are_refused(product, metric, limit):
-    with pytest.raises(ValueError, match="can never fail"):
-        Gate(product=product, metric=metric, reason="x", **limit)
 
 
 def pixels(rng, noise, texture, n=2000, columns=None, calibration=0.0):

@@ -1,6 +1,10 @@
 """Difference ratios and consistency tests: closed forms, Monte Carlo, and a tilt that only one test sees."""
 
-from dataclasses import replace
+from __future__ import annotations
+
+import doctest
+import importlib
+import math
 
 import numpy as np
 import pytest
@@ -14,22 +18,19 @@ from hyperval.compare import (
     chi_square_shape,
     comparable_bands,
     compare_spectra,
-    detectable_departure,
     detectable_tilts,
+    drift,
     judged,
+    leading_source,
     median_interval,
-    regions,
     share_inside,
     size_intervals,
-    spectra,
-    spectral_angle_degrees,
     whitening,
-    z_scores,
 )
 from hyperval.errors import UsageError
-from hyperval.model import difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
-from hyperval.products import SpectralEstimate
-from hyperval.results import Outcome, Result
+from hyperval.model import Z95, difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
+from hyperval.products import EstimatedPart, SpectralEstimate
+from hyperval.results import Cause, Outcome, Result
 from hyperval.spectra import SpectralAxis, in_window
 
 AXIS = SpectralAxis(np.arange(420.0, 2450.0, 20.0), 20.0)
@@ -48,11 +49,6 @@ def value(rows, metric):
     return row
 
 
-def test_difference_ratio_by_hand_and_where_nothing_was_collected():
-    assert difference_ratio([1.1, 0.9], [1.0, 1.0]) == pytest.approx([0.1, -0.1])
-    assert np.isnan(difference_ratio([1.0, 1.0], [0.0, -1.0])).all()
-
-
 def test_ratio_covariance_by_monte_carlo():
     # 40000 draws, errors of 1 % so that the first order holds: covariances good to 1 %; band 5 %.
     rng = np.random.default_rng(1)
@@ -67,10 +63,6 @@ def test_ratio_covariance_by_monte_carlo():
     assert np.cov(draws.T) == pytest.approx(covariance, rel=0.05)
     u = difference_ratio_uncertainty(p.mean, c.mean, p.standard_uncertainty, c.standard_uncertainty)
     assert u == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-12), "areas and figures, and the rows of spectra"
-
-
-def test_without_any_stated_error_there_is_no_interval():
-    assert all(np.isnan(median_interval(np.array([0.1, 0.2, 0.3]), np.zeros((3, 3)))))
 
 
 def test_median_interval_covers():
@@ -125,16 +117,6 @@ def test_a_tilt_outside_the_budget_is_seen_by_the_full_test_alone():
     assert chi_square_full(tilt, budgeted).p_value > 0.05
 
 
-def test_tilts_are_found_above_noise():
-    # The same covariance with true errors drawn from it plus the tilt: the power asked for is 90 %.
-    rng = np.random.default_rng(5)
-    mean = np.full(B, 5.0)
-    tilt = 0.03 * np.linspace(-1, 1, B) * mean
-    covariance = (0.026**2 * np.ones((B, B)) + 0.0085**2 * np.eye(B)) * np.outer(mean, mean)
-    draws = rng.multivariate_normal(tilt, covariance, 200)
-    assert np.mean([chi_square_full(r, covariance).p_value < 0.05 for r in draws]) > 0.9
-
-
 def test_singular_covariance_keeps_only_real_directions():
     direction = np.linspace(1, 2, 10)
     covariance = np.outer(direction, direction)
@@ -163,16 +145,6 @@ def test_shape_is_what_the_full_test_has_beyond_a_common_factor():
     assert of_factor + shape.value == pytest.approx(chi_square_full(r, covariance).value, rel=1e-6)
     assert shape.dof == 11
     assert chi_square_shape(0.07 * reference, reference, covariance).value == pytest.approx(0.0, abs=1e-9)
-
-
-def test_z_and_angle():
-    assert z_scores([3.0, 1.0], np.diag([9.0, 0.0]))[0] == 1.0
-    assert np.isnan(z_scores([3.0, 1.0], np.diag([9.0, 0.0]))[1])
-    assert spectral_angle_degrees([1, 2, 3], [2, 4, 6]) == pytest.approx(0.0, abs=1e-12)
-    assert spectral_angle_degrees([1, 0], [0, 1]) == pytest.approx(90.0)
-    small = 1e-9  # arccos of a dot product gives 0 or 1e-8 here
-    assert spectral_angle_degrees([1, 0], [1, small]) == pytest.approx(np.degrees(small), rel=1e-6)
-    assert np.isnan(spectral_angle_degrees([0, 0], [1, 1]))
 
 
 def test_a_band_without_a_variance_is_in_no_tested_direction():
@@ -210,12 +182,6 @@ def test_rows_of_a_known_offset(product):
     assert value(rows, "fraction_inside_95").value == 1.0
     assert value(rows, "spectral_angle").value == pytest.approx(0.0, abs=1e-5)
     assert value(rows, "chi2_reduced_diagonal").n == in_window(AXIS.centre_nm).sum()
-
-
-def test_the_sign_says_who_is_brighter():
-    rows = compare_spectra(spectrum(4.5), spectrum(5.0), **NAMES)
-    assert value(rows, "median_difference_ratio_windows").value == pytest.approx(-0.1)
-    assert value(rows, "bias_ratio").value == pytest.approx(-0.1)
 
 
 def test_absorption_bands_do_not_touch_the_windows():
@@ -282,15 +248,6 @@ def test_spectra_of_another_axis_are_refused():
         compare_spectra(SpectralEstimate(np.ones(3), np.eye(3)), spectrum(5.0), **NAMES)
 
 
-def test_regions_do_not_overlap_and_fill_the_windows():
-    found = regions(AXIS)
-    assert np.array_equal(
-        found["vnir"].astype(int) + found["swir1"].astype(int) + found["swir2"].astype(int),
-        found["windows"].astype(int),
-    )
-    assert not np.any(found["windows"] & found["absorption"])
-
-
 def test_the_detectable_tilt_is_found_in_four_cases_of_five():
     """By simulation: spectra tilted by it are rejected at the level of 0.001 in both tails with probability 0.8."""
     rng = np.random.default_rng(21)
@@ -327,14 +284,6 @@ def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held()
     assert inside >= 186  # 95 % of 200 is 190, sd 3.1
 
 
-def test_what_a_cut_interval_could_have_shown_is_its_whole_width():
-    """A size of 0.01 known to 0.2: its interval ends at 0 below, could have found 0.05 + 0.2 x 1.43."""
-    row = Result("c", "radiance", "a", "m", "median_abs_difference_ratio_windows", 0.01, lower=0.0, upper=0.21)
-    assert detectable_departure(row, -np.inf, 0.05) == pytest.approx(0.05 + 0.2 * 1.4294, rel=1e-4)
-    inner = replace(row, value=0.3, lower=0.2, upper=0.4)
-    assert detectable_departure(inner, -np.inf, 0.05) == pytest.approx(0.05 + 0.1 * 1.4294, rel=1e-4)
-
-
 @pytest.mark.parametrize("length", [1e-6, 20.0, 300.0])
 def test_the_interval_of_the_share_inside_holds_what_right_errors_give(length):
     """0.95 in at least 95 % of 400 worlds, whatever hangs together; four standard errors are 17 of 400."""
@@ -349,21 +298,138 @@ def test_the_interval_of_the_share_inside_holds_what_right_errors_give(length):
     assert (np.mean(wide < 0.95) > 0.9) == (length < 1.0)
 
 
-@pytest.mark.parametrize("nu", [np.inf, 40.0])
-def test_a_detectable_departure_is_rejected_four_times_in_five(nu):
-    """20,000 draws of the statistic; the share is within 0.015 of 0.8 in all but one case in 10 million."""
-    dof, size = 5, spectra._detectable(1.0, 5, nu)
-    rng = np.random.default_rng(3)
-    whole = rng.noncentral_chisquare(dof, size**2, 20_000)
-    if np.isinf(nu):
-        limit = stats.chi2.isf(spectra.POWER_LEVEL / 2.0, dof)
-    else:
-        whole *= (nu - dof + 1.0) / dof / rng.chisquare(nu - dof + 1.0, whole.size)
-        limit = stats.f.isf(spectra.POWER_LEVEL / 2.0, dof, nu - dof + 1.0)
-    assert np.mean(whole > limit) == pytest.approx(0.8, abs=0.015)
+def by_metric(rows):
+    return {r.metric: r for r in rows}
 
 
-def test_a_source_has_its_part_of_the_variance_of_the_ratio_on_its_side():
+def test_a_leading_source_holds_more_than_half_of_the_variance():
+    def side(mean, **parts):
+        budget = {name: np.full(3, np.sqrt(v)) for name, v in parts.items()}
+        return SpectralEstimate(np.full(3, mean), sum(parts.values()) * np.eye(3), budget=budget)
+
+    everything = np.ones(3, bool)
+    assert leading_source(side(1.0, spectrum=0.45, noise=0.1), side(1.0, sampling=0.45), everything) == ""
+    told = leading_source(side(1.0, spectrum=0.6, noise=0.1), side(1.0, sampling=0.3), everything)
+    assert told == "60 % of the variance: spectrum"
     # d(p/o) = dp/o - p do/o^2: of equal errors that of o counts by (p/o)^2.
-    p, o = (SpectralEstimate(np.full(2, v), np.eye(2), budget={n: np.ones(2)}) for n, v in (("p", 1.0), ("o", 2.0)))
-    assert spectra._shares(p, o, np.ones(2, bool)) == [("p", pytest.approx(0.8)), ("o", pytest.approx(0.2))]
+    assert leading_source(side(1.0, p=1.0), side(2.0, o=1.0), everything) == "80 % of the variance: p"
+
+
+def test_a_prediction_that_is_too_bright_has_a_positive_z():
+    axis = SpectralAxis(np.linspace(450.0, 890.0, 12), 10.0)
+    covariance = 1e-4 * (0.5 * np.eye(12) + 0.5)
+    predicted, observed = (SpectralEstimate(np.full(12, v), covariance) for v in (1.03, 1.0))
+    rows = compare_spectra(predicted, observed, product="radiance", subject="s", method="m", axis=axis)
+    z = [r.value for r in rows if r.metric == "z"]
+    assert z == pytest.approx([0.03 / np.sqrt(2e-4)] * 12)
+    # The mean over bands of (p - c)/c: half of the error is common to all, the other half falls with their number.
+    bias = by_metric(rows)["bias_ratio"]
+    used = np.count_nonzero(in_window(axis.centre_nm))
+    half = Z95 * np.sqrt(1e-4 * (1 + 1.03**2) * (0.5 + 0.5 / used))
+    assert (bias.value, bias.upper - bias.value) == pytest.approx((0.03, half), rel=1e-9)
+
+
+def test_nothing_is_said_of_one_wavelength_of_no_light_or_of_what_no_test_can_reject():
+    assert all(math.isnan(t) for t in detectable_tilts([1.0, 1.0], [500.0, 500.0], np.eye(2)))
+    assert math.isnan(detectable_tilts([1.0, 1.0], [400.0, 500.0], np.eye(2), [EstimatedPart(np.eye(2), 1.0)])[0])
+    dark = chi_square_shape([0.1, -0.2], [0.0, 0.0], np.eye(2))
+    assert (dark.value, dark.dof) == (pytest.approx(0.05), 2)
+    assert all(np.isnan(median_interval(np.array([0.1, 0.2, 0.3]), np.zeros((3, 3)))))
+
+
+NU = 60.0
+
+
+def told(metric, value, *, product="radiance", limits=None, **more) -> Result:
+    limits = limits or {"within": (-0.05, 0.05)}
+    gate = Gate(product=product, metric=metric, reason="r", chosen_after=True, before="nothing", **limits)
+    (row,) = judged([Result("", product, "s", "m", metric, value, **more)], [gate])
+    return row
+
+
+def of_test(statistic: float, dof: int, nu: float = math.inf) -> Result:
+    found = ChiSquare(statistic, dof, nu)
+    return told("p_value_full", found.p_value, limits={"at_least": 0.001}, detectable=0.01, about=found.effect)
+
+
+def test_a_number_is_told_in_units_of_the_field():
+    row = told("median_difference_ratio_vnir", 0.01, lower=-0.02, upper=0.04)
+    assert (row.effect, row.effect_lower, row.effect_upper) == pytest.approx((1.0, -2.0, 4.0))
+    assert (row.accepted_low, row.accepted_high, row.ideal) == pytest.approx((-5.0, 5.0, 0.0))
+    reach = 5.0 + 3.0 * (1.0 + stats.norm.ppf(0.8) / stats.norm.ppf(0.975))
+    assert (row.detectable_low, row.detectable_high) == pytest.approx((-reach, reach))
+    assert (row.effect_unit, row.set_after) == ("% of radiance", True)
+    ratio = told("area_ratio", 1.1, product="abundance", lower=0.9, upper=1.3, limits={"within": (0.75, 1.25)})
+    assert (ratio.effect, ratio.effect_upper, ratio.accepted_low, ratio.ideal) == pytest.approx((10.0, 30.0, -25.0, 0))
+    (unplanned,) = judged([Result("", "radiance", "s", "m", "bias_ratio", 0.1, lower=0.0, upper=0.2)], [])
+    assert math.isnan(unplanned.effect)
+
+
+def test_a_test_agrees_only_where_its_whole_interval_lies_in_the_range():
+    """Of 11 bands a difference of 1.5 times its uncertainty may be one of 2.1, which chance alone does not give."""
+    near, beyond, far = (of_test(size**2 * 11, 11) for size in (1.1, 1.5, 2.5))
+    assert [r.outcome for r in (near, beyond, far)] == [Outcome.AGREES, Outcome.UNDECIDED, Outcome.DISAGREES]
+    assert beyond.cause is Cause.WIDE_INTERVAL
+    assert beyond.effect_upper > beyond.accepted_high > beyond.effect
+    assert beyond.p_value > 0.001
+    assert (
+        far.effect > far.accepted_high == near.accepted_high == pytest.approx(math.sqrt(stats.chi2.isf(5e-4, 11) / 11))
+    )
+    assert of_test(0.01, 11).cause is Cause.TOO_WIDE
+    assert of_test(0.01, 11).effect < of_test(0.01, 11).accepted_low
+    assert {r.ideal for r in (near, far)} == {1.0}
+
+
+@pytest.mark.parametrize("nu", [math.inf, NU])
+def test_the_interval_of_an_effect_holds_its_size_in_95_of_100(nu):
+    """Statistics of noncentrality lambda are drawn; their intervals hold sqrt(1 + lambda / p)."""
+    rng, dof, size, draws = np.random.default_rng(7), 12, 1.7, 150
+    drawn = rng.noncentral_chisquare(dof, (size**2 - 1.0) * dof, draws)
+    if math.isfinite(nu):  # Hotelling's statistic
+        drawn = drawn * nu / rng.chisquare(nu - dof + 1.0, draws)
+    effects = [ChiSquare(float(x), dof, nu).effect for x in drawn]
+    held = np.mean([e.lower <= size <= e.upper for e in effects])
+    assert held == pytest.approx(0.95, abs=4.0 * math.sqrt(0.95 * 0.05 / draws))
+    found = np.mean([e.value > e.accepted(0.001)[1] for e in effects])
+    at_detectable = effects[0].detectable[1]
+    assert (found > 0.8) == (size > at_detectable)
+
+
+YEARS = np.array([0.0, 0.1, 0.15, 0.4, 0.7, 1.1, 1.2, 2.0])
+
+
+def test_an_error_of_all_days_cancels():
+    values = 0.01 * YEARS + np.sin(40.0 * YEARS) * 1e-3
+    assert drift(YEARS, values + 0.3).per_year == pytest.approx(drift(YEARS, values).per_year)
+
+
+def test_the_interval_holds_the_truth_as_often_as_it_says():
+    """Seed 3; of 2000 draws 1900 hold it on average, with a standard deviation of 9.7: fails once in 10,000."""
+    rng, inside = np.random.default_rng(3), 0
+    for _ in range(2000):
+        found = drift(YEARS, 0.02 * YEARS + 0.005 * rng.standard_normal(YEARS.size))
+        inside += found.lower <= 0.02 <= found.upper
+    assert abs(inside - 1900) < 38
+
+
+def test_outcomes_by_interval_against_range():
+    found = drift(YEARS, 0.02 * YEARS + 1e-3 * np.sin(40.0 * YEARS))
+    assert found.outcome(-0.05, 0.05) is Outcome.AGREES
+    assert found.outcome(-0.01, 0.01) is Outcome.DISAGREES
+    assert found.outcome(-0.05, found.per_year) is Outcome.UNDECIDED
+
+
+@pytest.mark.parametrize("years", [[0.0, 1.0], [1.0, 1.0, 1.0]])
+def test_too_few_days_are_refused(years):
+    with pytest.raises(UsageError, match="days or more"):
+        drift(years, np.zeros(len(years)))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["compare.spectra", "compare.judge", "model.intervals"],
+)
+def test_examples(name):
+    outcome = doctest.testmod(importlib.import_module(f"hyperval.{name}"))
+    assert outcome.attempted > 0
+    assert outcome.failed == 0

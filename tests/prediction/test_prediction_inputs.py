@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 
+from hyperval.attribute.ranking import assumed_inputs
 from hyperval.errors import UsageError
 from hyperval.model import (
     Origins,
@@ -20,7 +21,6 @@ from hyperval.model import (
 )
 from hyperval.scenario import Fill
 from hyperval.spectra import SpectralAxis
-from hyperval.uncertainty.attribution.ranking import assumed_inputs
 
 B = len(AXIS)
 KEY = ("tenth", "cem", "pixel")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from hyperval.sensor.specification import Sensor, SensorSpecification
+from hyperval.sensor import Sensor, SensorSpecification
 
 SHEET = "data sheet"
 

@@ -16,7 +16,7 @@ from sensor_data import changed, good_sensor, sensor_of
 from hyperval.cli import run
 from hyperval.config import parse_yaml, placeholders
 from hyperval.errors import UsageError
-from hyperval.sensor.specification import SensorSpecification, load_sensor, new_sensor_file
+from hyperval.sensor import SensorSpecification, load_sensor, new_sensor_file
 from hyperval.sensor_check import bands_beside, check_sensor, write_check
 from small_campaign import stand_in_atmosphere
 

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from typing import Any
 
+from hyperval.attribute import ScenarioModel, Truths, assumed_inputs, attribute, few_objects
 from hyperval.campaign.job import Job, Waiting, missing_sets
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import record_of
@@ -28,9 +29,6 @@ from hyperval.report.run import RunReport, accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.uncertainty.attribution.ranking import assumed_inputs
-from hyperval.uncertainty.attribution.residuals import few_objects
-from hyperval.uncertainty.attribution.run import ScenarioModel, Truths, attribute, attribution_rows
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
@@ -82,7 +80,7 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
         ).observation
 
     worlds = [read(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
-    attribution = attribute(
+    return attribute(
         ScenarioModel(side.scenarios, predicted, measured_again),
         observation,
         [inputs_of(world) for world in worlds],
@@ -91,7 +89,6 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
         budgeted=prediction,
         show_progress=show_progress,
     )
-    return attribution_rows(attribution)
 
 
 def run_campaign(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import hyperval
+from hyperval.attribute import InjectedError, NotInjectable, injected_errors, injected_prediction
 from hyperval.campaign.job import AnyJob, Job, Waiting, jobs_of
 from hyperval.campaign.one import outcomes
 from hyperval.campaign.sides import collected, predicted_side
@@ -32,7 +33,6 @@ from hyperval.report.run import (
 )
 from hyperval.results import Outcome, Result
 from hyperval.storage import POWER, whole_folder, write_text
-from hyperval.uncertainty.injected import InjectedError, NotInjectable, injected_errors, injected_prediction
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,13 @@ import scipy
 from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from hyperval.atmosphere.state import pressure_at, standard_profile
+from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import Location, Model, load_yaml, validate
 from hyperval.errors import InputError, UsageError
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, RadCalNetDay, read_radcalnet
-from hyperval.uncertainty.attribution.schema import AttributionOptions
 
 MAX_RUNS = 100
 

@@ -21,10 +21,9 @@ from .detection import (
 )
 from .judge import Gate, detectable_departure, detectable_share, judged, outcome_of, tail_probability
 from .products import compare_products, product_rows
+from .rows import COMPARISON, RowMaker, difference_interval, scientific
 from .spectra import (
-    COMPARISON,
     ChiSquare,
-    RowMaker,
     chi_square_diagonal,
     chi_square_full,
     chi_square_shape,
@@ -32,12 +31,10 @@ from .spectra import (
     compare_spectra,
     covariance_dof,
     detectable_tilts,
-    difference_interval,
     drift,
     leading_source,
     median_interval,
     regions,
-    scientific,
     share_inside,
     size_intervals,
     spectral_angle_degrees,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperval.compare.spectra import RowMaker
+from hyperval.compare.rows import Array, Mask, RowMaker
 from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
 from hyperval.pixels import (
@@ -27,9 +27,6 @@ from hyperval.pixels import (
 from hyperval.products import PixelDistribution, SpectralEstimate
 from hyperval.results import Cause, Effect, Result
 from hyperval.spectra.axis import SpectralAxis, in_window
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 EIGENVALUES = 5  # compared
 MOST_EIGENVALUES = 30  # drawn, for figures
@@ -99,29 +96,16 @@ def compare_covariance(
     if predicted is None or observed is None:
         return []
     sample = sampled(predicted, observed, axis, predicted_distribution, observed_distribution, EIGENVALUES)
-    if sample is None:
-        return []
     if isinstance(sample, str):
         return make.skipped(Cause.FEW_PIXELS, sample)
-    measured, band, n = sample.measured, sample.band, sample.n
-    rows = _eigenvalue_rows(make, measured, band, n)
-    rows += _space_rows(make, measured, band, sample.spaces, n)
+    if sample is None:
+        return []
+    rows = [*_eigenvalue_rows(make, sample), *_space_rows(make, sample)]
     samples = None if observed_distribution is None else observed_distribution.samples
     if predicted_noise and samples is not None and samples > 1:
         kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
         rows += _noise_rows(make, predicted, observed, predicted_noise, sample, samples, kurtosis)
-    if math.isnan(measured.distance):
-        why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
-        names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
-        return rows + make.skipped(Cause.FEW_PIXELS, why, *names)
-    means = predicted.mean[sample.bands], observed.mean[sample.bands]
-    distance = bhattacharyya_distance(means[0], sample.covariances[0], means[1], sample.covariances[1])
-    rows.append(make.row("bhattacharyya_distance", distance, n=n))
-    excess = measured.distance - float(band.distance.mean())
-    low, high = SamplingBand.limits(band.distance - band.distance.mean())
-    reason = f"sampling alone gives {band.distance.mean():.3g}, {measured.distance:.3g} was found"
-    interval = (excess - float(high), excess - float(low))
-    return [*rows, _row(make, "bhattacharyya_covariance_excess", excess, interval, n, reason=reason)]
+    return [*rows, *_distance_rows(make, predicted.mean, observed.mean, sample)]
 
 
 @dataclass(frozen=True)
@@ -196,36 +180,44 @@ def _band(variances: bytes, independent: bytes, count: int, spaces: tuple[int, .
     return sampling_band(directions, np.frombuffer(independent), count, spaces, rng, kurtosis=kurtosis)
 
 
-def _eigenvalue_rows(make: RowMaker, measured: Statistics, band: SamplingBand, n: int) -> list[Result]:
+def _eigenvalue_rows(make: RowMaker, sample: Sampled) -> Iterator[Result]:
+    measured, band, n = sample.measured, sample.band, sample.n
     low, high = SamplingBand.limits(band.eigenvalues)
     expected = band.eigenvalues.mean(axis=0)
-    rows = []
     for k, value in enumerate(measured.eigenvalues):
-        interval = (float(low[k] / value), float(high[k] / value))
+        ends = low[k] / value, high[k] / value
         reason = f"measured {value:.4g}, expected of {n} pixels of the prediction {expected[k]:.4g}"
-        rows.append(_row(make, f"eigenvalue_ratio@{k + 1}", expected[k] / value, interval, n, reason=reason))
+        yield _row(make, f"eigenvalue_ratio@{k + 1}", expected[k] / value, ends, n, reason)
     inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
-    rows.append(make.row("eigenvalues_inside_95", float(np.mean(inside)), n=n))
-    least, most = SamplingBand.limits(band.total)
-    ratio = float(band.total.mean()) / measured.total
-    interval = (float(least) / measured.total, float(most) / measured.total)
-    rows.append(_row(make, "total_variance_ratio", ratio, interval, n))
-    return rows
+    yield make.row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
+    total = band.total / measured.total
+    yield _row(make, "total_variance_ratio", float(total.mean()), SamplingBand.limits(total), n)
 
 
-def _space_rows(
-    make: RowMaker, measured: Statistics, band: SamplingBand, spaces: tuple[int, ...], n: int
-) -> list[Result]:
-    rows = []
-    angles = principal_angles_deg(measured.overlap, spaces)
-    for i, k in enumerate(spaces):
-        angle = float(angles[i])
+def _space_rows(make: RowMaker, sample: Sampled) -> Iterator[Result]:
+    angles = principal_angles_deg(sample.measured.overlap, sample.spaces)
+    for k, angle, drawn in zip(sample.spaces, angles, sample.band.angles_deg.T, strict=False):
         # One-sided: only too large an angle tells against the prediction.
-        most = float(np.sort(band.angles_deg[:, i])[-6])  # the sixth of 119 is exceeded with probability 0.05
+        most = float(np.sort(drawn)[-6])  # the sixth of 119 is exceeded with probability 0.05
         reason = f"sampling alone stays below {most:.3g} deg in 95 % of draws"
-        rows.append(make.row(f"subspace_angle@{k}", angle, unit="deg", n=n, reason=reason))
-        rows.append(make.row(f"subspace_inside_95@{k}", float(angle <= most), n=n, reason=reason))
-    return rows
+        yield make.row(f"subspace_angle@{k}", angle, n=sample.n, reason=reason)
+        yield make.row(f"subspace_inside_95@{k}", float(angle <= most), n=sample.n, reason=reason)
+
+
+def _distance_rows(make: RowMaker, predicted: Array, observed: Array, sample: Sampled) -> Iterator[Result]:
+    """The distance of the two normal laws with means (B,), and what of it is the covariance's beyond sampling."""
+    found, drawn = sample.measured.distance, sample.band.distance
+    if math.isnan(found):
+        why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
+        yield from make.skipped(Cause.FEW_PIXELS, why, "bhattacharyya_distance", "bhattacharyya_covariance_excess")
+        return
+    (p, o), (first, second) = (predicted[sample.bands], observed[sample.bands]), sample.covariances
+    yield make.row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
+    excess = found - float(drawn.mean())
+    low, high = SamplingBand.limits(drawn - drawn.mean())
+    reason = f"sampling alone gives {drawn.mean():.3g}, {found:.3g} was found"
+    ends = excess - float(high), excess - float(low)
+    yield _row(make, "bhattacharyya_covariance_excess", excess, ends, sample.n, reason)
 
 
 def _noise_rows(
@@ -262,7 +254,7 @@ def _noise_rows(
     return [make.row("noise_ratio", value, interval, n=sample.n, reason=reason)]
 
 
-def _row(make: RowMaker, metric: str, value: float, interval: tuple[float, float], n: int, reason: str = "") -> Result:
+def _row(make: RowMaker, metric: str, value: float, interval: tuple[Any, Any], n: int, reason: str = "") -> Result:
     """A row whose band is that of sampling; the mean of skewed draws may lie beyond an end of it."""
     low, high = min(float(interval[0]), value), max(float(interval[1]), value)
     return make.row(metric, value, (low, high), n=n, reason=reason)
@@ -294,31 +286,26 @@ def compare_distribution(
     make = RowMaker("covariance", subject, method)
     if observed is None:
         return []
-    o = observed
+    o, (dof, low, high) = observed, (observed.leading_tail_dof, observed.leading_lower, observed.leading_upper)
     note = "no predicted law to compare with" if predicted is None else f"predicted {_dof_text(predicted.tail_dof)}"
-    rows = [
-        make.row(
-            "background_tail_dof", o.tail_dof, (o.tail_lower, o.tail_upper), n=o.n,
-            reason=f"{note}; in {o.dimension} bands",
-        )
-    ]  # fmt: skip
-    if not math.isnan(o.leading_tail_dof):
-        rows.append(
-            make.row(
-                "background_tail_dof_leading", o.leading_tail_dof, (o.leading_lower, o.leading_upper),
-                n=o.n, reason=f"{note}; in the {o.leading_dimension} leading components",
-            )
-        )  # fmt: skip
-    if predicted is not None and not math.isnan(o.leading_tail_dof):
-        inverse = [0.0 if math.isinf(x) else 1.0 / x for x in (o.leading_upper, o.leading_tail_dof, o.leading_lower)]
-        expected = 0.0 if math.isinf(predicted.tail_dof) else 1.0 / predicted.tail_dof
-        low, value, high = (expected - x for x in reversed(inverse))
-        rows.append(make.row("tail_inverse_dof_difference", value, (low, high), n=o.n, reason=note))
-    value, low, high = (0.0 if math.isinf(x) else 1.0 / x for x in (o.tail_dof, o.tail_upper, o.tail_lower))
-    rows.append(make.row("normality_p_value", o.normality_p_value, n=o.n, about=Effect(value, low, high)))
+    why = f"{note}; in {o.dimension} bands"
+    rows = [make.row("background_tail_dof", o.tail_dof, (o.tail_lower, o.tail_upper), n=o.n, reason=why)]
+    if not math.isnan(dof):
+        why = f"{note}; in the {o.leading_dimension} leading components"
+        rows.append(make.row("background_tail_dof_leading", dof, (low, high), n=o.n, reason=why))
+    if predicted is not None and not math.isnan(dof):
+        expected = _inverse(predicted.tail_dof)
+        least, value, most = (expected - _inverse(x) for x in (low, dof, high))
+        rows.append(make.row("tail_inverse_dof_difference", value, (least, most), n=o.n, reason=note))
+    about = Effect(_inverse(o.tail_dof), _inverse(o.tail_upper), _inverse(o.tail_lower))
+    rows.append(make.row("normality_p_value", o.normality_p_value, n=o.n, about=about))
     if o.effective_n is not None and o.effective_n.size:
         rows.append(make.row("effective_pixels", float(o.effective_n[0]), n=o.n))
     return rows
+
+
+def _inverse(dof: float) -> float:
+    return 0.0 if math.isinf(dof) else 1.0 / dof
 
 
 def _dof_text(dof: float) -> str:

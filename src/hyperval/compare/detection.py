@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.spectra import RowMaker, difference_interval, noncentrality, scientific
+from hyperval.compare.rows import Array, Interval, Lack, RowMaker, Valued, comparison, difference_interval, scientific
+from hyperval.compare.spectra import noncentrality
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence
 from hyperval.model.intervals import (
@@ -25,23 +25,13 @@ from hyperval.model.intervals import (
 )
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
-from hyperval.products import (
-    Abundance,
-    AlarmsAtDetection,
-    ClassificationError,
-    ExceedanceCurve,
-    ObjectScores,
-    RocCurve,
-    ScoreDistribution,
-    background_of,
-)
+from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution
 from hyperval.results import Cause, Effect, Result
 
-Array = npt.NDArray[np.float64]
 ROUNDING = 1e-9  # of a score's standard deviation; chance leaves a mean as small in one of a million images at most
 
 
-def sd_ratio_interval(predicted_sd: float, observed_sd: float, n: int) -> tuple[float, float]:
+def sd_ratio_interval(predicted_sd: float, observed_sd: float, n: int) -> Interval:
     """95 % interval of predicted over observed standard deviation, the latter from n independent normal scores.
 
     (n - 1) s^2/sigma^2 follows chi-square, so predicted/sigma lies between (predicted/s) sqrt(chi2_a/(n - 1)) and
@@ -51,13 +41,8 @@ def sd_ratio_interval(predicted_sd: float, observed_sd: float, n: int) -> tuple[
     return predicted_sd / observed_sd * float(low), predicted_sd / observed_sd * float(high)
 
 
-def compare_scores(
-    predicted: ScoreDistribution | None,
-    observed: ScoreDistribution | None,
-    *,
-    subject: str,
-    method: str,
-) -> list[Result]:
+@comparison("scores")
+def compare_scores(make: RowMaker, predicted: ScoreDistribution, observed: ScoreDistribution) -> Iterator[Result]:
     """Rows ``score_mean_predicted``, ``score_mean_observed``, ``score_mean_difference``, ``score_sd_ratio``.
 
     The difference (predicted - observed) has the interval of the observed mean, s/sqrt(n) with Student's t, or its
@@ -74,42 +59,27 @@ def compare_scores(
     [('score_mean_predicted', 1.0), ('score_mean_observed', 0.9), ('score_mean_difference', 0.1),
     ('score_sd_ratio', 0.8)]
     """
-    make = RowMaker("scores", subject, method)
-
-    def rows(predicted: ScoreDistribution, observed: ScoreDistribution) -> list[Result]:
-        n = observed.n
-        bias = 0.0 if math.isnan(observed.mean_bias) else observed.mean_bias
-        difference = predicted.mean - (observed.mean - bias)
-        half = math.nan
-        if n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd:
-            error = observed.sd / math.sqrt(n) if math.isnan(observed.mean_error) else observed.mean_error
-            half = float(scipy.stats.t.ppf(0.975, n - 1)) * error
-        out = [
-            make.row("score_mean_predicted", predicted.mean, n=predicted.n),
-            make.row("score_mean_observed", observed.mean, half=half, n=n),
-            make.row("score_mean_difference", difference, half=half, n=n),
-        ]
-        if observed.sd > 0 and n is not None and n >= 2:
-            interval = sd_ratio_interval(predicted.sd, observed.sd, n)
-            out.append(make.row("score_sd_ratio", predicted.sd / observed.sd, interval, n=n))
-        else:
-            why = "fewer than two observed scores, or no spread among them"
-            out += make.skipped(Cause.FEW_PIXELS, why, "score_sd_ratio")
-        return out
-
-    return make.compared(predicted, observed, rows)
+    n, half = observed.n, math.nan
+    bias = 0.0 if math.isnan(observed.mean_bias) else observed.mean_bias
+    if n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd:
+        error = observed.sd / math.sqrt(n) if math.isnan(observed.mean_error) else observed.mean_error
+        half = float(scipy.stats.t.ppf(0.975, n - 1)) * error
+    yield make.row("score_mean_predicted", predicted.mean, n=predicted.n)
+    yield make.row("score_mean_observed", observed.mean, half=half, n=n)
+    yield make.row("score_mean_difference", predicted.mean - (observed.mean - bias), half=half, n=n)
+    if observed.sd > 0 and n is not None and n >= 2:
+        interval = sd_ratio_interval(predicted.sd, observed.sd, n)
+        yield make.row("score_sd_ratio", predicted.sd / observed.sd, interval, n=n)
+    else:
+        why = "fewer than two observed scores, or no spread among them"
+        yield from make.skipped(Cause.FEW_PIXELS, why, "score_sd_ratio")
 
 
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4)
 
 
-def compare_exceedance(
-    predicted: ExceedanceCurve | None,
-    observed: ExceedanceCurve | None,
-    *,
-    subject: str,
-    method: str,
-) -> list[Result]:
+@comparison("scores")
+def compare_exceedance(make: RowMaker, predicted: ExceedanceCurve, observed: ExceedanceCurve) -> Iterator[Result]:
     """Rows ``pfa_ratio@1e-3`` and the like: predicted over measured P_FA at the threshold that was measured for it.
 
     Beside it ``pfa_repeatability@1e-3``: the factor by which one half of the image misses the other half's P_FA
@@ -119,49 +89,33 @@ def compare_exceedance(
     law was fitted to.  A level that expects fewer than 10 alarms gives a SKIPPED row, save that levels below 1e-3
     then give none.
 
-    Parameters
-    ----------
-    subject : what is looked for; the rows stand under the name of its background
+    The subject is the background (:func:`hyperval.products.background_of`) of what is looked for.
     """
-    make = RowMaker("scores", background_of(subject), method)
-
-    def rows(predicted: ExceedanceCurve, observed: ExceedanceCurve) -> list[Result]:
-        out = []
-        for level in LEVELS:
-            name, expected = f"pfa_ratio@{scientific(level)}", level * (observed.n or 0)
-            if expected < LEAST_EXPECTED_ALARMS:
-                if level >= 1e-3:
-                    why = f"{observed.n} background pixels expect {expected:.3g} alarms"
-                    out += make.skipped(Cause.FEW_ALARMS, why, name)
-                continue
-            ratio = false_alarm_ratio(predicted, observed, level)
-            at, model = ratio.at, ratio.predicted
-            measured, threshold = float(observed.probability[at]), float(observed.threshold[at])
-            beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
-            words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{model:.3g}, "
-            words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
-            interval = ratio.lower, ratio.upper
-            words += f"; its law is known to a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
-            factor = math.nan if observed.half_image is None else float(observed.half_image[at])
-            if observed.half_image is not None:
-                words += f"; one half of the image misses the other by a factor of {factor:.2g}"
-            out.append(make.row(name, ratio.value, interval, n=observed.n, reason=words))
-            alarms = round(measured * (observed.n or 0))
-            if np.isfinite(factor):
-                name, why = f"pfa_repeatability@{scientific(level)}", "half of the random halves differ less"
-                out.append(make.row(name, factor, n=observed.n, reason=f"of {alarms} alarms; {why}"))
-        return out
-
-    return make.compared(predicted, observed, rows)
+    n = observed.n or 0
+    for level in LEVELS:
+        name = f"pfa_ratio@{scientific(level)}"
+        if level * n < LEAST_EXPECTED_ALARMS:
+            if level >= 1e-3:
+                why = f"{observed.n} background pixels expect {level * n:.3g} alarms"
+                yield from make.skipped(Cause.FEW_ALARMS, why, name)
+            continue
+        ratio = false_alarm_ratio(predicted, observed, level)
+        at, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
+        beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
+        words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{ratio.predicted:.3g}, "
+        words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
+        words += f"; its law is known to a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
+        factor = math.nan if observed.half_image is None else float(observed.half_image[at])
+        if observed.half_image is not None:
+            words += f"; one half of the image misses the other by a factor of {factor:.2g}"
+        yield make.row(name, ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
+        if np.isfinite(factor):
+            why = f"of {round(measured * n)} alarms; half of the random halves differ less"
+            yield make.row(f"pfa_repeatability@{scientific(level)}", factor, n=observed.n, reason=why)
 
 
-def compare_classification(
-    predicted: ClassificationError | None,
-    observed: ClassificationError | None,
-    *,
-    subject: str,
-    method: str,
-) -> list[Result]:
+@comparison("classification")
+def compare_classification(make: RowMaker, p: ClassificationError, o: ClassificationError) -> Iterator[Result]:
     """Rows of one set of classes in one set of features.
 
     ``error_predicted``, ``error_observed`` with their intervals; ``error_difference`` predicted - observed with the
@@ -180,33 +134,20 @@ def compare_classification(
     1.0), ('error_approximation', 0.1), ('distance_predicted', 0.8), ('distance_observed', 0.7),
     ('error_bounds', 0.066)]
     """
-    make = RowMaker("classification", subject, method)
-
-    def rows(p: ClassificationError, o: ClassificationError) -> list[Result]:
-        difference = p.error - o.error
-        below = float(np.hypot(p.error - p.lower, o.upper - o.error))
-        above = float(np.hypot(p.upper - p.error, o.error - o.lower))
-        words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
-        out = [
-            make.row("error_predicted", p.error, (p.lower, p.upper), n=p.n),
-            make.row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words),
-            make.row("error_difference", difference, (difference - below, difference + above), n=o.n),
-            make.row(
-                "error_inside_interval",
-                float(difference - below <= 0.0 <= difference + above),
-                n=o.n,
-                about=Effect(difference, difference - below, difference + above),
-            ),
-            make.row("error_approximation", p.approximation),
-            make.row("distance_predicted", p.distance),
-            make.row("distance_observed", o.distance, n=o.n),
-        ]
-        if p.bound_lower > 0:
-            middle = float(np.sqrt(p.bound_lower * p.bound_upper))
-            out.append(make.row("error_bounds", middle, (p.bound_lower, p.bound_upper)))
-        return out
-
-    return make.compared(predicted, observed, rows)
+    words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
+    yield make.row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
+    yield make.row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
+    difference = p.error - o.error
+    low, high = difference_interval(p.error, (p.lower, p.upper), o.error, (o.lower, o.upper))
+    yield make.row("error_difference", difference, (low, high), n=o.n)
+    about = Effect(difference, low, high)
+    yield make.row("error_inside_interval", float(low <= 0.0 <= high), n=o.n, about=about)
+    yield make.row("error_approximation", p.approximation)
+    yield make.row("distance_predicted", p.distance)
+    yield make.row("distance_observed", o.distance, n=o.n)
+    if p.bound_lower > 0:
+        middle = float(np.sqrt(p.bound_lower * p.bound_upper))
+        yield make.row("error_bounds", middle, (p.bound_lower, p.bound_upper))
 
 
 EVERY_OBJECT = "all objects"
@@ -231,10 +172,7 @@ def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -
     right, so objects of different kinds are judged together.  Source: Rosenblatt, Ann. Math. Stat. 23, 470, 1952.
     The share is (below + 1/2) / (N + 1), so that no score is impossible to a finite number of draws.
     """
-    return _transform(np.asarray(score, dtype=float), np.sort(np.asarray(draws, dtype=float), axis=None))
-
-
-def _transform(at: Array, ordered: Array) -> Array:
+    at, ordered = np.asarray(score, dtype=float), np.sort(np.asarray(draws, dtype=float), axis=None)
     below = np.searchsorted(ordered, at, "left").astype(float)
     equal = ordered[np.minimum(below.astype(int), ordered.size - 1)] == at
     below[equal] = 0.5 * (below[equal] + np.searchsorted(ordered, at[equal], "right"))
@@ -250,9 +188,11 @@ def transforms_of_draws(draws: npt.ArrayLike) -> Array:
     order = np.argsort(values, axis=None)
     ordered = values.ravel()[order]
     middle = np.median(ordered)
-    spread = [ordered, *(middle + f * (ordered - middle) for f in WIDTHS)]
-    out = np.empty((len(spread), ordered.size))
-    out[:, order] = [_transform(x, ordered) for x in spread]
+    out = np.empty((1 + len(WIDTHS), ordered.size))
+    for row, factor in zip(out, (1.0, *WIDTHS), strict=True):
+        row[order] = probability_integral_transform(
+            ordered if factor == 1.0 else middle + factor * (ordered - middle), ordered
+        )
     return out.reshape(-1, *values.shape)
 
 
@@ -343,16 +283,16 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     inside, n = int(np.sum(central(u))), u.size
     expected = central(reference).sum(axis=1)
     low, high = map(float, clopper_pearson(inside, n))
-    span = np.quantile(expected, [0.025, 0.975], method="nearest") / n
     share = Effect(inside / n, low, high, partial(drawn_range, expected / n, 1.0, 0.0), decides=False)
     distances, distance = distance_from_uniform(reference), float(distance_from_uniform(u))
     # No distance of two distributions differs from a third one's by more than that of the two.
     reach = float(np.quantile(distances, 0.95))
-    low, high = max(distance - reach, 0.0), min(distance + reach, 1.0)
-    apart = Effect(distance, low, high, partial(drawn_range, distances, 0.0, 1.0), decides=False)
+    ends = max(distance - reach, 0.0), min(distance + reach, 1.0)
+    apart = Effect(distance, *ends, partial(drawn_range, distances, 0.0, 1.0), decides=False)
     z, x = scipy.special.ndtri(u), scipy.special.ndtri(reference)
+    low, high = np.quantile(expected, [0.025, 0.975], method="nearest") / n
     return Together(
-        (float(span[0]), float(span[1])),
+        (float(low), float(high)),
         _test(-inside, -expected, -central(wide).sum(axis=2), share),
         _test(distance, distances, distance_from_uniform(wide), apart),
         _joint_test(z, x, wide),
@@ -391,13 +331,10 @@ def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
         return np.asarray(np.sum((v @ inverse) * v, axis=-1))
 
     found, reference = float(distance(z)), distance(x[half:])
-    size, *ends = (
-        math.sqrt(found / n),
-        *(math.sqrt(1.0 + noncentrality(found / n, n, math.inf, part) / n) for part in (0.975, 0.025)),
-    )
-    effect = Effect(
-        size, min(ends[0], size), max(ends[1], size), partial(drawn_range, np.sqrt(reference / n), 0.5, 0.5)
-    )
+    size = math.sqrt(found / n)
+    low, high = (math.sqrt(1.0 + noncentrality(found / n, n, math.inf, part) / n) for part in (0.975, 0.025))
+    accepted = partial(drawn_range, np.sqrt(reference / n), 0.5, 0.5)
+    effect = Effect(size, min(low, size), max(high, size), accepted)
     test = _test(found, reference, distance(scipy.special.ndtri(wide)), effect, both=True)
     return replace(test, effect=replace(effect, detectable=(math.nan, test.detectable)))
 
@@ -417,7 +354,7 @@ def _drift_test(z: Array, drawn_scores: Array, strength: Array) -> Test | None:
     return Test(p, Effect(slope, slope - max(high, 0.0), slope - min(low, 0.0), accepted, (-found, found)), found)
 
 
-def drawn_range(sizes: Array, below: float, above: float, level: float) -> tuple[float, float]:
+def drawn_range(sizes: Array, below: float, above: float, level: float) -> Interval:
     """Range that draws of the model stay in: ``below`` and ``above`` times the level lie beyond its ends; 0: no end."""
     low, high = np.quantile(sizes, [below * level, 1.0 - above * level])
     return (float(low) if below else math.nan), (float(high) if above else math.nan)
@@ -431,9 +368,9 @@ def _spread(z: Array, drawn_scores: Array) -> Effect | None:
     return Effect(float(middle), float(low), float(high))
 
 
-def central(values: Array) -> npt.NDArray[np.bool_]:
+def central(values: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """True for transform values in the central 95 %."""
-    return np.asarray((values >= 0.025) & (values <= 0.975))
+    return np.asarray((np.asarray(values) >= 0.025) & (np.asarray(values) <= 0.975))
 
 
 def compare_object_scores(
@@ -479,20 +416,13 @@ def compare_object_scores(
             out += _together_rows(make, {name: model}, {name: scores}, "")
             continue
         low, middle, high = (float(x) for x in np.quantile(model.values, [0.025, 0.5, 0.975]))
-        u = float(probability_integral_transform(scores, model.values)[0])
+        (u,) = probability_integral_transform(scores, model.values)
         why = f"measured {scores[0]:.4g}, predicted {low:.4g} to {high:.4g}"
-        out += [
-            make.row("object_score_measured", float(scores[0]), n=1),
-            make.row("object_score_predicted", middle, (low, high)),
-            make.row("object_score_pit", u, n=1),
-            make.row(
-                "object_score_inside_95",
-                float(central(np.array([u]))[0]),
-                n=1,
-                reason=why,
-                about=Effect(float(scipy.special.ndtri(u))),
-            ),
-        ]
+        inside, about = float(central(u)), Effect(float(scipy.special.ndtri(u)))
+        out.append(make.row("object_score_measured", scores[0], n=1))
+        out.append(make.row("object_score_predicted", middle, (low, high)))
+        out.append(make.row("object_score_pit", u, n=1))
+        out.append(make.row("object_score_inside_95", inside, n=1, reason=why, about=about))
     make = RowMaker("scores", subject, method)
     if not common:
         return out + make.skipped(Cause.NO_OBSERVATION, "no object has both sides", *OF_ALL)
@@ -501,42 +431,34 @@ def compare_object_scores(
 
 def _together_rows(
     make: RowMaker, predicted: Mapping[str, ObjectScores], scores: Mapping[str, Array], lost: str
-) -> list[Result]:
+) -> Iterator[Result]:
     sets, n = judged_together(predicted, scores), sum(x.size for x in scores.values())
     low, high = sets.expected
-    words = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}"
-
-    def number(metric: str, found: Effect, reason: str) -> list[Result]:
-        return [make.row(metric, found.value, (found.lower, found.upper), n=n, reason=reason)]
-
-    def test(metric: str, found: Test, reason: str) -> list[Result]:
-        why = f"{reason}{lost}"
-        return [make.row(metric, found.p_value, n=n, detectable=found.detectable, reason=why, about=found.effect)]
-
-    rows = number(OF_ALL[0], sets.count.effect, words)
-    rows += test(OF_ALL[1], sets.count, "that so few lie inside, by the model")
-    why = "Kolmogorov-Smirnov distance, against sets of objects drawn from the model"
-    rows += test(OF_ALL[2], sets.uniformity, why)
-    if sets.joint is None:
-        why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
-        rows += make.skipped(Cause.FEW_PIXELS, why, JOINT)
-    else:
-        rows += test(JOINT, sets.joint, "Mahalanobis distance of the normal scores, against draws of the model")
-    if sets.drift is not None:
-        rows += number(TREND, sets.drift.effect, "against draws of the model")
-        rows += test(f"{TREND}_p_value", sets.drift, "drift of the normal scores, against draws of the model")
-    if sets.spread is not None:
-        rows += number(SPREAD, sets.spread, "normal scores about their mean, against draws of the model")
-    return rows
+    expects = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}"
+    draws = "against draws of the model"
+    for metric, found, reason in (
+        (OF_ALL[0], sets.count.effect, expects),
+        (OF_ALL[1], sets.count, "that so few lie inside, by the model"),
+        (OF_ALL[2], sets.uniformity, "Kolmogorov-Smirnov distance, against sets of objects drawn from the model"),
+        (JOINT, sets.joint, f"Mahalanobis distance of the normal scores, {draws}"),
+        (TREND, sets.drift and sets.drift.effect, draws),
+        (f"{TREND}_p_value", sets.drift, f"drift of the normal scores, {draws}"),
+        (SPREAD, sets.spread, f"normal scores about their mean, {draws}"),
+    ):
+        if isinstance(found, Effect):
+            yield make.row(metric, found.value, (found.lower, found.upper), n=n, reason=reason)
+        elif found is not None:
+            detectable = found.detectable
+            yield make.row(
+                metric, found.p_value, n=n, detectable=detectable, reason=f"{reason}{lost}", about=found.effect
+            )
+        elif metric == JOINT:
+            why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
+            yield from make.skipped(Cause.FEW_PIXELS, why, JOINT)
 
 
-def compare_abundance(
-    predicted: Abundance | None,
-    observed: Abundance | None,
-    *,
-    subject: str,
-    method: str,
-) -> list[Result]:
+@comparison("abundance")
+def compare_abundance(make: RowMaker, predicted: Abundance, observed: Abundance) -> Iterator[Result]:
     """Rows ``area_predicted``, ``area_observed`` [m2], ``area_ratio`` (observed over predicted),
     ``area_difference_ratio``, ``area_z``, ``area_inside_95``.
 
@@ -555,47 +477,33 @@ def compare_abundance(
     ('area_error_predicted', 0.1), ('area_error_observed', -0.2), ('area_nominal_ratio', 0.95),
     ('area_in_predicted_95', 1.0), ('area_z', 0.832), ('area_inside_95', 1.0)]
     """
-    make = RowMaker("abundance", subject, method)
-
-    def rows(predicted: Abundance, observed: Abundance) -> list[Result]:
-        p, o = predicted.area_m2, observed.area_m2
-        up, uo = predicted.standard_uncertainty, observed.standard_uncertainty
-        # Beside the truth's area the pipeline alone moves the row.
-        evidence = None if predicted.modelled else Evidence.PIPELINE
-        out = [
-            make.row("area_predicted", p, half=Z95 * up, unit="m2", n=predicted.n, evidence=evidence),
-            make.row("area_observed", o, half=Z95 * uo, unit="m2", n=observed.n),
-        ]
-        if p > 0:
-            half = Z95 * np.hypot(uo / p, o * up / p**2)
-            out.append(make.row("area_ratio", o / p, half=half, n=observed.n, evidence=evidence))
-        else:
-            out += make.skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio")
-        if o > 0:
-            half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
-            ratio = float(difference_ratio(p, o))
-            out.append(make.row("area_difference_ratio", ratio, half=half, n=observed.n, evidence=evidence))
-        else:
-            out += make.skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
-        if observed.nominal_m2 is not None:
-            for name, side, spread in (("predicted", predicted, up), ("observed", observed, uo)):
-                error = side.area_m2 - observed.nominal_m2
-                out.append(make.row(f"area_error_{name}", error, half=Z95 * spread, unit="m2", n=side.n))
-            ratio, half = o / observed.nominal_m2, Z95 * uo / observed.nominal_m2
-            out.append(make.row("area_nominal_ratio", ratio, half=half, n=observed.n))
-            out.append(make.row("area_in_predicted_95", float(abs(p - o) <= Z95 * up), n=observed.n))
-        u = float(np.hypot(up, uo))
-        if not u > 0:
-            why = "neither side states an uncertainty"
-            return out + make.skipped(Cause.NO_UNCERTAINTY, why, "area_z", "area_inside_95")
-        z = (p - o) / u
-        return [
-            *out,
-            make.row("area_z", z, evidence=evidence),
-            make.row("area_inside_95", float(abs(z) <= Z95), evidence=evidence),
-        ]
-
-    return make.compared(predicted, observed, rows)
+    p, o, n = predicted.area_m2, observed.area_m2, observed.n
+    up, uo = predicted.standard_uncertainty, observed.standard_uncertainty
+    # Beside the truth's area the pipeline alone moves the row.
+    evidence = None if predicted.modelled else Evidence.PIPELINE
+    yield make.row("area_predicted", p, half=Z95 * up, n=predicted.n, evidence=evidence)
+    yield make.row("area_observed", o, half=Z95 * uo, n=n)
+    if p > 0:
+        half = Z95 * np.hypot(uo / p, o * up / p**2)
+        yield make.row("area_ratio", o / p, half=half, n=n, evidence=evidence)
+    else:
+        yield from make.skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio")
+    if o > 0:
+        half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
+        yield make.row("area_difference_ratio", float(difference_ratio(p, o)), half=half, n=n, evidence=evidence)
+    else:
+        yield from make.skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
+    if (nominal := observed.nominal_m2) is not None:
+        yield make.row("area_error_predicted", p - nominal, half=Z95 * up, n=predicted.n)
+        yield make.row("area_error_observed", o - nominal, half=Z95 * uo, n=n)
+        yield make.row("area_nominal_ratio", o / nominal, half=Z95 * uo / nominal, n=n)
+        yield make.row("area_in_predicted_95", float(abs(p - o) <= Z95 * up), n=n)
+    if (u := float(np.hypot(up, uo))) > 0:
+        yield make.row("area_z", (p - o) / u, evidence=evidence)
+        yield make.row("area_inside_95", float(abs((p - o) / u) <= Z95), evidence=evidence)
+    else:
+        why = "neither side states an uncertainty"
+        yield from make.skipped(Cause.NO_UNCERTAINTY, why, "area_z", "area_inside_95")
 
 
 def compare_area_errors(
@@ -634,16 +542,13 @@ def compare_area_errors(
         limits = Z95 * float(np.sqrt(np.sum(spread**2))) / n
         rmse = float(np.sqrt(np.mean(error**2)))
         low, high = np.sqrt(n / scipy.stats.chi2.ppf([0.975, 0.025], n))
-        rows += [
-            make.row("area_bias_observed", bias, half=half, unit="m2", n=n),
-            make.row("area_bias_predicted", expected, half=limits, unit="m2", n=n),
-            make.row("area_rmse_observed", rmse, (rmse * low, rmse * high), unit="m2", n=n),
-            make.row("area_rmse_predicted", float(np.sqrt(np.mean(model**2 + spread**2))), unit="m2", n=n),
-        ]
+        rows.append(make.row("area_bias_observed", bias, half=half, n=n))
+        rows.append(make.row("area_bias_predicted", expected, half=limits, n=n))
+        rows.append(make.row("area_rmse_observed", rmse, (rmse * low, rmse * high), n=n))
+        rows.append(make.row("area_rmse_predicted", float(np.sqrt(np.mean(model**2 + spread**2))), n=n))
     return rows
 
 
-PER_AREA = "km-2"
 AREA_UNKNOWN = "the ground area of the background is not known"
 
 
@@ -654,10 +559,10 @@ def samples_per_km2(curve: RocCurve) -> float:
     return curve.n_background / curve.background_area_km2
 
 
-def alarms_on_grid(curve: RocCurve, pfa: float) -> int | None:
-    """Alarms at a point of the curve, None where it has no such point or does not know."""
+def on_grid(curve: RocCurve, pfa: float) -> int | None:
+    """Index of a point of the curve, None where it has no such point or does not know its alarms."""
     at = np.flatnonzero(np.abs(curve.pfa - pfa) <= 1e-9 * pfa)
-    return int(curve.alarms[at[-1]]) if curve.alarms is not None and at.size else None
+    return int(at[-1]) if curve.alarms is not None and at.size else None
 
 
 def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
@@ -675,16 +580,15 @@ def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
     >>> [(r.metric, r.value) for r in far_row(RowMaker("roc", "panel", "cem/pixel"), curve, 1e-2)]
     [('far_measured@1e-2', 2500.0)]
     """
-    name, alarms = f"far_measured@{scientific(pfa)}", alarms_on_grid(observed, pfa)
-    density = samples_per_km2(observed)
-    if alarms is None or observed.n_background is None:
+    name, at, n = f"far_measured@{scientific(pfa)}", on_grid(observed, pfa), observed.n_background
+    density, area = samples_per_km2(observed), observed.background_area_km2 or math.nan
+    if at is None or observed.alarms is None or n is None:
         return []
     if math.isnan(density):
         return make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, name)
-    low, high = (float(x) * density for x in clopper_pearson(alarms, observed.n_background))
-    reason = f"{alarms} alarms on {observed.background_area_km2:.4g} km2"
-    rate = alarms / float(observed.background_area_km2 or math.nan)
-    return [make.row(name, rate, (low, high), unit=PER_AREA, n=observed.n_background, reason=reason)]
+    alarms = int(observed.alarms[at])
+    low, high = (float(x) * density for x in clopper_pearson(alarms, n))
+    return [make.row(name, alarms / area, (low, high), n=n, reason=f"{alarms} alarms on {area:.4g} km2")]
 
 
 def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve) -> list[Result]:
@@ -715,63 +619,26 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
         if math.isnan(density):
             rows += make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names[1])
             continue
-        left: Known | Lack | None = None
+        left: Valued | Lack | None = None
         if predicted is not None:
-            left = Lack(
-                Cause.BEYOND_CURVE, f"the predicted curve does not pass P_D {point.pd:g} within its range of P_FA"
-            )
+            why = f"the predicted curve does not pass P_D {point.pd:g} within its range of P_FA"
+            left = Lack(Cause.BEYOND_CURVE, why)
             if not math.isnan(p := _pfa_at(predicted, predicted.pd, point.pd)):
                 low, high = (_pfa_at(predicted, limit, point.pd) for limit in (predicted.pd_upper, predicted.pd_lower))
                 # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
                 ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
                 ends = (p, p) if np.isnan(predicted.pd_lower).any() else ends
-                left = p * density, (ends[0] * density, ends[1] * density)
-        right = point.pfa * density, (point.pfa_lower * density, point.pfa_upper * density)
-        reason = _in_words(point, observed, density)
-        rows += side_by_side(make, names, left, right, unit=PER_AREA, n=observed.n_target, reason=reason)
+                left = Valued(p * density, (ends[0] * density, ends[1] * density))
+        reason = f"{point.alarms} alarms on {observed.background_area_km2:.4g} km2; at this threshold as it stands "
+        reason += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
+        if point.alarms == 0 and observed.n_background:
+            reason += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
+        right = Valued(point.pfa * density, (point.pfa_lower * density, point.pfa_upper * density))
+        rows += make.side_by_side(names, left, right, observed.n_target, reason)
     return rows
 
 
-Known = tuple[float, tuple[float, float]]  # a value and its interval
-
-
-class Lack(NamedTuple):
-    """Why a side has no value."""
-
-    cause: Cause
-    reason: str
-
-
 _SIDES = ("predicted", "measured", "difference")
-
-
-def side_by_side(
-    make: RowMaker,
-    names: Sequence[str],
-    predicted: Known | Lack | None,
-    measured: Known | Lack | None,
-    *,
-    unit: str = "1",
-    n: int | None = None,
-    reason: str = "",
-) -> list[Result]:
-    """Rows of both sides and of their difference, SKIPPED where a side lacks its value; none of a side that is None."""
-    rows: list[Result] = []
-    values: list[Known] = []
-    for name, side, count, words in ((names[0], predicted, None, ""), (names[1], measured, n, reason)):
-        if isinstance(side, Lack):
-            rows += make.skipped(side.cause, side.reason, name)
-        elif side is not None:
-            values.append(side)
-            rows.append(make.row(name, *side, unit=unit, n=count, reason=words))
-    if predicted is None or measured is None:
-        return rows
-    if len(values) < 2:
-        lack = next(side for side in (measured, predicted) if isinstance(side, Lack))
-        return rows + make.skipped(lack.cause, lack.reason, names[2])
-    (p, p_ends), (o, o_ends) = values
-    interval = difference_interval(p, p_ends, o, o_ends)
-    return [*rows, make.row(names[2], p - o, interval, unit=unit, n=n)]
 
 
 def first_detection_rows(make: RowMaker, observed: RocCurve) -> list[Result]:
@@ -809,37 +676,28 @@ def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, p
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('joint_pfa@1e-2', 0.01), ('joint_pd@1e-2', 0.6), ('pd_inside_joint_region@1e-2', 1.0)]
     """
-    alarms, at = alarms_on_grid(observed, pfa), np.flatnonzero(np.abs(observed.pfa - pfa) <= 1e-9 * pfa)
-    if alarms is None or not observed.n_target or not observed.n_background:
+    at, n, m = on_grid(observed, pfa), observed.n_background, observed.n_target
+    if at is None or observed.alarms is None or not m or not n:
         return []
-    label, n, m = scientific(pfa), observed.n_background, observed.n_target
-    detected = round(float(observed.pd[at[-1]]) * m)
+    label, alarms, detected = scientific(pfa), int(observed.alarms[at]), round(float(observed.pd[at]) * m)
     region = joint_region(detected, m, alarms, n)
     reason = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; both at 95 % together"
-    pfa_interval, pd_interval = (region.pfa_lower, region.pfa_upper), (region.pd_lower, region.pd_upper)
+    span = region.pfa_lower, region.pfa_upper
     rows = [
-        make.row(f"joint_pfa@{label}", region.pfa, interval=pfa_interval, n=n, reason=reason),
-        make.row(f"joint_pd@{label}", region.pd, interval=pd_interval, n=m, reason=reason),
+        make.row(f"joint_pfa@{label}", region.pfa, span, n=n, reason=reason),
+        make.row(f"joint_pd@{label}", region.pd, (region.pd_lower, region.pd_upper), n=m, reason=reason),
     ]
     if predicted is None:
         return rows
     first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
-    ends = [0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in pfa_interval]
+    ends = [0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in span]
     name = f"pd_inside_joint_region@{label}"
-    if region.pd_upper - region.pd_lower > 0.9:
+    if region.pd_upper - region.pd_lower > WIDEST_INTERVAL:
         why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"
         return rows + make.skipped(Cause.VACUOUS, why, name)
     # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
     inside = ends[1] >= region.pd_lower and ends[0] <= region.pd_upper
     return [*rows, make.row(name, float(inside), n=m)]
-
-
-def _in_words(point: AlarmsAtDetection, observed: RocCurve, density: float) -> str:
-    text = f"{point.alarms} alarms on {observed.background_area_km2:.4g} km2; at this threshold as it stands "
-    text += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
-    if point.alarms == 0 and observed.n_background:
-        text += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
-    return text
 
 
 def _pfa_at(curve: RocCurve, values: np.ndarray, pd: float) -> float:
@@ -856,13 +714,12 @@ def _pfa_at(curve: RocCurve, values: np.ndarray, pd: float) -> float:
     return float(np.exp(np.log(pfa[i - 1]) + part * (np.log(pfa[i]) - np.log(pfa[i - 1]))))
 
 
-def predicted_area(curve: RocCurve, area: RocArea) -> tuple[float, tuple[float, float]]:
+def predicted_area(curve: RocCurve, area: RocArea) -> Valued:
     """Area of a predicted curve and of the limits of its band; without a band the interval is a point."""
     value = curve_area(curve, area)
     low, high = (curve_area(curve, area, limit) for limit in (curve.pd_lower, curve.pd_upper))
-    if math.isnan(low) or math.isnan(high):
-        return value, (value, value)
-    return value, (min(low, value), max(high, value))
+    known = not (math.isnan(low) or math.isnan(high))
+    return Valued(value, (min(low, value), max(high, value)) if known else (value, value))
 
 
 def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | None) -> list[Result]:
@@ -890,18 +747,15 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
     for full, area in AREAS.items():
         name, _, span = full.partition("@")
         names = [f"{name}_{side}" + (f"@{span}" if span else "") for side in _SIDES]
-        left: Known | Lack | None = None
-        right: Known | Lack | None = None
-        n, reason = None, ""
-        if predicted is not None:
-            left = predicted_area(predicted, area)
-            if math.isnan(left[0]):
-                left = Lack(Cause.BEYOND_CURVE, f"the predicted curve does not reach the range P_FA {span or '0..1'}")
-        if observed is not None:
-            n, right = observed.n_target, _why_not(observed, area, span)
-            if (found := observed.areas.get(full)) is not None:
-                right, reason = (found.value, (found.lower, found.upper)), found.method
-        rows += side_by_side(make, names, left, right, n=n, reason=reason)
+        left: Valued | Lack | None = None if predicted is None else predicted_area(predicted, area)
+        if isinstance(left, Valued) and math.isnan(left.value):
+            left = Lack(Cause.BEYOND_CURVE, f"the predicted curve does not reach the range P_FA {span or '0..1'}")
+        right: Valued | Lack | None = None if observed is None else _why_not(observed, area, span)
+        found = None if observed is None else observed.areas.get(full)
+        if found is not None:
+            right = Valued(found.value, (found.lower, found.upper))
+        n, reason = None if observed is None else observed.n_target, "" if found is None else found.method
+        rows += make.side_by_side(names, left, right, n, reason)
     return rows
 
 
@@ -926,12 +780,13 @@ VERDICTS = ("pd_equivalent", "pd_equivalence")
 SAME_READING = 1e-3
 
 
-def limits_at(curve: RocCurve, pfa: float) -> tuple[float, float]:
-    """95 % limits of P_D at ``pfa``; NaN outside the curve."""
-    return float(detection_at(curve, pfa, curve.pd_lower)), float(detection_at(curve, pfa, curve.pd_upper))
+def read_at(curve: RocCurve, pfa: float) -> Valued:
+    """P_D at ``pfa`` with its 95 % limits; NaN outside the curve."""
+    value, low, high = (float(detection_at(curve, pfa, y)) for y in (None, curve.pd_lower, curve.pd_upper))
+    return Valued(value, (low, high))
 
 
-def equivalent(interval: tuple[float, float], margin: float) -> bool:
+def equivalent(interval: Interval, margin: float) -> bool:
     """Two one-sided tests: the whole 95 % interval of the difference lies inside +-``margin``.
 
     That rejects "the difference is at least the margin" on both sides at the 2.5 % level.  No difference
@@ -942,7 +797,7 @@ def equivalent(interval: tuple[float, float], margin: float) -> bool:
     return -margin < interval[0] and interval[1] < margin
 
 
-def equivalence(interval: tuple[float, float], margin: float) -> tuple[float, str]:
+def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
     """The three outcomes of a comparison with a margin: 1 equivalent, -1 different, 0 undecided, and the word.
 
     Different is a 95 % interval of the difference that lies wholly beyond 0: with many targets a difference may be
@@ -954,15 +809,14 @@ def equivalence(interval: tuple[float, float], margin: float) -> tuple[float, st
     return (-1.0, "different") if apart else (0.0, "undecided")
 
 
+@comparison("roc")
 def compare_roc(
-    predicted: RocCurve | None,
-    observed: RocCurve | None,
-    *,
-    subject: str,
-    method: str,
+    make: RowMaker,
+    predicted: RocCurve,
+    observed: RocCurve,
     pfa: Sequence[float] | None = None,
     equivalence_margin: float | None = None,
-) -> list[Result]:
+) -> Iterator[Result]:
     """Rows at each false-alarm probability, named METRIC@1e-2 and the like.
 
     ``pd_predicted`` and ``pd_measured`` with their intervals, ``pd_difference`` (predicted - measured) with its
@@ -997,102 +851,91 @@ def compare_roc(
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
-    make = RowMaker("roc", subject, method)
-
-    def rows(predicted: RocCurve, observed: RocCurve) -> list[Result]:
-        if predicted.unit != observed.unit:
-            raise UsageError(
-                f"{subject}: the predicted curve counts by {predicted.unit}, the measured by {observed.unit}"
-            )
-        background = observed.n_background
-        levels = tuple(pfa) if pfa is not None else ALWAYS
-        if pfa is None:
-            levels += tuple(x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS)
-        out: list[Result] = []
-        for level in levels:
-            out += _at(make, predicted, observed, level, equivalence_margin)
-            if not background or level * background >= LEAST_EXPECTED_ALARMS:
-                out += [*far_row(make, observed, level), *joint_rows(make, predicted, observed, level)]
-        out += [*far_at_detection_rows(make, predicted, observed), *first_detection_rows(make, observed)]
-        return out + (area_rows if observed.areas else _bare)(make, predicted, observed)
-
-    return make.compared(predicted, observed, rows)
+    if predicted.unit != observed.unit:
+        what = f"{make.subject}: the predicted curve counts by {predicted.unit}, the measured by {observed.unit}"
+        raise UsageError(what)
+    background = observed.n_background
+    rare = [x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS]
+    for level in pfa or (*ALWAYS, *rare):
+        yield from _at(make, predicted, observed, level, equivalence_margin)
+        if not background or level * background >= LEAST_EXPECTED_ALARMS:
+            yield from far_row(make, observed, level)
+            yield from joint_rows(make, predicted, observed, level)
+    yield from far_at_detection_rows(make, predicted, observed)
+    yield from first_detection_rows(make, observed)
+    yield from (area_rows if observed.areas else _bare)(make, predicted, observed)
 
 
-def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> list[Result]:
+def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> Iterator[Result]:
     label = scientific(pfa)
     names = [f"{m}@{label}" for m in (*METRICS, *(VERDICTS if margin is not None else ()))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
         reason = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
         reason += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
-        return make.skipped(Cause.FEW_ALARMS, reason, *names)
-    p, o = float(detection_at(predicted, pfa)), float(detection_at(observed, pfa))
-    if math.isnan(p) or math.isnan(o):
-        side = "predicted" if math.isnan(p) else "measured"
-        return make.skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
-    p_ends, o_ends = limits_at(predicted, pfa), limits_at(observed, pfa)
-    if any(map(math.isnan, p_ends)):  # a curve without a band is a curve without width
-        p_ends = (p, p)
-    out = side_by_side(make, names, (p, p_ends), (o, o_ends), n=n)
-    if o_ends[1] - o_ends[0] > WIDEST_INTERVAL:
-        why = f"the measured interval {o_ends[0]:.2g} to {o_ends[1]:.2g}"
+        yield from make.skipped(Cause.FEW_ALARMS, reason, *names)
+        return
+    p, o = read_at(predicted, pfa), read_at(observed, pfa)
+    if math.isnan(p.value) or math.isnan(o.value):
+        side = "predicted" if math.isnan(p.value) else "measured"
+        yield from make.skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
+        return
+    if any(map(math.isnan, p.interval)):  # a curve without a band is a curve without width
+        p = Valued(p.value, (p.value, p.value))
+    yield from make.side_by_side(names, p, o, n)
+    low, high = o.interval
+    if high - low > WIDEST_INTERVAL:
+        why = f"the measured interval {low:.2g} to {high:.2g}"
         why += f" from {n} {observed.unit}{'' if n == 1 else 's'}" if n is not None else ""
-        return out + make.skipped(Cause.VACUOUS, f"{why} accepts nearly any prediction", *names[3:])
-    ends = out[2].lower, out[2].upper
+        yield from make.skipped(Cause.VACUOUS, f"{why} accepts nearly any prediction", *names[3:])
+        return
+    inside, about = _inside(p, o)
     # An unknown measured interval must not read as "outside": the verdict itself is unknown.
-    known = math.nan if any(map(math.isnan, o_ends)) else 1.0
-    about = Effect(p - o, *ends)
-    out.append(make.row(names[3], known * (ends[0] <= 0.0 <= ends[1]), n=n, about=about))
-    out.append(make.row(names[4], known * (o_ends[0] <= p <= o_ends[1]), n=n))
+    known = math.nan if math.isnan(inside) else 1.0
+    yield make.row(names[3], inside, n=n, about=about)
+    yield make.row(names[4], known * (low <= p.value <= high), n=n)
     if margin is not None:
-        words, about = f"margin {margin:g}", replace(about, accepted=partial(_within, margin))
+        ends, words = (about.lower, about.upper), f"margin {margin:g}"
+        about = replace(about, accepted=partial(_within, margin))
         code, word = equivalence(ends, margin)
-        out.append(make.row(names[5], known * equivalent(ends, margin), n=n, reason=words, about=about))
-        out.append(make.row(names[6], known * code, n=n, reason=f"{word} by a {words}", about=about))
-    return [*out, *_preset_rows(make, predicted, pfa, (p, p_ends), (o, o_ends), n)]
+        yield make.row(names[5], known * equivalent(ends, margin), n=n, reason=words, about=about)
+        yield make.row(names[6], known * code, n=n, reason=f"{word} by a {words}", about=about)
+    yield from _preset_rows(make, predicted, pfa, p.value, o, n)
 
 
-def _within(margin: float, level: float) -> tuple[float, float]:
+def _inside(p: Valued, o: Valued) -> tuple[float, Effect]:
+    """1 or 0, whether the interval of the difference holds 0, NaN without a measured interval; and the difference."""
+    low, high = difference_interval(*p, *o)
+    known = math.nan if any(map(math.isnan, o.interval)) else 1.0
+    return known * (low <= 0.0 <= high), Effect(p.value - o.value, low, high)
+
+
+def _within(margin: float, level: float) -> Interval:
     """The range of a difference of P_D, whatever the level."""
     return -margin, margin
 
 
 def _preset_rows(
-    make: RowMaker,
-    predicted: RocCurve,
-    pfa: float,
-    swept: tuple[float, tuple[float, float]],
-    measured: tuple[float, tuple[float, float]],
-    n: int | None,
-) -> list[Result]:
+    make: RowMaker, predicted: RocCurve, pfa: float, swept: float, measured: Valued, n: int | None
+) -> Iterator[Result]:
     """P_D of (3.32) at the preset of (3.30) without (3.33), where that is another P_D.
 
     A class that gives ``pfa`` alone, at its part of the scene, gives less in all: the preset lies at a higher
     threshold and the P_D is lower.
     """
     if predicted.preset_pfa is None:
-        return []
+        return
     order = np.argsort(predicted.preset_pfa, kind="stable")
     axis = np.maximum(predicted.preset_pfa[order], 1e-300)
     if not axis[0] <= pfa <= axis[-1]:
-        return []
-    preset = replace(predicted, pfa=axis, pd=predicted.pd[order])
-    limits = predicted.pd_lower[order], predicted.pd_upper[order]
-    value, low, high = (float(detection_at(preset, pfa, y)) for y in (None, *limits))
-    if abs(value - swept[0]) < SAME_READING:
-        return []
-    ends = difference_interval(value, (low, high), *measured)
-    label = scientific(pfa)
-    known = not any(math.isnan(x) for x in measured[1])
-    inside = float(ends[0] <= 0.0 <= ends[1]) if known else math.nan
-    words = f"(3.32) at the preset, without (3.33): {swept[0]:.3g} with it, measured {measured[0]:.3g}"
-    return [
-        make.row(f"pd_predicted_preset@{label}", value, (low, high), reason=words),
-        make.row(
-            f"pd_inside_interval_preset@{label}", inside, n=n, reason=words, about=Effect(value - measured[0], *ends)
-        ),
-    ]
+        return
+    pd, low, high = (y[order] for y in (predicted.pd, predicted.pd_lower, predicted.pd_upper))
+    preset = read_at(replace(predicted, pfa=axis, pd=pd, pd_lower=low, pd_upper=high), pfa)
+    if abs(preset.value - swept) >= SAME_READING:
+        words = f"(3.32) at the preset, without (3.33): {swept:.3g} with it, measured {measured.value:.3g}"
+        yield make.row(f"pd_predicted_preset@{scientific(pfa)}", *preset, reason=words)
+        inside, about = _inside(preset, measured)
+        yield make.row(f"pd_inside_interval_preset@{scientific(pfa)}", inside, n=n, reason=words, about=about)
 
 
 def _bare(make: RowMaker, predicted: RocCurve, observed: RocCurve) -> list[Result]:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from pydantic import Field, model_validator
 
-from hyperval.compare.spectra import COMPARISON
+from hyperval.compare.rows import COMPARISON
 from hyperval.config import Model
 from hyperval.errors import UsageError
 from hyperval.metrics import Kind, metric_of, product_words
@@ -182,14 +182,9 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
         named.setdefault(_key(row), []).append(row)
     concerned = {key: [g for g in gates if g.names(same[0])] for key, same in named.items()}
     for row in rows:
-        pooled_or_not = [g for g in concerned[_key(row)] if g.covers_band(row)]
-        covering = [g for g in pooled_or_not if g.fraction_at_least is None]
-        if covering:
-            out += [_by_gate(row, g) for g in covering]
-        elif pooled_or_not:
-            out.append(row)
-        else:
-            out.append(_by_usual_range(row))
+        covering = [g for g in concerned[_key(row)] if g.covers_band(row)]
+        alone = [_by_gate(row, g) for g in covering if g.fraction_at_least is None]
+        out += alone or [row if covering else _by_usual_range(row)]
     for gate in gates:
         out += _unmet(named.values(), gate)
         if gate.fraction_at_least is not None:
@@ -451,22 +446,6 @@ def _nearest(rows: Sequence[Result], gate: Gate) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def _members(rows: Sequence[Result], gate: Gate) -> tuple[list[Result], list[Result], list[Result]]:
-    """Rows of a pooled gate that meet its limit, that do not, and that cannot tell.
-
-    Of 1 or 0 by an interval the value counts: their share is the coverage of these intervals.
-    """
-    good: list[Result] = []
-    bad: list[Result] = []
-    undecided: list[Result] = []
-    for row in rows:
-        outcome, cause, _ = outcome_of(row, *gate.limits)
-        amiss = outcome in (Outcome.DISAGREES, Outcome.ERROR)
-        met = outcome is Outcome.AGREES or cause is Cause.COVERAGE
-        (good if met else bad if amiss else undecided).append(row)
-    return good, bad, undecided
-
-
 def _pooled(rows: Sequence[Result], gate: Gate) -> list[Result]:
     """The row of a pooled gate; none when no row matches, as :func:`_unmet` reports that.
 
@@ -475,13 +454,17 @@ def _pooled(rows: Sequence[Result], gate: Gate) -> list[Result]:
     matched = [row for row in rows if gate.covers(row)]
     if not matched or gate.fraction_at_least is None:
         return []
-    (met, bad, undecided), n = _members(matched, gate), len(matched)
-    good = len(met)
+    judgements = [outcome_of(row, *gate.limits)[:2] for row in matched]
+    # Of 1 or 0 by an interval the value counts: their share is the coverage of these intervals.
+    good = sum(outcome is Outcome.AGREES or cause is Cause.COVERAGE for outcome, cause in judgements)
+    amiss = (Outcome.DISAGREES, Outcome.ERROR)
+    bad = [row for row, (outcome, _) in zip(matched, judgements, strict=True) if outcome in amiss]
+    n, undecided = len(matched), len(matched) - good - len(bad)
     lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(bad), n)[1])
     shown = ", ".join(_name(row) for row in bad[:5])
     shown += f" and {len(bad) - 5} more" if len(bad) > 5 else ""
     what = f"{good} of {n} rows {gate.limit_text}"
-    what += f", {len(undecided)} without an outcome of their own" if undecided else ""
+    what += f", {undecided} without an outcome of their own" if undecided else ""
     what += f"; outside: {shown}" if shown else ""
     row = Result(
         "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction", good / n,

@@ -5,7 +5,7 @@ Rows of one side alone, where there is nothing to compare with.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -28,12 +28,19 @@ from hyperval.compare.detection import (
     first_detection_rows,
     joint_rows,
 )
-from hyperval.compare.spectra import RowMaker, compare_spectra, scientific
+from hyperval.compare.rows import COMPARISON, RowMaker, scientific
+from hyperval.compare.spectra import compare_spectra
 from hyperval.errors import UsageError
 from hyperval.model.intervals import Z95
 from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
-from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, PredictedProducts, Products, RocCurve
+from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, PredictedProducts, Products, RocCurve, background_of
 from hyperval.results import Outcome, Result
+
+# Quantities in which pixels of a class spread.
+SPREAD = ("radiance", "reflectance")
+MOST_NAMED = 6
+
+K = TypeVar("K")
 
 
 def product_rows(products: Products, side: str) -> list[Result]:
@@ -52,71 +59,61 @@ def product_rows(products: Products, side: str) -> list[Result]:
     [('mean', 0.9), ('sd', 0.25), ('pd@1e-2', 0.398), ('pd@1e-1', 0.631), ('auc_predicted', 0.836), ('area',
     3.8)]
     """
-    rows: list[Result] = []
+    return list(_rows_of_one(products, side))
+
+
+def _rows_of_one(products: Products, side: str) -> Iterator[Result]:
     for product in SPECTRA:
         unit = "uW cm-2 sr-1 nm-1" if product == "radiance" else "1"
         for subject, estimate in getattr(products, product).items():
             make, half = RowMaker(product, subject, side), Z95 * estimate.standard_uncertainty
             for b in np.flatnonzero(np.isfinite(estimate.mean)):
                 at = products.axis.centre_nm[b]
-                rows.append(make.row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=at, n=estimate.n))
+                yield make.row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=at, n=estimate.n)
     for key, score in products.scores.items():
-        make = RowMaker("scores", *key)
-        rows += [make.row(metric, getattr(score, metric), n=score.n) for metric in ("mean", "sd")]
+        for metric in ("mean", "sd"):
+            yield RowMaker("scores", *key).row(metric, getattr(score, metric), n=score.n)
     for (subject, detector, by), curve in products.roc.items():
-        make = RowMaker("roc", subject, f"{detector}/{by}")
-        for decade in range(-9, 0):
-            at = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
-            if abs(np.log10(curve.pfa[at]) - decade) <= 1e-6:
-                limits = (curve.pd_lower[at], curve.pd_upper[at])
-                rows.append(make.row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target))
-        rows += _beyond_points(make, curve)
-    for key, exceedance in products.exceedance.items():
-        rows += _thresholds(RowMaker("scores", *key), exceedance)
+        yield from _of_curve(RowMaker("roc", subject, f"{detector}/{by}"), curve)
+    for (subject, detector), exceedance in products.exceedance.items():
+        if subject == ANOMALIES and exceedance.n is not None:  # no target is looked for
+            yield from _thresholds(RowMaker("scores", subject, detector), exceedance, exceedance.n)
     for key, area in products.abundance.items():
-        half = Z95 * area.standard_uncertainty
-        rows.append(RowMaker("abundance", *key).row("area", area.area_m2, half=half, unit="m2", n=area.n))
+        yield RowMaker("abundance", *key).row("area", area.area_m2, half=Z95 * area.standard_uncertainty, n=area.n)
     for subject, distribution in products.distribution.items():
-        rows += compare_distribution(None, distribution, subject=subject)
+        yield from compare_distribution(None, distribution, subject=subject)
     for key, errors in products.classification.items():
         make = RowMaker("classification", *key)
-        rows.append(make.row("error", errors.error, (errors.lower, errors.upper), n=errors.n))
-        rows.append(make.row("distance", errors.distance, n=errors.n))
-    return rows
+        yield make.row("error", errors.error, (errors.lower, errors.upper), n=errors.n)
+        yield make.row("distance", errors.distance, n=errors.n)
 
 
-def _thresholds(make: RowMaker, curve: ExceedanceCurve) -> list[Result]:
-    """``anomaly_threshold@1e-3``: score that this part of the background exceeds, where no target is looked for."""
-    if make.subject != ANOMALIES or curve.n is None:
-        return []
-    rows = []
+def _thresholds(make: RowMaker, curve: ExceedanceCurve, n: int) -> Iterator[Result]:
+    """``anomaly_threshold@1e-3``: score that this part of the background exceeds."""
     for level in sorted(ANOMALY_LEVELS, reverse=True):
-        if level * curve.n >= LEAST_EXPECTED_ALARMS:
+        if level * n >= LEAST_EXPECTED_ALARMS:
             at = int(np.argmin(np.abs(np.log(curve.probability.clip(1e-300)) - np.log(level))))
-            why = f"{curve.probability[at]:.3g} of {curve.n} background pixels lie above"
-            name = f"anomaly_threshold@{scientific(level)}"
-            rows.append(make.row(name, curve.threshold[at], n=curve.n, reason=why))
-    return rows
+            why = f"{curve.probability[at]:.3g} of {n} background pixels lie above"
+            yield make.row(f"anomaly_threshold@{scientific(level)}", curve.threshold[at], n=n, reason=why)
 
 
-def _beyond_points(make: RowMaker, curve: RocCurve) -> list[Result]:
-    """Areas of a curve; of a measured one its false alarms per km2 and joint regions too."""
+def _of_curve(make: RowMaker, curve: RocCurve) -> Iterator[Result]:
+    """P_D at decades of P_FA and areas of a curve; of a measured one its false alarms per km2 and joint regions too."""
+    for decade in range(-9, 0):
+        at = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
+        if abs(np.log10(curve.pfa[at]) - decade) <= 1e-6:
+            limits = (curve.pd_lower[at], curve.pd_upper[at])
+            yield make.row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target)
     if curve.n_target is None:
-        return area_rows(make, curve, None)
+        yield from area_rows(make, curve, None)
+        return
     rows: list[Result] = []
     for pfa in (*ALWAYS, *IF_BACKGROUND_ALLOWS):
         if pfa * (curve.n_background or 0) >= LEAST_EXPECTED_ALARMS:
             rows += [*far_row(make, curve, pfa), *joint_rows(make, None, curve, pfa)]
-    rows += first_detection_rows(make, curve)
-    rows += [*far_at_detection_rows(make, None, curve), *area_rows(make, None, curve)]
-    return [row for row in rows if row.outcome is Outcome.NONE]  # nothing is planned here, so nothing is skipped
-
-
-# Quantities in which pixels of a class spread.
-SPREAD = ("radiance", "reflectance")
-MOST_NAMED = 6
-
-K = TypeVar("K")
+    rows += [*first_detection_rows(make, curve), *far_at_detection_rows(make, None, curve)]
+    rows += area_rows(make, None, curve)
+    yield from (row for row in rows if row.outcome is Outcome.NONE)  # nothing is planned here, so nothing is skipped
 
 
 def compare_products(
@@ -142,33 +139,31 @@ def compare_products(
             "are not on the same spectral axis",
             mend="predict on the axis of the collection",
         )
+
+    def of(compare: Callable[..., list[Result]], field: str, **options: Any) -> Iterator[Result]:
+        """Rows of every key of one field; a key is a subject, or a subject with a method and what it counts."""
+        for key, p, o in _pairs(getattr(predicted, field), getattr(observed, field)):
+            subject, name = (key, method) if isinstance(key, str) else (key[0], "/".join(key[1:]))
+            rows = compare(p, o, subject=subject, method=name, **options)
+            if field == "roc" and rows[0].metric == COMPARISON:
+                more = _alternatives(predicted if p is None else observed, subject)
+                rows = [replace(rows[0], reason=f"{rows[0].reason}{more}")]
+            yield from rows
+
     rows: list[Result] = []
     for product in SPECTRA:
-        for subject, left, right in _pairs(getattr(predicted, product), getattr(observed, product)):
-            rows += compare_spectra(
-                left, right, product=product, subject=subject, method=method, axis=observed.axis
-            )  # fmt: skip
+        rows += of(compare_spectra, product, product=product, axis=observed.axis)
     rows += _covariance_rows(predicted, observed)
-    for (subject, features), left, right in _pairs(predicted.classification, observed.classification):
-        rows += compare_classification(left, right, subject=subject, method=features)
-    for (subject, detector), left, right in _pairs(predicted.scores, observed.scores):
-        rows += compare_scores(left, right, subject=subject, method=detector)
+    rows += of(compare_classification, "classification")
+    rows += of(compare_scores, "scores")
     for detector in dict.fromkeys(detector for _, detector in predicted.object_scores):
-        left, right = ({s: v for (s, d), v in p.object_scores.items() if d == detector} for p in (predicted, observed))
-        rows += compare_object_scores(left, right, method=detector)
+        sides = ({s: v for (s, d), v in p.object_scores.items() if d == detector} for p in (predicted, observed))
+        rows += compare_object_scores(*sides, method=detector)
     for (subject, detector), curve in predicted.exceedance.items():
         measured = observed.exceedance.get((subject, detector))
-        rows += compare_exceedance(curve, measured, subject=subject, method=detector)
-    for (subject, detector, unit), left, right in _pairs(predicted.roc, observed.roc):
-        made = compare_roc(
-            left, right, subject=subject, method=f"{detector}/{unit}", equivalence_margin=equivalence_margin
-        )  # fmt: skip
-        lacking = predicted if left is None else observed if right is None else None
-        if lacking is not None:
-            made = [replace(row, reason=f"{row.reason}{_alternatives(lacking, subject)}") for row in made]
-        rows += made
-    for (subject, detector), left, right in _pairs(predicted.abundance, observed.abundance):
-        rows += compare_abundance(left, right, subject=subject, method=detector)
+        rows += compare_exceedance(curve, measured, subject=background_of(subject), method=detector)
+    rows += of(compare_roc, "roc", equivalence_margin=equivalence_margin)
+    rows += of(compare_abundance, "abundance")
     return rows + compare_area_errors(predicted.abundance, observed.abundance)
 
 

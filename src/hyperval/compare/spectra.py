@@ -3,89 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from hyperval.compare.rows import Array, Interval, Mask, RowMaker, comparison
 from hyperval.errors import UsageError
-from hyperval.metrics import Evidence, Kind, metric_of
+from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
 from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty
 from hyperval.products import EstimatedPart, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Outcome, Result
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
 
-Array = npt.NDArray[np.float64]
-# The metric of a row that stands for a whole comparison which could not be made.
-COMPARISON = "comparison"
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class RowMaker:
-    """Fills in what the rows of one comparison share; their campaign is named when all of them are there."""
-
-    product: str
-    subject: str
-    method: str
-
-    def row(
-        self,
-        metric: str,
-        value: float,
-        interval: tuple[float, float] | None = None,
-        *,
-        half: float = math.nan,
-        unit: str = "1",
-        band_nm: float = math.nan,
-        n: int | None = None,
-        detectable: float = math.nan,
-        evidence: Evidence | None = None,
-        reason: str = "",
-        about: Effect | None = None,
-    ) -> Result:
-        """A row without an outcome; what is planned gives it one later.  ``half``: half of its interval's width."""
-        low, high = interval or (value - half, value + half)
-        return Result(
-            "", self.product, self.subject, self.method, metric, float(value), unit, float(band_nm),
-            float(low), float(high), n, evidence=evidence, detectable=float(detectable),
-            reason=reason, about=about,
-        )  # fmt: skip
-
-    def skipped(self, cause: Cause, reason: str, *metrics: str) -> list[Result]:
-        """Planned rows that have no value, with the cause and words; without metrics the whole comparison."""
-        row = Result("", self.product, self.subject, self.method, COMPARISON, outcome=Outcome.SKIPPED, cause=cause,
-                     reason=reason)  # fmt: skip
-        return [replace(row, metric=metric, evidence=None) for metric in metrics or (COMPARISON,)]
-
-    def compared(self, predicted: T | None, observed: T | None, rows: Callable[[T, T], list[Result]]) -> list[Result]:
-        """The rows, or one skipped row that says which side has no such product."""
-        if predicted is not None and observed is not None:
-            return rows(predicted, observed)
-        missing = [name for name, side in (("prediction", predicted), ("observation", observed)) if side is None]
-        cause = Cause.NO_PREDICTION if predicted is None else Cause.NO_OBSERVATION
-        return self.skipped(cause, f"no {self.product} of {self.subject} in the {' and in the '.join(missing)}")
-
-
-def scientific(value: float) -> str:
-    """A short label of a probability: 0.01 is 1e-2.
-
-    Examples
-    --------
-    >>> scientific(0.01), scientific(2.5e-4)
-    ('1e-2', '2.5e-4')
-    """
-    exponent = math.floor(math.log10(value) + 1e-9)
-    return f"{value / 10.0**exponent:.3g}e{exponent}"
-
-
-Mask = npt.NDArray[np.bool_]
 _DRAWS = 1000
 _SEED = 20180216
 
@@ -114,26 +49,7 @@ def regions(axis: SpectralAxis) -> Mapping[str, Mask]:
     return parts
 
 
-def difference_interval(
-    a: float, a_interval: tuple[float, float], b: float, b_interval: tuple[float, float]
-) -> tuple[float, float]:
-    """Interval of a - b from the separate intervals of two independent estimates.
-
-    L = a - b - sqrt((a - l_a)^2 + (u_b - b)^2), U = a - b + sqrt((u_a - a)^2 + (b - l_b)^2).
-    Source: Newcombe, Stat. Med. 17, 873-890, 1998, method 10; Zou & Donner, Stat. Med. 27, 1693-1702, 2008.
-
-    Examples
-    --------
-    >>> low, high = difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))
-    >>> round(low, 6), round(high, 6)
-    (0.2, 0.4)
-    """
-    low = a - b - math.hypot(a - a_interval[0], b_interval[1] - b)
-    high = a - b + math.hypot(a_interval[1] - a, b - b_interval[0])
-    return low, high
-
-
-def median_interval(ratio: Array, covariance: Array) -> tuple[float, float]:
+def median_interval(ratio: Array, covariance: Array) -> Interval:
     """95 % interval of the median over bands of a signed ratio.
 
     The error of the median is taken as that of the mean over the same bands, 1^T C 1/B^2: errors common
@@ -147,7 +63,7 @@ def median_interval(ratio: Array, covariance: Array) -> tuple[float, float]:
     return centre - half, centre + half
 
 
-def size_intervals(ratio: Array, covariance: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+def size_intervals(ratio: Array, covariance: Array) -> tuple[Interval, Interval]:
     """95 % intervals of the median and of the greatest |ratio| over bands.
 
     Errors e of covariance C are drawn and the size taken of ratio - e: its 97.5 % point is the upper end, and the
@@ -168,14 +84,10 @@ def size_intervals(ratio: Array, covariance: Array) -> tuple[tuple[float, float]
     # One sort costs a quarter of the selection of a median.
     ordered = np.sort(np.abs(drawn, out=drawn), axis=0)
     middle = (ordered[(values.size - 1) // 2] + ordered[values.size // 2]) / 2.0
-    out = []
-    for value, sizes in (
-        (float(np.median(np.abs(ratio))), middle),
-        (float(np.max(np.abs(ratio))), ordered[-1]),
-    ):
-        half = max(float(np.quantile(sizes, 0.975)) - value, 0.0)
-        out.append((max(value - half, 0.0), value + half))
-    return out[0], out[1]
+    value = np.array([np.median(np.abs(ratio)), np.max(np.abs(ratio))])
+    half = np.maximum(np.quantile([middle, ordered[-1]], 0.975, axis=1) - value, 0.0)
+    (low, lowest), (high, highest) = np.maximum(value - half, 0.0), value + half
+    return (float(low), float(high)), (float(lowest), float(highest))
 
 
 @lru_cache(maxsize=8)
@@ -270,14 +182,17 @@ class ChiSquare:
         return self.value / self.dof if self.dof > 0 else float("nan")
 
     @property
+    def ratio(self) -> float:
+        """The statistic over what it is expected to be where both sides agree: that of :func:`central_law`."""
+        p, nu = self.dof, self.covariance_dof
+        return self.value / p * (1.0 if math.isinf(nu) else (nu - p + 1.0) / nu)
+
+    @property
     def p_value(self) -> float:
         """Upper tail probability; NaN without degrees of freedom."""
-        p, nu = self.dof, self.covariance_dof
-        if p <= 0 or nu <= p:
-            return float("nan")
-        if math.isinf(nu):
-            return float(scipy.stats.chi2.sf(self.value, p))
-        return float(scipy.stats.f.sf(self.value * (nu - p + 1.0) / (nu * p), p, nu - p + 1.0))
+        if not 0 < self.dof < self.covariance_dof:
+            return math.nan
+        return float(central_law(self.dof, self.covariance_dof).sf(self.ratio))
 
     @property
     def effect(self) -> Effect | None:
@@ -293,10 +208,9 @@ class ChiSquare:
         [1.38, 1.0, 1.94, 0.38, 1.74]
         """
         p, nu = self.dof, self.covariance_dof
-        if p <= 0 or nu <= p:
+        if not 0 < p < nu:
             return None
-        least = float(central_law(p, nu).ppf(0.025))
-        ratio = self.value / p * (1.0 if math.isinf(nu) else (nu - p + 1.0) / nu)
+        least, ratio = float(central_law(p, nu).ppf(0.025)), self.ratio
         low, high = (math.sqrt(1.0 + noncentrality(ratio, p, nu, part) / p) for part in (0.975, 0.025))
         if ratio < least:
             high = math.sqrt(ratio / least)
@@ -315,18 +229,23 @@ def accepted_sizes(dof: int, nu: float, level: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def noncentral_tail(ratio: float, dof: int, nu: float, noncentrality: float) -> float:
+    """Probability that the statistic of :func:`central_law` passes ``ratio`` where the sides differ."""
+    if math.isinf(nu):
+        return float(scipy.stats.ncx2.sf(ratio * dof, dof, noncentrality))
+    return float(scipy.stats.ncf.sf(ratio, dof, nu - dof + 1.0, noncentrality))
+
+
 def noncentrality(ratio: float, dof: int, nu: float, part: float) -> float:
     """Noncentrality for which a statistic over ``dof`` lies below ``ratio`` with the probability ``part``; at least 0.
 
     The root of a large statistic is normal with a variance of 1, but for what the covariance's own error adds.
     """
-    total, finite = ratio * dof, math.isfinite(nu)
-    spread = math.sqrt(1.0 + (total / (2.0 * (nu - dof + 1.0)) if finite else 0.0))
+    total = ratio * dof
+    spread = math.sqrt(1.0 + total / (2.0 * (nu - dof + 1.0)))
 
     def below(x: float) -> float:
-        if finite:
-            return float(scipy.stats.ncf.cdf(ratio, dof, nu - dof + 1.0, x)) - part
-        return float(scipy.stats.ncx2.cdf(total, dof, x)) - part
+        return 1.0 - noncentral_tail(ratio, dof, nu, x) - part
 
     high = (math.sqrt(total) + 5.0 * spread) ** 2 + 10.0
     if total > FAR or not below(high) < 0.0:
@@ -534,9 +453,7 @@ def rejected_noncentrality(dof: int, nu: float) -> float:
     limit = float(central_law(dof, nu).isf(POWER_LEVEL / 2.0))
 
     def power(x: float) -> float:
-        if math.isinf(nu):
-            return float(scipy.stats.ncx2.sf(limit * dof, dof, x))
-        return float(scipy.stats.ncf.sf(limit, dof, nu - dof + 1.0, x))
+        return noncentral_tail(limit, dof, nu, x)
 
     high = 10.0
     while power(high) < POWER:
@@ -581,7 +498,7 @@ def _unit_directions(covariance: npt.ArrayLike) -> tuple[npt.NDArray[np.bool_], 
 
 def wavelength_rows(
     make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis
-) -> list[Result]:
+) -> Iterator[Result]:
     """Rows ``absorption_centre_difference@FEATURE`` [nm], predicted less measured, of what both sides show.
 
     Both centres come from the same bands in the same way, so that what a band set does to a centre falls out.  The
@@ -597,23 +514,19 @@ def wavelength_rows(
     >>> [(row.metric, round(row.value, 1)) for row in wavelength_rows(make, side(764.0), side(763.0), axis)]
     [('absorption_centre_difference@oxygen-763', 1.0)]
     """
-    rows = []
     use = axis.good & np.isfinite(predicted.mean) & np.isfinite(observed.mean)
     at = np.flatnonzero(use)[np.argsort(axis.centre_nm[use], kind="stable")]
     w = axis.centre_nm[at]
     for feature in FEATURES:
-        centres = []
-        for side in (predicted, observed):
-            y, c = side.mean[at], side.error_covariance[np.ix_(at, at)]
-            centre, _ = absorption_centre(w, y, feature)
-            centres.append((centre, centre_uncertainty(w, y, c, feature, centre)))
-        (p, up), (o, uo) = centres
-        if math.isnan(p) or math.isnan(o):
-            continue
-        half = Z95 * math.hypot(up, uo) or math.nan
-        name = f"absorption_centre_difference@{feature.key}"
-        rows.append(make.row(name, p - o, half=half, unit="nm", n=observed.n))
-    return rows
+        centres = [absorption_centre(w, side.mean[at], feature)[0] for side in (predicted, observed)]
+        if not any(map(math.isnan, centres)):
+            sd = [
+                centre_uncertainty(w, side.mean[at], side.error_covariance[np.ix_(at, at)], feature, centre)
+                for side, centre in zip((predicted, observed), centres, strict=True)
+            ]
+            half = Z95 * math.hypot(*sd) or math.nan
+            name = f"absorption_centre_difference@{feature.key}"
+            yield make.row(name, centres[0] - centres[1], half=half, n=observed.n)
 
 
 # Two measurements never meet to this part of their level.
@@ -625,15 +538,10 @@ STATED_COVERAGE = 2.0
 _BETTER = 10.0  # a source that would have to be known more times better is helped by the next one
 
 
+@comparison("radiance")
 def compare_spectra(
-    predicted: SpectralEstimate | None,
-    observed: SpectralEstimate | None,
-    *,
-    product: str,
-    subject: str,
-    method: str,
-    axis: SpectralAxis,
-) -> list[Result]:
+    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis
+) -> Iterator[Result]:
     """Rows of one spectrum.
 
     Per good band: ``difference_ratio`` with its 95 % interval, and ``z``.  Per region R of windows, vnir, swir1,
@@ -647,44 +555,36 @@ def compare_spectra(
     of the observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
     ``fraction_inside_stated_windows``.
     """
-    make = RowMaker(product, subject, method)
-    if predicted is not None and observed is not None and observed.circular:
-        return make.skipped(Cause.CIRCULAR, observed.circular)
-
-    def rows(p: SpectralEstimate, o: SpectralEstimate) -> list[Result]:
-        return _rows(make, p, o, axis) + (wavelength_rows(make, p, o, axis) if product == "radiance" else [])
-
-    return make.compared(predicted, observed, rows)
-
-
-def _rows(make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> list[Result]:
+    if observed.circular:
+        yield from make.skipped(Cause.CIRCULAR, observed.circular)
+        return
     usable = comparable_bands(predicted, observed, axis)
-    ratio = difference_ratio(predicted.mean, observed.mean)
-    ratio_covariance = difference_ratio_covariance(predicted, observed)
+    ratio, ratio_covariance = (
+        difference_ratio(predicted.mean, observed.mean),
+        difference_ratio_covariance(predicted, observed),
+    )
     half = Z95 * np.sqrt(np.clip(np.diag(ratio_covariance), 0.0, None))
     half = np.where(half > 0.0, half, np.nan)  # no error is stated: no interval
     difference = predicted.mean - observed.mean
-    covariance = predicted.error_covariance + observed.error_covariance
-    z = z_scores(difference, covariance)
-    n = observed.n
-    out: list[Result] = []
+    z = z_scores(difference, predicted.error_covariance + observed.error_covariance)
     for b in np.flatnonzero(usable):
-        at = float(axis.centre_nm[b])
+        at, n = float(axis.centre_nm[b]), observed.n
         why = "" if np.isfinite(ratio[b]) else "observed value is not positive"
-        out.append(make.row("difference_ratio", ratio[b], half=half[b], band_nm=at, n=n, reason=why))
+        yield make.row("difference_ratio", ratio[b], half=half[b], band_nm=at, n=n, reason=why)
         if np.isfinite(z[b]):
-            out.append(make.row("z", z[b], band_nm=at, n=n))
-    if observed.stated is not None:
-        for name, bands in (("", usable), ("_windows", usable & regions(axis)["windows"])):
-            if bands.any():
-                share = fraction_inside_stated(difference[bands], observed.stated[bands])
-                out.append(make.row(f"fraction_inside_stated{name}", share, n=int(bands.sum())))
-    for name, region in regions(axis).items():
-        if not region.any() and name != "windows":
-            continue  # the sensor does not see this part of the spectrum: nothing was planned there
-        out += _summary(make, name, ratio, ratio_covariance, usable & region & np.isfinite(ratio))
-    window = usable & regions(axis)["windows"]
-    return out + _consistency(make, predicted, observed, window, axis.centre_nm, (ratio, ratio_covariance))
+            yield make.row("z", z[b], band_nm=at, n=n)
+    parts = regions(axis)
+    window = usable & parts["windows"]
+    for ending, bands in (("", usable), ("_windows", window)) if observed.stated is not None else ():
+        if observed.stated is not None and bands.any():
+            share = fraction_inside_stated(difference[bands], observed.stated[bands])
+            yield make.row(f"fraction_inside_stated{ending}", share, n=int(bands.sum()))
+    for name, region in parts.items():
+        if region.any() or name == "windows":  # what the sensor does not see was not planned
+            yield from _summary(make, name, ratio, ratio_covariance, usable & region & np.isfinite(ratio))
+    yield from _consistency(make, predicted, observed, window, axis.centre_nm)
+    if make.product == "radiance":
+        yield from wavelength_rows(make, predicted, observed, axis)
 
 
 def fraction_inside_stated(difference: Array, stated: Array) -> float:
@@ -692,19 +592,13 @@ def fraction_inside_stated(difference: Array, stated: Array) -> float:
     return float(np.mean(np.abs(difference) <= STATED_COVERAGE * stated))
 
 
-def leading_source(predicted: SpectralEstimate, observed: SpectralEstimate, bands: npt.NDArray[np.bool_]) -> str:
+def leading_source(predicted: SpectralEstimate, observed: SpectralEstimate, bands: Mask) -> str:
     """In words, the source that holds more than half of the variance of both sides in ``bands``; empty without one.
 
     It bounds what a test can tell: a mixed pixel whose host varies more than the target shows tests the host.
     """
-    parts = [
-        (name, float(np.nansum(u[bands] ** 2))) for side in (predicted, observed) for name, u in side.budget.items()
-    ]
-    total = sum(variance for _, variance in parts)
-    if not total > 0.0:
-        return ""
-    name, most = max(parts, key=lambda part: part[1])
-    return f"{100.0 * most / total:.0f} % of the variance: {name}" if most > 0.5 * total else ""
+    name, share = next(iter(_shares(predicted, observed, bands)), ("", 0.0))
+    return f"{100.0 * share:.0f} % of the variance: {name}" if share > 0.5 else ""
 
 
 def would_take(row: Result, predicted: Products, observed: Products) -> str:
@@ -733,7 +627,7 @@ def would_take(row: Result, predicted: Products, observed: Products) -> str:
     return f"every source known {times:.2g} times better"
 
 
-def _shares(left: SpectralEstimate, right: SpectralEstimate, bands: npt.NDArray[np.bool_]) -> list[tuple[str, float]]:
+def _shares(left: SpectralEstimate, right: SpectralEstimate, bands: Mask) -> list[tuple[str, float]]:
     """Sources of both sides with their parts of the variance of the mean difference ratio, the largest first."""
     p, o = left.mean[bands], right.mean[bands]
     found: dict[str, float] = {}
@@ -746,82 +640,79 @@ def _shares(left: SpectralEstimate, right: SpectralEstimate, bands: npt.NDArray[
     return sorted(((name, part / total) for name, part in found.items()), key=lambda item: -item[1])
 
 
-def _summary(make: RowMaker, name: str, ratio: Array, covariance: Array, bands: npt.NDArray[np.bool_]) -> list[Result]:
-    metrics = [f"{m}_{name}" for m in ("median_difference_ratio", "median_abs_difference_ratio")]
-    metrics.append(f"max_abs_difference_ratio_{name}")
-    count = int(bands.sum())
-    if count == 0:
-        return make.skipped(Cause.NO_BANDS, f"no comparable band in {name}", *metrics)
-    r = ratio[bands]
-    here = covariance[np.ix_(bands, bands)]
-    middle, largest = size_intervals(r, here)
-    return [
-        make.row(metrics[0], float(np.median(r)), median_interval(r, here), n=count),
-        make.row(metrics[1], float(np.median(np.abs(r))), middle, n=count),
-        make.row(metrics[2], float(np.max(np.abs(r))), largest, n=count),
-    ]
+_SUMMARIES = ("median_difference_ratio", "median_abs_difference_ratio", "max_abs_difference_ratio")
+
+
+def _summary(make: RowMaker, name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterator[Result]:
+    names = [f"{metric}_{name}" for metric in _SUMMARIES]
+    if not bands.any():
+        yield from make.skipped(Cause.NO_BANDS, f"no comparable band in {name}", *names)
+        return
+    r, here = ratio[bands], covariance[np.ix_(bands, bands)]
+    values = float(np.median(r)), float(np.median(np.abs(r))), float(np.max(np.abs(r)))
+    for metric, value, interval in zip(
+        names, values, (median_interval(r, here), *size_intervals(r, here)), strict=True
+    ):
+        yield make.row(metric, value, interval, n=r.size)
+
+
+_TESTS = (
+    "chi2_reduced_diagonal", "p_value_diagonal", "chi2_reduced_full", "p_value_full",
+    "bias_ratio", "chi2_reduced_shape", "p_value_shape", "fraction_inside_95",
+)  # fmt: skip
 
 
 def _consistency(
-    make: RowMaker,
-    predicted: SpectralEstimate,
-    observed: SpectralEstimate,
-    window: npt.NDArray[np.bool_],
-    centre_nm: Array,
-    relative: tuple[Array, Array],
-) -> list[Result]:
-    names = (
-        "chi2_reduced_diagonal", "p_value_diagonal", "chi2_reduced_full", "p_value_full",
-        "bias_ratio", "chi2_reduced_shape", "p_value_shape", "fraction_inside_95", "spectral_angle",
-    )  # fmt: skip
+    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, window: Mask, centre_nm: Array
+) -> Iterator[Result]:
+    """Rows over the windows: every test of the two spectra, and the angle between them."""
     if not window.any():
-        return make.skipped(Cause.NO_BANDS, "no comparable band in windows", *names)
+        yield from make.skipped(Cause.NO_BANDS, "no comparable band in windows", *_TESTS, "spectral_angle")
+        return
+    here, count = np.ix_(window, window), int(window.sum())
     p, o = predicted.mean[window], observed.mean[window]
-    r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[np.ix_(window, window)]
-    parts_here = [part.bands(window) for part in (*predicted.estimated, *observed.estimated)]
-    cause = Cause.NONE
+    r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[here]
     if not np.all(np.diag(cov) > (NUMERICAL * o) ** 2):
-        cause, reason = Cause.NO_UNCERTAINTY, "neither side states an uncertainty beyond rounding in some bands"
-    elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):
-        # Such as a panel that an empirical line of two panels goes through.
-        reason = "both sides are equal to rounding: one was made from the other, which is no evidence"
-        cause = Cause.CIRCULAR
-    if cause is not Cause.NONE:
-        out = make.skipped(cause, reason, *names[:-1])
+        why = "neither side states an uncertainty beyond rounding in some bands"
+        yield from make.skipped(Cause.NO_UNCERTAINTY, why, *_TESTS)
+    elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):  # such as a panel that a line of two panels goes through
+        why = "both sides are equal to rounding: one was made from the other, which is no evidence"
+        yield from make.skipped(Cause.CIRCULAR, why, *_TESTS)
     else:
-        tested = whitening(cov, parts_here)
-        diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, tested)
-        shape = chi_square_shape(r, o, tested)
+        tested = whitening(cov, [part.bands(window) for part in (*predicted.estimated, *observed.estimated)])
         tilts = detectable_tilts(o, centre_nm[window], tested)
+        full = chi_square_full(r, tested)
+        known = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"
+        kept = "; ".join((
+            *([f"{full.dof} of {count} directions kept"] if full.dof < count else []),
+            *([known] if math.isfinite(full.covariance_dof) else []),
+            *filter(None, [leading_source(predicted, observed, window)]),
+        ))  # fmt: skip
+        for name, found, tilt, why in (
+            ("diagonal", chi_square_diagonal(r, cov), math.nan, ""),
+            ("full", full, tilts[0], kept),
+            ("shape", chi_square_shape(r, o, tested), tilts[1], ""),
+        ):
+            if name == "shape":
+                ratio, covariance = difference_ratio(p, o), difference_ratio_covariance(predicted, observed)[here]
+                bias, sd = _mean_ratio(ratio, covariance)
+                yield make.row("bias_ratio", bias, half=Z95 * sd, n=full.dof)
+            yield make.row(f"chi2_reduced_{name}", found.reduced, n=found.dof, reason=why)
+            yield make.row(
+                f"p_value_{name}", found.p_value, n=found.dof, detectable=tilt, reason=why, about=found.effect
+            )
         inside, limits = share_inside(r, cov)
-        bias, bias_sd = _mean_ratio(*relative, window)
-        kept = f"{full.dof} of {int(window.sum())} directions kept" if full.dof < window.sum() else ""
-        if math.isfinite(full.covariance_dof):
-            words = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"
-            kept = f"{kept}; {words}" if kept else words
-        kept = "; ".join(part for part in (kept, leading_source(predicted, observed, window)) if part)
-        out = [
-            make.row(names[0], diagonal.reduced, n=diagonal.dof),
-            make.row(names[1], diagonal.p_value, n=diagonal.dof, about=diagonal.effect),
-            make.row(names[2], full.reduced, n=full.dof, reason=kept),
-            make.row(names[3], full.p_value, n=full.dof, detectable=tilts[0], reason=kept, about=full.effect),
-            make.row(names[4], bias, half=Z95 * bias_sd, n=full.dof),
-            make.row(names[5], shape.reduced, n=shape.dof),
-            make.row(names[6], shape.p_value, n=shape.dof, detectable=tilts[1], about=shape.effect),
-            make.row(names[7], inside, limits, n=int(window.sum())),
-        ]
-    angle = spectral_angle_degrees(p, o)
-    return [*out, make.row(names[8], angle, unit="degree", n=int(window.sum()))]
+        yield make.row("fraction_inside_95", inside, limits, n=count)
+    yield make.row("spectral_angle", spectral_angle_degrees(p, o), n=count)
 
 
-def _mean_ratio(ratio: Array, covariance: Array, window: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Unweighted mean of the difference ratio and its standard uncertainty.
+def _mean_ratio(ratio: Array, covariance: Array) -> tuple[float, float]:
+    """Unweighted mean of the difference ratio over bands and its standard uncertainty.
 
     The weighted mean by the inverse covariance is left to the test of shape: where errors are strongly correlated
     and the shapes differ it lies outside of all its data (Peelle's puzzle; Chiba & Smith 1991, ANL/NDM-121).
     """
-    use = window & np.isfinite(ratio)
+    use = np.isfinite(ratio)
     if not use.any():
-        return float("nan"), float("nan")
-    n = int(use.sum())
-    return float(ratio[use].mean()), float(np.sqrt(max(covariance[np.ix_(use, use)].sum(), 0.0)) / n)
+        return math.nan, math.nan
+    return float(ratio[use].mean()), float(np.sqrt(max(covariance[np.ix_(use, use)].sum(), 0.0))) / int(use.sum())

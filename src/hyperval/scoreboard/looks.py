@@ -19,7 +19,7 @@ import spectral
 from hyperval.campaign import Campaign
 from hyperval.collection import Detection
 from hyperval.compare.products import product_rows
-from hyperval.compare.spectra import RowMaker
+from hyperval.compare.rows import RowMaker
 from hyperval.model import Sources
 from hyperval.observe import Observed
 from hyperval.observe.detection import scored_pixels, target_groups

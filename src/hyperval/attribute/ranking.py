@@ -5,8 +5,8 @@ Inputs whose uncertainty a scenario does not state, each with a usual one: they 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -14,11 +14,11 @@ import numpy.typing as npt
 import scipy
 from scipy import linalg
 
+from hyperval.attribute.residuals import ENOUGH, Stack
 from hyperval.errors import UsageError
 from hyperval.model import UncertainInput, World, inputs_of, number_input, spectral_input
 from hyperval.model.inputs import AEROSOL, SURROUNDINGS, WATER, Kind, field_spectrum_of, form_in_words
 from hyperval.scenario import SpectralForm
-from hyperval.uncertainty.attribution.residuals import ENOUGH, Stack
 
 SHIFT_NM = 0.2
 SPREAD = 0.10
@@ -44,24 +44,27 @@ def assumed_inputs(world: World) -> list[UncertainInput]:
     return [item for item in _usual(world) if item.path not in stated]
 
 
-def _usual(world: World) -> list[UncertainInput]:
-    unmoved = _unmoved(world)
-    inputs = [_part(world, *row) for row in _PARTS if row[2] not in unmoved]
+def _usual(world: World) -> Iterator[UncertainInput]:
+    scene, unmoved = world.stated.scenario.scene, _unmoved(world)
+    yield from (_part(world, *row) for row in _PARTS if row[2] not in unmoved)
     if world.stated.scenario.atmosphere is not None:
         path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
-        inputs.append(
-            number_input(world, "wavelength shift", "sensor", path, np.array([SHIFT_NM]), source="usual", words=words)
-        )
-    classes = world.stated.scenario.scene.classes
-    for c in classes:
-        inputs.append(_part(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD))
-    inputs += _spectra(world)
-    for c in classes if len(classes) > 1 else ():
-        if 0 < c.fraction < 1:
-            inputs.append(_part(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION))
-            if len(classes) == 2:
-                break  # the other one's is the same input
-    return inputs
+        size = np.array([SHIFT_NM])
+        yield number_input(world, "wavelength shift", "sensor", path, size, source="usual", words=words)
+    for c in scene.classes:
+        yield _part(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD)
+    # Mean spectra that the collection itself does not vouch for.  Those of targets are left out: mixed with their
+    # hosts they look like their fill, which is there already.
+    form = SpectralForm(correlation_nm=SURFACE_NM)
+    for s in (*scene.classes, *scene.panels, *scene.sites):
+        if s.spectrum.measured is None:
+            sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
+            one = spectral_input(world, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
+            words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
+            yield replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words)
+    shares = [c for c in scene.classes if 0 < c.fraction < 1] if len(scene.classes) > 1 else []
+    for c in shares[:1] if len(scene.classes) == 2 else shares:  # of two the other one's is the same input
+        yield _part(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION)
 
 
 def _part(world: World, name: str, kind: Kind, path: str, part: float) -> UncertainInput:
@@ -72,35 +75,17 @@ def _part(world: World, name: str, kind: Kind, path: str, part: float) -> Uncert
 def _unmoved(world: World) -> set[str]:
     """Paths of usual inputs that this scenario does not have."""
     scenario, state = world.stated.scenario, world.stated.scenario.atmosphere
-    paths = set()
-    if state is None:
-        paths |= {"light.surroundings", "sensor.noise"}
-    if state is None or state.engine == "table" or not state.aerosol_optical_depth:
-        paths.add("atmosphere.aot550")
-    if state is None or state.engine == "table" or not state.water_vapour_g_cm2:
-        paths.add("atmosphere.water_vapour_g_cm2")
+    solved = state is not None and state.engine != "table"
     fills = [p.fill for t in scenario.scene.targets for p in t.populations]
-    if not fills:
-        paths.add("fill")
-    if not any(np.any(f.geometry.psf_fwhm_pixels or 0.0) for f in fills if f.geometry is not None):
-        paths.add("blur")
-    return paths
-
-
-def _spectra(world: World) -> list[UncertainInput]:
-    """Mean spectra that the collection itself does not vouch for.
-
-    Those of targets are left out: mixed with their hosts they look like their fill, which is there already.
-    """
-    scene, form = world.stated.scenario.scene, SpectralForm(correlation_nm=SURFACE_NM)
-    inputs = []
-    for s in (*scene.classes, *scene.panels, *scene.sites):
-        if s.spectrum.measured is None:
-            sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
-            one = spectral_input(world, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
-            words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
-            inputs.append(replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words))
-    return inputs
+    there = {
+        "light.surroundings": state is not None,
+        "sensor.noise": state is not None,
+        "atmosphere.aot550": solved and state is not None and bool(state.aerosol_optical_depth),
+        "atmosphere.water_vapour_g_cm2": solved and state is not None and bool(state.water_vapour_g_cm2),
+        "fill": bool(fills),
+        "blur": any(f.geometry is not None and np.any(f.geometry.psf_fwhm_pixels or 0.0) for f in fills),
+    }
+    return {path for path, known in there.items() if not known}
 
 
 Array = npt.NDArray[np.float64]
@@ -132,28 +117,49 @@ class Candidate:
     budgeted: bool
 
 
-@dataclass(frozen=True)
-class Ranked:
-    """One candidate's account of a group of residuals.
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What freeing one input does to a group of residuals.
 
     Attributes
     ----------
-    gain : twice the log-likelihood gained by freeing it
-    units : most likely change in units of its (stated or usual) uncertainty; with a sign where it has one direction
-    needed : standard deviation in the same units at which the data are most likely; 1 when the stated one will do,
-        0 when an unstated one need not move
-    limited : whether it would have to move farther than it can
-    chi_square, p_value : of the residuals with that uncertainty
+    gain : twice the log-likelihood gained; 0 when freeing it does not help
+    tau : added standard deviation of each direction, in units of its (stated or usual) uncertainty
+    amplitudes : (k,) most likely size of each direction
+    chi_square, dof : of the residual under the widened covariance
+    limited : whether it would have to move farther than it can; then it is moved as far as it can, and the
+        covariance stays
     """
 
     candidate: Candidate
     gain: float
-    units: float
-    needed: float
+    tau: float
+    amplitudes: Array
     chi_square: float
-    p_value: float
-    amplitudes: tuple[float, ...] = field(default=(), repr=False)
+    dof: int
     limited: bool = False
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a residual at least this large with the widened covariance."""
+        return float(scipy.stats.chi2.sf(self.chi_square, self.dof))
+
+    @property
+    def units(self) -> float:
+        """Most likely change, with a sign where it has one direction."""
+        return float(self.amplitudes[0] if self.amplitudes.size == 1 else np.linalg.norm(self.amplitudes))
+
+    @property
+    def needed(self) -> float:
+        """Standard deviation at which the data are most likely: 1 when the stated one will do, 0 of an unstated one."""
+        return self.tau if self.limited else float(np.sqrt(self.tau**2 + float(self.candidate.budgeted)))
+
+    @property
+    def in_words(self) -> str:
+        """How far the input would have to move."""
+        step = "stated uncertainty" if self.candidate.budgeted else f"step of {self.candidate.step}"
+        size = f"{self.units:+.2g}" if self.amplitudes.size == 1 else f"{self.needed:.2g}"
+        return f"{size} times its {step}{', as far as it can' if self.limited else ''}"
 
 
 @dataclass(frozen=True)
@@ -174,8 +180,8 @@ class Ranking:
     chi_square: float
     dof: int
     p_value: float
-    ranked: tuple[Ranked, ...]
-    together: tuple[Ranked, ...]
+    ranked: tuple[Explanation, ...]
+    together: tuple[Explanation, ...]
     parts: tuple[Ranking, ...] = ()
     level: float = ENOUGH
 
@@ -209,7 +215,7 @@ class Ranking:
             return f"no input explains anything: {before} (p = {self.p_value:.2g})"
         best, last = self.together[0], self.together[-1]
         alike = [r.candidate.name for r in self.ranked[1:] if r.gain > best.gain - ALIKE]
-        first = f"{best.candidate.name} ({in_words(best)}) explains most"
+        first = f"{best.candidate.name} ({best.in_words}) explains most"
         if alike:
             first += f" (not told apart from {' and '.join(alike[:3])})"
         if best.p_value >= ENOUGH:
@@ -218,15 +224,6 @@ class Ranking:
         if last.p_value >= ENOUGH:
             return f"{first}; {names} together are enough: {before}, {last.chi_square / self.dof:.3g} after"
         return f"{first}, but none is enough: {before}, {last.chi_square / self.dof:.3g} after {names}"
-
-
-def in_words(item: Ranked) -> str:
-    """How far an input would have to move, in words."""
-    what = "stated uncertainty" if item.candidate.budgeted else f"step of {item.candidate.step}"
-    end = ", as far as it can" if item.limited else ""
-    if len(item.amplitudes) == 1:
-        return f"{item.units:+.2g} times its {what}{end}"
-    return f"{item.needed:.2g} times its {what}{end}"
 
 
 def rankings(
@@ -264,7 +261,7 @@ def ranking(
     """
     data = Whitened(residual, covariance)
     ranked = _all(data, columns)
-    together: list[Ranked] = []
+    together: list[Explanation] = []
     rest, widened, left = ranked, covariance, dict(columns)
     while rest and rest[0].gain > 0 and len(together) < MOST_STEPS:
         best = rest[0]
@@ -273,9 +270,9 @@ def ranking(
             break
         g = left.pop(best.candidate)
         if best.limited:
-            residual = residual - g @ np.array(best.amplitudes)
+            residual = residual - g @ best.amplitudes
         else:
-            widened = widened + (best.needed**2 - float(best.candidate.budgeted)) * g @ g.T
+            widened = widened + best.tau**2 * g @ g.T
         rest = _all(Whitened(residual, widened), left)
     return Ranking(group, data.chi_square, data.dof, data.p_value, tuple(ranked), tuple(together))
 
@@ -316,56 +313,18 @@ def _moves(part: Array, whole: Array) -> bool:
     return bool(np.max(np.abs(part), initial=0.0) > 1e-9 * np.max(np.abs(whole), initial=0.0))
 
 
-def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Ranked]:
-    ranked = [_ranked(c, explanation(data, g, budgeted=c.budgeted, most=MOST_UNITS)) for c, g in columns.items()]
+def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Explanation]:
+    found = [explanation(data, g, candidate, MOST_UNITS) for candidate, g in columns.items()]
     # Of inputs that explain the same, rounding shall not say which comes first.
-    return sorted(ranked, key=lambda r: (-float(f"{r.gain:.6g}"), r.candidate.name))
-
-
-def _ranked(candidate: Candidate, e: Explanation) -> Ranked:
-    units = float(e.amplitudes[0]) if e.amplitudes.size == 1 else float(np.linalg.norm(e.amplitudes))
-    needed = e.tau if e.limited else float(np.sqrt(e.tau**2 + float(candidate.budgeted)))
-    amplitudes = tuple(float(x) for x in e.amplitudes)
-    return Ranked(candidate, e.gain, units, needed, e.chi_square, e.p_value, amplitudes, e.limited)
+    return sorted(found, key=lambda r: (-float(f"{r.gain:.6g}"), r.candidate.name))
 
 
 def budget_covariance(columns: Mapping[Candidate, Array], size: int) -> Array:
     """(n, n) covariance of everything whose uncertainty is stated."""
-    total = np.zeros((size, size))
-    for candidate, g in columns.items():
-        if candidate.budgeted:
-            total += g @ g.T
-    return total
+    return sum((g @ g.T for candidate, g in columns.items() if candidate.budgeted), np.zeros((size, size)))
 
 
 _GRID = np.geomspace(1e-4, 1e8, 97)
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What freeing one input does.
-
-    Attributes
-    ----------
-    gain : twice the log-likelihood gained; 0 when freeing it does not help
-    tau : added standard deviation of each direction, in units of the directions given
-    amplitudes : (k,) most likely size of each direction
-    chi_square, dof : of the residual under the widened covariance
-    limited : whether it would have to move farther than it can; then it is moved as far as it can, and the
-        covariance stays
-    """
-
-    gain: float
-    tau: float
-    amplitudes: Array
-    chi_square: float
-    dof: int
-    limited: bool = False
-
-    @property
-    def p_value(self) -> float:
-        """Probability of a residual at least this large with the widened covariance."""
-        return float(scipy.stats.chi2.sf(self.chi_square, self.dof))
 
 
 class Whitened:
@@ -416,19 +375,20 @@ class Whitened:
         return float(scipy.stats.chi2.sf(self.chi_square, self.dof))
 
 
-def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool, most: float = np.inf) -> Explanation:
+def explanation(data: Whitened, columns: npt.ArrayLike, candidate: Candidate, most: float = np.inf) -> Explanation:
     """Free one input and see what it gains.
 
     Parameters
     ----------
     columns : (n,) or (n, k) change of the compared quantities (prediction) per standard uncertainty
-    budgeted : whether C holds these columns already; then tau comes on top of 1
+    candidate : whose columns they are; where it is budgeted C holds them already, and tau comes on top of 1
     most : greatest tau, and greatest amplitude of any direction; an input that would have to move farther than it
         can is no reason
 
     Examples
     --------
-    >>> why = explanation(Whitened([3.0, 0.1], np.eye(2)), [1.0, 0.0], budgeted=False)
+    >>> gain = Candidate("gain", "sensor", "1 %", budgeted=False)
+    >>> why = explanation(Whitened([3.0, 0.1], np.eye(2)), [1.0, 0.0], gain)
     >>> round(why.gain, 2), round(why.tau, 2), round(why.chi_square, 2), round(why.p_value, 2)
     (5.8, 2.83, 1.01, 0.6)
     """
@@ -437,22 +397,22 @@ def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool, most:
     u, s, vt = linalg.svd(w, full_matrices=False)
     keep = s > 1e-12 * max(float(s[0]), 1e-300)
     if not np.any(s > 0):
-        return Explanation(0.0, 0.0, np.zeros(w.shape[1]), data.chi_square, data.dof)
+        return Explanation(candidate, 0.0, 0.0, np.zeros(w.shape[1]), data.chi_square, data.dof)
     u, s, vt = u[:, keep], s[keep], vt[keep]
     q = u.T @ data.residual
 
     t2 = _best_tau_squared(s, q, most**2)
     shrink = 1.0 / (1.0 + t2 * s**2)
-    z = (t2 + float(budgeted)) * (vt.T @ (s * shrink * q))  # best linear unbiased prediction of z
+    z = (t2 + float(candidate.budgeted)) * (vt.T @ (s * shrink * q))  # best linear unbiased prediction of z
     if np.max(np.abs(z)) > most:  # it goes as far as it can, and the rest stays
         z = np.clip(z, -most, most)
         left = data.residual - w @ z
         chi = float(left @ left)
         gain = data.chi_square - chi - float(np.sum(np.log1p(t2 * s**2)))
-        return Explanation(max(gain, 0.0), most, z, chi, data.dof, True)
+        return Explanation(candidate, max(gain, 0.0), most, z, chi, data.dof, True)
     gain = float(_gain(t2, s, q))
     chi = data.chi_square - float(np.sum((1.0 - shrink) * q**2))
-    return Explanation(max(gain, 0.0), float(np.sqrt(t2)), z, chi, data.dof)
+    return Explanation(candidate, max(gain, 0.0), float(np.sqrt(t2)), z, chi, data.dof)
 
 
 def _gain(t2: float, s: Array, q: Array) -> float:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperval.attribute import assumed_inputs
 from hyperval.model import Origins, read
 from hyperval.scenario import Scenario
 from hyperval.spectra import SpectralAxis
-from hyperval.uncertainty.attribution.ranking import assumed_inputs
 from small_campaign import ATMOSPHERE, stand_in_atmosphere
 
 AXIS = SpectralAxis(np.array([500.0, 600.0, 800.0]), np.full(3, 10.0))

@@ -1,0 +1,6 @@
+"""Why model and data differ: which inputs explain it, and which errors a comparison would have shown."""
+
+import lazy_loader
+
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

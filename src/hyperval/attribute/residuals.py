@@ -1,0 +1,367 @@
+"""What is explained: the quantities that are compared, as one vector of residuals with its covariance.
+
+Radiance of every subject in the windows of the atmosphere (reflectance where there is none), SNR, moments of the
+scores, and the false-alarm rate at measured thresholds.  P_D is left out: it follows from the scores, and would
+count them twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import permutations
+
+import numpy as np
+import numpy.typing as npt
+from scipy import linalg, special
+
+from hyperval.compare.rows import Array, Mask, scientific
+from hyperval.model.intervals import Z95
+from hyperval.model.roc import detection_at
+from hyperval.products import (
+    ObjectScores,
+    Products,
+    RocCurve,
+    ScoreDistribution,
+    SpectralEstimate,
+    background_of,
+)
+from hyperval.spectra import SpectralAxis, in_window
+
+Indices = npt.NDArray[np.intp]
+
+POINTS = (1e-2, 1e-3)  # false-alarm rates that are looked at
+ENOUGH = 0.05  # p-value from which residuals count as explained
+# Numerical error of the model itself: what interpolation and rounding may do.  It keeps well sampled quantities
+# from deciding alone.
+SPECTRUM_FLOOR = 1e-4  # of the value, each band by itself: what closure with simulated collections leaves
+MOST_WIDENED = 20.0  # times a covariance that too few pixels know
+SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
+LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
+_SPECTRA = ("radiance", "reflectance", "toa_reflectance")
+RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate
+# A false-alarm rate says something of the tail where this many pixels lie above the threshold.
+LEAST_ALARMS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedQuantity:
+    """One number of both sides.
+
+    Attributes
+    ----------
+    product, subject, method, metric : as in the results table
+    observed : what the collection says
+    read : the same of a prediction
+    """
+
+    product: str
+    subject: str
+    method: str
+    metric: str
+    observed: float
+    read: Callable[[Products], float]
+
+
+def quantities(predicted: Products, observed: Products) -> list[ComparedQuantity]:
+    """Predicted over observed mean in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
+    items: list[ComparedQuantity] = []
+    for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
+        for subject, estimate in getattr(observed, product).items():
+            if (there := getattr(predicted, product).get(subject)) is None:
+                continue
+            use = _windows(observed.axis) & np.isfinite(there.mean) & np.isfinite(estimate.mean)
+            level = float(np.mean(estimate.mean[use])) if use.any() else 0.0
+            if level > 0:
+                ratio = partial(_mean_over, level, product, subject, use)
+                items.append(ComparedQuantity(product, subject, "", "ratio_windows", 1.0, ratio))
+    for key, curve in observed.roc.items():
+        for pfa in POINTS if key in predicted.roc and key[2] == "pixel" else ():
+            if pfa >= max(curve.pfa[0], predicted.roc[key].pfa[0]):
+                pd, method = partial(_detected, key, pfa), f"{key[1]}/{key[2]}"
+                items.append(ComparedQuantity("roc", key[0], method, f"pd@{scientific(pfa)}", pd(observed), pd))
+    return items
+
+
+def _windows(axis: SpectralAxis) -> Mask:
+    return np.asarray(axis.good & in_window(axis.centre_nm))
+
+
+def _mean_over(level: float, product: str, subject: str, use: Mask, p: Products) -> float:
+    return float(np.mean(getattr(p, product)[subject].mean[use])) / level
+
+
+def _detected(key: tuple[str, str, str], pfa: float, p: Products) -> float:
+    return float(detection_at(p.roc[key], pfa))
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualBlock:
+    """One compared quantity.
+
+    Attributes
+    ----------
+    product, subject, method : as in the results table
+    observed : (n,) what the collection says
+    covariance : (n, n) of the error of ``observed``, the numerical floor of the model included
+    read : the same (n,) from a prediction
+    read_covariance : (n, n) error covariance that a prediction states for it, None where it states none
+    bands : (n,) index of the band of each entry, None for what is no spectrum
+    calibration : (B, B) relative error covariance that all spectra of the collection share, in all bands; None
+        without
+    """
+
+    product: str
+    subject: str
+    method: str
+    observed: Array
+    covariance: Array
+    read: Callable[[Products], Array]
+    read_covariance: Callable[[Products], Array] | None = None
+    bands: Indices | None = None
+    calibration: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Several blocks as one vector."""
+
+    blocks: tuple[ResidualBlock, ...]
+
+    @property
+    def observed(self) -> Array:
+        """(n,) of all blocks."""
+        return np.concatenate([b.observed for b in self.blocks])
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n): different blocks err independently of each other, but for the calibration that spectra share."""
+        out = np.asarray(linalg.block_diag(*[b.covariance for b in self.blocks]))
+        for (a, rows), (b, columns) in permutations(self.placed(), 2):
+            if a.calibration is not None and a.bands is not None and b.calibration is not None and b.bands is not None:
+                shared = a.calibration[np.ix_(a.bands, b.bands)]
+                out[rows, columns] = np.outer(a.observed, b.observed) * shared
+        return out
+
+    def predicted(self, prediction: Products) -> Array:
+        """(n,) what a prediction says of the same quantities."""
+        return np.concatenate([b.read(prediction) for b in self.blocks])
+
+    def stated_beyond(self, prediction: Products, budget: Array) -> Array:
+        """(n, n) what a prediction's own error covariances hold beyond ``budget`` (n, n), each spectrum by itself.
+
+        An input moves all spectra at once by its first directions alone; what they leave has its covariance from
+        band to band still: counted as independent in each band it would be many times too wide.
+        """
+        out = np.zeros_like(budget)
+        for block, place in self.placed():
+            if block.read_covariance is not None:
+                values, vectors = np.linalg.eigh(block.read_covariance(prediction) - budget[place, place])
+                out[place, place] = (vectors * np.clip(values, 0.0, None)) @ vectors.T
+        return out
+
+    def single_bands(self) -> Array:
+        """(n, K) the spectra band by band: column k holds what all subjects show in one band, 0 elsewhere."""
+        named = [b.bands for b in self.blocks if b.bands is not None]
+        used = np.unique(np.concatenate(named)) if named else np.zeros(0, int)
+        out = np.zeros((sum(b.observed.size for b in self.blocks), used.size))
+        for block, place in self.placed():
+            if block.bands is not None:
+                rows = np.arange(place.start, place.stop)
+                out[rows, np.searchsorted(used, block.bands)] = block.observed
+        return out
+
+    def common_bands(self) -> tuple[Indices, Array]:
+        """Entries (m,) of spectra in bands that two and more subjects show, and columns (m, K) of those bands.
+
+        Column k holds what the subjects show in one band, 0 elsewhere: an error that is common to all of them.
+        """
+        columns = self.single_bands()
+        shared = np.count_nonzero(columns, axis=0) > 1
+        rows = np.flatnonzero(np.any(columns[:, shared] != 0.0, axis=1))
+        return rows, columns[np.ix_(rows, np.flatnonzero(shared))]
+
+    def placed(self) -> list[tuple[ResidualBlock, slice]]:
+        """Each block with where it stands."""
+        ends = np.cumsum([b.observed.size for b in self.blocks])
+        return [(b, slice(int(e) - b.observed.size, int(e))) for b, e in zip(self.blocks, ends, strict=True)]
+
+    def indices_of(self, subject: str) -> Indices:
+        """Entries of one subject, with those of the background seen through its filter."""
+        names = {subject, background_of(subject)}
+        return np.concatenate([np.arange(s.start, s.stop) for b, s in self.placed() if b.subject in names])
+
+
+def stacked(predicted: Products, observed: Products) -> Stack:
+    """Everything both sides hold, as far as both have values there."""
+    return Stack(tuple(_blocks(predicted, observed)))
+
+
+def _blocks(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
+    # Pixels that a target fills in part are judged by their scores: their mean spectrum is that of their mean fill.
+    mixed = {subject for subject, _ in predicted.scores}
+    here = observed.radiance
+    left_out = {
+        "radiance": mixed,
+        "reflectance": mixed | {name for name in here if name in predicted.radiance},
+        "toa_reflectance": set(here),
+    }
+    for product in _SPECTRA:
+        for name, estimate in getattr(observed, product).items():
+            if name in getattr(predicted, product) and name not in left_out[product]:
+                yield from _spectrum(product, name, predicted, estimate)
+    for name, estimate in observed.snr.items():
+        if name in predicted.snr:
+            yield from _snr(name, predicted, estimate)
+    yield from _scores(predicted, observed)
+    for key, objects in observed.object_scores.items():
+        if key in predicted.object_scores and few_objects(observed, *key):
+            yield from _objects(key, predicted.object_scores[key], objects)
+    yield from _false_alarms(predicted, observed)
+
+
+def _spectrum(product: str, subject: str, predicted: Products, estimate: SpectralEstimate) -> Iterator[ResidualBlock]:
+    mean = getattr(predicted, product)[subject].mean
+    use = _windows(predicted.axis) & np.isfinite(mean) & np.isfinite(estimate.mean)
+    use &= mean > 0.01 * np.nanmax(mean, initial=0.0)  # bands without light say nothing
+    if not use.any():
+        return
+    relative = None
+    if estimate.calibration is not None:
+        level = np.where(estimate.mean == 0.0, np.inf, estimate.mean)
+        relative = estimate.calibration / np.outer(level, level)
+    yield ResidualBlock(
+        product, subject, "", estimate.mean[use],
+        sampled_covariance(estimate, use, np.diag((SPECTRUM_FLOOR * mean[use]) ** 2)),
+        lambda p: np.asarray(getattr(p, product)[subject].mean[use]),
+        lambda p: np.asarray(np.nan_to_num(getattr(p, product)[subject].error_covariance[np.ix_(use, use)])),
+        np.flatnonzero(use), relative,
+    )  # fmt: skip
+
+
+def sampled_covariance(estimate: SpectralEstimate, use: Mask, floor: Array) -> Array:
+    """(n, n) error covariance of a spectrum and ``floor`` in some bands, its estimated parts as wide as a test asks.
+
+    r^T S^-1 r with an estimated S is larger than with the true covariance: the mean over n bands is nu/(nu - n - 1)
+    for nu degrees of freedom (Hotelling), 1.9 for 36 pixels in 16 bands.  A part S is widened by f, the ratio of the
+    95 % points of Hotelling's law and of chi-square in as many directions as it counts in, k = tr(P)^2 / tr(P^2) with
+    P its share C^-1 S in the whole; less as its share there is less than all, f - 1 in proportion to tr(P)/k.  A
+    model of few factors and independent bands, for pixels fewer than bands, is known as single bands are and stays.
+    """
+    out = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)]) + floor
+    whole = out
+    for part in (p.bands(use).of_each(np.nan_to_num) for p in estimate.estimated):
+        share = linalg.solve(whole, part.covariance)
+        trace, squares = float(np.trace(share)), float(np.sum(share * share.T))
+        if trace > 0.0 and not part.dof > part.sample_dof:
+            factor = hotelling_factor(trace**2 / squares, max(part.dof, 1.0))
+            out = out + (factor - 1.0) * squares / trace * part.covariance
+    return out
+
+
+def hotelling_factor(directions: float, dof: float) -> float:
+    """95 % point of Hotelling's T^2 over that of chi-square, at most :data:`MOST_WIDENED`.
+
+    Examples
+    --------
+    >>> round(hotelling_factor(1, 10.0), 2), round(hotelling_factor(16, 35.0), 2)
+    (1.29, 2.33)
+    """
+    left = max(dof - directions + 1.0, 1.0)
+    student = dof * directions / left * special.fdtri(directions, left, 1.0 - ENOUGH)
+    return float(min(student / special.chdtri(directions, ENOUGH), MOST_WIDENED))
+
+
+def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> Iterator[ResidualBlock]:
+    with np.errstate(invalid="ignore"):
+        use = predicted.axis.good & (predicted.snr[subject].mean > 1.0) & (estimate.mean > 1.0)
+    if use.any():
+        value = estimate.mean[use]
+        covariance = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)] / np.outer(value, value))
+        covariance = covariance + np.diag(np.full(value.size, LOG_FLOOR**2))
+        yield ResidualBlock(
+            "snr", subject, "", np.log(value), covariance,
+            lambda p: np.asarray(np.log(np.maximum(p.snr[subject].mean[use], 1e-3))),
+        )  # fmt: skip
+
+
+def _scores(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
+    seen: set[tuple[float, float, str]] = set()
+    for key, score in observed.scores.items():
+        there, same = predicted.scores.get(key), (score.mean, score.sd, key[1])
+        usable = score.n is not None and score.n >= 3 and np.isfinite(score.mean) and score.sd > 0
+        # Pixels of one object are not independent: the object counts.  One filter's background stands under each
+        # of its targets.
+        if there is not None and there.sd > 0 and usable and not few_objects(observed, *key) and same not in seen:
+            seen.add(same)
+            yield _moments(key, score)
+
+
+def _moments(key: tuple[str, str], score: ScoreDistribution) -> ResidualBlock:
+    """Mean and logarithm of the standard deviation, from n normal scores: variances s^2/n and 1/(2 (n - 1))."""
+    n = score.n or 0
+    variances = [score.sd**2 / n + SCORE_FLOOR**2, 0.5 / (n - 1) + LOG_FLOOR**2]
+    value = np.array([score.mean, np.log(score.sd)])
+    return ResidualBlock(
+        "scores", *key, value, np.diag(variances), lambda p: np.array([p.scores[key].mean, np.log(p.scores[key].sd)])
+    )
+
+
+def few_objects(observed: Products, subject: str, detector: str) -> bool:
+    """Whether a subject's scores are those of several pixels of fewer objects."""
+    objects, score = observed.object_scores.get((subject, detector)), observed.scores.get((subject, detector))
+    return objects is not None and score is not None and (score.n or 0) > objects.values.size
+
+
+def _objects(key: tuple[str, str], predicted: ObjectScores, measured: ObjectScores) -> Iterator[ResidualBlock]:
+    """Mean score of the objects of a subject; its variance is what the model itself gives single objects."""
+    values = measured.values[np.isfinite(measured.values)]
+    if values.size:
+        variance = np.array([[np.var(predicted.values) / values.size + SCORE_FLOOR**2]])
+        yield ResidualBlock(
+            "scores", *key, np.array([values.mean()]), variance,
+            lambda p: np.array([float(np.mean(p.object_scores[key].values))]),
+        )  # fmt: skip
+
+
+def _false_alarms(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
+    """Logarithm of the false-alarm rate at the thresholds that the data reach 1e-2 and 1e-3 with."""
+    seen: set[tuple[str, float]] = set()
+    for key, curve in observed.roc.items():
+        (subject, detector, unit), n = key, curve.n_background or 0
+        rates = np.array([p for p in POINTS if p * n >= LEAST_ALARMS and p >= curve.pfa[0]])
+        if unit != "pixel" or key not in predicted.roc or not rates.size:
+            continue
+        thresholds = np.interp(np.log(rates), np.log(curve.pfa), curve.threshold)
+        same = (detector, round(float(thresholds[0]), 9))
+        if same not in seen and np.isfinite(thresholds).all():
+            seen.add(same)
+            clustered = _clustered_variance(observed, subject, detector, thresholds)
+            variance = np.maximum(1.0 / (rates * n) + RATE_FLOOR**2, clustered)
+            yield ResidualBlock(
+                "roc", background_of(subject), detector, np.log(rates), np.diag(variance),
+                partial(_log_rate, key, thresholds),
+            )  # fmt: skip
+
+
+def _log_rate(key: tuple[str, str, str], threshold: Array, p: Products) -> Array:
+    return log_false_alarm_rate(p.roc[key], threshold)
+
+
+def _clustered_variance(observed: Products, subject: str, detector: str, threshold: Array) -> Array | float:
+    """(K,) variance of ln P_FA from blocks of the image, as alarms come in clusters; 0 where it is not known."""
+    for (name, method), curve in observed.exceedance.items():
+        if method == detector and (subject == name or subject.startswith(f"{name} ")):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                half = (np.log(curve.upper) - np.log(curve.lower)) / 2.0
+            known = np.isfinite(half)
+            if known.any():
+                return np.asarray((np.interp(threshold, curve.threshold[known], half[known]) / Z95) ** 2)
+    return 0.0
+
+
+def log_false_alarm_rate(curve: RocCurve, threshold: Array) -> Array:
+    """ln P_FA at scores (K,), interpolated on the curve; held at its ends."""
+    rising = np.argsort(curve.threshold)
+    return np.asarray(np.interp(threshold, curve.threshold[rising], np.log(curve.pfa)[rising]))

@@ -1,0 +1,251 @@
+"""What-ifs: named experiments, each a run with something changed, and what each does to the false alarms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hyperval.attribute.ranking import Whitened
+from hyperval.attribute.residuals import POINTS, ComparedQuantity, Stack, stacked
+from hyperval.attribute.schema import WhatIf
+from hyperval.compare.rows import Array, RowMaker, scientific
+from hyperval.errors import UsageError
+from hyperval.model import Truth
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
+from hyperval.products import Products, background_of
+from hyperval.progress import track
+from hyperval.results import Result
+from hyperval.scenario import Scenario
+from hyperval.settings import with_settings
+
+Observe = Callable[[Mapping[str, Any]], Products]
+Truths = Sequence[Truth]  # what is moved in each scenario
+Key = tuple[str, str, str]  # background, detector, metric
+FACTOR = 2.0  # a ratio of false alarms within it is good
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioModel:
+    """Scenarios with what predicts them.
+
+    Attributes
+    ----------
+    scenarios : as they stand in the campaign
+    predict : (scenarios, truths) -> for each truth their products, merged as the campaign compares them
+    observe : measures the collection again with changed settings; None where that cannot be done
+    """
+
+    scenarios: Sequence[Scenario]
+    predict: Callable[[Sequence[Scenario], Sequence[Truths]], Iterator[Products]]
+    observe: Observe | None = None
+
+    def products_of(self, truths: Sequence[Truths]) -> Iterator[Products]:
+        """Products of the scenarios as they stand when the truth is another one."""
+        return self.predict(self.scenarios, truths)
+
+    def assuming(self, scenarios: Sequence[Scenario]) -> Products:
+        """Products of other scenarios."""
+        return next(self.predict(scenarios, [[{} for _ in scenarios]]))
+
+
+class AlarmRatio(NamedTuple):
+    """P_FA predicted over measured at the threshold that was measured to give a level, with its interval [1]."""
+
+    value: float
+    lower: float
+    upper: float
+
+    @property
+    def off(self) -> float:
+        """|ln ratio|: by how much it is wrong, either way."""
+        return abs(math.log(self.value)) if self.value > 0.0 else math.inf
+
+    @property
+    def good(self) -> bool:
+        """Within a factor of two."""
+        return self.off <= math.log(FACTOR)
+
+
+class WhatIfOutcome(NamedTuple):
+    """What one experiment did.
+
+    Attributes
+    ----------
+    item : the experiment as the campaign has it
+    before, after : residuals over their uncertainty
+    gaps : name of a gap -> (before, after)
+    alarms : predicted over measured false alarms (before, after), filter by filter
+    """
+
+    item: WhatIf
+    before: Whitened
+    after: Whitened
+    gaps: Mapping[str, tuple[float, float]]
+    alarms: Mapping[Key, tuple[AlarmRatio, AlarmRatio]]
+
+    def rows(self) -> Iterator[Result]:
+        """``reduced_chi_square`` after it, ``likelihood_gain`` and each gap after it.
+
+        The gain is the fall of the chi-square: twice the log-likelihood gained under the same covariance.
+        """
+        make, n = RowMaker("what-if", "all", self.item.name), self.before.dof
+        before, after = (side.chi_square / side.dof for side in (self.before, self.after))
+        yield make.row("reduced_chi_square", after, n=n, reason=f"{before:.4g} before; {self.item.question}")
+        why = f"p = {self.after.p_value:.2g} after"
+        yield make.row("likelihood_gain", (before - after) * n, n=n, reason=why)
+        for name, (first, second) in self.gaps.items():
+            words = name.replace("|", "").replace("@", " at ").split()
+            yield make.row("_".join(words), second, n=n, reason=f"{first:.4g} before")
+
+
+def run_what_ifs(
+    model: ScenarioModel,
+    stack: Stack,
+    numbers: Sequence[ComparedQuantity],
+    covariance: Array,
+    observed: Products,
+    what_ifs: Sequence[WhatIf],
+    base: Products,
+    show_progress: bool | None = None,
+) -> list[Result]:
+    """Rows of every experiment of a campaign, the one that closes most of the gap first; then those of false alarms.
+
+    ``base`` : products of the scenarios as they stand.
+
+    Raises
+    ------
+    UsageError : an experiment that fits no scenario, or wants a collection measured again that cannot be.
+    """
+    outcomes = []
+    for item in track(what_ifs, "reasons: what-ifs", show=show_progress):
+        scenarios, seen = changed_scenarios(model.scenarios, item), observed
+        if item.observe:
+            if model.observe is None:
+                raise UsageError(f"what-if {item.name!r}: this collection cannot be measured again")
+            seen = model.observe(item.observe)
+        predicted = model.assuming(scenarios)
+        after, cov_after, numbers_after = stack, covariance, list(numbers)
+        if item.observe:
+            after = stacked(predicted, seen)
+            if [b.observed.shape for b in after.blocks] != [b.observed.shape for b in stack.blocks]:
+                raise UsageError(
+                    f"what-if {item.name!r} compares other things than the campaign does",
+                    mend="change what is measured, not which subjects there are",
+                )
+            cov_after, numbers_after = covariance - stack.covariance + after.covariance, _renewed(numbers, seen)
+        first, second = gaps_of(numbers, base), gaps_of(numbers_after, predicted)
+        ratios, there = alarm_ratios(base, observed), alarm_ratios(predicted, seen)
+        outcomes.append(
+            WhatIfOutcome(
+                item,
+                Whitened(stack.observed - stack.predicted(base), covariance),
+                Whitened(after.observed - after.predicted(predicted), cov_after),
+                {name: (value, second[name]) for name, value in first.items()},
+                {key: (ratio, there[key]) for key, ratio in ratios.items() if key in there},
+            )
+        )
+    outcomes.sort(key=lambda o: o.after.chi_square / o.after.dof)
+    return [*(row for o in outcomes for row in o.rows()), *_alarm_rows(outcomes)]
+
+
+def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scenario]:
+    """The scenarios with an experiment's settings; one whose names do not fit stays as it is.
+
+    Raises
+    ------
+    UsageError : the settings fit none of them.
+    """
+    out, errors = [], []
+    for scenario in scenarios:
+        try:
+            out.append(with_settings(scenario, item.scenario) if item.scenario else scenario)
+        except UsageError as error:
+            errors.append(error)
+            out.append(scenario)
+    if errors and len(errors) == len(scenarios):
+        raise UsageError(f"what-if {item.name!r} fits no scenario: {errors[0].what}")
+    return out
+
+
+def gaps_of(numbers: Sequence[ComparedQuantity], predicted: Products) -> dict[str, float]:
+    """Summary gaps: median relative difference of spectra, mean difference of P_D."""
+    parts: dict[str, list[float]] = {}
+    for q in numbers:
+        value = q.read(predicted)
+        if not (np.isfinite(value) and np.isfinite(q.observed)):
+            continue
+        if q.product == "roc":
+            parts.setdefault(f"mean |{q.metric} difference|", []).append(abs(value - q.observed))
+        elif q.observed:
+            parts.setdefault(f"median |{q.product} difference ratio|", []).append(abs(value / q.observed - 1.0))
+    return {
+        name: float(np.median(values) if name.startswith("median") else np.mean(values))
+        for name, values in parts.items()
+    }
+
+
+def _renewed(numbers: Sequence[ComparedQuantity], observed: Products) -> list[ComparedQuantity]:
+    out = []
+    for q in numbers:
+        with suppress(KeyError):  # what is measured no more
+            out.append(replace(q, observed=q.read(observed)))
+    return out
+
+
+def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, AlarmRatio]:
+    """By (background, detector, metric), at P_FA 1e-2 and 1e-3 where ten alarms are expected."""
+    ratios = {}
+    for (name, detector), measured in observed.exceedance.items():
+        model = predicted.exceedance.get((name, detector))
+        for level in POINTS:
+            if model is not None and level * (measured.n or 0) >= LEAST_EXPECTED_ALARMS:
+                found = false_alarm_ratio(model, measured, level)
+                key = (background_of(name), detector, f"pfa_ratio@{scientific(level)}")
+                ratios[key] = AlarmRatio(found.value, found.lower, found.upper)
+    return ratios
+
+
+def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> str:
+    """In words, which experiment explains a ratio that is off by more than a factor of two, or that none does.
+
+    Examples
+    --------
+    >>> r = [AlarmRatio(v, v / 2, v * 2) for v in (6.0, 1.5, 4.0)]
+    >>> reason_for(r[0], [("local", r[1]), ("tails", r[2])])
+    "off by a factor of 6; 'local' leaves 1.5: it would explain it"
+    >>> reason_for(r[1], [("tails", r[2])])
+    'within a factor of two'
+    """
+    if before.good:
+        return "within a factor of two"
+    size = f"off by a factor of {math.exp(before.off):.2g}"
+    if before.lower <= FACTOR and before.upper >= 1.0 / FACTOR:
+        size += ", within what its interval allows"
+    best = min(tried, key=lambda item: item[1].off, default=None)
+    if best is None or best[1].off >= before.off:
+        return f"{size}; no what-if brings it nearer"
+    end = "it would explain it" if best[1].good else "the nearest, and not enough"
+    return f"{size}; {best[0]!r} leaves {best[1].value:.2g}: {end}"
+
+
+def _alarm_rows(outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
+    """Every ratio of false alarms with its reason, then the ratio after each experiment."""
+    tried: dict[Key, list[tuple[str, AlarmRatio]]] = {}
+    before: dict[Key, AlarmRatio] = {}
+    for outcome in outcomes:
+        for key, (first, after) in outcome.alarms.items():
+            before[key] = first
+            tried.setdefault(key, []).append((outcome.item.name, after))
+    for (subject, detector, metric), first in before.items():
+        make, why = RowMaker("attribution", subject, detector), reason_for(first, tried[subject, detector, metric])
+        yield make.row(metric, first.value, first[1:], reason=why)
+    for (subject, detector, metric), first in before.items():
+        words = f"{first.value:.3g} before ({first.lower:.2g} to {first.upper:.2g})"
+        for name, after in tried[subject, detector, metric]:
+            make = RowMaker("what-if", subject, f"{name} / {detector}")
+            yield make.row(metric, after.value, after[1:], reason=words)

@@ -1,1 +1,0 @@
-"""Why model and data differ: what each input moves, and which one would close the gap."""

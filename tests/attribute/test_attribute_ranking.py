@@ -1,0 +1,218 @@
+"""From a ranking and what-ifs to rows that a reader understands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from hyperval.attribute import (
+    COMMON,
+    DIFFERENT,
+    AttributionOptions,
+    Candidate,
+    ResidualBlock,
+    Stack,
+    WhatIf,
+    Whitened,
+    budget_covariance,
+    changed_scenarios,
+    common_and_own,
+    explanation,
+    quadratic_design,
+    ranking,
+    rankings,
+    sensitivity_indices,
+)
+from hyperval.errors import UsageError
+from hyperval.scenario import load_scenario
+
+N = 50
+X = np.linspace(0.0, 1.0, N)
+FREE, STATED = (Candidate("input", "", "", budgeted) for budgeted in (False, True))
+GAIN = Candidate("gain", "sensor", "1 %", False)
+TILT = Candidate("tilt", "sensor", "1 %", True)
+TWIN = Candidate("twin of gain", "sensor", "1 %", False)
+COLUMNS = {GAIN: np.ones((N, 1)), TILT: (X - 0.5)[:, None]}
+
+
+def _ranking(residual, columns=None):
+    columns = columns or COLUMNS
+    covariance = 0.1**2 * np.eye(N) + budget_covariance(columns, N)
+    return ranking("all", residual, covariance, columns)
+
+
+@pytest.mark.parametrize(
+    ("residual", "conclusion"),
+    [
+        (0.1 * np.sin(40 * X), "nothing to explain"),
+        (0.05 * np.sin(40 * X), "stated uncertainty at least 2 times too wide"),
+        (np.full(N, 3.0), "gain (+3 times its step of 1 %) explains most, and is enough"),
+        (3.0 + 2.0 * np.sin(40 * X), "but none is enough"),
+        (6.0 + 9.5 * (X - 0.5) + 0.08 * np.sin(40 * X), "gain and tilt together are enough"),
+    ],
+)
+def test_a_residual_and_what_is_said_of_it(residual, conclusion):
+    assert conclusion in _ranking(residual).conclusion
+
+
+def test_inputs_alike_are_not_told_apart():
+    found = _ranking(np.full(N, 3.0), COLUMNS | {TWIN: np.ones((N, 1))})
+    assert found.ranked[0].units == pytest.approx(3.0, rel=0.01)
+    assert "not told apart from twin of gain" in found.conclusion
+
+
+def test_an_input_cannot_move_farther_than_it_may():
+    near = Candidate("gain", "sensor", "1 %", False)
+    found = _ranking(np.full(N, -14.0), {near: np.ones((N, 1))})
+    assert found.ranked[0].units == pytest.approx(-10.0)
+    assert found.ranked[0].chi_square == pytest.approx(N * (4.0 / 0.1) ** 2)  # what is left of 14 steps
+    assert "gain (-10 times its step of 1 %, as far as it can) explains most, but none is enough" in found.conclusion
+
+
+def _three_subjects():
+    """Radiances (3 x 20) of three subjects, a gain that they share and one spectrum that is off by a slope."""
+    level = np.stack([1.0 + 0.3 * np.sin(k + np.linspace(0, 3, 20)) for k in range(3)])
+    common = np.concatenate([np.diag(row) for row in level])
+    slope = np.zeros_like(level)
+    slope[1] = 0.1 * level[1] * np.linspace(-1, 1, 20)
+    spectrum = Candidate("spectrum", "surface", "10 %", False)
+    return common, {GAIN: 0.01 * level.reshape(-1, 1), spectrum: slope.reshape(-1, 1)}
+
+
+def test_what_all_subjects_share_is_told_apart_from_what_differs():
+    common, columns = _three_subjects()
+    rng = np.random.default_rng(6)
+    covariance = 0.005**2 * np.eye(60)
+    noise = 0.005 * rng.normal(size=60)
+    parts = common_and_own(4 * columns[GAIN][:, 0] + noise, covariance, common, columns)
+    shared, different = (ranking(name, *parts[name]) for name in (COMMON, DIFFERENT))
+    assert (shared.dof, different.dof) == (20, 40)
+    assert shared.ranked[0].candidate is GAIN
+    assert shared.ranked[0].units == pytest.approx(4.0, abs=0.3)
+    assert different.p_value > 0.001  # false failure 1e-3: the noise alone is there
+    assert GAIN not in {r.candidate for r in different.ranked}
+    spectrum = next(c for c in columns if c is not GAIN)
+    parts = common_and_own(3 * columns[spectrum][:, 0] + noise, covariance, common, columns)
+    different = ranking(DIFFERENT, *parts[DIFFERENT])
+    assert different.ranked[0].candidate is spectrum
+    assert different.ranked[0].units == pytest.approx(3.0, abs=0.3)
+
+
+def test_the_two_parts_hold_all_of_the_residuals_and_do_not_correlate():
+    common, columns = _three_subjects()
+    rng = np.random.default_rng(8)
+    a = rng.normal(size=(60, 60))
+    covariance, r = a @ a.T / 60 + 0.1 * np.eye(60), rng.normal(size=60)
+    parts = common_and_own(r, covariance, common, columns)
+    whole = r @ np.linalg.solve(covariance, r)
+    assert sum(x @ np.linalg.solve(c, x) for x, c, _ in parts.values()) == pytest.approx(whole, rel=1e-9)
+
+
+def test_a_what_if_changes_the_scenarios_that_it_fits():
+    scenarios = [load_scenario("yellow-planks-asphalt"), load_scenario("panels")]
+    target = scenarios[0].scene.targets[0].name
+    item = WhatIf(name="x", question="?", scenario={f"scene.targets.{target}.gain": 3.0})
+    changed = changed_scenarios(scenarios, item)
+    assert changed[0].scene.targets[0].gain == 3.0
+    assert changed[1] is scenarios[1]
+    nowhere = WhatIf(name="y", question="?", scenario={"scene.targets.nothing.gain": 3.0})
+    with pytest.raises(UsageError, match="fits no scenario"):
+        changed_scenarios(scenarios, nowhere)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"what_ifs": [{"name": "a", "question": "?"}]},
+        {"what_ifs": [{"name": "a", "question": "?", "observe": {"name": "b"}}]},
+        {"what_ifs": [{"name": "a", "question": "?", "scenario": {"name": "b"}}] * 2},
+    ],
+)
+def test_what_ifs_that_say_nothing_are_refused(data):
+    with pytest.raises(ValueError, match=r"changes something|neither collection|two what-ifs"):
+        AttributionOptions.model_validate(data)
+
+
+def _world(rng, n=40, k=3):
+    a = rng.normal(size=(n, n))
+    c = a @ a.T / n + 0.1 * np.eye(n)
+    return c, rng.normal(size=(n, k))
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_gain_is_the_likelihood_ratio_of_the_normal_density(k):
+    rng = np.random.default_rng(1)
+    c, g = _world(rng, k=k)
+    r = g @ rng.normal(size=k) * 4 + np.linalg.cholesky(c) @ rng.normal(size=len(c))
+
+    def loglik(log_t2):
+        return stats.multivariate_normal.logpdf(r, cov=c + np.exp(log_t2) * g @ g.T)
+
+    best = optimize.minimize_scalar(lambda x: -loglik(x), bounds=(-6, 8), method="bounded", options={"xatol": 1e-9})
+    found = explanation(Whitened(r, c), g, FREE)
+    base = stats.multivariate_normal.logpdf(r, cov=c)
+    assert found.gain == pytest.approx(2 * (-best.fun - base), rel=1e-6)
+    assert found.tau == pytest.approx(np.exp(best.x / 2), rel=1e-3)
+    wide = c + found.tau**2 * g @ g.T
+    assert found.chi_square == pytest.approx(r @ np.linalg.solve(wide, r), rel=1e-8)
+    np.testing.assert_allclose(found.amplitudes, found.tau**2 * g.T @ np.linalg.solve(wide, r), rtol=1e-7)
+
+
+def test_the_budgeted_amplitude_with_nothing_to_gain_is_that_of_the_stated_uncertainty():
+    c, g = np.eye(4), np.array([1.0, 0, 0, 0])
+    r = np.array([1.0, 0.5, -0.5, 0.2])
+    total = c + np.outer(g, g)
+    found = explanation(Whitened(r, total), g, STATED)
+    assert found.gain == 0.0
+    assert found.amplitudes[0] == pytest.approx(0.5)  # N(0, 1) prior and unit noise share a residual of 1
+
+
+def test_a_direction_that_would_go_too_far_stops_there_and_the_others_go_where_they_must():
+    g, r = np.eye(6)[:, :2], np.array([30.0, 3.0, 0.1, -0.2, 0.1, 0.0])
+    found = explanation(Whitened(r, 0.01**2 * np.eye(6)), g, FREE, 10.0)
+    assert found.limited
+    np.testing.assert_allclose(found.amplitudes, [10.0, 3.0], rtol=1e-3)
+    assert found.chi_square == pytest.approx((20.0 / 0.01) ** 2 + 6 * 100, rel=1e-3)
+    assert not explanation(Whitened(r, 0.01**2 * np.eye(6)), g, FREE).limited
+
+
+def test_refuses_what_has_no_uncertainty():
+    with pytest.raises(UsageError, match="uncertainty"):
+        Whitened([1.0, 2.0], np.diag([1.0, 0.0]))
+    with pytest.raises(UsageError, match="finite"):
+        Whitened([np.nan], [[1.0]])
+
+
+@pytest.mark.parametrize("name", ["a", "z"])
+def test_rounding_neither_orders_what_explains_the_same_nor_counts_as_an_effect(name):
+    blocks = [ResidualBlock("scores", s, "cem", np.zeros(1), np.eye(1), lambda p: np.zeros(1)) for s in ("near", "far")]
+    columns = {
+        Candidate(name, "", "", False): np.array([[0.3], [0.0]]),
+        Candidate("m", "", "", False): np.array([[0.3 * (1.0 + 4e-16)], [0.0]]),
+        Candidate("far alone", "", "", False): np.array([[1e-17], [1.0]]),
+    }
+    _, near = rankings(Stack(tuple(blocks)), np.array([5.0, 0.0]), np.eye(2), columns, ["near"])
+    assert [r.candidate.name for r in near.ranked] == sorted([name, "m"])
+
+
+def test_a_polynomial_of_degree_two_is_met_exactly():
+    def f(z):
+        return 2.0 + 3.0 * z[:, 0] + 1.0 * z[:, 1] ** 2 + 2.0 * z[:, 0] * z[:, 2]
+
+    z = quadratic_design(3)
+    found = sensitivity_indices(z, f(z))
+    # variances by hand: 9, 2 (of z^2), 4
+    np.testing.assert_allclose(found.first[0], np.array([9, 2, 0]) / 15, atol=1e-10)
+    np.testing.assert_allclose(found.total[0], np.array([13, 2, 4]) / 15, atol=1e-10)
+
+
+def test_a_quantity_that_does_not_move_has_no_shares():
+    z = quadratic_design(2)
+    found = sensitivity_indices(z, np.full((len(z), 1), 0.7))
+    assert np.isnan(found.total).all()
+
+
+def test_too_few_evaluations_are_refused():
+    with pytest.raises(UsageError, match="66 and more"):
+        sensitivity_indices(np.eye(10), np.ones(10))

@@ -1,0 +1,309 @@
+"""Sensor files: the library, evaluation on other axes, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from hyperval.envi_header import read_header
+from hyperval.errors import InputError, UsageError
+from hyperval.sensor import (
+    Bands,
+    Blur,
+    NoiseModel,
+    PublishedSnr,
+    Quantity,
+    Sensor,
+    SensorOperation,
+    SensorSpecification,
+    SpectralShift,
+    Throughput,
+    library_names,
+    load_sensor,
+)
+from hyperval.spectra import SpectralAxis
+
+# Radiance of a 0.25 reflector under a 45 degree sun without atmosphere, 0.25 E0 cos 45 / pi.
+WAVELENGTH = np.array([450.0, 550, 650, 850, 1050, 1250, 1650, 2200])
+RADIANCE = np.array([11.21, 10.64, 8.92, 5.43, 3.71, 2.53, 1.28, 0.466])
+
+
+@pytest.mark.parametrize("name", library_names())
+def test_a_library_sensor_is_complete(name):
+    sensor = load_sensor(name)
+    noise = sensor.noise()
+    level = np.interp(sensor.axis.centre_nm, WAVELENGTH, RADIANCE)
+    snr = noise.snr(level)
+    assert np.all(np.isfinite(snr))
+    assert np.all((snr > 1) & (snr < 1000))
+    assert np.all(snr <= 100 / noise.calibration_percent)  # C_R caps the SNR
+    assert np.all(noise.snr(level, calibration=False) > snr)
+
+
+def test_prospectir_has_its_header_bands():
+    axis = load_sensor("prospectir-vs").axis
+    assert (len(axis), int(axis.good.sum())) == (360, 254)
+    assert axis.centre_nm[[0, 116, 117, -1]] == pytest.approx([395.27, 935.78, 942.33, 2469.96])
+    bad = np.flatnonzero(~axis.good) + 1
+    expected = [*range(114, 124), *range(143, 154), *range(182, 198), *range(253, 281), *range(320, 361)]
+    assert bad.tolist() == expected
+
+
+def test_aviris_ng_fixed_noise_is_flat():
+    # The rows of the file were chosen within 3 % of the median of all published bands, 111.8 electrons.
+    noise = load_sensor("aviris-ng").noise()
+    assert np.median(noise.fixed_noise) == pytest.approx(111.8, rel=0.01)
+    assert noise.fixed_noise == pytest.approx(np.full(425, 111.8), rel=0.03)
+
+
+@pytest.mark.data
+def test_aviris_ng_against_the_published_coefficients(data_dir):
+    rows = np.loadtxt(data_dir("sensors/avirisng_noise.txt"))
+    level = np.interp(rows[:, 0], WAVELENGTH, RADIANCE)
+    published = level / np.abs(rows[:, 1] * np.sqrt(rows[:, 2] + level) + rows[:, 3])
+    on = SpectralAxis(rows[:, 0], np.full(len(rows), 5.8))
+    found = load_sensor("aviris-ng").noise(on).snr(level, calibration=False)
+    clear = np.abs(np.sqrt(rows[:, 2]) / rows[:, 1] / 111.8 - 1) < 0.05
+    assert np.sqrt(np.mean((found / published - 1)[clear] ** 2)) < 0.02
+
+
+@pytest.mark.data
+def test_prospectir_against_the_header_table(data_dir):
+    rows = np.genfromtxt(data_dir("sensors/prospectir_vs_bands_2010.csv"), delimiter=",", skip_header=1)
+    axis = load_sensor("prospectir-vs").axis
+    assert axis.centre_nm == pytest.approx(rows[:, 1] * 1000, abs=1e-6)
+    assert axis.fwhm_nm == pytest.approx(rows[:, 2] * 1000, abs=1e-3)
+    assert np.array_equal(axis.good, rows[:, 3] > 0)
+
+
+@pytest.mark.data
+def test_prospectir_of_2012_against_the_header_of_avon(data_dir):
+    header = read_header(data_dir("share2012-felt/images/avon_reflectance.hdr"))
+    axis = load_sensor("prospectir-vs-2012").axis
+    centre, width = header.numbers("wavelength"), header.numbers("fwhm")
+    assert centre is not None
+    assert width is not None
+    assert len(axis) == 360
+    assert axis.centre_nm[axis.good] == pytest.approx(centre * 1000, abs=1e-6)
+    assert axis.fwhm_nm[axis.good] == pytest.approx(width * 1000, abs=1e-6)
+
+
+def test_the_detectors_of_prospectir_are_told_by_width():
+    """Narrow bands have the VNIR's noise in both sets, those of 939 to 985 nm in the set of 2012 too."""
+    for name, narrow, last in (("prospectir-vs", 117, 935.78), ("prospectir-vs-2012", 126, 985.4)):
+        sensor = load_sensor(name)
+        vnir = sensor.axis.fwhm_nm < 5.5
+        assert vnir.sum() == narrow
+        assert sensor.axis.centre_nm[vnir].max() == last
+        assert np.array_equal(sensor.noise().fixed_noise == 60.0, vnir)
+
+
+def test_electrons_scale_with_the_width_of_another_axis():
+    sensor = load_sensor("prospectir-vs")
+    centre = np.array([550.0, 1600.0])
+    narrow = sensor.noise(SpectralAxis(centre, np.array([5.0, 5.0])))
+    wide = sensor.noise(SpectralAxis(centre, np.array([10.0, 10.0])))
+    assert wide.electrons_per_radiance == pytest.approx(2 * narrow.electrons_per_radiance)
+
+
+def test_unknown_name_and_missing_file(tmp_path):
+    with pytest.raises(UsageError, match="unknown sensor 'aviris'"):
+        load_sensor("aviris")
+    with pytest.raises(InputError, match="no such file"):
+        load_sensor(tmp_path / "none.yaml")
+
+
+def arm(**changes) -> dict:
+    q = {"value": 0.5, "source": "assumed"}
+    return {
+        "name": "a", "range_nm": [400, 1000],
+        "throughput": {"convention": "value", "cm2_sr": 1e-6, "source": "assumed"},
+        "optical_transmittance": q, "quantum_efficiency": q, "integration_time_s": {**q, "value": 0.01},
+        "fixed_noise_electrons": {**q, "value": 20}, "bits": 12, "full_well_electrons": {**q, "value": 1e5},
+        **changes,
+    }  # fmt: skip
+
+
+def specification(**changes) -> dict:
+    base = {
+        "schema": 1, "name": "x", "title": "x", "source": "assumed",
+        "bands": {"regular": {"first_nm": 400, "step_nm": 10, "count": 5, "fwhm_nm": 10}, "source": "assumed"},
+        "arms": [arm()], "calibration_error_percent": {"value": 1.0, "source": "assumed"},
+    }  # fmt: skip
+    return {**base, **changes}
+
+
+def noise_of(**changes) -> NoiseModel:
+    return Sensor(SensorSpecification.model_validate(specification(arms=[arm(**changes)]))).noise()
+
+
+def test_three_ways_to_say_the_least_significant_bit():
+    q = {"source": "assumed"}
+    by_well = noise_of()
+    assert by_well.lsb_electrons == pytest.approx(np.full(5, 1e5 / 4096))
+    given = noise_of(full_well_electrons=None, lsb_electrons={**q, "value": 7.0})
+    assert given.lsb_electrons == pytest.approx(np.full(5, 7.0))
+    by_radiance = noise_of(full_well_electrons=None, saturation_radiance={**q, "value": 30.0})
+    assert by_radiance.lsb_electrons == pytest.approx(30.0 * by_radiance.electrons_per_radiance / 4096)
+
+
+FILES = {
+    "emit": ("sensors/emit_noise.txt", 298.0),
+    "aviris-ng": ("sensors/avirisng_noise.txt", 112.0),
+    "sbg": ("sensors/sbg_noise_coeffs.txt", 84.0),
+    "tanager": ("sensors/tanager1_noise_20241016.txt", 146.0),
+    "aviris-c": ("sensors/avirisc_noise.txt", 132.0),
+}
+
+
+def sensor(**changes) -> Sensor:
+    return Sensor(SensorSpecification.model_validate(specification(**changes)))
+
+
+def two_arms(**second) -> Sensor:
+    bands = {"regular": {"first_nm": 500, "step_nm": 100, "count": 10, "fwhm_nm": 10}, "source": "assumed"}
+    return sensor(bands=bands, arms=[arm(), arm(name="b", range_nm=[1000, 1500], **second)])
+
+
+def test_noise_terms_apart_sum_to_the_total():
+    rate = {"value": 1e-6, "source": "assumed"}
+    m, level = noise_of(bit_error_rate=rate), np.linspace(0.5, 12.0, 5)
+    b = m.breakdown(level)
+    assert b.total == pytest.approx(m.variance(level), rel=1e-12)
+    assert b.total - b.calibration == pytest.approx(m.variance(level, calibration=False), rel=1e-12)
+    assert np.all(b.fit == 0)
+    assert b.shot == pytest.approx(level / m.electrons_per_radiance)
+    assert b.bit_errors / b.quantisation == pytest.approx(np.full(5, 12 * 1e-6 * (4.0**12 - 1) / 3))
+
+
+def test_terms_of_measured_noise_with_c():
+    m, level = load_sensor("aviris-c").noise(), np.full(219, 3.0)
+    b = m.breakdown(level)
+    assert b.total == pytest.approx(m.variance(level), rel=1e-9)
+    assert np.any(b.fit != 0)
+    assert np.all(b.quantisation == 0)
+
+
+def test_arms_that_differ_in_bits_and_bit_errors():
+    m = two_arms(bits=14, bit_error_rate={"value": 1e-6, "source": "assumed"}, bit_error_per="word").noise()
+    lsb = m.lsb_electrons * m.electrons_per_radiance**0
+    assert lsb[0] == pytest.approx(1e5 / 4096)
+    assert lsb[-1] == pytest.approx(1e5 / 16384)
+    b = m.breakdown(np.full(10, 5.0))
+    assert b.bit_errors[0] == 0
+    # Per word of 14 bits: LSB^2 B_e (4^14 - 1) / (3 * 14).
+    expected = lsb[-1] ** 2 * 1e-6 * (4.0**14 - 1) / 42 / m.electrons_per_radiance[-1] ** 2
+    assert b.bit_errors[-1] == pytest.approx(expected, rel=1e-12)
+
+
+def test_full_scale_and_saturation():
+    m = noise_of()
+    assert m.full_scale == pytest.approx(1e5 / m.electrons_per_radiance)
+    assert m.full_scale_fraction(1.5 * m.full_scale) == pytest.approx(np.full(5, 1.5))
+    q = {"value": 30.0, "source": "assumed"}
+    assert noise_of(full_well_electrons=None, saturation_radiance=q).full_scale == pytest.approx(np.full(5, 30.0))
+    assert np.all(np.isnan(load_sensor("emit").noise().full_scale_fraction(np.ones(285))))
+
+
+def test_shift_of_one_arm_moves_its_bands_alone():
+    s = two_arms()
+    true = s.true_axis(s.axis, SensorOperation(wavelength_shift_nm={"b": -1.5}))
+    assert true.centre_nm - s.axis.centre_nm == pytest.approx(np.where(s.axis.centre_nm > 1000, -1.5, 0.0))
+    assert s.true_axis(s.axis) is s.axis
+    with pytest.raises(UsageError, match="has no arm 'c'"):
+        s.true_axis(s.axis, SensorOperation(wavelength_shift_nm={"c": 1.0}))
+
+
+def test_smile_is_a_polynomial_across_the_track():
+    smile = {"shift_nm": 0.2, "smile_nm": [0.1, 0.4], "columns": 101, "source": "assumed"}
+    s = sensor(spectral_calibration=[smile])
+
+    def shift(column: float | None) -> float:
+        return float(s.true_axis(s.axis, SensorOperation(column=column)).centre_nm[0] - 400.0)
+
+    # At the ends x = -1 and 1: 0.2 -+ 0.1 + 0.4; in the middle 0.2; at 3/4 x = 0.5: 0.2 + 0.05 + 0.1.
+    assert [shift(c) for c in (0, 100, 50, 75, None)] == pytest.approx([0.5, 0.7, 0.2, 0.35, 0.2])
+    with pytest.raises(UsageError, match=r"sensor_operation\.column: column 101 lies outside 0-100"):
+        shift(101)
+    with pytest.raises(ValueError, match="smile_nm and columns go together"):
+        sensor(spectral_calibration=[{"smile_nm": [0.1], "source": "assumed"}])
+
+
+def published(path) -> tuple[np.ndarray, ...]:
+    return tuple(np.loadtxt(path)[:, :4].T)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", list(FILES))
+def test_fixed_noise_in_electrons_comes_out_of_the_published_file(name, data_dir):
+    _, a, b, _ = published(data_dir(FILES[name][0]))
+    assert round(float(np.median(np.sqrt(b) / a))) == FILES[name][1]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["emit", "aviris-ng", "sbg", "tanager"])
+def test_snr_through_electrons_is_the_noise_formula_where_c_is_0(name, data_dir):
+    _, a, b, c = published(data_dir(FILES[name][0]))
+    a, b = a[c == 0], b[c == 0]
+    assert a.size >= 18
+    zero = np.zeros(a.size)
+    electrons = NoiseModel(1 / a**2, np.sqrt(b) / a, 1.0, zero, 1, 0.0, "bit", zero)  # no (a, b, c) in it
+    for level in (0.01, 1.0, 20.0):
+        snr = level / np.abs(a * np.sqrt(b + level))
+        assert electrons.snr(np.full(a.size, level)) == pytest.approx(snr, rel=1e-6)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", list(FILES))
+def test_library_follows_the_published_file(name, data_dir):
+    w, a, b, c = published(data_dir(FILES[name][0]))
+    order = np.argsort(w)
+    w, a, b, c = w[order], a[order], b[order], c[order]
+    flat = np.abs(np.sqrt(b) / a / np.median(np.sqrt(b) / a) - 1) < 0.25
+    apart = np.diff(w, prepend=0) > (7 if name == "aviris-c" else 4)  # outside the overlap of its spectrometers
+    keep = flat & apart & (np.roll(apart, -1)) & (w < 2500)
+    found = load_sensor(name).noise(SpectralAxis(w[keep], np.full(int(keep.sum()), 5.0)))
+    nedl = np.abs(a * np.sqrt(b + 2.0) + c)[keep]
+    error = np.abs(np.sqrt(found.variance(np.full(keep.sum(), 2.0), calibration=False)) / nedl - 1)
+    assert np.quantile(error, 0.95) < 0.06
+    assert np.median(error) < 0.03
+
+
+SOURCE = "assumed: for tests"
+ONE = {"value": 1.0, "source": SOURCE}
+SCENE = {"reflectance": 0.3, "solar_zenith_deg": 30.0, "sensor_altitude_km": 700.0, "source": SOURCE}
+
+
+@pytest.mark.parametrize(
+    ("kind", "entries", "words"),
+    [
+        (Quantity, {}, "give either value or table"),
+        (Quantity, {"value": 1.0, "table": [[400.0, 1.0], [500.0, 1.0]]}, "give either value or table"),
+        (Quantity, {"table": [[400.0, 1.0]]}, "at least two rows in rising wavelength"),
+        (Quantity, {"table": [[400.0, 1.0], [400.0, 1.0]]}, "at least two rows in rising wavelength"),
+        (Bands, {}, "give either table, regular or parts"),
+        (Blur, {}, "give either fwhm_pixels or mtf_at_nyquist"),
+        (Blur, {"fwhm_pixels": [1.0, 1.0], "mtf_at_nyquist": [0.3, 0.3]}, "give either fwhm_pixels or"),
+        (Blur, {"fwhm_pixels": [1.0, 5.1]}, "fwhm_pixels lies between 0 and 5"),
+        (Blur, {"fwhm_pixels": [-0.1, 1.0]}, "fwhm_pixels lies between 0 and 5"),
+        (Blur, {"mtf_at_nyquist": [0.3, 0.64]}, "mtf_at_nyquist lies between 0.01 and 0.6366"),
+        (Blur, {"mtf_at_nyquist": [0.009, 0.3]}, "mtf_at_nyquist lies between 0.01 and 0.6366"),
+        (PublishedSnr, {"table": [[500.0, 100.0]], "radiance": ONE, "scene": SCENE}, "radiance or scene, not both"),
+        (Throughput, {}, "the convention square-ifov needs aperture_m, ifov_mrad"),
+        (Throughput, {"convention": "slit", "f_number": 2.0}, "slit needs slit_width_um, slit_height_um"),
+        (SpectralShift, {"smile_nm": [1.0]}, "smile_nm and columns go together"),
+        (SpectralShift, {"columns": 100}, "smile_nm and columns go together"),
+    ],
+)  # fmt: skip
+def test_entries_that_contradict_themselves_are_refused(kind, entries, words):
+    with pytest.raises(ValidationError, match=words):
+        kind(**entries, source=SOURCE)
+
+
+def test_an_arm_serves_fifty_nanometres_beyond_its_range_and_no_more():
+    sensor = load_sensor("hydice")
+    low = min(arm.range_nm[0] for arm in sensor.specification.arms)
+    assert sensor.arm_index(np.array([low - 50.0])).size == 1
+    with pytest.raises(UsageError, match="has no arm at"):
+        sensor.arm_index(np.array([low - 50.1]))
