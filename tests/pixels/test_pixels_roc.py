@@ -13,7 +13,6 @@ from scipy.special import logit
 from hyperval.model import AREAS, WHOLE, RocArea, bounded_mean_limits, clopper_pearson, mid_p_limits
 from hyperval.pixels import (
     AlarmBlocks,
-    OrderStatistics,
     alarms_at_detection,
     area_estimates,
     area_variance,
@@ -114,32 +113,6 @@ def test_a_curve_of_any_finite_scores_rises_within_its_limits(targets, backgroun
     assert (curve.n_target, curve.n_background) == (len(targets), len(background))
 
 
-KINDS = {
-    "normal": lambda rng, n: rng.normal(size=n),
-    "heavy tails": lambda rng, n: rng.standard_cauchy(size=n),
-    "ties": lambda rng, n: np.round(rng.normal(size=n), 1),
-    "one value": lambda rng, n: np.full(n, 0.25),
-    "two far values": lambda rng, n: np.where(rng.random(n) < 0.9, 0.0, 1e300),
-    "infinities": lambda rng, n: np.where(rng.random(n) < 0.2, rng.choice([-np.inf, np.inf], n), rng.normal(size=n)),
-    "all infinite": lambda rng, n: rng.choice([-np.inf, np.inf], n),
-    "tiny": lambda rng, n: 1e-310 * rng.normal(size=n),
-    "sorted": lambda rng, n: np.sort(rng.exponential(size=n)),
-}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("n", [1, 57, 30_011])
-def test_equal_to_the_sort(kind, n):
-    rng = np.random.default_rng(n)
-    x = KINDS[kind](rng, n)
-    ranks = np.unique(np.concatenate([[1, n], rng.integers(1, n + 1, 200)]))
-    found = OrderStatistics(x, ranks)
-    greatest = np.sort(x)[::-1][ranks - 1]
-    assert np.array_equal(found.greatest(ranks), greatest)
-    assert np.array_equal(found.above(greatest), [np.sum(x > value) for value in greatest])
-    assert found.greatest(n + 1) == -np.inf
-
-
 SCORES = st.lists(
     st.one_of(st.integers(-3, 3).map(float), st.floats(allow_nan=False), st.sampled_from([1e-310, 1e300, -1e300])),
     min_size=1, max_size=30,
@@ -155,7 +128,9 @@ def test_counts_and_area_equal_sorting(target, background):
     counts = counts_of(t, b)
     assert counts.ties.tolist() == [int(np.sum(b == v)) for v in counts.value]
     assert counts.between.sum() + counts.ties.sum() == b.size
-    assert counts.below == pytest.approx([np.mean(b < v) + 0.5 * np.mean(b == v) for v in counts.value])
+    assert np.array_equal(
+        counts.shares, [[np.mean(b > v) for v in counts.value], [np.mean(b == v) for v in counts.value]]
+    )
 
 
 PART, LOG = RocArea(0.05, 0.4), RocArea(0.05, 0.4, logarithmic=True)
@@ -367,7 +342,7 @@ def limit(count, n, tail, side):
 def test_interval_against_its_definition(m, n, q, decimals):
     rng = np.random.default_rng(m)
     t, b = np.round(rng.normal(1, 1, m), decimals), np.round(rng.normal(size=n), decimals)
-    (found,) = alarms_at_detection(counts_of(t, b), [q])
+    (found,) = alarms_at_detection(t, b, [q])
     each = np.sqrt(0.95)
     tail = (1 - each) / 2
     greatest = np.sort(t)[::-1]
@@ -389,7 +364,7 @@ def test_interval_against_its_definition(m, n, q, decimals):
 def test_a_share_that_is_a_whole_number_of_targets_is_not_rounded_up():
     # 0.07 * 100 is 7.000000000000001 in floating point: the 7th target and not the 8th.
     t = np.arange(100.0)
-    (found,) = alarms_at_detection(counts_of(t, np.array([-1.0, 50.0])), [0.07])
+    (found,) = alarms_at_detection(t, [-1.0, 50.0], [0.07])
     assert found.threshold == 93.0
 
 

@@ -60,7 +60,7 @@ def test_metrics_are_those_of_the_roc(scores, name):
         LOG_AREA: lambda: roc_area(counts, AREAS[LOG_AREA]),
         "pd@1e-2": lambda: empirical_roc(targets, background, 1e-2).pd[0],
         "pd@1e-3": lambda: empirical_roc(targets, background, 1e-3).pd[0],
-        "far@pd0.5": lambda: next(a.pfa for a in alarms_at_detection(counts) if a.pd == 0.5),
+        "far@pd0.5": lambda: next(a.pfa for a in alarms_at_detection(targets, background) if a.pd == 0.5),
     }[name]()
     assert value == pytest.approx(expected, abs=1e-12)
 

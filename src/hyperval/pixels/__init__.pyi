@@ -61,7 +61,6 @@ from .objects import (
     with_halo,
 )
 from .roc import (
-    OrderStatistics,
     PresetThresholds,
     alarms_at_detection,
     alarms_before_first,
@@ -147,7 +146,6 @@ __all__ = [
     "LocalWindow",
     "MeasuredPanel",
     "MixtureFit",
-    "OrderStatistics",
     "PixelDetector",
     "Placed",
     "PresetThresholds",

@@ -91,13 +91,11 @@ class AlarmBlocks:
         """Scores (n,) at lines and samples (n,) [pixels], of ``classes`` (n,)."""
         values = np.asarray(scores, dtype=float)
         b = side or block_side(values.size)
-        place = np.stack([np.asarray(lines) // b, np.asarray(samples) // b]).astype(np.int64) + 1
-        width = int(place[1].max(initial=0)) + 2
         own = np.zeros(values.size, np.int64) if classes is None else np.asarray(classes, np.int64)
-        many = int(own.max(initial=0)) + 1
-        key, block = np.unique((place[0] * width + place[1]) * many + own, return_inverse=True)
-        square, at = np.unique(key // many, return_inverse=True)
-        near = _bartlett(square, width)[at][:, at]
+        line, sample = (np.asarray(at, np.int64) // b for at in (lines, samples))
+        width, many = int(sample.max(initial=0)) + 1, int(own.max(initial=0)) + 1
+        key, block = np.unique((line * width + sample) * many + own, return_inverse=True)
+        near = _bartlett(np.stack(np.divmod(key // many, width), axis=1))
         return cls(values, block.astype(np.int64), near, _strata(np.bincount(block), key % many, near))
 
     @cached_property
@@ -249,22 +247,14 @@ def _shares(pixels: Counts, stratum: Counts) -> Array:
     return np.asarray(own / own.sum(axis=0))
 
 
-def _bartlett(key: Counts, width: int) -> sparse.csr_array:
-    """Weights between blocks, of which ``key`` (M,), increasing, is line times ``width`` plus sample."""
-    m = key.size
-    rows, columns, weights = [], [], []
-    for down in (-1, 0, 1):
-        for along in (-1, 0, 1):
-            wanted = key + down * width + along
-            at = np.minimum(np.searchsorted(key, wanted), m - 1)
-            there = np.flatnonzero(key[at] == wanted)
-            rows.append(there)
-            columns.append(at[there])
-            weights.append(np.full(there.size, (1.0 - abs(down) / 2.0) * (1.0 - abs(along) / 2.0)))
-    where = np.concatenate(rows), np.concatenate(columns)
-    from scipy import sparse  # what counts no alarms does without
+def _bartlett(squares: Counts) -> sparse.csr_array:
+    """Weights between blocks, by their places (M, 2): the part of two steps that is left, down and along."""
+    from scipy import sparse, spatial  # what counts no alarms does without
 
-    return sparse.csr_array((np.concatenate(weights), where), shape=(m, m))
+    pairs = spatial.KDTree(squares).query_pairs(1.0, np.inf, output_type="ndarray")
+    weight = np.prod(1.0 - np.abs(squares[pairs[:, 0]] - squares[pairs[:, 1]]) / 2.0, axis=1)
+    half = sparse.csr_array((weight, pairs.T), shape=(len(squares), len(squares)))
+    return sparse.csr_array(half + half.T + sparse.eye_array(len(squares)))
 
 
 _PER_DECADE = 10
@@ -334,14 +324,14 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     )  # fmt: skip
 
 
-def exceedance_at(curve: ExceedanceCurve, threshold: float) -> float:
-    """P(score > threshold), linear in log P between the points of a curve; that of its ends beyond them."""
-    return _read(curve, curve.probability, threshold)
+def exceedance_at(curve: ExceedanceCurve, threshold: float, values: Array | None = None) -> float:
+    """P(score > threshold), linear in log P between the points of a curve; that of its ends beyond them.
 
-
-def _read(curve: ExceedanceCurve, values: Array, threshold: float) -> float:
+    ``values`` (T,) : what stands for P, such as a limit of it
+    """
     keep = curve.probability > 0
-    return float(np.exp(np.interp(threshold, curve.threshold[keep], np.log(values[keep]))))
+    p = curve.probability if values is None else values
+    return float(np.exp(np.interp(threshold, curve.threshold[keep], np.log(p[keep]))))
 
 
 def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, level: float) -> FalseAlarmRatio:
@@ -362,7 +352,7 @@ def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, lev
     at = int(np.argmin(np.abs(np.log(measured.probability.clip(1e-300)) - math.log(level))))
     threshold, m = float(measured.threshold[at]), float(measured.probability[at])
     p = exceedance_at(predicted, threshold)
-    law = [abs(math.log(_read(predicted, side, threshold) / p)) for side in (predicted.lower, predicted.upper)]
+    law = [abs(math.log(exceedance_at(predicted, threshold, side) / p)) for side in (predicted.lower, predicted.upper)]
     with np.errstate(divide="ignore", invalid="ignore"):
         rate = np.abs(np.log(np.array([measured.upper[at], measured.lower[at]]) / m))
     down, up = np.hypot(law, rate)

@@ -1,14 +1,7 @@
-"""Empirical ROC curves: exact with ties, by pixel or by object, with honest intervals.
+"""Empirical ROC curves: exact with ties, by pixel or by object, with intervals of curve, areas and alarms.
 
-A pixel is declared a target when its score lies strictly above the threshold.
-
-A few order statistics of many scores without sorting them all.
-
-Where many background scores lie among few target scores, without sorting the many: curve, area, bootstrap.
-
-False alarms at a stated detection probability, with everything that is uncertain about them.
-
-Areas under the ROC from rank counts: whole, partial and log-weighted, with their sampling error.
+A pixel is declared a target when its score lies strictly above the threshold.  All that is asked of the background is
+read from its scores in order.
 
 Every area is the mean over targets of a function g of s, the share of the background that outscores the target:
 
@@ -26,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -42,80 +36,39 @@ Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 Scores = npt.ArrayLike | AlarmBlocks  # the latter know their places, and come in clusters
 
-_BINS = 16384
-_SAMPLE = 2048
-# Up to so many scores sorting is as fast.
-_FEW = 20_000
+POINTS_PER_DECADE = 20
+STATED_PD = (0.5, 0.9)
+_SAFE = 6.0  # how many times as often the limit without assumptions may be told to miss
+_LOST_ENOUGH = 8.0  # targets' worth of area that a variance can be estimated from
+_CHUNK = 2_000_000  # values of the largest array of a bootstrap
+_ROUNDING = 1.0 + 1e-12  # a share that is a whole number of scores is not taken for the next one
 
 
-def bins_of(x: Array, low: float, width: float, bins: int) -> npt.NDArray[np.intp]:
-    """Bin 1 to ``bins`` + 1 of each score from ``low`` to ``low + width``, 0 below, ``bins`` + 1 above.
+def ascending(scores: Scores, side: str) -> Array:
+    """(n,) scores of any shape in order; UsageError where there are none or some are NaN."""
+    if isinstance(scores, AlarmBlocks):
+        values = scores.ascending
+    else:
+        values = np.sort(np.asarray(scores, dtype=float), axis=None)  # NaN last
+        missing = int(np.count_nonzero(np.isnan(values)))
+        if missing:
+            raise UsageError(f"{missing} of {values.size} {side} scores are NaN", mend="leave invalid pixels out")
+    if values.size == 0:
+        raise UsageError(f"there are no {side} scores", expected="at least one valid score on each side of a ROC")
+    return values
 
-    A function that never falls, so that equal scores share a bin and bins keep the order of the scores.
+
+def _ranks(n: int, p: npt.ArrayLike, level: float) -> tuple[Counts, Counts]:
+    """Ranks r, s of the greatest scores of n between which the threshold lies that truly passes a share ``p``.
+
+    r is the greatest with P(fewer than r of n above it) <= (1 - level)/2: the r-th greatest score bounds it from above,
+    and nothing does where r = 0.  s is the least with P(s or more above it) <= (1 - level)/2: the s-th greatest bounds
+    it from below, and nothing does where s > n.
     """
-    with np.errstate(over="ignore"):  # what overflows lies in the last or first bin
-        scaled = np.subtract(x, low)
-        scaled *= bins / width
-    np.maximum(scaled, -1.0, out=scaled)
-    np.minimum(scaled, float(bins), out=scaled)
-    scaled += 1.0
-    return scaled.astype(np.int32).astype(np.intp)
+    from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
 
-
-class OrderStatistics:
-    """Order statistics of scores (n,) without NaN, at ranks that are named beforehand.
-
-    Scores are put into bins between the ends of a sample; only bins that hold a wanted rank are sorted.
-    """
-
-    def __init__(self, scores: Array, ranks: npt.ArrayLike):
-        """``ranks``: from the greatest score, 1, to the least, n; others are taken for the nearer end."""
-        self.n = int(scores.size)
-        self._low, self._width, bins = 0.0, 1.0, 1
-        if self.n > _FEW:
-            sample = scores[:: self.n // _SAMPLE]
-            sample = sample[np.abs(sample) < 1e300]
-            low, high = np.percentile(sample, [0.5, 99.9]) if sample.size else (0.0, 0.0)
-            if high - low > 1e-290:
-                self._low, self._width, bins = float(low), float(high - low), _BINS
-        self._bins = bins
-        wanted = np.unique(np.clip(np.asarray(ranks, dtype=np.int64), 1, self.n))
-        if bins == 1:
-            self._sorted = np.sort(scores)
-            self._before = self._before_kept = np.zeros(bins + 3, np.int64)
-            return
-        which = bins_of(scores, self._low, self._width, bins)
-        count = np.bincount(which, minlength=bins + 2)
-        self._before = np.concatenate([[0], np.cumsum(count)])
-        keep = np.zeros(bins + 2, bool)
-        keep[self._bin_of_position(self.n - wanted)] = True
-        self._before_kept = np.concatenate([[0], np.cumsum(np.where(keep, count, 0))])
-        self._sorted = np.sort(scores[keep.take(which)])
-
-    def _bin_of_position(self, position: Counts) -> npt.NDArray[np.intp]:
-        """Bin of the score at a 0-based place in increasing order."""
-        return np.asarray(np.searchsorted(self._before, position, side="right") - 1)
-
-    def greatest(self, rank: npt.ArrayLike) -> Array:
-        """The ``rank``-th greatest score (from 1), one of the ranks named; -inf beyond the last."""
-        r = np.asarray(rank, dtype=np.int64)
-        position = np.clip(self.n - r, 0, self.n - 1)
-        if self._bins > 1:
-            at = self._bin_of_position(position)
-            position = position - self._before[at] + self._before_kept[at]
-        return np.where(r <= self.n, self._sorted[position], -np.inf)
-
-    def above(self, threshold: npt.ArrayLike) -> Counts:
-        """How many scores lie above a threshold that is one of the order statistics named."""
-        x = np.asarray(threshold, dtype=float)
-        inside = np.searchsorted(self._sorted, x, side="right")
-        if self._bins > 1:
-            at = bins_of(x, self._low, self._width, self._bins)
-            inside = inside - self._before_kept[at] + self._before[at]
-        return np.asarray(self.n - inside, dtype=np.int64)
-
-
-_RANK_BINS = 4096
+    tail = (1.0 - level) / 2.0
+    return stats.binom.ppf(tail, n, p).astype(np.int64), stats.binom.isf(tail, n, p).astype(np.int64) + 1
 
 
 @dataclass(frozen=True)
@@ -135,60 +88,30 @@ class RankCounts:
     ties: Counts
     between: Counts
 
-    @property
-    def below(self) -> Array:
-        """(K,) share of the background below each target score, ties counted half."""
-        under = np.cumsum(self.between[:-1]) + np.concatenate([[0], np.cumsum(self.ties)[:-1]])
-        return np.asarray((under + 0.5 * self.ties) / (self.between.sum() + self.ties.sum()))
+    @cached_property
+    def m(self) -> int:
+        """Targets."""
+        return int(self.targets.sum())
 
+    @cached_property
+    def n(self) -> int:
+        """Background scores."""
+        return int(self.ties.sum() + self.between.sum())
 
-def rank_counts(target: Array, background: Array) -> RankCounts:
-    """Counts of ``background`` (n,) among ``target`` (m,), both without NaN.
-
-    Each score is first put into one of some thousand bins between the least and the greatest target by a
-    function that never falls; only those that share a bin with a target are compared with it.
-    """
-    value, targets = np.unique(target, return_counts=True)
-    finite = value[np.isfinite(value)]
-    if finite.size == 0 or finite[-1] / 2 - finite[0] / 2 > 1e307:
-        which = np.zeros(background.size, np.intp)
-        bins, near = np.zeros(value.size, np.intp), np.ones(background.size, bool)
-    else:
-        low, width = finite[0], finite[-1] - finite[0]
-        width = width if width > 1e-290 else 1.0  # any width is right, this one does not overflow
-        which, bins = (bins_of(x, low, width, _RANK_BINS) for x in (background, value))
-        occupied = np.zeros(_RANK_BINS + 2, bool)
-        occupied[bins] = True
-        near = occupied.take(which)
-    close = background[near]
-    left = np.searchsorted(value, close, side="left")
-    tied = value[np.minimum(left, value.size - 1)] == close
-    ties = np.bincount(left[tied], minlength=value.size)[: value.size]
-    between = np.bincount(left[~tied], minlength=value.size + 1)
-    # The others lie in bins without a target: all of a bin between the same two.
-    count = np.bincount(which[~near], minlength=_RANK_BINS + 2)
-    cells = np.flatnonzero(count)
-    np.add.at(between, np.searchsorted(bins, cells, side="left"), count[cells])
-    return RankCounts(value, targets.astype(np.int64), ties.astype(np.int64), between.astype(np.int64))
+    @cached_property
+    def shares(self) -> tuple[Array, Array]:
+        """(K,) share of the background above each target score, and on it."""
+        later = np.cumsum((self.between[1:] + np.append(self.ties[1:], 0))[::-1])[::-1]
+        return later / self.n, self.ties / self.n
 
 
 def counts_of(target_scores: npt.ArrayLike, background_scores: Scores) -> RankCounts:
-    """:func:`rank_counts` of scores of any shape; UsageError where a side is empty or holds NaN."""
-    return rank_counts(valid_scores(target_scores, "target"), valid_scores(background_scores, "background"))
-
-
-def valid_scores(scores: Scores, side: str) -> Array:
-    """(n,) scores of any shape; UsageError where there are none or some are NaN."""
-    values = scores.scores if isinstance(scores, AlarmBlocks) else np.asarray(scores, dtype=float).ravel()
-    missing = int(np.count_nonzero(np.isnan(values)))
-    if missing:
-        raise UsageError(f"{missing} of {values.size} {side} scores are NaN", mend="leave invalid pixels out")
-    if values.size == 0:
-        raise UsageError(f"there are no {side} scores", expected="at least one valid score on each side of a ROC")
-    return values
-
-
-STATED_PD = (0.5, 0.9)
+    """Counts of the background among the targets, scores of any shape; UsageError where a side is empty or has NaN."""
+    value, targets = np.unique(ascending(target_scores, "target"), return_counts=True)
+    background = ascending(background_scores, "background")
+    first, last = (np.searchsorted(background, value, side) for side in ("left", "right"))
+    between = np.append(first, background.size) - np.insert(last, 0, 0)
+    return RankCounts(value, targets.astype(np.int64), (last - first).astype(np.int64), between.astype(np.int64))
 
 
 def alarms_before_first(target_scores: npt.ArrayLike, background_scores: npt.ArrayLike) -> int:
@@ -208,7 +131,7 @@ def alarms_before_first(target_scores: npt.ArrayLike, background_scores: npt.Arr
 
 
 def alarms_at_detection(
-    counts: RankCounts, pd: Sequence[float] = STATED_PD, level: float = 0.95
+    target_scores: npt.ArrayLike, background_scores: Scores, pd: Sequence[float] = STATED_PD, level: float = 0.95
 ) -> tuple[AlarmsAtDetection, ...]:
     """Alarms at the highest threshold that declares at least a share ``pd`` of the targets.
 
@@ -223,44 +146,25 @@ def alarms_at_detection(
     ------
     UsageError : a ``pd`` outside (0, 1].
     """
-    m = int(counts.targets.sum())
-    n = int(counts.ties.sum() + counts.between.sum())
-    # Targets, and background scores, at or above each target score; background scores above it.
-    reached = np.cumsum(counts.targets[::-1])[::-1]
-    at_or_above = np.cumsum((counts.ties + counts.between[1:])[::-1])[::-1]
-    above = at_or_above - counts.ties
-    each = float(np.sqrt(level))
-    tail = (1.0 - each) / 2.0
+    t, b = ascending(target_scores, "target"), ascending(background_scores, "background")
+    m, n, each = t.size, b.size, float(np.sqrt(level))
 
-    def greatest(rank: int) -> int:
-        """Place of the ``rank``-th greatest target among the different target scores."""
-        return int(np.flatnonzero(reached >= rank)[-1])
-
-    from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
+    def alarms(rank: int, side: Literal["left", "right"] = "left") -> int:
+        """Background scores that reach, or (``right``) exceed, the ``rank``-th greatest target."""
+        return n - int(np.searchsorted(b, t[m - rank], side))
 
     out = []
     for q in pd:
         if not 0.0 < q <= 1.0:
             raise UsageError(f"a detection probability of {q:g}", expected="above 0, at most 1")
-        at = greatest(int(np.ceil(q * m * (1.0 - 1e-12))))
-        alarms = int(at_or_above[at])
-        fixed = [float(x) for x in clopper_pearson(alarms, n, level)]
-        # As for the background in empirical_roc, with the sides exchanged.
-        r, s = int(stats.binom.ppf(tail, m, q)), int(stats.binom.isf(tail, m, q)) + 1
-        low = float(clopper_pearson(int(above[greatest(r)]), n, each)[0]) if r >= 1 else 0.0
-        high = float(clopper_pearson(int(at_or_above[greatest(s)]), n, each)[1]) if s <= m else 1.0
-        out.append(
-            AlarmsAtDetection(
-                q, float(counts.value[at]), alarms, alarms / n, min(low, fixed[0]), max(high, fixed[1]), *fixed
-            )
-        )
+        rank = int(np.ceil(q * m / _ROUNDING))
+        fixed = [float(x) for x in clopper_pearson(alarms(rank), n, level)]
+        r, s = (int(x) for x in _ranks(m, q, each))
+        low = float(clopper_pearson(alarms(r, "right"), n, each)[0]) if r >= 1 else 0.0
+        high = float(clopper_pearson(alarms(s), n, each)[1]) if s <= m else 1.0
+        limits = min(low, fixed[0]), max(high, fixed[1])
+        out.append(AlarmsAtDetection(q, float(t[m - rank]), alarms(rank), alarms(rank) / n, *limits, *fixed))
     return tuple(out)
-
-
-_SAFE = 6.0  # how many times as often the limit without assumptions may be told to miss
-_LOST_ENOUGH = 8.0  # targets' worth of area that a variance can be estimated from
-# Values of the largest array of a bootstrap.
-_CHUNK = 2_000_000
 
 
 def areas_within(n: int) -> dict[str, RocArea]:
@@ -268,22 +172,15 @@ def areas_within(n: int) -> dict[str, RocArea]:
     return {k: a for k, a in AREAS.items() if not a.logarithmic or a.low * n >= LEAST_EXPECTED_ALARMS}
 
 
-def placements(counts: RankCounts, area: RocArea = WHOLE) -> Array:
-    """(K,) V of each different target score."""
-    over, tie = _shares(counts)
-    return area.averaged(over, tie)
-
-
 def roc_area(counts: RankCounts, area: RocArea = WHOLE) -> float:
     """The area of the empirical curve, exact with ties.
 
     Examples
     --------
-    >>> from hyperval.pixels.roc import counts_of
     >>> roc_area(counts_of([2.0, 3.0], [0.0, 1.0, 2.5, -1.0]))
     0.875
     """
-    return float(counts.targets @ placements(counts, area) / counts.targets.sum())
+    return float(counts.targets @ area.averaged(*counts.shares) / counts.m)
 
 
 def area_variance(counts: RankCounts, area: RocArea = WHOLE) -> tuple[float, float]:
@@ -292,62 +189,43 @@ def area_variance(counts: RankCounts, area: RocArea = WHOLE) -> tuple[float, flo
     With one target or one background score, whose spread nothing tells, the bound A (1 - A) of Birnbaum & Klose
     (Ann. Math. Stat. 28, 933-945, 1957) stands in for that part.
     """
-    v, weight = placements(counts, area), counts.targets
-    m, n = int(weight.sum()), int(counts.ties.sum() + counts.between.sum())
-    value = roc_area(counts, area)
+    m, n, value = counts.m, counts.n, roc_area(counts, area)
     bound = value * (1.0 - value)
-    of_targets = float(weight @ (v - value) ** 2 / (m - 1)) if m > 1 else bound
+    of_targets = float(counts.targets @ (area.averaged(*counts.shares) - value) ** 2 / (m - 1)) if m > 1 else bound
     if n < 2:
         return of_targets / m, bound
-    w, times = np.concatenate(_background_parts(counts, area)), np.concatenate([counts.between, counts.ties])
-    mean = float(times @ w / n)
-    return of_targets / m, float(times @ (w - mean) ** 2 / (n - 1)) / n
+    w, times = _influence(counts, area)
+    return of_targets / m, float(times @ (w - times @ w / n) ** 2 / (n - 1)) / n
 
 
 def clustered_variance(counts: RankCounts, area: RocArea, blocks: AlarmBlocks) -> tuple[float, float]:
     """The part of the background in :func:`area_variance` where it comes in clusters, and its degrees of freedom.
 
     The W_j are summed by block of the image, and the blocks' sums have the variance of
-    :meth:`~hyperval.pixels.alarms.AlarmBlocks.variance_of_sum`.  Source of the form: Obuchowski,
-    Biometrics 53, 567-578, 1997 (clustered ROC data).
+    :meth:`~hyperval.pixels.alarms.AlarmBlocks.variance_of_sum`.  Source of the form: Obuchowski, Biometrics 53,
+    567-578, 1997 (clustered ROC data).
     """
-    between, on = _background_parts(counts, area)
-    # Between, on, between, on, ..., between: in the order of the scores.
-    w = np.repeat(
-        np.insert(between, np.arange(1, between.size), on),
-        np.insert(counts.between, np.arange(1, between.size), counts.ties),
-    )
+    w = np.repeat(*_influence(counts, area))  # in the order of the scores
     sums = np.asarray(np.bincount(blocks.block[blocks.order], w, minlength=blocks.pixels.size), dtype=float)
     variance, dof = blocks.variance_of_sum(sums[None, :])
     return float(variance[0]) / w.size**2, float(dof[0])
 
 
-def _background_parts(counts: RankCounts, area: RocArea) -> tuple[Array, Array]:
-    """W (K + 1,) of background scores between the targets, and (K,) on them."""
-    over, tie = _shares(counts)
-    weight, m = counts.targets, int(counts.targets.sum())
-    # Slope of g across the tie: what one more background score above the target, or level with it, takes away.
-    above = _slope(area, over, tie, 1.0)
-    level = _slope(area, over, tie, 0.5)
-    # Between targets k - 1 and k: above targets 0 .. k - 1; on target k: its half too.
-    cumulated = np.concatenate([[0.0], np.cumsum(weight * above)]) / m
-    return cumulated, cumulated[:-1] + weight * level / m
-
-
-def _slope(area: RocArea, over: Array, tie: Array, part: float) -> Array:
-    """First-order change of the averaged g when the share above, or (``part`` 1/2) level with, a target grows."""
-    flat = tie <= 0.0
-    a, b = area.low, area.high
-    width = np.log(b / a) if area.logarithmic else b - a
+def _influence(counts: RankCounts, area: RocArea) -> tuple[Array, Counts]:
+    """W of the background scores and their numbers: below the targets, on the first, between it and the second, ..."""
+    over, tie = counts.shares
+    a, b, flat = area.low, area.high, tie <= 0.0
     with np.errstate(divide="ignore"):
-        steep = 1.0 / np.maximum(over, 1e-300) if area.logarithmic else np.ones_like(over)
-    inside = (over >= a) & (over < b)
-    single = np.where(inside, -steep / width, 0.0)
-    step = np.where(flat, 1.0, tie)
-    ends, mean = area.share(over + tie), area.averaged(over, tie)
-    # d/dover and d/dtie of the mean over [over, over + tie]
-    slanted = (ends - (area.share(over) if part == 1.0 else mean)) / step
-    return np.where(flat, single, slanted)
+        steep = 1.0 / (np.maximum(over, 1e-300) * np.log(b / a)) if area.logarithmic else 1.0 / (b - a)
+    step, ends = np.where(flat, 1.0, tie), area.share(over + tie)
+    # What one more score above the target, or level with it, takes away of the mean of g along the tie.
+    above = np.where(flat, np.where((over >= a) & (over < b), -steep, 0.0), (ends - area.share(over)) / step)
+    level = (ends - area.averaged(over, tie)) / step
+    # Between targets k - 1 and k: above targets 0 .. k - 1; on target k what is level with it too.
+    between = np.concatenate([[0.0], np.cumsum(counts.targets * above)]) / counts.m
+    on = between[:-1] + counts.targets * level / counts.m
+    places = np.arange(1, between.size)
+    return np.insert(between, places, on), np.insert(counts.between, places, counts.ties)
 
 
 def logit_interval(
@@ -365,8 +243,8 @@ def logit_interval(
     if quantile is None:
         quantile = float(special.stdtrit(trials - 1, tail)) if trials > 1 else float(special.ndtri(tail))
     half = quantile * np.sqrt(variance) / (value * (1.0 - value))
-    centre = special.logit(value)
-    return float(special.expit(centre - half)), float(special.expit(centre + half))
+    low, high = special.expit(special.logit(value) + np.array([-half, half])).tolist()
+    return low, high
 
 
 def interval_of_mean(
@@ -381,13 +259,14 @@ def interval_of_mean(
     0.95 in none.  From 8 on the logit interval holds the truth in 0.94 to 0.96 of draws by itself.
     """
     value = float(np.clip(placed.mean(), 0.0, 1.0))
-    low, high = logit_interval(value, target_variance + background_variance, placed.size, n, level)
+    variance, m = target_variance + background_variance, placed.size
+    low, high = logit_interval(value, variance, m, n, level)
     if min(float(np.sum(1.0 - placed)), float(np.sum(placed))) >= _LOST_ENOUGH:
         return low, high
     least, greatest = bounded_mean_limits(np.clip(placed, 0.0, 1.0), 1.0 - _SAFE * (1.0 - level))
     normal = float(special.ndtri(0.5 + level / 2.0))
     half = normal * np.sqrt(background_variance)
-    near = logit_interval(value, target_variance + background_variance, placed.size, np.inf, level, quantile=normal)
+    near = logit_interval(value, variance, m, np.inf, level, quantile=normal)
     if value > 0.5:
         return max(min(low, value - np.hypot(value - least, half)), 0.0), near[1]
     return near[0], min(max(high, value + np.hypot(greatest - value, half)), 1.0)
@@ -405,17 +284,16 @@ def area_estimates(
 
     ``blocks``: the background with its places, which may come in clusters.
     """
-    m, n = int(counts.targets.sum()), int(counts.ties.sum() + counts.between.sum())
-    drawn = None
+    m, n = counts.m, counts.n
+    drawn, method = None, "DeLong" if m > 1 else f"one {unit}: the greatest variance there can be"
     if unit == "object" and m > 1 and n > 1:
         drawn = bootstrap_areas(counts, list(areas.values()), draws, rng).var(axis=0, ddof=1) * m / (m - 1)
+        method = f"bootstrap of {m} objects, {draws} draws"
     out = {}
     for i, (name, area) in enumerate(areas.items()):
-        placed = np.repeat(placements(counts, area), counts.targets)
+        placed = np.repeat(area.averaged(*counts.shares), counts.targets)
         of_targets, of_background = area_variance(counts, area)
-        method = "DeLong" if m > 1 else f"one {unit}: the greatest variance there can be"
         if drawn is not None:
-            method = f"bootstrap of {m} objects, {draws} draws"
             of_targets = max(float(drawn[i]) - of_background, 0.0)
         known_by = float(n)
         if blocks is not None:
@@ -436,7 +314,7 @@ def pooled_areas(parts: Sequence[Mapping[str, AreaEstimate]], n: int) -> dict[st
     may share their background, so the standard deviations that it brings are added.
     """
     out = {}
-    for name in parts[0] if parts else ():
+    for name in parts[0]:
         if not all(name in p and p[name].placements is not None for p in parts):
             continue
         each = [np.asarray(p[name].placements) for p in parts]
@@ -456,32 +334,19 @@ def bootstrap_areas(counts: RankCounts, areas: list[RocArea], draws: int, rng: n
     The curve depends on the background through its counts between and on the target scores alone, and those of a
     resample are multinomial; the n background scores themselves need not be drawn.
     """
-    m, n = int(counts.targets.sum()), int(counts.ties.sum() + counts.between.sum())
-    k = counts.value.size
-    cells = np.empty(2 * k + 1)
-    cells[0::2], cells[1::2] = counts.between / n, counts.ties / n
+    m, n = counts.m, counts.n
+    cells = np.insert(counts.between, np.arange(1, counts.between.size), counts.ties) / n
     out = np.empty((draws, len(areas)))
     step = max(1, _CHUNK // cells.size)
     for first in range(0, draws, step):
         count = min(step, draws - first)
         background = rng.multinomial(n, cells / cells.sum(), size=count) / n
         weight = rng.multinomial(m, counts.targets / m, size=count) / m
-        # Share above each target score: everything in later cells.
-        later = np.cumsum(background[:, ::-1], axis=1)[:, ::-1]
+        later = np.cumsum(background[:, ::-1], axis=1)[:, ::-1]  # share in this cell and those behind it
         over, tie = np.clip(later[:, 2::2], 0.0, 1.0), background[:, 1::2]
         for i, area in enumerate(areas):
             out[first : first + count, i] = np.einsum("dk,dk->d", weight, area.averaged(over, tie))
     return out
-
-
-def _shares(counts: RankCounts) -> tuple[Array, Array]:
-    """(K,) share of the background above each target score, and on it."""
-    n = counts.ties.sum() + counts.between.sum()
-    above = np.cumsum(counts.between[::-1])[::-1][1:] + np.append(np.cumsum(counts.ties[::-1])[::-1][1:], 0)
-    return above / n, counts.ties / n
-
-
-POINTS_PER_DECADE = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -491,20 +356,17 @@ class PresetThresholds:
     Attributes
     ----------
     pfa : the probabilities
-    threshold, alarms : lowest threshold whose empirical false-alarm rate is at most that, and the scores above it
-    everything : True where no score is the threshold, and all is declared
-    greatest : order statistic that bounds the true threshold from above; inf where none does
-    least, unbounded : order statistic that bounds it from below, and True where none does
+    threshold, alarms : lowest threshold whose empirical false-alarm rate is at most that, -inf where all is declared;
+        and the scores above it
+    greatest, least : order statistics that bound the true threshold; inf and -inf where none does
     n_background, level : scores of the background; confidence of the bounds
     """
 
     pfa: Array
     threshold: Array
     alarms: Counts
-    everything: npt.NDArray[np.bool_]
     greatest: Array
     least: Array
-    unbounded: npt.NDArray[np.bool_]
     n_background: int
     level: float
 
@@ -516,34 +378,26 @@ def preset_thresholds(
 
     ``pfa`` defaults to a logarithmic grid from one alarm in the whole background to 1, which holds the decades.
     """
-    blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
-    b = valid_scores(background_scores, "background")
+    b = ascending(background_scores, "background")
+    n = int(b.size)
     if pfa is None:
-        decades = int(np.ceil(np.log10(max(b.size, 10))))
+        decades = int(np.ceil(np.log10(max(n, 10))))
         grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
-        pfa = grid[grid * b.size * (1.0 + 1e-12) >= 1.0]
+        pfa = grid[grid * n * _ROUNDING >= 1.0]
     p = np.sort(np.atleast_1d(np.asarray(pfa, dtype=float)))
     if not (np.all(p > 0) and np.all(p <= 1)):
         raise UsageError("a preset false-alarm probability must lie in (0, 1]")
-    k = np.minimum(np.floor(p * b.size * (1.0 + 1e-12)).astype(np.int64), b.size)
-    if blocks is None:
-        from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
+    blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
+    r, s = _ranks(n, p, level) if blocks is None else blocks.rank_limits(p)
 
-        tail = (1.0 - level) / 2.0
-        # The greatest r with P(fewer than r scores above the true threshold) <= tail: the r-th greatest bounds it
-        # from above, and nothing does where r = 0.
-        r = stats.binom.ppf(tail, b.size, p).astype(np.int64)
-        # The least s with P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
-        s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
-    else:
-        r, s = blocks.rank_limits(p)
-    ordered = OrderStatistics(b, np.concatenate([k + 1, r, s]))
-    threshold, everything = ordered.greatest(k + 1), k >= b.size
-    alarms = np.where(everything, b.size, ordered.above(threshold))
-    greatest = np.where(r >= 1, ordered.greatest(np.maximum(r, 1)), np.inf)
-    return PresetThresholds(
-        p, threshold, alarms, everything, greatest, ordered.greatest(s), s > b.size, int(b.size), level
-    )
+    def greatest(rank: Counts) -> Array:
+        """The ``rank``-th greatest score; inf for rank 0, -inf beyond the last."""
+        return np.where(rank > n, -np.inf, np.where(rank < 1, np.inf, b[np.clip(n - rank, 0, n - 1)]))
+
+    k = np.minimum(np.floor(p * n * _ROUNDING).astype(np.int64), n)
+    threshold = greatest(k + 1)
+    alarms = np.where(k >= n, n, n - np.searchsorted(b, threshold, side="right"))
+    return PresetThresholds(p, threshold, alarms, greatest(r), greatest(s), n, level)
 
 
 def empirical_roc(
@@ -583,7 +437,7 @@ def empirical_roc(
     ------
     UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
     """
-    t = np.sort(valid_scores(target_scores, "target"))
+    t = ascending(target_scores, "target")
     at = background_scores
     if not isinstance(at, PresetThresholds):
         at = preset_thresholds(at, pfa, level=level)
@@ -592,18 +446,23 @@ def empirical_roc(
         """How many targets lie above the threshold; all of them where ``everything`` is declared, -inf included."""
         return np.where(everything, t.size, t.size - np.searchsorted(t, threshold, side="right"))
 
-    detected = above(at.threshold, at.everything)
-    low, high = mid_p_limits(detected, t.size, at.level)
-    few, many = above(at.greatest, np.zeros_like(at.everything)), above(at.least, at.unbounded)
-    pd = detected / t.size
-    # Never inside the binomial limits: what could lie inside them is rounding.
-    wide_low = np.clip(pd - np.hypot(pd - low, pd - few / t.size), 0.0, low)
-    wide_high = np.clip(pd + np.hypot(high - pd, many / t.size - pd), high, 1.0)
-    # A false-alarm probability of one declares everything, whatever the sample.
-    lower, upper = _rising(np.where(at.pfa >= 1.0, 1.0, wide_low), wide_high)
+    detected = above(at.threshold, at.alarms == at.n_background)
+    every = at.pfa >= 1.0  # declares everything, whatever the sample
+    few, many = above(at.greatest, every), above(at.least, np.isneginf(at.least))
+    pd, (low, high) = detected / t.size, mid_p_limits(detected, t.size, at.level)
+    lower, upper = _widened(pd, (np.where(every, 1.0, low), high), pd - few / t.size, many / t.size - pd)
     return RocCurve(
         at.pfa, pd, lower, upper, at.threshold, unit, int(t.size), at.n_background, background_area_km2, at.alarms
     )
+
+
+def _widened(pd: Array, limits: tuple[Array, Array], below: Array, above: Array) -> tuple[Array, Array]:
+    """Limits of a curve with more uncertainty to either side, in quadrature; they rise as the true P_D does."""
+    low, high = limits
+    # Never inside the binomial limits: what could lie inside them is rounding.
+    lower = np.clip(pd - np.hypot(pd - low, below), 0.0, low)
+    upper = np.clip(pd + np.hypot(high - pd, above), high, 1.0)
+    return np.minimum.accumulate(lower[::-1])[::-1], np.maximum.accumulate(upper)
 
 
 def with_summary(
@@ -621,10 +480,9 @@ def with_summary(
     draws, rng : of the bootstrap over objects; by default a generator of seed 0
     """
     blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
-    counts = counts_of(target_scores, background_scores)
-    areas = areas_within(int(curve.n_background or 0))
+    counts, areas = counts_of(target_scores, background_scores), areas_within(int(curve.n_background or 0))
     estimates = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0), blocks)
-    return replace(curve, areas=estimates, at_detection=alarms_at_detection(counts))
+    return replace(curve, areas=estimates, at_detection=alarms_at_detection(target_scores, background_scores))
 
 
 def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
@@ -647,43 +505,23 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
         grid = grid[np.any(np.abs(grid[:, None] / curve.pfa[None, :] - 1.0) < 1e-9, axis=1)]
     if grid.size == 0:
         raise UsageError("the curves have no false-alarm probability in common")
-    at = [[int(np.argmin(np.abs(c.pfa / x - 1.0))) for x in grid] for c in curves]
-    detected = sum(np.rint(c.pd[i] * int(c.n_target or 0)) for c, i in zip(curves, at, strict=True))
     total = sum(int(c.n_target or 0) for c in curves)
-    low, high = mid_p_limits(np.asarray(detected, dtype=np.int64), total, level)
-    pd = np.asarray(detected) / total
-    below, above = np.zeros(grid.size), np.zeros(grid.size)
-    for curve, i in zip(curves, at, strict=True):
-        share = int(curve.n_target or 0) / total
-        each = mid_p_limits(np.rint(curve.pd[i] * int(curve.n_target or 0)), int(curve.n_target or 0), level)
-        below += share * _beyond(curve.pd[i] - curve.pd_lower[i], curve.pd[i] - each[0])
-        above += share * _beyond(curve.pd_upper[i] - curve.pd[i], each[1] - curve.pd[i])
-    backgrounds = [c.n_background for c in curves if c.n_background is not None]
-    lower, upper = _rising(
-        np.clip(pd - np.hypot(pd - low, below), 0.0, low), np.clip(pd + np.hypot(high - pd, above), high, 1.0)
-    )
-    return RocCurve(
-        pfa=grid,
-        pd=pd,
-        pd_lower=lower,
-        pd_upper=upper,
-        threshold=np.full(grid.shape, np.nan),  # every curve has its own
-        unit=curves[0].unit,
-        n_target=total,
-        n_background=min(backgrounds) if backgrounds else None,
-        background_area_km2=curves[0].background_area_km2,
-        areas=pooled_areas([c.areas for c in curves], min(backgrounds) if backgrounds else 0),
-    )
-
-
-def _rising(lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Limits of a curve, widened until they rise with P_FA as the true P_D does."""
-    return np.minimum.accumulate(lower[::-1])[::-1], np.maximum.accumulate(upper)
-
-
-def _beyond(whole: Array, part: Array) -> Array:
-    """What was added in quadrature to ``part`` to give ``whole``."""
-    return np.sqrt(np.maximum(whole**2 - part**2, 0.0))
+    detected, below, above = np.zeros((3, grid.size))
+    for curve in curves:
+        n, at = int(curve.n_target or 0), np.abs(curve.pfa / grid[:, None] - 1.0).argmin(axis=1)
+        pd, low, high = (values[at] for values in (curve.pd, curve.pd_lower, curve.pd_upper))
+        own = mid_p_limits(np.rint(pd * n), n, level)
+        detected += np.rint(pd * n)
+        # What was added in quadrature to the binomial limits.
+        below += n / total * np.sqrt(np.maximum((pd - low) ** 2 - (pd - own[0]) ** 2, 0.0))
+        above += n / total * np.sqrt(np.maximum((high - pd) ** 2 - (own[1] - pd) ** 2, 0.0))
+    pd = detected / total
+    lower, upper = _widened(pd, mid_p_limits(detected, total, level), below, above)
+    n_background = min((c.n_background for c in curves if c.n_background is not None), default=None)
+    areas = pooled_areas([c.areas for c in curves], n_background or 0)
+    every = np.full(grid.shape, np.nan)  # threshold: each curve has its own
+    area_km2 = curves[0].background_area_km2
+    return RocCurve(grid, pd, lower, upper, every, curves[0].unit, total, n_background, area_km2, areas=areas)
 
 
 def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
