@@ -80,7 +80,7 @@ def test_every_example_gives_what_it_says(metric):
 @pytest.mark.parametrize("name", sorted({m.function for m in METRICS if not m.example}))
 def test_every_other_function_has_an_example_that_runs(name):
     metric = next(m for m in METRICS if m.function == name)
-    module = importlib.import_module(f"hyperval.{name.rpartition('.')[0]}")
+    module = importlib.import_module(function_of(metric).__module__)
     cases = doctest.DocTestFinder(recurse=False).find(function_of(metric), name, module=module)
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
     for case in cases:

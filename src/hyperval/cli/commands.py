@@ -440,9 +440,9 @@ def power(
     accept: Annotated[bool, typer.Option("--accept", help="Take the tables as those that reports show.")] = False,
 ) -> int:
     """Inject standard errors in the model, one at a time: which gates turn?"""
-    from hyperval.campaign import campaign_power as run
+    from hyperval.campaign import campaign_power
 
-    tables = run(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
+    tables = campaign_power(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
     done = [item.table for item in tables if item.table is not None]
     names = list(dict.fromkeys(name for table in done for name in table.errors))
     print_table(
