@@ -17,15 +17,12 @@ from hyperval.model import (
     LinearFilter,
     Origins,
     SurfaceStatistics,
-    adjacency_slope,
     average_reflectance,
-    detection_at,
     detection_bands,
     matched_filter_weights,
     mixture_covariance,
     predict,
     spectrum_error_covariance,
-    without_calibration_error,
 )
 from hyperval.products import PredictedProducts, background_of
 from hyperval.scenario import Scenario, SpectrumUncertainty, load_scenario
@@ -45,12 +42,6 @@ def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
 
 def run(extra: str = ATMOSPHERE, **kwargs) -> PredictedProducts:
     return predict(scenario(extra), Origins(axis=AXIS, engine=engine), **kwargs)
-
-
-def test_elm_returns_the_reflectance_it_was_given():
-    p = run()
-    for name, builtin in (("grass", "grass"), ("panel", "grey-panel-30"), ("full", "yellow-paint-plank")):
-        assert p.reflectance[name].mean == pytest.approx(builtin_class(builtin, AXIS).mean, abs=1e-12)
 
 
 def test_full_target_scores_one_and_mixed_pixels_follow_the_fill():
@@ -119,24 +110,6 @@ def test_closure_with_simulated_pixels():
         assert abs((score_t > x).mean() - pd) < 5 * np.sqrt(max(pd * (1 - pd), 1e-6) / m)
 
 
-def test_snr_and_its_cap():
-    p = run()
-    with_c, without = p.snr["panel"].mean, p.snr[without_calibration_error("panel")].mean
-    assert np.all(with_c < without)
-    assert np.all(with_c < 200.0)  # 100 / C_R with C_R = 0.5 %
-    assert 1 / with_c**2 - 1 / without**2 == pytest.approx(np.full(10, 0.005**2), rel=1e-9)
-
-
-def test_detection_on_radiance_scores_alike():
-    """Without noise differences the empirical line is an affine map, which a matched filter does not see."""
-    on_reflectance = run()
-    no_line = predict(scenario(**{"processing: {": "processing: {elm: none, "}), Origins(axis=AXIS, engine=engine))
-    assert not no_line.reflectance
-    for key in (("tenth", "cem"), ("loose", "cem"), (background_of("full"), "cem")):
-        assert no_line.scores[key].mean == pytest.approx(on_reflectance.scores[key].mean, abs=1e-9)
-        assert no_line.scores[key].sd == pytest.approx(on_reflectance.scores[key].sd, rel=1e-6)
-
-
 UNCERTAIN = (
     ATMOSPHERE
     + """
@@ -159,13 +132,6 @@ def test_budget_adds_up_to_the_error_covariance():
         assert np.linalg.eigvalsh(estimate.error_covariance)[0] > -1e-12
     assert "field spectrum" in p.radiance["panel"].budget
     assert "field spectrum" not in p.radiance["grass"].budget
-
-
-def test_aerosol_error_is_the_difference_of_two_runs():
-    p = run(UNCERTAIN)
-    up = run(ATMOSPHERE.replace("aot550: 0.2", "aot550: 0.25")).radiance["grass"].mean
-    down = run(ATMOSPHERE.replace("aot550: 0.2", "aot550: 0.15")).radiance["grass"].mean
-    assert p.radiance["grass"].budget["aerosol optical depth"] == pytest.approx(np.abs(up - down) / 2, rel=1e-9)
 
 
 def test_elm_cancels_the_atmosphere_but_not_the_field_spectrum():
@@ -212,15 +178,6 @@ def test_spectrum_from_a_file_is_relative_to_the_scenario(tmp_path):
     (tmp_path / "s.yaml").write_text(text)
     p = predict(load_scenario(tmp_path / "s.yaml"), Origins(axis=AXIS))
     assert p.reflectance["full"].mean == pytest.approx(0.1 + AXIS.centre_nm / 10000, abs=1e-5)
-
-
-def test_objects_are_found_more_often_than_their_pixels():
-    s = scenario(ATMOSPHERE, **{
-        "{mean: 0.15, sd: 0.05}": "{geometry: {side_m: 0.4, gsd_m: 1, psf_fwhm_pixels: 1, pixels: ranked, n: 4}}"
-    })  # fmt: skip
-    p = predict(s, Origins(axis=AXIS, engine=engine))
-    pixel, whole = (detection_at(p.roc["loose", "cem", u], 1e-3) for u in ("pixel", "object"))
-    assert whole > 1.2 * pixel
 
 
 def test_bands_of_the_detectors():
@@ -307,15 +264,6 @@ def test_engine_error_grows_with_gas_absorption():
     expected = (0.01 - 0.2 * np.log(terms.gas_transmittance)) * (estimate.mean - terms.path_radiance)
     assert estimate.budget["radiative-transfer engine"] == pytest.approx(expected, rel=1e-9)
     assert estimate.budget["engine's path radiance"] == pytest.approx(0.1 * terms.path_radiance, rel=1e-9)
-
-
-def test_error_of_the_surroundings_is_the_adjacency_slope():
-    p = run(ATMOSPHERE + "uncertainty: {adjacency_reflectance_relative: 0.01}\n")
-    terms = engine(scenario().atmosphere).at_bands(AXIS)
-    grass, asphalt = (builtin_class(n, AXIS).mean for n in ("grass", "asphalt"))
-    average = 0.7 * grass + 0.3 * asphalt
-    expected = 0.01 * average * adjacency_slope(terms, grass, average)
-    assert p.radiance["grass"].budget["surroundings"] == pytest.approx(expected, rel=1e-4)
 
 
 def test_field_spectrum_error_from_its_file():

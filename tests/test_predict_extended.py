@@ -90,13 +90,6 @@ def test_a_class_from_a_library_is_that_class(tmp_path):
     assert p.roc["tenth", "cem", "pixel"].pd == pytest.approx(q.roc["tenth", "cem", "pixel"].pd)
 
 
-def test_covariance_from_a_library_and_mean_from_elsewhere(tmp_path):
-    library(tmp_path)
-    text = "{constant: 0.3}, covariance: {library: statistics.nc, record: asphalt}"
-    p = predict(in_folder(tmp_path, **{"{builtin: grass}": text}), Origins(axis=AXIS, engine=engine))
-    assert p.reflectance["grass"].mean == pytest.approx(np.full(10, 0.3))
-
-
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -189,14 +182,6 @@ def test_all_features_are_the_bands(features):
         assert p.roc["tenth", d, "pixel"].pd == pytest.approx(q.roc["tenth", d, "pixel"].pd, abs=1e-6)
 
 
-@pytest.mark.parametrize("features", ["pca: 3", "mnf: 3"])
-def test_fewer_features_find_less(features):
-    p = of(use=engine, **{"processing: {": "processing: {features: {" + features + "}, "})
-    pd, whole = (detection_at(x.roc["tenth", "cem", "pixel"], 1e-4) for x in (p, run()))
-    assert 0 <= pd < whole
-    assert p.scores["full", "cem"].mean == pytest.approx(1.0, abs=1e-6)
-
-
 def test_features_that_cannot_be():
     with pytest.raises(UsageError, match="11 principal components of 10 bands"):
         of(use=engine, **{"processing: {": "processing: {features: {pca: 11}, "})
@@ -211,18 +196,6 @@ def test_channels_by_list_and_bad_list():
     assert "detectors use 3 of 10 bands" in p.notes
     with pytest.raises(UsageError, match=r"processing\.bands\.bad_channels: band 10 of 10"):
         of(use=engine, **{"bands: {drop_bad: false}": "bands: {bad_channels: [10]}"})
-
-
-def test_ace_finds_the_full_target_and_less_of_the_rest():
-    p = of(use=engine, **{"[cem, cem-correlation]": "[cem, ace], samples: 1000"})
-    at = 1e-4
-    pd = [detection_at(p.roc[n, "ace", "pixel"], at) for n in ("tenth", "loose", "full")]
-    assert pd[0] < pd[1] < pd[2]
-    assert pd[2] > 0.999
-    assert p.scores["full", "ace"].mean > 0.9
-    assert any(n.startswith("ace of plank: 1000 draws per class; standard error") for n in p.notes)
-    again = of(use=engine, **{"[cem, cem-correlation]": "[cem, ace], samples: 1000"})
-    assert np.array_equal(p.roc["loose", "ace", "pixel"].pd, again.roc["loose", "ace", "pixel"].pd)
 
 
 def test_darkest_pixel_compensation():

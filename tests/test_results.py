@@ -63,19 +63,6 @@ def test_frame_keeps_missing_numbers_missing():
     assert frame["evidence"].tolist() == ["model", "model"]
 
 
-def test_where_and_gates_pick_rows():
-    table = ResultTable(
-        [
-            row(Outcome.AGREES),
-            row(Outcome.NONE, role=Role.INFORM),
-            row(Outcome.DISAGREES, metric="z"),
-        ]
-    )
-    assert len(table.where(metric="bias_ratio")) == 2
-    assert [r.outcome for r in table.gates()] == [Outcome.AGREES, Outcome.DISAGREES]
-    assert len(table.where(metric="bias_ratio", outcome=Outcome.AGREES)) == 1
-
-
 def test_a_metric_that_the_table_does_not_have_cannot_be_put_in_a_row():
     with pytest.raises(UsageError, match=r"'bias_ration' is not a metric(.|\n)*did you mean 'bias_ratio'"):
         row(metric="bias_ration")

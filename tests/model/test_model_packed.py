@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 
 from hyperval.model import (
-    add_products,
     condition_number,
-    diagonal_places,
     factor,
     near_singular,
     packed,
     solved,
-    unpacked,
 )
 
 SIZES = [1, 2, 3, 8, 9, 60]  # odd and even ones are laid out differently
@@ -20,26 +17,6 @@ SIZES = [1, 2, 3, 8, 9, 60]  # odd and even ones are laid out differently
 def positive(size: int, seed: int = 0) -> np.ndarray:
     a = np.random.default_rng(seed).normal(size=(size, size + 4))
     return a @ a.T
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_packed_and_back(size):
-    matrix = positive(size)
-    values = packed(matrix)
-    assert values.size == size * (size + 1) // 2
-    np.testing.assert_array_equal(unpacked(values, size), matrix)
-    np.testing.assert_array_equal(values[diagonal_places(size)], np.diag(matrix))
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_products_are_added_in_place(size):
-    matrix, rows = positive(size), np.random.default_rng(1).normal(size=(3, size))
-    values = packed(matrix)
-    found = add_products(values, rows)
-    assert np.shares_memory(found, values)
-    assert unpacked(found, size) == pytest.approx(matrix + rows.T @ rows, abs=1e-12)
-    fresh = add_products(np.full_like(values, np.nan), rows, fresh=True)
-    assert unpacked(fresh, size) == pytest.approx(rows.T @ rows, abs=1e-12)
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -53,10 +30,6 @@ def test_solutions_and_condition_number(size):
     # LAPACK's estimate is a lower bound, nearly always within a factor of three.
     ratio = condition_number(values, cholesky, size) / np.linalg.cond(matrix * np.outer(scale, scale), 1)
     assert 0.33 < ratio < 1 + 1e-9
-
-
-def test_a_matrix_that_has_no_factor():
-    assert factor(packed(np.array([[1.0, 2.0], [2.0, 1.0]])), 2) is None
 
 
 @pytest.mark.parametrize(("correlation", "suspect"), [(0.5, False), (1 - 1e-10, True)])

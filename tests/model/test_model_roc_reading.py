@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from hyperval.compare import compare_roc
-from hyperval.model import detection_at, log10_false_alarm_at
+from hyperval.model import detection_at
 from hyperval.products import RocCurve
 
 
@@ -37,11 +37,6 @@ def test_steps_of_a_measured_curve_that_have_no_probit():
     one = RocCurve(np.array([1e-2]), np.array([0.5]), *(np.zeros(1),) * 3)
     assert detection_at(one, 1e-2) == 0.5
     assert np.isnan(detection_at(one, 1e-3))
-
-
-def test_the_false_alarms_at_a_detection_probability_are_the_inverse():
-    curve = binormal(np.logspace(-5, -1, 17))
-    assert detection_at(curve, 10.0 ** log10_false_alarm_at(curve, 0.37)) == pytest.approx(0.37, rel=1e-9)
 
 
 def test_comparison_reads_the_curve_in_the_same_way():

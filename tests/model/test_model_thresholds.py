@@ -37,13 +37,6 @@ def test_thresholds_by_a_root_finder_on_the_plain_sum(tails):
             assert x == pytest.approx(brentq(excess, -2.0, x + 1.0, args=(p,), xtol=1e-13), abs=1e-9)
 
 
-def test_false_alarms_at_the_threshold_are_those_asked_for():
-    scores = random_scores(np.random.default_rng(1), 6, True)
-    pfa = np.full((6, 1), 1e-7)
-    value, _ = log_false_alarm(thresholds_at(pfa, scores)[:, 0], scores)
-    np.testing.assert_allclose(value, np.log(1e-7), rtol=0, atol=1e-11)
-
-
 def test_false_alarms_and_slope_by_another_route():
     scores = random_scores(np.random.default_rng(2), 3, True)
     x = np.array([0.05, 0.1, 0.15])

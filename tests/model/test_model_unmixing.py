@@ -9,7 +9,6 @@ import pytest
 from exact_forms import abundance_covariance, sum_to_one_gain
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize
 
 from hyperval.errors import UsageError
 from hyperval.model import PositiveDefinite, fully_constrained
@@ -53,23 +52,6 @@ def test_equals_the_best_of_all_supports(m, seed, weighted):
     assert found.sum() == pytest.approx(1.0, abs=1e-12)
     assert found.min() >= 0.0
     assert found == pytest.approx(by_every_support(x, e, weight), abs=1e-8)
-
-
-def test_equals_a_general_solver():
-    rng = np.random.default_rng(4)
-    e, x = endmembers(5, rng), rng.normal(0.3, 0.2, B)
-    free = minimize(
-        lambda a: np.sum((x - a @ e) ** 2), np.full(5, 0.2), jac=lambda a: -2 * e @ (x - a @ e), method="SLSQP",
-        bounds=[(0, 1)] * 5, constraints={"type": "eq", "fun": lambda a: a.sum() - 1}, options={"ftol": 1e-15},
-    )  # fmt: skip
-    assert free.success
-    assert fully_constrained(x, e) == pytest.approx(free.x, abs=1e-6)
-
-
-def test_exact_mixtures_come_back():
-    rng = np.random.default_rng(5)
-    e, a = endmembers(4, rng), rng.dirichlet(np.ones(4), (3, 7))
-    assert fully_constrained(a @ e, e) == pytest.approx(a, abs=1e-8)
 
 
 def test_each_spectrum_may_have_endmembers_of_its_own():

@@ -11,7 +11,6 @@ from uncertain_scene import AXIS, scenario
 from hyperval.data import ClassStatistics, Components
 from hyperval.errors import UsageError
 from hyperval.model import Evaluation, Origins, predict, read
-from hyperval.simulate import sampler
 from hyperval.statistics_library import builtin_class
 
 BANDS = len(AXIS)
@@ -110,11 +109,3 @@ def test_what_is_not_there_is_refused():
         Components(good.weights, good.offsets, good.covariances, 1.5)
     with pytest.raises(UsageError, match="do not fit 10 bands"):
         replace(of_region(None), components=good.at(np.arange(4)))
-
-
-def test_simulated_pixels_come_from_the_components():
-    # 40,000 draws: a mean is known to 0.5 % of the spread, a variance to 2 %; bounds are five of these.
-    draws = sampler(of_region(two_clusters())).draw(40_000, np.random.default_rng(3))
-    sd = np.sqrt(np.diag(two_clusters().covariance))
-    assert np.all(np.abs(draws.mean(axis=0) - builtin_class("grass", AXIS).mean) < 0.025 * sd)
-    assert draws.std(axis=0) == pytest.approx(sd, rel=0.05)

@@ -114,20 +114,6 @@ def test_a_neighbour_spreads_the_score_in_place_of_the_host():
     assert found.values.var() == pytest.approx(expected, rel=0.036)  # 38,400 draws: 0.7 %, five of these
 
 
-def test_a_wider_blur_lowers_the_score_and_is_common():
-    p = run("uncertainty: {psf_fwhm_pixels: 0.3}\n")
-    certain = run()
-    values, sure = p.object_scores["square", "cem"].values, certain.object_scores["square", "cem"].values
-    assert values.std() > sure.std()
-    # Five widths: rows fall into five groups, the same in every subject.
-    rows = values.mean(axis=1)
-    other = p.object_scores["beside", "cem"].values.mean(axis=1)
-    assert abs(np.corrcoef(rows, other)[0, 1]) > 0.2
-    assert np.std(p.object_scores["tenth", "cem"].values.mean(axis=1)) < 2.0 * np.std(
-        p.object_scores["tenth", "cem"].values
-    ) / np.sqrt(values.shape[1])
-
-
 def test_each_of_several_truths_has_the_objects_of_its_own_scene():
     # The first truth of a batch once lent its fills to all others.
     scenario = scenario_of(place="position_m: [0, 0],", there="position_m: [0, 1.0],")
