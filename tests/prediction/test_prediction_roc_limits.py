@@ -19,7 +19,8 @@ def curve(d: float = 3.0) -> RocCurve:
 
 
 def limits(base: RocCurve, changes) -> tuple[np.ndarray, np.ndarray]:
-    found = with_bands({KEY: base}, {KEY: changes})[KEY]
+    up, down = (np.array([pair[i] for pair in changes]) for i in (0, 1))
+    found = with_bands({KEY: base}, {KEY: (up, down)})[KEY]
     return found.pd_lower, found.pd_upper
 
 

@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericTerms
+from hyperval.errors import UsageError
 from hyperval.model.detection import Evaluation, PredictedDetection, RocKey, detect, evaluations
-from hyperval.model.inputs import UncertainInput, inputs_of, spectrum_error_covariance, spectrum_inputs, surface_at
+from hyperval.model.inputs import (
+    UncertainInput,
+    drawn_truths,
+    inputs_of,
+    spectrum_error_covariance,
+    spectrum_inputs,
+    surface_at,
+)
 from hyperval.model.notes import engine_notes, provenance_of, saturation_notes, sensor_notes, unstated_notes
 from hyperval.model.objects import expected_scores, object_scores
 from hyperval.model.propagate import (
     DRAWN_SHIFT,
-    Change,
-    Propagated,
+    Changes,
+    Draws,
     drawn_curve,
+    drawn_products,
+    emulator,
     law_directions,
     limits,
+    linearised,
     mean_shifts,
     probit,
-    propagate,
     shift_notes,
     with_bands,
     with_intervals,
@@ -33,8 +44,9 @@ from hyperval.model.propagate import (
     worlds_without,
 )
 from hyperval.model.spectra import Row, error_rows, interpolation_input, moved_by, spectral_products
-from hyperval.model.world import Engine, Origins, Truth, World, read, settled, under, with_truths
+from hyperval.model.world import SHIFT, Origins, Truth, World, read, settled, under, with_truths
 from hyperval.products import PixelDistribution, PredictedProducts, RocCurve
+from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
 
 Array = npt.NDArray[np.float64]
@@ -78,31 +90,32 @@ def predict(
     world = World(replace(world.stated, before=None), world.moved)
     inputs, lit = inputs_of(world), scenario.atmosphere is not None
     linear = [i for i in inputs if lit or not i.of_light]
-
-    def again(truths: Iterable[Truth], stand_in: Engine | None = None) -> Iterator[PredictedProducts]:
-        return _predictions(world if stand_in is None else under(world, stand_in), truths)
-
     rows = error_rows(world, [*linear, *interpolation_input(world)])
     products, changes = _prediction(world, rows, linear, objects, object_curves, source, truth or {})
-    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
-    method, drawn = scenario.uncertainty.method, inputs if truth is None else []
-
-    def propagated(first: PredictedProducts | None) -> Propagated:
-        shifts = any(i.path == "sensor.wavelength_shift_nm" for i in drawn)
-        u = scenario.uncertainty
-        return propagate(
-            scenario, first, drawn, again, samples=u.samples, seed=u.seed,
-            engine=lambda state: source.whole_terms(scenario, state),
-            axis=None if shifts else world.stated.true_axis, show_progress=source.show_progress,
-        )  # fmt: skip
-
-    products = _with_limits(
-        products, changes, filters,
-        lambda: propagated(None).draws.curves if method == "linear" and drawn else {},
-    )  # fmt: skip
-    if method == "linear" or not drawn:
+    drawn = inputs if truth is None else []
+    u, made = scenario.uncertainty, None
+    shifts = mean_shifts(products.roc, changes)
+    far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
+    draws = Draws({}, {}, 0)
+    if drawn and (u.method != "linear" or far):
+        if u.samples < 40:
+            raise UsageError(f"{u.samples} draws have no 95 % interval", expected="40 or more")
+        world_of_draws = world
+        if lit:
+            moves = any(i.path == SHIFT for i in drawn)
+            made = emulator(
+                scenario, drawn, lambda state: source.whole_terms(scenario, state),
+                None if moves else world.stated.true_axis,
+            )  # fmt: skip
+            world_of_draws = under(world, made.engine)
+        truths = track(drawn_truths(drawn, u.samples, u.seed), "draws of the budget", show=source.show_progress)
+        draws = drawn_products(_predictions(world_of_draws, truths))
+    curves = draws.curves if u.method == "linear" else {}
+    products = _with_limits(scenario, products, changes, shifts, {k: curves[k] for k in far if k in curves})
+    if u.method == "linear" or not drawn:
         return products
-    return with_intervals(products, propagated(products), method)
+    spread = linearised(products, drawn, partial(_predictions, world_of_draws))
+    return with_intervals(products, spread, draws, u.method, u.seed, made)
 
 
 def predictions(
@@ -167,7 +180,7 @@ def spectrum_errors(world: World) -> dict[str, Array]:
 def _prediction(
     world: World, rows: Mapping[tuple[str, str], Sequence[Row]], inputs: Sequence[UncertainInput],
     objects: bool | int, object_curves: bool, origins: Origins, truth: Truth,
-) -> tuple[PredictedProducts, dict[RocKey, list[Change]]]:  # fmt: skip
+) -> tuple[PredictedProducts, dict[RocKey, Changes]]:  # fmt: skip
     """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
     input; of the targets' field spectra for the one that their filter looks along.
     """
@@ -176,44 +189,34 @@ def _prediction(
     # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
     others = [i for i in inputs if not i.of_light and (i.subject in stated.classes or i.kind != "surface")]
     others.sort(key=lambda i: not i.subject)
-    directions = [
-        [i.direction(k, z) for i in group for k in range(i.size)] for group in (light, others) for z in (1, -1)
-    ]
-    along = (1.0, -1.0) if any(t.name in errors for t in stated.targets) else ()
-    truths: list[Truth] = [{}, *(t for group in directions for t in group), *({} for _ in along)]
-    shift = np.concatenate([np.zeros(len(truths) - len(along)), along])
+    moves = [(i, k) for i in (*light, *others) for k in range(i.size)]
+    pairs, last = sum(i.size for i in light), 2 * len(moves)
+    along = [last + 1] if any(t.name in errors for t in stated.targets) else []
+    truths: list[Truth] = [{}, *(i.direction(k, z) for z in (1.0, -1.0) for i, k in moves), *({} for _ in 2 * along)]
+    up = np.array([*range(1, pairs + 1), *along, *range(pairs + 1, len(moves) + 1)], dtype=int)
+    down = np.where(up > last, up + 1, up + len(moves))
+    shift = np.zeros(len(truths))
+    shift[last + 1 :] = (1.0, -1.0)[: len(shift) - last - 1]
     every = moved_by(world, truths)
     parts = evaluations(every, errors, shift)
-    e = parts[0][1]
+    numbers, e = parts[0]
     detection = detect(e, object_curves=object_curves)[0]
     curves: dict[RocKey, Array] = {}
-    for numbers, part in parts:
+    for index, part in parts:
         found = detection if part is e else detect(part, object_curves=object_curves)[0]
         for key, pd in found.curves.items():
-            curves.setdefault(key, np.empty((len(truths), pd.shape[1])))[numbers] = pd
+            curves.setdefault(key, np.empty((len(truths), pd.shape[1])))[index] = probit(pd)
     if detection.roc:
         known = worlds_without(stated.scenario, origins, truth)
         if objects:
-            pairs, draws = len(directions[0]), None if objects is True else objects
-            steps = np.arange(1 + 2 * pairs)
-            here = e if len(e) > 2 * pairs and np.array_equal(parts[0][0][: 1 + 2 * pairs], steps) else None
-            here = here or Evaluation(every.rows(steps), errors)
-            scores = object_scores(here, steps, draws)
+            steps = np.concatenate([[0], np.arange(1, pairs + 1), len(moves) + np.arange(1, pairs + 1)])
+            together = np.isin(steps, numbers).all()
+            here = e if together else Evaluation(every.rows(steps), errors)
+            at = np.searchsorted(numbers, steps) if together else np.arange(steps.size)
+            scores = object_scores(here, at, None if objects is True else objects)
             detection = replace(detection, object_scores=scores, expected_scores=expected_scores(here))
         detection = replace(detection, exceedance=with_law_errors(detection.exceedance, law_directions(e, known)))
-    changes = {key: _changes(pd, [len(d) for d in directions[::2]], bool(along)) for key, pd in curves.items()}
-    return _joined(e, 0, rows, detection), changes
-
-
-def _changes(pd: Array, sizes: Sequence[int], along: bool) -> list[Change]:
-    """Changes (K,) of probit P_D up and down, from curves in the order of :func:`_prediction`."""
-    z, start, out = probit(pd), 1, []
-    for number, size in enumerate(sizes):
-        out += [(z[start + k] - z[0], z[start + size + k] - z[0]) for k in range(size)]
-        start += 2 * size
-        if along and number == 0:
-            out.append((z[-2] - z[0], z[-1] - z[0]))
-    return out
+    return _joined(e, 0, rows, detection), {key: (z[up] - z[0], z[down] - z[0]) for key, z in curves.items()}
 
 
 def _joined(
@@ -267,20 +270,18 @@ def _distribution(world: World, number: int) -> PixelDistribution:
 
 
 def _with_limits(
-    prediction: PredictedProducts, changes: Mapping[RocKey, list[Change]], filters: Mapping[str, str],
-    draw: Callable[[], Mapping[RocKey, Array]],
+    scenario: Scenario, prediction: PredictedProducts, changes: Mapping[RocKey, Changes],
+    shifts: Mapping[RocKey, float], drawn: Mapping[RocKey, Array],
 ) -> PredictedProducts:  # fmt: skip
     """The prediction with limits of its curves.
 
-    ``filters`` : population -> the target that its filter looks for;  ``draw`` : curves (N, K) of truths drawn from
-    the budget, asked for where errors shift the mean of P_D by so much that their directions do not add up
+    ``drawn`` : curves (N, K) of truths drawn from the budget, where errors shift the mean of P_D by so much that
+    their directions do not add up
     """
+    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
     roc: dict[RocKey, RocCurve] = with_bands(prediction.roc, changes)
-    shifts = mean_shifts(prediction.roc, changes)
-    drawn = draw() if any(shift > DRAWN_SHIFT for shift in shifts.values()) else {}
-    far = {key: limits(drawn[key]) for key, shift in shifts.items() if shift > DRAWN_SHIFT and key in drawn}
-    roc |= {key: drawn_curve(prediction.roc[key], interval) for key, interval in far.items()}
-    notes = shift_notes(shifts, far, len(next(iter(drawn.values()))) if drawn else 0)
+    roc |= {key: drawn_curve(prediction.roc[key], limits(curves)) for key, curves in drawn.items()}
+    notes = shift_notes(shifts, drawn, len(next(iter(drawn.values()), ())))
     for (population, detector, unit), curve in roc.items():
         alarms = prediction.exceedance.get((filters[population], detector))
         if alarms is not None and np.any(alarms.upper > alarms.probability):

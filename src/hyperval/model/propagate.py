@@ -7,27 +7,25 @@ Errors of the background's laws, where they were fitted to pixels of an image, c
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import lru_cache, partial
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.atmosphere.terms import InterpolatedTerms, interpolated_terms
+from hyperval.atmosphere.terms import interpolated_terms
 from hyperval.data import LINEAR_DETECTORS
-from hyperval.errors import UsageError
 from hyperval.model.detection import Evaluation
-from hyperval.model.inputs import UncertainInput, drawn_truths
+from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.radiance import Background, light_of, seen_classes
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, false_alarm_grid, log_false_alarm
 from hyperval.model.scores import class_scores
 from hyperval.model.world import Origins, Truth, World, read, settled, state_entries, state_value, with_truths
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
-from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
@@ -35,7 +33,7 @@ from hyperval.spectra.axis import SpectralAxis
 Array = npt.NDArray[np.float64]
 Key = tuple[str, ...]
 RocKey = tuple[str, str, str]
-Change = tuple[Array, Array]  # by one standard uncertainty up, and down
+Changes = tuple[Array, Array]  # (D, K) by one standard uncertainty up, and down, along each direction
 _CURVES = 2048  # drawn for the limits of a ROC curve
 DRAWN_SHIFT = 1.0  # standard deviations: beyond, even parts of directions moved alone do not add up to that of all
 _SHIFT = 0.3  # of a standard deviation: 95 % intervals that are off by it hold 94 %, and ever fewer beyond
@@ -83,7 +81,7 @@ def _nothing(bands: int) -> Array:
     return zero
 
 
-def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Change]]) -> dict[RocKey, RocCurve]:
+def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, RocCurve]:
     """The curves with 95 % intervals of P_D from drawn curves.
 
     Each draw moves a whole curve along all directions of all inputs at once: by as many times the change that one
@@ -93,12 +91,24 @@ def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence
 
     Parameters
     ----------
-    changes : key -> for each direction the changes (K,) of probit P_D by one standard uncertainty up and down
+    changes : key -> changes (D, K) of probit P_D by one standard uncertainty up, and down, along each direction
     """
-    return {key: _with_limits(curve, changes.get(key, ())) for key, curve in roc.items()}
+    out = dict(roc)
+    for key, (up, down) in changes.items():
+        if not (np.any(up) or np.any(down)):
+            continue
+        curve, c = roc[key], _normal_draws(len(up))
+        z, even = probit(curve.pd), 0.5 * (up - down)
+        drawn = np.sort(z + np.maximum(c, 0.0) @ up + np.maximum(-c, 0.0) @ down, axis=1)
+        # The even part has its limits in closed form: the draws say by how much the whole differs from it.
+        half, plain = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
+        (low, high), (even_low, even_high) = limits(drawn), limits(plain)
+        low, high = (ndtr(np.sort(x)) for x in (low - even_low + z - half, high - even_high + z + half))
+        out[key] = drawn_curve(curve, (low, high))
+    return out
 
 
-def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Change]]) -> dict[RocKey, float]:
+def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, float]:
     """How far both signs of the errors move a curve the same way, in standard deviations of its probit, at most.
 
     Half the sum of the changes up and down, over all directions, is by how much the mean of draws would be off the
@@ -106,13 +116,12 @@ def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequenc
     can be trusted.
     """
     shifts = {}
-    for key, pairs in changes.items():
-        up, down = (np.array([pair[i] for pair in pairs]) for i in (0, 1))
+    for key, (up, down) in changes.items():
         inner = np.abs(probit(roc[key].pd)) < _INNER
-        sd = np.sqrt(((0.5 * (up - down)) ** 2).sum(axis=0))[inner] if pairs else np.zeros(0)
-        if np.any(sd > _SEEN):
-            shift = np.abs(0.5 * (up + down).sum(axis=0))[inner]
-            shifts[key] = float(np.max(shift[sd > _SEEN] / sd[sd > _SEEN]))
+        sd = np.sqrt(((0.5 * (up - down)) ** 2).sum(axis=0))
+        seen = inner & (sd > _SEEN)
+        if seen.any():
+            shifts[key] = float(np.max(np.abs(0.5 * (up + down).sum(axis=0))[seen] / sd[seen]))
     return shifts
 
 
@@ -134,18 +143,16 @@ def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], sampl
     return notes
 
 
-def _with_limits(curve: RocCurve, changes: Sequence[Change]) -> RocCurve:
-    if not any(np.any(part) for pair in changes for part in pair):
-        return curve
-    up, down = (np.array([pair[i] for pair in changes]) for i in (0, 1))
-    c = _normal_draws(len(changes))
-    z, even = probit(curve.pd), 0.5 * (up - down)
-    drawn = np.sort(z + np.maximum(c, 0.0) @ up + np.maximum(-c, 0.0) @ down, axis=1)
-    # The even part has its limits in closed form: the draws say by how much the whole differs from it.
-    half, plain = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
-    (low, high), (even_low, even_high) = (np.quantile(x, [0.025, 0.975], axis=0) for x in (drawn, plain))
-    low, high = (ndtr(np.sort(x)) for x in (low - even_low + z - half, high - even_high + z + half))
+def drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
+    """A curve with the limits (K,) of drawn curves, itself inside them."""
+    low, high = interval
     return replace(curve, pd_lower=np.minimum(low, curve.pd), pd_upper=np.maximum(high, curve.pd))
+
+
+def limits(draws: Array) -> tuple[Array, Array]:
+    """(n,) limits of the 95 % interval of draws (N, n), probabilistically symmetric (JCGM 101:2008, 7.7.2)."""
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
+    return low, high
 
 
 @lru_cache(maxsize=8)
@@ -276,12 +283,15 @@ def quantities(p: PredictedProducts) -> dict[Key, Array]:
 
 def scaled(key: Key, values: Array) -> Array:
     """Numbers on the scale on which they are taken to be linear: probabilities in probit."""
-    return np.asarray(ndtri(np.clip(values, 1e-300, 1.0 - 1e-16))) if key[0] in PROBABILITIES else values
+    return probit(values) if key[0] in PROBABILITIES else values
 
 
-def unscaled(key: Key, values: Array) -> Array:
-    """Back from the scale of :func:`scaled`."""
-    return np.asarray(ndtr(values)) if key[0] in PROBABILITIES else values
+class Spread(NamedTuple):
+    """Standard uncertainty (n,) of a product, and limits (n,) of its 95 % interval, by one way of propagation."""
+
+    sd: Array
+    lower: Array
+    upper: Array
 
 
 @dataclass(frozen=True)
@@ -290,89 +300,57 @@ class Draws:
 
     Attributes
     ----------
-    values : key -> (N, n);  curves : (subject, detector, unit) -> (N, K) P_D of whole curves
+    spread : key -> standard uncertainty and interval of what :func:`quantities` names
+    curves : (subject, detector, unit) -> (N, K) P_D of whole curves
     """
 
-    values: Mapping[Key, Array]
+    spread: Mapping[Key, Spread]
     curves: Mapping[RocKey, Array]
     samples: int
-    seed: int
-
-    def sd(self, key: Key) -> Array:
-        """(n,) standard uncertainty."""
-        return np.asarray(self.values[key].std(axis=0, ddof=1))
-
-    def interval(self, key: Key) -> tuple[Array, Array]:
-        """(n,) limits of the 95 % interval."""
-        return limits(self.values[key])
 
 
-def limits(draws: Array) -> tuple[Array, Array]:
-    """(n,) limits of the 95 % interval of draws (N, n), probabilistically symmetric (JCGM 101:2008, 7.7.2)."""
-    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
-    return low, high
-
-
-def draw_products(predictions: Iterable[PredictedProducts], seed: int) -> Draws:
-    """Products of predictions of drawn truths."""
+def drawn_products(predictions: Iterable[PredictedProducts]) -> Draws:
+    """Spread and curves of predictions of drawn truths."""
     values: dict[Key, list[Array]] = {}
     curves: dict[RocKey, list[Array]] = {}
-    count = 0
     for p in predictions:
-        count += 1
         for key, numbers in quantities(p).items():
             values.setdefault(key, []).append(numbers)
         for name, curve in p.roc.items():
             curves.setdefault(name, []).append(curve.pd)
-    lines = {k: np.stack(v) for k, v in curves.items()}
-    return Draws({k: np.stack(v) for k, v in values.items()}, lines, count, seed)
+    each = {key: np.array(v) for key, v in values.items()}
+    spread = {key: Spread(v.std(axis=0, ddof=1), *limits(v)) for key, v in each.items()}
+    return Draws(spread, {k: np.array(v) for k, v in curves.items()}, max(map(len, values.values()), default=0))
 
 
-@dataclass(frozen=True)
-class Linear:
-    """Linearised propagation: key -> (n,) products as stated, and variance on the scale of :func:`scaled`."""
-
-    stated: Mapping[Key, Array]
-    variance: Mapping[Key, Array]
-
-    def sd(self, key: Key) -> Array:
-        """(n,) standard uncertainty on the scale of the product, to first order."""
-        low, high = self.interval(key)
-        return np.asarray((high - low) / (2.0 * Z95)) if key[0] in PROBABILITIES else np.sqrt(self.variance[key])
-
-    def interval(self, key: Key) -> tuple[Array, Array]:
-        """(n,) limits of the 95 % interval."""
-        centre, half = scaled(key, self.stated[key]), Z95 * np.sqrt(self.variance[key])
-        return unscaled(key, centre - half), unscaled(key, centre + half)
-
-
-def linearise(
+def linearised(
     stated: PredictedProducts,
     inputs: Sequence[UncertainInput],
     predicted: Callable[[Iterable[Truth]], Iterator[PredictedProducts]],
-) -> Linear:
+) -> dict[Key, Spread]:
     """Linearised propagation of all products (JCGM 100:2008, 5.1).
 
     Spectra have it in ``stated``, with every direction of every input.  For scores and curves it is made of central
     differences over one standard uncertainty along each direction.
     """
-    base = quantities(next(predicted([{}])))
-    variance = {key: np.zeros(values.shape) for key, values in base.items()}
-    if any(key[0] not in _SPECTRA for key in variance):
-        steps = (item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0))
-        moved = (quantities(p) for p in predicted(steps))
-        for up, down in zip(moved, moved, strict=True):
-            for key, total in variance.items():
-                if key[0] not in _SPECTRA:
-                    total += (0.5 * (scaled(key, up[key]) - scaled(key, down[key]))) ** 2
-    for product in _SPECTRA:
-        for subject, estimate in getattr(stated, product).items():
-            variance[product, subject] = estimate.standard_uncertainty**2
-    return Linear(base, variance)
+    steps = [item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0)]
+    base, *moved = [{k: scaled(k, v) for k, v in quantities(p).items()} for p in predicted([{}, *steps])]
+    out = {}
+    for key, centre in base.items():
+        if key[0] in _SPECTRA:
+            sd = getattr(stated, key[0])[key[1]].standard_uncertainty
+        else:
+            rows = [0.5 * (up[key] - down[key]) for up, down in zip(moved[::2], moved[1::2], strict=True)]
+            sd = np.sqrt(np.sum(np.square(rows), axis=0)) * np.ones(centre.shape)
+        low, high = centre - Z95 * sd, centre + Z95 * sd
+        if key[0] in PROBABILITIES:
+            low, high = ndtr(low), ndtr(high)
+            sd = (high - low) / (2.0 * Z95)
+        out[key] = Spread(sd, low, high)
+    return out
 
 
-@dataclass(frozen=True)
-class Agreement:
+class Agreement(NamedTuple):
     """The two ways for one product of one subject; of a spectrum the median over bands, of a ROC one P_FA.
 
     Attributes
@@ -381,8 +359,7 @@ class Agreement:
     at : what of it: a false-alarm probability; NaN where there is nothing to choose
     linear_sd, drawn_sd : standard uncertainties
     sd_ratio, interval_ratio : drawn over linearised
-    gap : greater of the differences of the two limits, in units of the tolerance
-    agrees : gap at most 1
+    gap : greater of the differences of the two limits, in units of the tolerance; they agree up to 1
     """
 
     key: Key
@@ -392,11 +369,6 @@ class Agreement:
     sd_ratio: float
     interval_ratio: float
     gap: float
-
-    @property
-    def agrees(self) -> bool:
-        """Whether both limits agree within the tolerance."""
-        return self.gap <= 1.0
 
 
 def tolerance(u: Array, samples: int) -> Array:
@@ -410,24 +382,18 @@ def tolerance(u: Array, samples: int) -> Array:
     return np.asarray(digit + 2.0 * quantile_error * u)
 
 
-def agreement(key: Key, linear: Linear, draws: Draws, index: int | None = None, at: float = np.nan) -> Agreement:
-    """The two ways compared for one product; ``index`` picks one of its numbers."""
-    pick = slice(None) if index is None else slice(index, index + 1)
-    lin, mc = linear.sd(key)[pick], draws.sd(key)[pick]
-    low, high = (x[pick] for x in linear.interval(key))
-    drawn_low, drawn_high = (x[pick] for x in draws.interval(key))
-    live = np.isfinite(lin) & np.isfinite(mc) & (np.maximum(lin, mc) > 1e-12 * np.abs(linear.stated[key][pick]) + 1e-14)
+def agreement(key: Key, stated: Array, linear: Spread, drawn: Spread, samples: int, at: float = np.nan) -> Agreement:
+    """The two ways compared for one product, ``stated`` (n,)."""
+    live = np.isfinite(linear.sd) & np.isfinite(drawn.sd)
+    live &= np.maximum(linear.sd, drawn.sd) > 1e-12 * np.abs(stated) + 1e-14
     if not live.any():
         return Agreement(key, at, 0.0, 0.0, 1.0, 1.0, 0.0)
+    one, other = (Spread(*(x[live] for x in way)) for way in (linear, drawn))
     with np.errstate(divide="ignore", invalid="ignore"):
-        gap = np.maximum(np.abs(low - drawn_low), np.abs(high - drawn_high))[live]
-        gap = gap / tolerance(np.maximum(lin, mc)[live], draws.samples)
-        ratio, widths = mc[live] / lin[live], (drawn_high - drawn_low)[live] / (high - low)[live]
-
-    def middle(x: Array) -> float:
-        return float(np.median(x))
-
-    return Agreement(key, at, middle(lin[live]), middle(mc[live]), middle(ratio), middle(widths), middle(gap))
+        gap = np.maximum(np.abs(one.lower - other.lower), np.abs(one.upper - other.upper))
+        gap = gap / tolerance(np.maximum(one.sd, other.sd), samples)
+        ratio, widths = other.sd / one.sd, (other.upper - other.lower) / (one.upper - one.lower)
+    return Agreement(key, at, *(float(np.median(x)) for x in (one.sd, other.sd, ratio, widths, gap)))
 
 
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
@@ -436,41 +402,20 @@ Engine = Callable[[AtmosphericState], AtmosphericTerms]
 _NODE = float(np.sqrt(3.0))
 
 
-@dataclass(frozen=True)
-class Emulator:
-    """Stands in for an engine near one state: quadratic in each uncertain field, without cross terms.
+class Emulator(NamedTuple):
+    """What stands in for an engine near one state: quadratic in each uncertain field, without cross terms.
 
     Attributes
     ----------
-    between : the runs, a star about the stated one; None where nothing of the atmosphere is uncertain
-    stated : terms of the stated state
+    engine : terms of a state that differs from the stated one in the uncertain fields alone
     runs : engine runs behind it
-    error : greatest and median error of direct and path radiance against the engine, as a part of their sum, where
-        all fields are one standard uncertainty off [1]; zeros where nothing is uncertain
+    error : greatest and median error of the radiance over a grey ground of reflectance 0.3, where there is light and
+        all fields are one standard uncertainty off [1]; None where nothing of the atmosphere is uncertain
     """
 
-    between: InterpolatedTerms | None
-    stated: AtmosphericTerms
+    engine: Engine
     runs: int
-    error: tuple[float, float]
-
-    @property
-    def axes(self) -> Mapping[str, Array]:
-        """Field -> its values at the nodes, the stated one first."""
-        return {} if self.between is None else self.between.axes
-
-    def __call__(self, state: AtmosphericState) -> AtmosphericTerms:
-        """The terms of a state that differs from the stated one in the uncertain fields alone."""
-        if self.between is None:
-            return self.stated
-        at = {n: np.array([_beside(n, nodes[0], state_value(state, n))]) for n, nodes in self.axes.items()}
-        terms = self.between(at)
-        return replace(terms, **{n: getattr(terms, n)[0] for n in self.between.values})
-
-
-def _beside(name: str, stated: float, value: float) -> float:
-    """The value; an azimuth on the same turn as the stated one."""
-    return stated + (value - stated + 180.0) % 360.0 - 180.0 if name.endswith("azimuth_deg") else value
+    error: tuple[float, float] | None
 
 
 def emulator(
@@ -483,7 +428,6 @@ def emulator(
     axis : bands over which the terms are averaged before they are interpolated; None keeps the engine's own
         sampling, for bands that move
     """
-
     state = scenario.atmosphere
     assert state is not None  # noqa: S101 - asked for where there is light
 
@@ -491,102 +435,40 @@ def emulator(
         terms = engine(with_settings(state, state_entries(state, changes)))
         return terms if axis is None else replace(terms.at_bands(axis), fwhm_nm=axis.fwhm_nm)
 
-    stated = run({})
     axes: dict[str, Array] = {}
-    runs, moving = [stated], {}
+    runs, off = [run({})], {}
     for item in inputs:
         room, _, name = item.path.partition(".")
-        if room != "atmosphere":
-            continue
-        values = [state_value(state, name)]
-        for z in (-_NODE, _NODE):
-            value = float(item.moved(z)[item.path][0])
-            # A node at the end of the range may be the stated value.
-            if all(abs(value - v) > 1e-12 for v in values):
-                values.append(value)
-                runs.append(run({name: value}))
-        if len(values) > 1:
-            axes[name] = np.array(values)
-            moving[name] = float(item.moved(1.0)[item.path][0])
+        if room == "atmosphere":
+            at = state_value(state, name)
+            ends = [float(item.moved(z)[item.path][0]) for z in (-_NODE, _NODE)]
+            ends = [end for end in ends if abs(end - at) > 1e-12]  # a node at the end of the range may be the stated
+            runs += [run({name: end}) for end in ends]
+            if ends:
+                axes[name], off[name] = np.array([at, *ends]), float(item.moved(1.0)[item.path][0])
     if not axes:
-        return Emulator(None, stated, 1, (0.0, 0.0))
-    fast = Emulator(interpolated_terms(axes, runs, star=True, bounded=False), stated, len(runs) + 1, (0.0, 0.0))
-    off = with_settings(state, state_entries(state, moving))
-    return replace(fast, error=_error(fast(off), run(moving)))
+        return Emulator(lambda state: runs[0], 1, None)
+    between = interpolated_terms(axes, runs, star=True, bounded=False)
 
+    def interpolated(state: AtmosphericState) -> AtmosphericTerms:
+        at = {n: np.array([_beside(n, nodes[0], state_value(state, n))]) for n, nodes in axes.items()}
+        terms = between(at)
+        return replace(terms, **{n: getattr(terms, n)[0] for n in between.values})
 
-def _error(guess: AtmosphericTerms, truth: AtmosphericTerms) -> tuple[float, float]:
-    """Greatest and median error of the radiance over a grey ground of reflectance 0.3, where there is light."""
+    guess, truth = interpolated(with_settings(state, state_entries(state, off))), run(off)
     seen = [t.path_radiance + 0.3 * (t.direct + t.adjacency) / (1 - 0.3 * t.spherical_albedo) for t in (guess, truth)]
-    lit = truth.direct > 1e-3 * truth.direct.max()
-    relative = np.abs(seen[0] / seen[1] - 1.0)[lit]
-    return float(relative.max()), float(np.median(relative))
+    relative = np.abs(seen[0] / seen[1] - 1.0)[truth.direct > 1e-3 * truth.direct.max()]
+    return Emulator(interpolated, len(runs) + 1, (float(relative.max()), float(np.median(relative))))
 
 
-Again = Callable[..., Iterator[PredictedProducts]]  # of other truths, under ``stand_in`` as the engine
+def _beside(name: str, stated: float, value: float) -> float:
+    """The value; an azimuth on the same turn as the stated one."""
+    return stated + (value - stated + 180.0) % 360.0 - 180.0 if name.endswith("azimuth_deg") else value
 
 
-@dataclass(frozen=True)
-class Propagated:
-    """Both ways of propagation.
-
-    Attributes
-    ----------
-    linear, draws : the products each way
-    agreements : for every product and subject; P_D at 1e-2 and 1e-3
-    emulator : what stood for the engine; None without an atmosphere
-    """
-
-    linear: Linear
-    draws: Draws
-    agreements: tuple[Agreement, ...]
-    emulator: Emulator | None
-
-
-def propagate(
-    scenario: Scenario,
-    stated: PredictedProducts | None,
-    inputs: Sequence[UncertainInput],
-    again: Again,
-    *,
-    samples: int,
-    seed: int,
-    engine: Engine | None = None,
-    axis: SpectralAxis | None = None,
-    show_progress: bool | None = None,
-) -> Propagated:
-    """Draw ``samples`` truths from the budget, linearise, and compare.
-
-    Parameters
-    ----------
-    stated : the prediction as stated; None draws alone
-    again : predictions, without a budget, of other truths under an engine
-    engine, axis : of the atmosphere; bands on which its terms are interpolated, None for the engine's own sampling
-
-    Raises
-    ------
-    UsageError : fewer than 40 draws, which have no 95 % interval.
-    """
-    if samples < 40:
-        raise UsageError(f"{samples} draws have no 95 % interval", expected="40 or more")
-    stand_in = emulator(scenario, inputs, engine, axis) if engine is not None and scenario.atmosphere else None
-    predicted = partial(again, stand_in=stand_in)
-    truths = track(drawn_truths(inputs, samples, seed), "draws of the budget", show=show_progress)
-    draws = draw_products(predicted(truths), seed)
-    if stated is None:
-        return Propagated(Linear({}, {}), draws, (), stand_in)
-    linear = linearise(stated, inputs, predicted)
-    rows = []
-    for key, values in linear.stated.items():
-        if key[0] != "P_D":
-            rows.append(agreement(key, linear, draws))
-            continue
-        inside = [i for i, pd in enumerate(values) if np.isfinite(pd)]  # a curve may begin above
-        rows += [agreement(key, linear, draws, i, FALSE_ALARMS[i]) for i in inside]
-    return Propagated(linear, draws, tuple(rows), stand_in)
-
-
-def with_intervals(stated: PredictedProducts, propagation: Propagated, method: str) -> PredictedProducts:
+def with_intervals(
+    stated: PredictedProducts, linear: Mapping[Key, Spread], draws: Draws, method: str, seed: int, made: Emulator | None
+) -> PredictedProducts:
     """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
 
     With ``method`` "monte-carlo" all curves take the limits of the draws, and the errors of a spectrum are the
@@ -594,45 +476,35 @@ def with_intervals(stated: PredictedProducts, propagation: Propagated, method: s
     their standard deviation band by band, is too noisy to be inverted in a test.
     With "both" a curve takes the limits of the draws where P_D at 1e-2 or 1e-3 disagrees.
     """
-    differs = {a.key for a in propagation.agreements if a.key[0] == "P_D" and not a.agrees}
-    roc = dict(stated.roc)
-    for key, curve in stated.roc.items():
-        name = ("P_D", *key)
-        if method == "monte-carlo" or name in differs:
-            roc[key] = drawn_curve(curve, limits(propagation.draws.curves[key]))
-    notes = [_words(propagation)]
+    values, table = quantities(stated), []
+    for key, way in linear.items():
+        parts: Iterable[tuple[Any, float]] = [(slice(None), np.nan)]
+        if key[0] == "P_D":  # a curve may begin above
+            parts = [(slice(i, i + 1), at) for i, at in enumerate(FALSE_ALARMS) if np.isfinite(values[key][i])]
+        for part, at in parts:
+            one, other = (Spread(*(x[part] for x in s)) for s in (way, draws.spread[key]))
+            table.append(agreement(key, values[key][part], one, other, draws.samples, at))
+    drawn = method == "monte-carlo"
+    differs = {a.key for a in table if a.key[0] == "P_D" and not a.gap <= 1.0}
+    roc = {
+        key: drawn_curve(curve, limits(draws.curves[key])) if drawn or ("P_D", *key) in differs else curve
+        for key, curve in stated.roc.items()
+    }
+    notes = [_words(table, draws.samples, seed, made)]
     if method == "both" and differs:
         which = ", ".join(sorted({" ".join(k[1:]) for k in differs}))
         notes.append(f"P_D intervals from the draws, where linearisation differs by more than the tolerance: {which}")
-    spectra = {}
-    for product in _SPECTRA:
+    spectra: dict[str, Any] = {}
+    for product in _SPECTRA if drawn else ():
         estimates = getattr(stated, product)
-        if method == "monte-carlo":
-            estimates = {s: _drawn_estimate(e, propagation.draws.sd((product, s))) for s, e in estimates.items()}
-        spectra[product] = estimates
-    table = [{**asdict(a), "agrees": a.agrees} for a in propagation.agreements]
-    record = {
-        "method": method,
-        "samples": propagation.draws.samples,
-        "seed": propagation.draws.seed,
-        "agreements": table,
-    }
-    return replace(
-        stated,
-        roc=roc,
-        **spectra,
-        notes=(*stated.notes, *notes),
-        provenance={**stated.provenance, "propagation": record},
-    )
+        spectra[product] = {s: _widened(e, draws.spread[product, s].sd) for s, e in estimates.items()}
+    agreements = [{**a._asdict(), "agrees": a.gap <= 1.0} for a in table]
+    record = {"method": method, "samples": draws.samples, "seed": seed, "agreements": agreements}
+    provenance = {**stated.provenance, "propagation": record}
+    return replace(stated, roc=roc, **spectra, notes=(*stated.notes, *notes), provenance=provenance)
 
 
-def drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
-    """A curve with the limits (K,) of drawn curves, itself inside them."""
-    low, high = interval
-    return replace(curve, pd_lower=np.minimum(low, curve.pd), pd_upper=np.maximum(high, curve.pd))
-
-
-def _drawn_estimate(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
+def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
     linear = estimate.standard_uncertainty
     some = (linear > 0) & np.isfinite(sd)
     factor = float(np.median(sd[some] / linear[some])) if some.any() else 1.0
@@ -640,24 +512,17 @@ def _drawn_estimate(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
     return replace(estimate, error_covariance=factor**2 * estimate.error_covariance, budget=budget)
 
 
-def ratios(agreements: Sequence[Agreement]) -> Mapping[str, tuple[float, float, float]]:
-    """Product -> (least, median, greatest) ratio of drawn to linearised standard uncertainty over its subjects."""
-    out: dict[str, list[float]] = {}
-    for a in agreements:
-        label = a.key[0] if np.isnan(a.at) else f"{a.key[0]} at {a.at:.0e}"
+def _words(table: Sequence[Agreement], samples: int, seed: int, made: Emulator | None) -> str:
+    ratios: dict[str, list[float]] = {}
+    for a in table:
         if np.isfinite(a.sd_ratio):
-            out.setdefault(label, []).append(a.sd_ratio)
-    return {k: (min(v), float(np.median(v)), max(v)) for k, v in out.items()}
-
-
-def _words(propagation: Propagated) -> str:
-    parts = [f"{k} {low:.2f}-{high:.2f}" for k, (low, _, high) in ratios(propagation.agreements).items()]
-    text = f"{propagation.draws.samples} draws of the budget (seed {propagation.draws.seed}): "
-    text += "standard uncertainty over the linearised one: " + ", ".join(parts)
-    e = propagation.emulator
-    if e is not None and e.axes:
+            label = a.key[0] if np.isnan(a.at) else f"{a.key[0]} at {a.at:.0e}"
+            ratios.setdefault(label, []).append(a.sd_ratio)
+    text = f"{samples} draws of the budget (seed {seed}): standard uncertainty over the linearised one: "
+    text += ", ".join(f"{k} {min(v):.2f}-{max(v):.2f}" for k, v in ratios.items())
+    if made is not None and made.error is not None:
         text += (
-            f"; atmosphere interpolated between {e.runs} engine runs, radiance within {100 * e.error[0]:.2g} % "
-            f"(median {100 * e.error[1]:.2g} %) with every input of it one standard uncertainty off"
+            f"; atmosphere interpolated between {made.runs} engine runs, radiance within {100 * made.error[0]:.2g} % "
+            f"(median {100 * made.error[1]:.2g} %) with every input of it one standard uncertainty off"
         )
     return text
