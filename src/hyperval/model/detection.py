@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model.ace import AceSpace, Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
-from hyperval.model.fill import FillDistribution, Fills, fixed_fill
+from hyperval.model.fill import FillDistribution, Fills
 from hyperval.model.radiance import (
     Background,
     Light,
@@ -36,11 +36,10 @@ from hyperval.model.scores import (
     FilterBase,
     Filters,
     Material,
-    Population,
     Responses,
     class_scores,
     noise_of,
-    target_population,
+    target_pixels,
     target_scores,
 )
 from hyperval.model.surfaces import cut
@@ -193,12 +192,6 @@ class Evaluation:
             at.column("sky_view")[:, target], error,
         )  # fmt: skip
 
-    def population_at(self, u: int, target: int, fill: FillDistribution) -> Population:
-        """Pixels of one target as the detector sees them in a truth, by the moments of their fill (3.12)."""
-        material = self.material(target, self.world.rows(np.array([u])))
-        v, gain = int(self.which[u]), float(self.world.of_target("target_gain", target)[u])
-        return target_population(self.view, self.background, self.seen, v, material, fill, gain)
-
     def fill_of(self, u: int, number: int) -> FillDistribution:
         """Fill of a population in a truth."""
         fills = self.fills(number)
@@ -338,169 +331,159 @@ _NODES = 7
 _DECADES = (0.0, 0.0, 0.0, 0.0, 3.0, 6.0)
 
 
-@dataclass(frozen=True)
-class AceScores:
-    """Scores of one population in n evaluations.
+class AceCurve(NamedTuple):
+    """ACE of one population in one truth.
 
     Attributes
     ----------
     target, background : score distributions
-    threshold : (n, K)
-    detection : unit -> (n, K) P_D
-    error : (n,) greatest standard error of P_D, of the draws
-    alarm_error : (n,) standard error of P_FA at the least of its values, as a part of it
+    threshold : (K,)
+    pd : unit -> (K,) P_D
+    error, alarm_error : greatest standard error of P_D, of the draws, and that of P_FA at the least of its values, as
+        a part of it
     """
 
-    target: Sequence[ScoreDistribution]
-    background: Sequence[ScoreDistribution]
+    target: ScoreDistribution
+    background: ScoreDistribution
     threshold: Array
-    detection: dict[str, Array]
-    error: Array
-    alarm_error: Array
+    pd: Mapping[str, Array]
+    error: float
+    alarm_error: float
 
 
-@dataclass(frozen=True)
-class _AceTruth:
-    """One truth: number of it and of the target, filter base, space, and the exceedance of the background.
+class Seeing(NamedTuple):
+    """One truth as the detector sees it: laws of pixels go through ACE in its filter's space.
 
-    ``host`` : the laws of the target's host: part, pixels of host alone, degrees of freedom
+    Attributes
+    ----------
+    slope, surroundings : (F,) D_A / k, (F, F) Sigma_ave (3.11)
+    space, base : of the target looked for
+    samples, seed : of the draws
     """
 
-    u: int
-    target: int
-    base: FilterBase
+    slope: Array
+    surroundings: Array
     space: AceSpace
-    background: Exceedance
-    threshold: Array
-    host: Sequence[tuple[float, Population, float]]
+    base: FilterBase
+    samples: int
+    seed: int
+
+    def covariance(self, surface: Array, around: Array, noise: Array) -> Array:
+        """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
+        own = surface * np.outer(self.slope, self.slope) + self.surroundings * np.outer(around, around)
+        return np.asarray(own + np.diag(noise))
+
+    def exceedance(
+        self, mean: Array, covariance: Array, dof: float, stream: Sequence[int], decades: Sequence[float],
+        normal: Array | None = None,
+    ) -> Exceedance:  # fmt: skip
+        """P(ACE > eta) of pixels with a mean and a covariance, and of a normal part whatever the tails."""
+        normal = None if normal is None else self.base.spread(normal)
+        return ace_exceedance(
+            self.space, self.base.of(mean), self.base.spread(covariance), self.samples,
+            np.random.default_rng([self.seed, *stream]), None if np.isinf(dof) else dof, decades=decades, normal=normal,
+        )  # fmt: skip
 
 
-def ace_scores(e: Evaluation, population: str, pfa: Array, object_curves: bool = True) -> AceScores:
-    """ACE of target pixels and background in every truth; the host of a pixel keeps its laws."""
-    number, target, _ = e.population(population)
-    of_target, background, thresholds, errors = [], [], [], []
-    detection: dict[str, list[Array]] = {unit: [] for unit in (("pixel", "object") if object_curves else ("pixel",))}
+def ace_curves(e: Evaluation, target: int, pfa: Array, object_curves: bool) -> dict[str, list[AceCurve]]:
+    """Population of a target -> ACE of it in each truth; the host of a pixel keeps its laws."""
+    of = [(i, p.name) for i, (t, _, p) in enumerate(e.stated.populations) if t == target]
+    out: dict[str, list[AceCurve]] = {name: [] for _, name in of}
     for u in range(len(e)):
-        one = e.once(("ace", u, target), lambda u=u: _ace_truth(e, u, target, pfa))  # type: ignore[misc]
-        fill = e.fill_of(u, number)
-        nodes, at_nodes = e.once(("ace nodes", u, target), lambda one=one: _at_nodes(e, one))  # type: ignore[misc]
-        whole, objects = _objects(e, u, number)
-        pixel = _averaged(at_nodes, nodes, fill.values[:, None], fill.weights)
-        of_target.append(_distribution(pixel))
-        background.append(_distribution(one.background))
-        thresholds.append(one.threshold)
-        detection["pixel"].append(exceedance_at(one.threshold, pixel))
-        if object_curves:
-            pd = detection["pixel"][-1]
-            if whole.shape is not None:
-                weights = np.full(objects.shape[0], 1.0 / objects.shape[0])
-                pd = exceedance_at(one.threshold, _averaged(at_nodes, nodes, objects, weights))
-            detection["object"].append(pd)
-        errors.append((max(float(x.standard_error.max()) for x in at_nodes), _alarm_error(one)))
-    each = {unit: np.array(curves) for unit, curves in detection.items()}
-    error, alarm_error = np.array(errors).T
-    return AceScores(of_target, background, np.array(thresholds), each, error, alarm_error)
+        background, threshold, error, at_fill = _ace_truth(e, u, target, pfa)
+        fills = {number: e.fill_of(u, number) for number, _ in of}
+        whole = {number: _objects(e, u, number) for number, _ in of}
+        # Those of whole objects too, even where their curve is not asked for.
+        every = np.concatenate([*(f.values for f in fills.values()), *(w[1].ravel() for w in whole.values())])
+        nodes = _nodes(float(every.min()), float(every.max()))
+        at_nodes = [at_fill(float(f)) for f in nodes]
+        greatest = max(float(x.standard_error.max()) for x in at_nodes)
+        for number, name in of:
+            pixel = _averaged(at_nodes, nodes, fills[number].values[:, None], fills[number].weights)
+            pd = {"pixel": exceedance_at(threshold, pixel)}
+            if object_curves:
+                shape, objects = whole[number]
+                pd["object"] = pd["pixel"]
+                if shape is not None:
+                    weights = np.full(objects.shape[0], 1.0 / objects.shape[0])
+                    pd["object"] = exceedance_at(threshold, _averaged(at_nodes, nodes, objects, weights))
+            behind = _distribution(background)
+            out[name].append(AceCurve(_distribution(pixel), behind, threshold, pd, greatest, error))
+    return out
 
 
-def _objects(e: Evaluation, u: int, number: int) -> tuple[Fills, Array]:
-    """Fills of the pixels of whole objects in one truth, and the same as (places, pixels)."""
+def _objects(e: Evaluation, u: int, number: int) -> tuple[tuple[int, ...] | None, Array]:
+    """Fills of the pixels of whole objects in one truth, (places, pixels); no shape where a pixel is an object."""
     whole = e.fills(number, True)
     row = whole.values[u if whole.values.shape[0] > 1 else 0]
-    return whole, row.reshape(whole.shape or (-1, 1))
+    return whole.shape, row.reshape(whole.shape or (-1, 1))
 
 
-def _at_nodes(e: Evaluation, one: _AceTruth) -> tuple[Array, list[Exceedance]]:
-    """Fills that span those of all populations of a target, and its exceedances there."""
-    reach = []
-    for number, (target, _, _) in enumerate(e.stated.populations):
-        if target == one.target:
-            # Those of whole objects too, even where their curve is not asked for.
-            reach += [e.fill_of(one.u, number).values, _objects(e, one.u, number)[1].ravel()]
-    every = np.concatenate(reach)
-    nodes = _nodes(float(every.min()), float(every.max()))
-    return nodes, [_at_fill(e, one, float(f)) for f in nodes]
-
-
-def _ace_truth(e: Evaluation, u: int, target: int, pfa: Array) -> _AceTruth:
-    processing, v, seen, of = e.scenario.processing, int(e.which[u]), e.seen, e.background
-    base = e.designer.base(e.designer.mixture(of, seen, v), lambda reflectance: noise_of(e.view, seen, v, reflectance))
-    looked_for = of_truth(e.looked_for(e.targets[target].name), v)
+def _ace_truth(
+    e: Evaluation, u: int, target: int, pfa: Array
+) -> tuple[Exceedance, Array, float, Callable[[float], Exceedance]]:
+    """One truth: exceedance of the background, thresholds, error of P_FA, and target pixels at a fill."""
+    processing, v, seen, of = e.scenario.processing, int(e.which[u]), e.seen.rows(e.which[u : u + 1]), e.background
+    named, light, of = e.targets[target], e.view.rows(e.which[u : u + 1]), of.rows(e.which[u : u + 1])
+    base = e.designer.base(e.designer.mixture(e.background, e.seen, v), lambda r: noise_of(e.view, e.seen, v, r))
+    looked_for = of_truth(e.looked_for(named.name), v)
     space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
-    fractions, dof = of_truth(of.law_fraction, v), of_truth(e.world.law_dof, u)
+    one = Seeing(seen.slope[0], e.background.covariance(v), space, base, processing.samples, processing.seed)
+    fractions, dof = of.law_fraction[0], of_truth(e.world.law_dof, u)
     decades = np.linspace(0.0, -float(np.log10(pfa[0])), 4).tolist()
-    classes, pixels = [], []
+    classes, laws = [], []
     for j, law in enumerate(of.laws):
         m = law.owner
-        gain, stretch = float(of_truth(of.gain, v)[m]), of_truth(of.stretch, v)[m] * np.ones(e.bands.size)
-        mean = of_truth(seen.means, v)[m]
+        gain, stretch = float(of.gain[0, m]), of.stretch[0, m] * np.ones(e.bands.size)
+        mean = seen.means[0, m]
         if law.offset is not None:
-            mean = mean + np.sqrt(gain) * of_truth(seen.slope, v) * stretch * law.offset
-        own = gain * law.covariance * np.outer(stretch, stretch)
-        as_part = Population(own, of_truth(seen.around, v)[m], mean, of_truth(seen.noise, v)[m])
-        pixels.append(as_part)
-        classes.append(
-            ace_exceedance(
-                space, base.of(as_part.mean), base.spread(covariance_of(as_part, e, v)), processing.samples,
-                np.random.default_rng([processing.seed, j]), None if np.isinf(dof[j]) else float(dof[j]),
-                decades=decades,
-            )
-        )  # fmt: skip
-    mixture = Exceedance(
-        classes[0].scores,
-        np.asarray(sum(f * c.probability for f, c in zip(fractions, classes, strict=True))),
-        np.sqrt(sum((f * c.standard_error) ** 2 for f, c in zip(fractions, classes, strict=True))),
-    )
+            mean = mean + np.sqrt(gain) * one.slope * stretch * law.offset
+        surface = gain * law.covariance * np.outer(stretch, stretch)
+        whole = one.covariance(surface, seen.around[0, m], seen.noise[0, m])
+        laws.append((mean, surface, whole))
+        classes.append(one.exceedance(mean, whole, float(dof[j]), [j], decades))
+    background = _mixed(fractions, classes)
     threshold = ace_threshold(pfa, fractions.tolist(), classes)
+    first = int(np.searchsorted(background.scores, threshold[0]).clip(0, background.scores.size - 1))
+    error = float(background.standard_error[first] / max(background.probability[first], 1e-300))
     numbers, parts, _ = e.host_laws(target)
-    host = [(float(part), pixels[j], float(dof[j])) for j, part in zip(numbers, parts, strict=True)]
-    return _AceTruth(u, target, base, space, mixture, threshold, host)
+    world, number = e.world.rows(np.array([u])), e.stated.classes.index(named.host)
+    material = e.material(target, world)
+    stretch = of.stretch[0, number] * np.ones(e.bands.size)
+    host = of.gain[0, number] * of.covariances[number] * np.outer(stretch, stretch)
+    square, shift = np.outer(one.slope, one.slope), float(e.shift[u])
+
+    def at_fill(fill: float) -> Exceedance:
+        share, pixels = 1.0 - fill, target_pixels(light, of, seen, material, np.array([fill]))
+        mean, (beside, on) = pixels.means[0, 0], pixels.around
+        if shift and material.error is not None:
+            # The true target departs along the filter's own direction, by standard deviations of its score.
+            w = base.filter("matched-filter", looked_for).weights * one.slope
+            mean = mean + shift * fill * (material.error @ w / np.sqrt(float(w @ material.error @ w))) * one.slope
+        factor = material.stretch[0] * np.ravel(pixels.factor) * np.ones(e.bands.size)
+        own = material.covariance * np.outer(factor, factor) * float(world.of_target("target_gain", target)[0])
+        f2 = fill**2 + float(material.fine_texture[0]) * (fill - fill**2)
+        around = share * beside[0, 0] + fill * on[0, 0]
+        whole = one.covariance(f2 * own + share**2 * host, around, pixels.noise[0, 0])
+        by_law = []
+        for k, j in enumerate(numbers):
+            # A law of the host differs from its class in mean and spread; what has its tails is what it has alone.
+            law_mean, surface, alone = laws[j]
+            total, tailed = whole + share**2 * (surface - host) * square, np.isfinite(dof[j])
+            part = share**2 * alone if tailed else total
+            at = mean + share * (law_mean - seen.means[0, number])
+            stream = [1_000_003, *([k] if k else [])]
+            by_law.append(one.exceedance(at, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
+        return _mixed(parts, by_law)
+
+    return background, threshold, error, at_fill
 
 
-def covariance_of(part: Population, e: Evaluation, v: int) -> Array:
-    """(F, F) covariance of pixels as the detector sees them under light ``v`` (3.11-3.21)."""
-    slope, surroundings = of_truth(e.seen.slope, v), e.background.covariance(v)
-    covariance = part.covariance * np.outer(slope, slope) + surroundings * np.outer(part.around, part.around)
-    return np.asarray(covariance + np.diag(part.noise))
-
-
-def _at_fill(e: Evaluation, one: _AceTruth, fill: float) -> Exceedance:
-    processing, v = e.scenario.processing, int(e.which[one.u])
-    pixels = e.population_at(one.u, one.target, fixed_fill(fill))
-    mean, shift, target = pixels.mean, float(e.shift[one.u]), e.targets[one.target]
-    slope = of_truth(e.seen.slope, v)
-    if shift and target.name in e.errors:
-        # The true target departs along the filter's own direction, by standard deviations of its score.
-        error = e.errors[target.name][np.ix_(e.bands, e.bands)]
-        w = one.base.filter("matched-filter", of_truth(e.looked_for(target.name), v)).weights * slope
-        mean = mean + shift * fill * (error @ w / np.sqrt(float(w @ error @ w))) * slope
-    whole, share = covariance_of(pixels, e, v), 1.0 - fill
-    number = e.stated.classes.index(target.host)
-    stretch = of_truth(e.background.stretch, v)[number] * np.ones(e.bands.size)
-    gain = of_truth(e.background.gain, v)[number]
-    class_mean = of_truth(e.seen.means, v)[number]
-    surface = e.background.covariances[number] * gain * np.outer(stretch, stretch)
-    by_law = []
-    for k, (part, law, dof) in enumerate(one.host):
-        # A law of the host differs from its class in mean and spread; what has its tails is what it has alone.
-        total = whole + share**2 * (law.covariance - surface) * np.outer(slope, slope)
-        tailed = share**2 * covariance_of(law, e, v) if np.isfinite(dof) else total
-        above = ace_exceedance(
-            one.space, one.base.of(mean + share * (law.mean - class_mean)), one.base.spread(tailed),
-            processing.samples, np.random.default_rng([processing.seed, 1_000_003, *([k] if k else [])]),
-            float(dof) if np.isfinite(dof) else None,
-            decades=_DECADES, normal=one.base.spread(total - tailed) if np.isfinite(dof) else None,
-        )  # fmt: skip
-        by_law.append((part, above))
-    return Exceedance(
-        by_law[0][1].scores,
-        np.asarray(sum(part * above.probability for part, above in by_law)),
-        np.sqrt(sum((part * above.standard_error) ** 2 for part, above in by_law)),
-    )
-
-
-def _alarm_error(one: _AceTruth) -> float:
-    first = int(np.searchsorted(one.background.scores, one.threshold[0]).clip(0, one.background.scores.size - 1))
-    return float(one.background.standard_error[first] / max(one.background.probability[first], 1e-300))
+def _mixed(parts: Array, each: Sequence[Exceedance]) -> Exceedance:
+    """Pixels of several laws together."""
+    pairs = list(zip(parts, each, strict=True))
+    error = np.sqrt(sum((part * one.standard_error) ** 2 for part, one in pairs))
+    return Exceedance(each[0].scores, np.asarray(sum(part * one.probability for part, one in pairs)), error)
 
 
 def _nodes(low: float, high: float) -> Array:
@@ -579,14 +562,16 @@ def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] =
                 for population in populations:
                     _add_linear(e, by_point, points, target.name, population, name, pfa, object_curves)
                 continue
-            drawn = [ace_scores(e, population, pfa, object_curves) for population in populations]
-            for population, scores in zip(populations, drawn, strict=True):
-                _add_numerical(by_point, points, population, name, pfa, scores)
+            number = e.targets.index(target)
+            drawn = e.once(("ace", number, object_curves), lambda t=number: ace_curves(e, t, pfa, object_curves))  # type: ignore[misc]
+            for population, curves in drawn.items():
+                _add_numerical(by_point, points, population, name, pfa, curves)
             for note, point in zip(notes, points, strict=True):
-                worst = max(s.error[point] for s in drawn)
+                worst = max(curves[point].error for curves in drawn.values())
+                alarms = 100 * drawn[populations[0]][point].alarm_error
                 note.append(
                     f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
-                    f"{worst:.2g}, of P_FA at {pfa[0]:.1g} {100 * drawn[0].alarm_error[point]:.2g} %"
+                    f"{worst:.2g}, of P_FA at {pfa[0]:.1g} {alarms:.2g} %"
                 )
     return [replace(d, notes=tuple(n)) for d, n in zip(by_point, notes, strict=True)]
 
@@ -648,20 +633,15 @@ class _BackgroundScores:
 
 
 def _add_numerical(
-    by_point: Sequence[PredictedDetection],
-    points: Sequence[int],
-    population: str,
-    name: str,
-    pfa: Array,
-    scores: AceScores,
-) -> None:
+    by_point: Sequence[PredictedDetection], points: Sequence[int], population: str, name: str, pfa: Array,
+    curves: Sequence[AceCurve],
+) -> None:  # fmt: skip
     for into, point in zip(by_point, points, strict=True):
-        into.scores[population, name] = scores.target[point]
-        into.scores[background_of(population), name] = scores.background[point]
-        for unit, curve in scores.detection.items():
-            p, threshold = curve[point], scores.threshold[point]
-            into.roc[population, name, unit] = RocCurve(pfa, p, p, p, threshold, unit)  # type: ignore[arg-type]
-            into.curves[population, name, unit] = curve  # type: ignore[index]
+        one = curves[point]
+        into.scores[population, name], into.scores[background_of(population), name] = one.target, one.background
+        for unit, pd in one.pd.items():
+            into.roc[population, name, unit] = RocCurve(pfa, pd, pd, pd, one.threshold, unit)  # type: ignore[arg-type]
+            into.curves[population, name, unit] = np.array([c.pd[unit] for c in curves])  # type: ignore[index]
 
 
 def _distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.model.classification import feature_covariance, features, minimum_noise_fraction, principal_components
-from hyperval.model.fill import FillDistribution
 from hyperval.model.filters import (
     MAX_CONDITION,
     LinearFilter,
@@ -36,11 +35,9 @@ from hyperval.model.radiance import (
     Light,
     Seen,
     TwoPanelLine,
-    at_rows,
     of_truth,
     retrieved_reflectance,
     spread,
-    target_pixel_covariance,
     target_pixel_reflectance,
     wide,
 )
@@ -67,22 +64,6 @@ class Filters:
     def rows(self, index: Index) -> Filters:
         """Of some truths."""
         return Filters(self.weights[index], self.offset[index])
-
-
-@dataclass(frozen=True)
-class Population:
-    """Target pixels as a detector sees them.
-
-    Attributes
-    ----------
-    covariance : (F, F) of reflectance, gains and light included (3.12)
-    around, mean, noise : (F,) as those of a class in :class:`Seen`
-    """
-
-    covariance: Array
-    around: Array
-    mean: Array
-    noise: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,13 +370,6 @@ class Material:
     sky: Array
     error: Array | None = None
 
-    def row(self, u: int) -> Material:
-        """Of one truth."""
-        at = np.array([u])
-        names = ("mean", "stretch", "fine_texture", "beam", "sky")
-        changes: dict[str, Any] = {n: at_rows(getattr(self, n), at) for n in names}
-        return replace(self, **changes)
-
 
 def lit_surface(light: Light, material: Material) -> tuple[Array, Array, Array | float]:
     """A target under its own light, as a surface in the open would have to be to look like it (ground term of 3.7).
@@ -412,59 +386,54 @@ def lit_surface(light: Light, material: Material) -> tuple[Array, Array, Array |
     return own * factor, own * material.sky[:, None, None], factor
 
 
+class TargetPixels(NamedTuple):
+    """Pixels of which a target fills K parts f, as the detector sees them in U truths.
+
+    Attributes
+    ----------
+    means, noise : (U or 1, K, F) retrieved reflectance, and its noise variance
+    around : (U or 1, 1, F) D_B / k times the root of g_m kappa (3.11) of a pixel of host, and of one full of target
+    factor : (U, 1, F) light on the target over that in the open, 1 without shade
+    """
+
+    means: Array
+    noise: Array
+    around: tuple[Array, Array]
+    factor: Array | float
+
+
+def target_pixels(light: Light, of: Background, seen: Seen, material: Material, fills: Array) -> TargetPixels:
+    """Target pixels at fills (K,), each with its own mean, noise and adjacency (3.7-3.12)."""
+    number = material.host
+    lit, under_sky, factor = lit_surface(light, material)
+    host = of.means[:, number : number + 1]
+    level = light.level(target_pixel_reflectance(fills, lit, host))  # (3.9), (3.10)
+    means = retrieved_reflectance(TwoPanelLine(seen.gain, seen.offset), level)
+    weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / seen.gain
+    around = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
+    return TargetPixels(means, light.noise_variance(level) / seen.gain**2, around, factor)
+
+
 def target_scores(light: Light, of: Background, seen: Seen, filters: Filters, material: Material) -> Responses:
     """Score statistics of pixels of which the target fills f, at FILL_NODES (3.26, 3.28).
 
-    Each fill has its own mean, noise and adjacency; Var(f) comes in by the average over the fill.
+    Var(f) comes in by the average over the fill.
     """
-    number, w = material.host, filters.weights
-    lit, under_sky, factor = lit_surface(light, material)
-    host = of.means[:, number : number + 1]
+    number, w, g = material.host, filters.weights, FILL_NODES
     truths, bands = w.shape
-
-    level = light.level(target_pixel_reflectance(FILL_NODES, lit, host))  # (3.9), (3.10)
-    line = TwoPanelLine(seen.gain, seen.offset)
-    means = (
-        np.einsum("uf,ukf->uk", w, wide(retrieved_reflectance(line, level), truths)) - filters.offset[:, None]
-    )  # (3.26)
-    through = (w * seen.slope)[:, None, :]
-    lit_through = through * factor
-    rest = np.einsum("ukf,uf->uk", wide(light.noise_variance(level) / seen.gain**2, truths), w**2)  # noise of (3.28)
+    pixels = target_pixels(light, of, seen, material, g)
+    means = np.einsum("uf,ukf->uk", w, wide(pixels.means, truths)) - filters.offset[:, None]  # (3.26)
+    rest = np.einsum("ukf,uf->uk", wide(pixels.noise, truths), w**2)  # noise of (3.28)
     # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
-    ends = np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in (host, under_sky)], axis=1)
-    v = w[:, None, :] * light.adjacency_slope(ends) / seen.gain
-    v = v * np.sqrt(of.gain[:, number, None, None] * light.kappa)
+    v = w[:, None, :] * np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in pixels.around], axis=1)
     parts = of.surroundings(np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
     zero, one, both = parts[:, :1], parts[:, 1:2], parts[:, 2:]
-    g = FILL_NODES
     rest = rest + (1.0 - g) ** 2 * zero + g**2 * one + g * (1.0 - g) * (both - zero - one)
-    error = np.zeros(truths)
+    through = (w * seen.slope)[:, None, :]
+    lit_through, error = through * pixels.factor, np.zeros(truths)
     if material.error is not None:
         error = np.sqrt(spread(lit_through, material.error)[:, 0])
     own = spread(lit_through, material.covariance, material.stretch)[:, 0]
     behind = spread(through, of.covariances[number], of.stretch[:, number])[:, 0]
     fine = np.broadcast_to(material.fine_texture, (truths,))
     return Responses(means, own, of.gain[:, number] * behind, rest, error, fine)
-
-
-def target_population(
-    light: Light, of: Background, seen: Seen, u: int, material: Material, fill: FillDistribution, target_gain: float
-) -> Population:
-    """Target pixels of one truth by the moments of their fill (3.12)."""
-    row, number, here = light.row(u), material.host, material.row(u)
-    one = of.rows(np.array([u]))
-    mean, sky, shade = lit_surface(light.rows(np.array([u])), here)
-    lit, under, host = mean[0, 0], sky[0, 0], one.means[0, number]
-    factor = (here.stretch[0] * (np.asarray(shade)[0, 0] if np.ndim(shade) else 1.0)) * np.ones(lit.size)
-    own, stretch = material.covariance * np.outer(factor, factor), one.stretch[0, number] * np.ones(lit.size)
-    gain = float(one.gain[0, number])
-    covariance = target_pixel_covariance(
-        fill.mean, fill.variance, lit, own, host, one.covariances[number] * np.outer(stretch, stretch),
-        target_gain=target_gain, host_gain=gain, fine_texture=float(here.fine_texture[0]),
-        formulation=light.formulation,
-    )  # fmt: skip
-    level = row.level(target_pixel_reflectance(fill.mean, lit, host))
-    under_sky = target_pixel_reflectance(fill.mean, under, host)
-    k, offset = (of_truth(x, u)[0] for x in (seen.gain, seen.offset))
-    around = row.adjacency_slope(under_sky) / k * np.sqrt(gain * row.kappa.reshape(-1)[0])
-    return Population(covariance, around, (level - offset) / k, row.noise_variance(level) / k**2)
