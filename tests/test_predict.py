@@ -22,7 +22,7 @@ from hyperval.model import (
     matched_filter_weights,
     mixture_covariance,
     predict,
-    spectrum_error_covariance,
+    spectrum_error_sd,
 )
 from hyperval.products import PredictedProducts, background_of
 from hyperval.scenario import Scenario, SpectrumUncertainty, load_scenario
@@ -272,12 +272,12 @@ def test_field_spectrum_error_from_its_file():
     )
     spread = SpectrumUncertainty(subject="x", from_file=True)
     error = SpectrumUncertainty(subject="x", from_file=True, divisor="standard_error")
-    assert spectrum_error_covariance(spread, surface, AXIS) == pytest.approx(np.full((10, 10), 4e-4))
-    assert spectrum_error_covariance(error, surface, AXIS) == pytest.approx(np.full((10, 10), 4e-4 / 16))
+    assert spectrum_error_sd(spread, surface, AXIS) == pytest.approx(np.full(10, 0.02))
+    assert spectrum_error_sd(error, surface, AXIS) == pytest.approx(np.full(10, 0.02 / 4))
     with pytest.raises(UsageError, match="how many spectra"):
-        spectrum_error_covariance(error, replace(surface, n=None), AXIS)
+        spectrum_error_sd(error, replace(surface, n=None), AXIS)
     with pytest.raises(UsageError, match="no standard deviation"):
-        spectrum_error_covariance(error, replace(surface, standard_deviation=None), AXIS)
+        spectrum_error_sd(error, replace(surface, standard_deviation=None), AXIS)
 
 
 def test_gain_of_the_class_is_on_its_adjacency_term_too():

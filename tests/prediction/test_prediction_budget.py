@@ -15,7 +15,6 @@ from hyperval.model import (
     covariance_directions,
     directions,
     drawn_truths,
-    form_covariance,
     form_in_words,
     inputs_of,
     read,
@@ -92,7 +91,6 @@ def test_directions_give_back_the_covariance_of_each_form():
     for name, (form, expected) in cases.items():
         rows = directions(sd, form, AXIS)
         np.testing.assert_allclose(rows.T @ rows, expected, atol=1e-5 * expected.max(), err_msg=name)
-        np.testing.assert_allclose(form_covariance(sd, form, AXIS), expected, atol=1e-15, err_msg=name)
         norms = (rows**2).sum(axis=1)
         assert np.all(np.diff(norms) <= 1e-15) or name == "random"
     assert covariance_directions(np.zeros((3, 3))).shape == (0, 3)

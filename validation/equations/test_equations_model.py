@@ -15,7 +15,7 @@ import pytest
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import ClassStatistics
 from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_values
-from hyperval.model.scores import FILL_NODES, class_scores, lit_surface, noise_of, target_population, target_scores
+from hyperval.model.scores import FILL_NODES, class_scores, noise_of, target_pixels, target_scores
 from hyperval.model.surfaces import SurfaceStatistics
 from hyperval.scenario import Scenario
 from hyperval.sensor.noise import NoiseModel
@@ -198,28 +198,27 @@ def test_3_26_and_3_28_scores_of_target_pixels_in_their_own_light():
 
 def test_3_7_light_on_a_target_in_the_shade():
     e = Evaluation(both())
-    lit, under, factor = lit_surface(e.view, e.material(0, e.world))
+    target = e.material(0, e.world)
+    lit, under, factor = e.view.surface(target.mean, target.beam, target.sky)
     light = Plain(1).light(0.4, 0.8)
     assert np.asarray(factor)[:, 0] == pytest.approx(np.array([np.ones(B), light]))
     assert lit[1, 0] == pytest.approx(light * SURFACES["plank"].mean)
     assert under[1, 0] == pytest.approx(0.8 * SURFACES["plank"].mean)
 
 
-def test_3_12_target_pixels_of_random_fill():
-    e, fill = Evaluation(both()), beta_fill(0.4, 0.1)
-    found = target_population(e.view, e.background, e.seen, 1, e.material(0, e.world), fill, 3.0)
+def test_3_12_target_pixels_of_a_fill():
+    e, f = Evaluation(both()), 0.4
+    found = target_pixels(e.view, e.background, e.seen, e.material(0, e.world), np.array([f]))
     one, own, host = Plain(1), SURFACES["plank"], SURFACES["grass"]
     light = one.light(0.4, 0.8)
-    d = light * own.mean - host.mean
-    inside = fill.values[:, None, None] ** 2 * 3.0 * (np.diag(light) @ own.covariance @ np.diag(light))
-    inside = inside + (1 - fill.values[:, None, None]) ** 2 * one.g[1] * host.covariance
-    inside = np.einsum("k,kij->ij", fill.weights, inside) + fill.variance * np.outer(d, d)  # (3.12) over the fill
-    assert found.covariance == pytest.approx(inside, rel=1e-9)
-    rho, under = host.mean + 0.4 * d, host.mean + 0.4 * (0.8 * own.mean - host.mean)
+    inside = f**2 * 3.0 * (np.diag(light) @ own.covariance @ np.diag(light))
+    inside = inside + (1 - f) ** 2 * one.g[1] * host.covariance  # (3.12)
+    rho, under = f * light * own.mean + (1 - f) * host.mean, f * 0.8 * own.mean + (1 - f) * host.mean
     mean, covariance = one.seen(rho, under, inside, one.g[1])
+    d_b = (1 - f) * found.around[0][-1, 0] + f * found.around[1][-1, 0]
     slope, around = e.seen.slope[1], e.background.covariance(1)
-    whole = inside * np.outer(slope, slope) + around * np.outer(found.around, found.around) + np.diag(found.noise)
-    assert found.mean == pytest.approx(mean, rel=1e-9)
+    whole = inside * np.outer(slope, slope) + around * np.outer(d_b, d_b) + np.diag(found.noise[1, 0])
+    assert found.means[1, 0] == pytest.approx(mean, rel=1e-9)
     assert whole == pytest.approx(covariance, rel=1e-9)
 
 

@@ -59,7 +59,7 @@ class Evaluation:
     Parameters
     ----------
     world : settled (:func:`hyperval.model.world.settled`)
-    errors : target -> (B, B) error covariance of its spectrum
+    errors : target -> (K, B) directions of the error of its spectrum
     shift : (U or 1,) by how many standard deviations of the score the targets depart from their spectra
     """
 
@@ -182,7 +182,7 @@ class Evaluation:
         """A target with its host, its light and the error of its spectrum, in some truths."""
         t, bands = self.targets[target], self.bands
         number, stretch = at.surface(t.name), at.stretch[:, at.surface(t.name)]
-        error = cut(self.errors[t.name], bands) if t.name in self.errors else None
+        error = self.errors[t.name][:, bands] if t.name in self.errors else None
         key = "cut", t.name, bands.tobytes()
         if key not in self.stated.kept:
             self.stated.kept[key] = cut(self.stated.surfaces[t.name].covariance, bands)
@@ -459,7 +459,8 @@ def _ace_truth(
         if shift and material.error is not None:
             # The true target departs along the filter's own direction, by standard deviations of its score.
             w = base.filter("matched-filter", looked_for).weights * one.slope
-            mean = mean + shift * fill * (material.error @ w / np.sqrt(float(w @ material.error @ w))) * one.slope
+            along = material.error @ w
+            mean = mean + shift * fill * (along @ material.error / np.linalg.norm(along)) * one.slope
         factor = material.stretch[0] * np.ravel(pixels.factor) * np.ones(e.bands.size)
         own = material.covariance * np.outer(factor, factor) * float(world.of_target("target_gain", target)[0])
         f2 = fill**2 + float(material.fine_texture[0]) * (fill - fill**2)

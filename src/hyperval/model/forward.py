@@ -18,9 +18,8 @@ from hyperval.model.inputs import (
     UncertainInput,
     drawn_truths,
     inputs_of,
-    spectrum_error_covariance,
+    spectrum_errors,
     spectrum_inputs,
-    surface_at,
 )
 from hyperval.model.notes import engine_notes, provenance_of, saturation_notes, sensor_notes, unstated_notes
 from hyperval.model.objects import expected_scores, object_scores
@@ -142,7 +141,7 @@ def _predictions(
 ) -> Iterator[PredictedProducts]:
     certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
     world = World(replace(world.stated, scenario=certain, kept={}), world.moved)
-    waiting, errors = iter(truths), _replicate_errors(world)
+    waiting, errors = iter(truths), spectrum_errors(world)
     rows = error_rows(world, spectrum_inputs(world))
     while some := list(islice(waiting, _TOGETHER)):
         out: dict[int, PredictedProducts] = {}
@@ -155,26 +154,6 @@ def _predictions(
                     detection = replace(detection, object_scores=object_scores(e, np.array([u]), draws))
                 out[number] = _joined(e, u, rows, detection)
         yield from (out[number] for number in range(len(some)))
-
-
-def _replicate_errors(world: World) -> dict[str, Array]:
-    """Surface -> (B, B) error covariance of its mean that replicate spectra give."""
-    return {n: s.mean_error for n, s in world.stated.surfaces.items() if s.mean_error is not None}
-
-
-def spectrum_errors(world: World) -> dict[str, Array]:
-    """Subject -> (B, B) error covariance of its field spectrum.
-
-    What replicate spectra say of their own mean stands where the scenario does not say it of the subject; several
-    entries of one subject are independent.
-    """
-    stated = world.stated.scenario.uncertainty.field_spectra
-    errors = {n: c for n, c in _replicate_errors(world).items() if n not in {item.subject for item in stated}}
-    for item in stated:
-        surface = surface_at(world, item.subject)
-        one = spectrum_error_covariance(item, surface, world.stated.axis, world.stated.sensor)
-        errors[item.subject] = errors[item.subject] + one if item.subject in errors else one
-    return errors
 
 
 def _prediction(

@@ -36,7 +36,7 @@ def directions(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor
     """
     u = np.nan_to_num(np.asarray(sd, dtype=float))
     if form.correlation_nm is not None:
-        return covariance_directions(form_covariance(u, form, axis))
+        return covariance_directions(np.outer(u, u) * correlation(axis, form.correlation_nm))
     if form.correlation == "random":
         return np.asarray(np.diag(u)[u > 0])
     if form.correlation == "arms":
@@ -63,15 +63,6 @@ def leading(variances: Array, left_out: float) -> int:
     return int(np.searchsorted(-rest, -left_out)) + 1
 
 
-def form_covariance(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None = None) -> Array:
-    """(B, B) covariance of an error with standard deviation ``sd`` (B,)."""
-    u = np.asarray(sd, dtype=float)
-    if form.correlation is None:
-        return np.asarray(np.outer(u, u) * correlation(axis, form.correlation_nm))
-    rows = directions(u, form, axis, sensor)
-    return rows.T @ rows
-
-
 def form_in_words(form: SpectralForm) -> str:
     """The correlation form for people."""
     if form.correlation_nm is not None:
@@ -94,18 +85,6 @@ def _arms(axis: SpectralAxis, sensor: Sensor | None) -> list[npt.NDArray[np.bool
         groups.append((w >= low) & (w <= high) & ~taken)
         taken |= groups[-1]
     return [*groups, ~taken] if not taken.all() else groups  # bands beside all arms share one error
-
-
-def spectrum_error_covariance(
-    item: SpectrumUncertainty, surface: SurfaceStatistics, axis: SpectralAxis, sensor: Sensor | None = None
-) -> Array:
-    """Error covariance (B, B) of the field spectrum of one subject [1].
-
-    Raises
-    ------
-    UsageError : as :func:`spectrum_error_sd`, or arms without a sensor.
-    """
-    return form_covariance(spectrum_error_sd(item, surface, axis), item, axis, sensor)
 
 
 def spectrum_error_sd(item: SpectrumUncertainty, surface: SurfaceStatistics, axis: SpectralAxis) -> Array:
@@ -350,6 +329,18 @@ def spectrum_inputs(world: World) -> list[UncertainInput]:
             words = "as between replicate spectra"
             inputs.append(_mean_input(world, field_spectrum_of(subject), "surface", subject, rows, words))
     return inputs
+
+
+def spectrum_errors(world: World) -> dict[str, Array]:
+    """Subject -> (K, B) directions of the error of its field spectrum.
+
+    What replicate spectra say of their own mean stands where the scenario does not say it of the subject; several
+    entries of one subject are independent.
+    """
+    rows: dict[str, list[Array]] = {}
+    for item in spectrum_inputs(world):
+        rows.setdefault(item.subject, []).append(item.rows)
+    return {subject: np.concatenate(each) for subject, each in rows.items()}
 
 
 def _mean_input(world: World, name: str, kind: Kind, subject: str, rows: Array, words: str) -> UncertainInput:

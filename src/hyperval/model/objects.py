@@ -26,7 +26,6 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -46,14 +45,10 @@ from hyperval.model.fill import (
 )
 from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixel_reflectance
 from hyperval.model.roc import Host
-from hyperval.model.scores import Responses, lit_surface
-from hyperval.model.surfaces import correlation, cut
+from hyperval.model.scores import Responses
+from hyperval.model.surfaces import correlation
 from hyperval.products import ObjectScores
 from hyperval.scenario import Geometry, Target, TargetSubject, Uncertainty
-
-if TYPE_CHECKING:
-    pass
-
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -97,7 +92,8 @@ def input_draws(e: Evaluation, u: int, uncertainty: Uncertainty, steps: int) -> 
     steps : scalar inputs of light and sensor
     """
     error = uncertainty.collected_reflectance
-    spectrum_error = {t.name: cut(e.errors[t.name], e.bands) for t in e.targets if t.name in e.errors}
+    rows = {t.name: e.errors[t.name][:, e.bands] for t in e.targets if t.name in e.errors}
+    spectrum_error = {name: each.T @ each for name, each in rows.items()}
     uncertain = steps or spectrum_error or error or uncertainty.psf_fwhm_pixels or uncertainty.position_m
     if not uncertain:
         return InputDraws({}, {}, np.zeros((1, 0)), np.zeros(1))
@@ -425,7 +421,8 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     pure = (*scene.classes, *scene.panels, *scene.sites)
     means = {s.name: first.mean[0, first.surface(s.name), e.bands] for s in pure}
     for number, (t, _, population) in enumerate(e.stated.populations):
-        lit = lit_surface(e.view.rows(np.array([v])), e.material(t, first))[0][0, 0]
+        material = e.material(t, first)
+        lit = e.view.rows(np.array([v])).surface(material.mean, material.beam, material.sky)[0][0, 0]
         fill = e.fill_of(0, number).mean
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
     view = e.view.row(v)
@@ -488,12 +485,6 @@ def shares_of(
     mean = each.mean(axis=0)
     away = each - mean
     return Shares((target.name, *(t.name for t, _ in beside)), mean, away.T @ away / len(each))
-
-
-def mixed(shares: Shares, full: Mapping[str, Array], host: Array) -> Array:
-    """(B,) mean reflectance: sum_j f_j rho_j + (1 - sum_j f_j) rho_host (3.10 for several surfaces)."""
-    contrast = np.array([full[name] - host for name in shares.names])
-    return np.asarray(host + shares.mean @ contrast)
 
 
 def place_covariance(shares: Shares, full: Mapping[str, Array], host: Array) -> Array:

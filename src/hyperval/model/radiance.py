@@ -448,24 +448,9 @@ def _on_arrays(value: T, change: Callable[[Any], Any]) -> T:
             changes[f.name] = tuple(change(x) for x in item)
         elif isinstance(item, np.ndarray) and item.ndim:
             changes[f.name] = change(item)
-        elif isinstance(item, AtmosphericTerms | NoiseModel | ClassLevels):
+        elif isinstance(item, AtmosphericTerms | NoiseModel):
             changes[f.name] = _on_arrays(item, change)
     return replace(value, **changes)  # type: ignore[type-var]
-
-
-@dataclass(frozen=True)
-class ClassLevels:
-    """What the darkest pixel of a scene follows from.
-
-    (..., M, 1) fractions and gains, (..., M, B) means and variances of reflectance, (..., 1, B) variance of the
-    surroundings.
-    """
-
-    fractions: Array
-    gains: Array
-    means: Array
-    variances: Array
-    around: Array
 
 
 @dataclass(frozen=True)
@@ -481,7 +466,7 @@ class Light:
     formulation : corrected or thesis
     radiant : whether radiance is recorded, and not reflectance itself
     elm : the empirical line or the darkest pixel; None for detection on what is recorded
-    classes : for the darkest pixel
+    dark : (U or 1, 1, B) radiance of the darkest of the scene's pixels, for darkest-pixel compensation
     panels : (U or 1, 1, B or 1) factors on the true reflectance of the dark and the bright panel of the line
     retrieval : likewise, gain and offset of what it gives
     """
@@ -493,7 +478,7 @@ class Light:
     formulation: Formulation = "corrected"
     radiant: bool = True
     elm: ElmPanels | DarkestPixel | None = None
-    classes: ClassLevels | None = None
+    dark: Array | None = None
     panels: tuple[Array, Array] | None = None
     retrieval: tuple[Array, Array] | None = None
 
@@ -507,9 +492,7 @@ class Light:
 
     def row(self, number: int) -> Light:
         """Of one truth, its arrays (B,)."""
-        classes = self.classes and _on_arrays(self.classes, lambda x: of_truth(x, number))
-        one = _on_arrays(replace(self, classes=None), lambda x: of_truth(x, number)[0] if x.ndim == 3 else x)
-        return replace(one, classes=classes)
+        return _on_arrays(self, lambda x: of_truth(x, number)[0] if x.ndim == 3 else x)
 
     def level(self, reflectance: npt.ArrayLike) -> Array:
         """Mean signal (..., B) of a reflectance (..., B) (3.7)."""
@@ -530,6 +513,22 @@ class Light:
                 mend="add an atmosphere and a sensor, or give the spectrum as it looks in the shade",
             )
         return illumination_factor(self.terms, self.average, beam, sky_view)
+
+    def surface(self, mean: Array, beam: Array, sky_view: Array) -> tuple[Array, Array, Array | float]:
+        """A surface under its own light, as one in the open would have to be to look like it (ground term of 3.7).
+
+        Parameters
+        ----------
+        mean : (U or 1, F) its reflectance;  beam, sky_view : (U or 1,) parts of the light in the open that reach it
+
+        Returns
+        -------
+        (U or 1, 1, F) mean of that surface, (U or 1, 1, F) reflectance times sky view, what the light from the
+        surroundings meets (D_B of 3.11), and (U, 1, F) light over that in the open, 1 without shade
+        """
+        own, beam, sky = mean[:, None, :], beam[:, None, None], sky_view[:, None, None]
+        factor = self.shade(beam, sky)
+        return (own, own, factor) if np.ndim(factor) == 0 else (own * factor, own * sky, factor)
 
     def pixel_covariance(
         self, level: Array, under_sky: Array, covariance: Array, around: Array, gain: float = 1.0,
@@ -569,18 +568,6 @@ class Light:
         """(..., B) True where light of the ground reaches the sensor."""
         return np.asarray(self.terms.direct > 1e-9 * self.terms.direct.max(axis=-1, keepdims=True))
 
-    def darkest(self) -> Array:
-        """(..., B) radiance of the darkest of the scene's pixels, for darkest-pixel compensation (before 3.21)."""
-        if self.classes is None or not isinstance(self.elm, DarkestPixel):
-            raise ValueError("there is no darkest pixel")
-        c = self.classes
-        level = self.level(c.means)
-        variance = c.gains * c.variances * self.slope() ** 2 + self.noise_variance(level)
-        variance = variance + c.gains * self.kappa * c.around * self.adjacency_slope(c.means) ** 2
-        sds = np.sqrt(variance)
-        dark = darkest_level(np.broadcast_to(c.fractions[..., 0], sds.shape[:-1]), level, sds, self.elm.darkest_pixel)
-        return dark[..., None, :] if self.average.ndim == 3 else dark
-
     def line(self) -> TwoPanelLine:
         """The empirical line (before 3.21); gain 1 and offset 0 where detection runs on the signal itself.
 
@@ -607,7 +594,8 @@ class Light:
         bands = self.average.shape[-1]
         if isinstance(self.elm, DarkestPixel):
             low, high = self.elm.dark_reflectance, self.elm.panel
-            dark = self.darkest()
+            assert self.dark is not None  # noqa: S101 - made with the light
+            dark = self.dark
         else:
             low, high = self.elm.reflectances
             dark = self.level(np.full(bands, low) * dark_panel)
@@ -656,14 +644,8 @@ def light_of(world: World) -> Light:
             noise = _on_arrays(stacked_noise(models, bands), lambda x: x[which] if x.ndim == 3 else x)
         noise = recorded_noise(noise, gain=g, offset=offset, factor=factor("noise"), signal_factor=factor("electrons"))
     panels, retrieval = (factor("dark"), factor("bright")), (factor("line_gain"), factor("line_offset"))
-    elm, levels = None if processing.elm == "none" else processing.elm, None
-    if isinstance(elm, DarkestPixel) and radiant:
-        on_ground = Background.of(world, np.arange(bands))
-        levels = ClassLevels(
-            on_ground.fraction[:, :, None], on_ground.gain[:, :, None], on_ground.means, on_ground.variances(),
-            on_ground.around()[:, None, :],
-        )  # fmt: skip
-    return Light(
+    elm = None if processing.elm == "none" else processing.elm
+    light = Light(
         terms,
         average * factor("surroundings"),
         noise,
@@ -671,10 +653,22 @@ def light_of(world: World) -> Light:
         stated.scenario.formulation,
         radiant,
         elm,
-        levels,
+        None,
         panels if any(np.any(x != 1.0) for x in panels) else None,
         retrieval if np.any(retrieval[0] != 1.0) or np.any(retrieval[1]) else None,
     )
+    if isinstance(elm, DarkestPixel) and radiant:
+        return replace(light, dark=_darkest(light, Background.of(world, np.arange(bands)), elm.darkest_pixel))
+    return light
+
+
+def _darkest(light: Light, of: Background, pixels: int) -> Array:
+    """(U or 1, 1, B) radiance of the darkest of so many of the scene's pixels (before 3.21)."""
+    level, gain = light.level(of.means), of.gain[:, :, None]
+    variance = gain * of.variances() * light.slope() ** 2 + light.noise_variance(level)
+    variance = variance + gain * light.kappa * of.around()[:, None, :] * light.adjacency_slope(of.means) ** 2
+    fractions = np.broadcast_to(of.fraction, variance.shape[:-1])
+    return darkest_level(fractions, level, np.sqrt(variance), pixels)[..., None, :]
 
 
 def spread(vectors: Array, covariance: Array, stretch: Array | None = None) -> Array:

@@ -358,7 +358,7 @@ class Material:
     fine_texture : (U or 1,) part of it whose texture is finer than the target's part of a pixel
     host : number of its host's class
     beam, sky : (U or 1,) parts of the light in the open that reach it
-    error : (F, F) error covariance of its spectrum; None where nothing is stated
+    error : (K, F) directions of the error of its spectrum; None where nothing is stated
     """
 
     mean: Array
@@ -369,21 +369,6 @@ class Material:
     beam: Array
     sky: Array
     error: Array | None = None
-
-
-def lit_surface(light: Light, material: Material) -> tuple[Array, Array, Array | float]:
-    """A target under its own light, as a surface in the open would have to be to look like it (ground term of 3.7).
-
-    Returns
-    -------
-    (U or 1, 1, F) mean of that surface, (U or 1, 1, F) reflectance times sky view, what the light from the
-    surroundings meets (D_B of 3.11), and (U, 1, F) light over that in the open, 1 without shade
-    """
-    own = material.mean[:, None, :]
-    factor = light.shade(material.beam[:, None, None], material.sky[:, None, None])
-    if np.ndim(factor) == 0:
-        return own, own, factor
-    return own * factor, own * material.sky[:, None, None], factor
 
 
 class TargetPixels(NamedTuple):
@@ -405,7 +390,7 @@ class TargetPixels(NamedTuple):
 def target_pixels(light: Light, of: Background, seen: Seen, material: Material, fills: Array) -> TargetPixels:
     """Target pixels at fills (K,), each with its own mean, noise and adjacency (3.7-3.12)."""
     number = material.host
-    lit, under_sky, factor = lit_surface(light, material)
+    lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)
     host = of.means[:, number : number + 1]
     level = light.level(target_pixel_reflectance(fills, lit, host))  # (3.9), (3.10)
     means = retrieved_reflectance(TwoPanelLine(seen.gain, seen.offset), level)
@@ -432,7 +417,7 @@ def target_scores(light: Light, of: Background, seen: Seen, filters: Filters, ma
     through = (w * seen.slope)[:, None, :]
     lit_through, error = through * pixels.factor, np.zeros(truths)
     if material.error is not None:
-        error = np.sqrt(spread(lit_through, material.error)[:, 0])
+        error = np.linalg.norm(lit_through[:, 0] @ material.error.T, axis=1)
     own = spread(lit_through, material.covariance, material.stretch)[:, 0]
     behind = spread(through, of.covariances[number], of.stretch[:, number])[:, 0]
     fine = np.broadcast_to(material.fine_texture, (truths,))

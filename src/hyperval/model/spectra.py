@@ -86,13 +86,9 @@ def reflectances(world: World, light: Light) -> dict[str, tuple[Array, Array]]:
 
 
 def lit(world: World, light: Light, target: int) -> tuple[Array, Array, Array | float]:
-    """(U or 1, 1, B) mean of a target under its own light, as a surface in the open would have to be to look like it
-    (ground term of 3.7), its reflectance times sky view (D_B of 3.11), and its light over that in the open.
-    """
+    """A target under its own light, as :meth:`Light.surface` has it."""
     number = world.surface(world.stated.targets[target].name)
-    own, sky = world.mean[:, number : number + 1], world.column("sky_view")[:, target, None, None]
-    factor = light.shade(world.column("beam")[:, target, None, None], sky)
-    return (own, own, factor) if np.ndim(factor) == 0 else (own * factor, own * sky, factor)
+    return light.surface(world.mean[:, number], world.column("beam")[:, target], world.column("sky_view")[:, target])
 
 
 def shares_at(world: World, number: int) -> tuple[list[Shares], npt.NDArray[np.intp]] | None:

@@ -30,39 +30,39 @@ SAME_BAND_NM = 0.05  # centres this close are the same band
 FEW_PER_BAND = 3
 
 
-@dataclass(frozen=True, eq=False)
-class ReplicateStatistics:
-    """What n spectra of one surface say of it, in the bands; NaN where one of them does not reach.
+@dataclass(frozen=True)
+class SurfaceStatistics:
+    """A surface on the axis; bands that its source does not cover are NaN in ``mean``.
 
     Attributes
     ----------
     mean : (B,) reflectance [1]
-    standard_deviation : (B,) from spectrum to spectrum, divisor n - 1
-    covariance : (B, B) from spectrum to spectrum, shrunk where they are few; 0 where the mean is NaN
-    mean_error : (B, B) error covariance of the mean, see :func:`mean_error_covariance`
-    n : spectra
-    shrinkage : part of the shrunk covariance that is not the sample's, 0 without
-    names : of the spectra
+    covariance : (B, B), zero where nothing is known of the spread
+    standard_deviation : (B,) that a spectrum's file carries, None without
+    components : the clusters that the pixels of a class fall into, None where they are one law
+    fine_texture : part of a target's covariance whose texture is finer than its part of a pixel, and averages out
+        over it [1]
+    sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
+    n : samples behind it
+    mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
     """
 
+    name: str
     mean: Array
-    standard_deviation: Array
     covariance: Array
-    mean_error: Array
-    n: int
-    shrinkage: float
-    names: tuple[str, ...]
-
-    @property
-    def summary(self) -> str:
-        """The numbers in words."""
-        few = f", covariance shrunk by {self.shrinkage:.3g}" if self.shrinkage else ""
-        return f"{self.n} replicate spectra{few}"
+    source: str
+    tail_dof: float | None = None
+    standard_deviation: Array | None = None
+    n: int | None = None
+    mean_error: Array | None = None
+    sampled_deviation: tuple[Array, Array] | None = None
+    components: Components | None = None
+    fine_texture: float = 0.0
 
 
 def replicate_statistics(
     source: Replicates, axis: SpectralAxis, resolve: Resolve, nominal: SpectralAxis | None = None
-) -> ReplicateStatistics:
+) -> SurfaceStatistics:
     """Mean, covariance and number of the spectra that ``source`` names, in the bands of ``axis``.
 
     ``nominal`` are the bands as they are labelled, where they are others (:func:`in_bands`).
@@ -78,7 +78,7 @@ def replicate_statistics(
 
 def statistics_in_bands(
     spectra: Sequence[FieldSpectrum], axis: SpectralAxis, where: str, nominal: SpectralAxis | None = None
-) -> ReplicateStatistics:
+) -> SurfaceStatistics:
     """Statistics of spectra, each averaged over the bands first."""
     if len(spectra) < 2:
         raise UsageError(
@@ -100,9 +100,8 @@ def statistics_in_bands(
     mean[known], deviation[known] = sample.mean, np.sqrt(np.diag(sample.covariance))
     covariance[at] = sample.shrunk_covariance if few else sample.covariance
     error[at] = mean_error_covariance(sample.covariance, sample.n)
-    names = tuple(s.name for s in spectra)
-    shrinkage = sample.shrinkage if few else 0.0
-    return ReplicateStatistics(mean, deviation, covariance, error, sample.n, shrinkage, names)
+    words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
+    return SurfaceStatistics("", mean, covariance, words, None, deviation, sample.n, error)
 
 
 def mean_error_covariance(covariance: Array, n: int) -> Array:
@@ -209,36 +208,6 @@ def _are_centres(wavelength_nm: Array, axis: SpectralAxis) -> bool:
 Read = dict[object, Any]  # spectra of files, by the file and how it is read
 
 
-@dataclass(frozen=True)
-class SurfaceStatistics:
-    """A surface on the axis; bands that its source does not cover are NaN in ``mean``.
-
-    Attributes
-    ----------
-    mean : (B,) reflectance [1]
-    covariance : (B, B), zero where nothing is known of the spread
-    standard_deviation : (B,) that a spectrum's file carries, None without
-    components : the clusters that the pixels of a class fall into, None where they are one law
-    fine_texture : part of a target's covariance whose texture is finer than its part of a pixel, and averages out
-        over it [1]
-    sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
-    n : samples behind it
-    mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
-    """
-
-    name: str
-    mean: Array
-    covariance: Array
-    source: str
-    tail_dof: float | None = None
-    standard_deviation: Array | None = None
-    n: int | None = None
-    mean_error: Array | None = None
-    sampled_deviation: tuple[Array, Array] | None = None
-    components: Components | None = None
-    fine_texture: float = 0.0
-
-
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float | None:
     """Degrees of freedom of a class; None = Gaussian.
 
@@ -301,14 +270,10 @@ class Sources:
                 known.n, components=known.components,
             )  # fmt: skip
         if source.replicates is not None:
-            sample = self._replicates(source.replicates, name)
-            return SurfaceStatistics(
-                name, sample.mean, sample.covariance, sample.summary, None,
-                sample.standard_deviation, sample.n, sample.mean_error,
-            )  # fmt: skip
+            return replace(self._replicates(source.replicates, name), name=name)
         return self._from_file(source, name)
 
-    def _replicates(self, source: Replicates, name: str) -> ReplicateStatistics:
+    def _replicates(self, source: Replicates, name: str) -> SurfaceStatistics:
         try:
             return replicate_statistics(source, self.axis, self.resolve, self.nominal)
         except UsageError as error:

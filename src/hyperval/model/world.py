@@ -15,7 +15,7 @@ import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path as FilePath
 from pathlib import PurePath
@@ -248,10 +248,7 @@ def instrument(
         )
     if sensor is None:
         return None, on, on, None
-    noise = sensor.noise(on, operation)
-    if scenario.sensor_changes is not None:
-        noise = changed_noise(noise, scenario.sensor_changes)
-    true = sensor.true_axis(on, operation)
+    noise, true = noise_model(sensor, on, operation, scenario.sensor_changes, {}), sensor.true_axis(on, operation)
     count = operation.spectral_binning if operation else 1
     if count > 1:
         if axis is not None:
@@ -261,10 +258,22 @@ def instrument(
             )
         if count > len(on):
             raise UsageError(f"sensor_operation.spectral_binning: bins of {count} of {len(on)} bands")
-        shifted = true is not on
-        on, noise = binned_axis(on, count), binned_noise(noise, count)
+        shifted, on = true is not on, binned_axis(on, count)
         true = binned_axis(true, count) if shifted else on
     return sensor, on, true, noise
+
+
+def noise_model(
+    sensor: Sensor, axis: SpectralAxis | None, operation: SensorOperation | None, changes: SensorChanges | None,
+    kept: dict[Any, Any],
+) -> NoiseModel:  # fmt: skip
+    """Noise of a sensor as it is run and changed (3.13)-(3.20); ``kept``: that of each way to run it."""
+    key = "noise", repr(operation)
+    if key not in kept:
+        kept[key] = sensor.noise(axis, operation)
+    model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
+    count = operation.spectral_binning if operation else 1
+    return binned_noise(model, min(count, len(sensor.axis))) if count > 1 else model
 
 
 def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
@@ -335,42 +344,20 @@ def surfaces_of(
     return surfaces, signatures
 
 
-_KEPT: OrderedDict[tuple[object, ...], AtmosphericTerms] = OrderedDict()
-
-
-_MOST = 32
-
-
 # What decides which files an engine finds.
 _ENVIRONMENT = (
     "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
 )  # fmt: skip
 
 
-def terms_in_memory(
-    engine: Callable[..., AtmosphericTerms],
-    state: AtmosphericState,
-    axis: SpectralAxis,
-    *,
-    cache_dir: FilePath | None,
-    show_progress: bool | None,
-) -> AtmosphericTerms:
-    """The terms of ``engine`` at the bands of ``axis``; the latest 32 are kept in memory.
-
-    Engines are deterministic: the same engine, state, place of its files and bands give the same terms.
-    """
-    key = (
-        engine, state, cache_dir, *(os.environ.get(name) for name in _ENVIRONMENT),
-        axis.centre_nm.tobytes(), axis.fwhm_nm.tobytes(),
-    )  # fmt: skip
-    terms = _KEPT.get(key)
-    if terms is None:
-        terms = engine(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(axis)
-        _KEPT[key] = terms
-        if len(_KEPT) > _MOST:
-            _KEPT.popitem(last=False)
-    _KEPT.move_to_end(key)
-    return terms
+@lru_cache(maxsize=32)
+def _terms_in_memory(
+    engine: Callable[..., AtmosphericTerms], state: AtmosphericState, centre_nm: bytes, fwhm_nm: bytes,
+    environment: tuple[str | None, ...], cache_dir: FilePath | None, show_progress: bool | None,
+) -> AtmosphericTerms:  # fmt: skip
+    """Terms at bands: engines are deterministic, and give the same to the same state, files and bands."""
+    axis = SpectralAxis(np.frombuffer(centre_nm), np.frombuffer(fwhm_nm))
+    return engine(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(axis)
 
 
 @dataclass(frozen=True)
@@ -414,8 +401,9 @@ class Origins:
         """
         if self.engine is not None or state.engine == "table":  # a file of the scenario, read again when it changes
             return self.whole_terms(scenario, state).at_bands(axis)
-        call = atmospheric_terms
-        return terms_in_memory(call, state, axis, cache_dir=self.cache_dir, show_progress=self.show_progress)
+        environment = tuple(os.environ.get(name) for name in _ENVIRONMENT)
+        bands = axis.centre_nm.tobytes(), axis.fwhm_nm.tobytes()
+        return _terms_in_memory(atmospheric_terms, state, *bands, environment, self.cache_dir, self.show_progress)
 
     def whole_terms(self, scenario: Scenario, state: AtmosphericState) -> AtmosphericTerms:
         """The same on the engine's own sampling."""
@@ -1095,22 +1083,21 @@ def _with_entries(fill: Fill, entries: Truth, name: str) -> Fill:
 
 def _noise(stated: Stated, moved: Truth) -> NoiseModel:
     """The noise with other numbers of the sensor or of how it is run."""
-    scenario = stated.scenario
-    run, differ = scenario.sensor_operation, scenario.sensor_changes
-    operation = {p.partition(".")[2]: v for p, v in moved.items() if p.startswith("sensor_operation.")}
-    changes = {p.partition(".")[2]: v for p, v in moved.items() if p.startswith("sensor_changes.")}
-    if operation:
-        run = SensorOperation.model_validate({**(run.model_dump(exclude_unset=True) if run else {}), **operation})
-    key = "noise", repr(sorted(operation.items()))
-    assert stated.sensor is not None  # noqa: S101 - asked for where there is noise
-    if key not in stated.kept:
-        stated.kept[key] = stated.sensor.noise(stated.axis if run is None or run.spectral_binning == 1 else None, run)
-    model: NoiseModel = stated.kept[key]
-    if changes:
-        differ = SensorChanges.model_validate({**(differ.model_dump(exclude_unset=True) if differ else {}), **changes})
-    if differ is not None:
-        model = changed_noise(model, differ)
-    return binned_noise(model, run.spectral_binning) if run and run.spectral_binning > 1 else model
+    scenario, sensor = stated.scenario, stated.sensor
+
+    def with_entries(stands: Any, kind: Any, room: str) -> Any:
+        entries = {p.partition(".")[2]: v for p, v in moved.items() if p.startswith(room)}
+        return (
+            kind.model_validate((stands.model_dump(exclude_unset=True) if stands else {}) | entries)
+            if entries
+            else stands
+        )
+
+    operation = with_entries(scenario.sensor_operation, SensorOperation, "sensor_operation.")
+    changes = with_entries(scenario.sensor_changes, SensorChanges, "sensor_changes.")
+    assert sensor is not None  # noqa: S101 - asked for where there is noise
+    whole = operation is None or operation.spectral_binning == 1
+    return noise_model(sensor, stated.axis if whole else None, operation, changes, stated.kept)
 
 
 def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
