@@ -38,6 +38,21 @@ def gdal_text(transform: Affine) -> str:
     return " ".join(f"{v:.10g}" for v in transform.to_gdal())
 
 
+def put(group, name: str, dims: tuple[str, ...], values, kind: str = "f4", *, fill=None, **more):
+    """A NetCDF variable with its attributes; dimensions are made where they lack."""
+    values = np.asarray(values)
+    for dim, size in zip(dims, values.shape, strict=True):
+        if dim not in group.dimensions and (group.parent is None or dim not in group.parent.dimensions):
+            group.createDimension(dim, size)
+    options = {key: more.pop(key) for key in ("chunksizes", "zlib") if key in more}
+    made = group.createVariable(
+        name, kind, dims, fill_value=None if fill is None else np.dtype(kind).type(fill), **options
+    )
+    made[...] = values
+    for key, value in more.items():
+        made.setncattr(key, value)
+
+
 def aviris(path: Path, kind: str = "radiance", *, chunks: tuple[int, int, int] | None = None) -> np.ndarray:
     """AVIRIS-3: group radiance or reflectance (wavelength, lines, samples); radiance with its lookup table."""
     values = radiances(6) if kind == "radiance" else radiances(6) / 10.0
@@ -46,36 +61,18 @@ def aviris(path: Path, kind: str = "radiance", *, chunks: tuple[int, int, int] |
     with netcdf.Dataset(path, "w") as file:
         file.setncattr("instrument", "AVIRIS-3")
         file.setncattr("time_coverage_start", "2025-08-14T18:02:11Z")
-        for name, size in zip(names, (LINES, SAMPLES), strict=True):
-            file.createDimension(name, size)
         grid = file.createVariable("transverse_mercator", "S1", ())
         grid.setncattr("spatial_ref", UTM11.to_wkt())
         grid.setncattr("GeoTransform", gdal_text(MAP))
-        group = file.createGroup(kind)
-        group.createDimension("wavelength", 6)
-        cube = group.createVariable(
-            kind,
-            "f4",
-            ("wavelength", *names),
-            fill_value=np.float32(-9999.0),
-            chunksizes=chunks,
-            zlib=chunks is not None,
-        )
-        cube[:] = values.transpose(2, 0, 1)
-        cube.setncattr("units", "uW nm-1 cm-2 sr-1" if kind == "radiance" else "unitless")
-        for name, numbers in (("wavelength", [400, 500, 600, 700, 1600, 2200]), ("fwhm", [7.4] * 6)):
-            variable = group.createVariable(name, "f8", ("wavelength",))
-            variable[:] = numbers
-            variable.setncattr("units", "nm")
+        group, stored = file.createGroup(kind), values.transpose(2, 0, 1)
+        unit, packed = "uW nm-1 cm-2 sr-1" if kind == "radiance" else "unitless", chunks is not None
+        put(group, kind, ("wavelength", *names), stored, fill=-9999, chunksizes=chunks, zlib=packed, units=unit)
+        put(group, "wavelength", ("wavelength",), [400, 500, 600, 700, 1600, 2200], "f8", units="nm")
+        put(group, "fwhm", ("wavelength",), [7.4] * 6, "f8", units="nm")
         if kind == "radiance":
-            sample, line = shifted_table()
             table = file.createGroup("geolocation_lookup_table")
-            for name, size in zip(("northing", "easting"), sample.shape, strict=True):
-                table.createDimension(name, size)
-            for name, numbers in (("sample", sample), ("line", line)):
-                table.createVariable(name, "i4", ("northing", "easting"), fill_value=np.int32(-9999))[:] = np.where(
-                    numbers > 0, numbers, -9999
-                )
+            for name, numbers in zip(("sample", "line"), shifted_table(), strict=True):
+                put(table, name, ("northing", "easting"), np.where(numbers > 0, numbers, -9999), "i4", fill=-9999)
     return values
 
 
@@ -83,33 +80,21 @@ def emit(path: Path, kind: str = "radiance") -> np.ndarray:
     """EMIT: image (downtrack, crosstrack, bands) in the root, bands and location in groups."""
     values = radiances(5) if kind == "radiance" else radiances(5) / 10.0
     values[0, 0] = -9999.0
-    sample, line = shifted_table()
     degrees = Affine(0.00054, 0, -118.2, 0, -0.00054, 34.2)
     with netcdf.Dataset(path, "w") as file:
         file.setncattr("instrument", "EMIT")
         file.setncattr("time_coverage_start", "2024-05-01T19:11:03+0000")
         file.setncattr("geotransform", np.array(degrees.to_gdal()))
         file.setncattr("spatial_ref", CRS.from_epsg(4326).to_wkt())
-        for name, size in (("downtrack", LINES), ("crosstrack", SAMPLES), ("bands", 5)):
-            file.createDimension(name, size)
-        for name, size in zip(("ortho_y", "ortho_x"), sample.shape, strict=True):
-            file.createDimension(name, size)
-        cube = file.createVariable(kind, "f4", ("downtrack", "crosstrack", "bands"), fill_value=np.float32(-9999.0))
-        cube[:] = values
-        cube.setncattr("units", "uW/cm^2/SR/nm" if kind == "radiance" else "unitless")
+        unit = "uW/cm^2/SR/nm" if kind == "radiance" else "unitless"
+        put(file, kind, ("downtrack", "crosstrack", "bands"), values, fill=-9999, units=unit)
         bands = file.createGroup("sensor_band_parameters")
-        for name, kind_, numbers in (
-            ("wavelengths", "f4", [400.0, 600.0, 900.0, 1400.0, 2200.0]),
-            ("fwhm", "f4", [8.5] * 5),
-            ("good_wavelengths", "f4", [1.0, 1.0, 1.0, 0.0, 1.0]),
-        ):
-            variable = bands.createVariable(name, kind_, ("bands",))
-            variable[:] = numbers
-            if name != "good_wavelengths":
-                variable.setncattr("units", "nm")
+        put(bands, "wavelengths", ("bands",), [400.0, 600.0, 900.0, 1400.0, 2200.0], units="nm")
+        put(bands, "fwhm", ("bands",), [8.5] * 5, units="nm")
+        put(bands, "good_wavelengths", ("bands",), [1.0, 1.0, 1.0, 0.0, 1.0])
         location = file.createGroup("location")
-        for name, numbers in (("glt_x", sample), ("glt_y", line)):
-            location.createVariable(name, "i4", ("ortho_y", "ortho_x"), fill_value=np.int32(0))[:] = numbers
+        for name, numbers in zip(("glt_x", "glt_y"), shifted_table(), strict=True):
+            put(location, name, ("ortho_y", "ortho_x"), numbers, "i4", fill=0)
     return values
 
 
@@ -118,15 +103,10 @@ def observation(path: Path, product: str, zenith: np.ndarray) -> None:
     with netcdf.Dataset(path, "w") as file:
         if product == "aviris":
             group = file.createGroup("observation_parameters")
-            for name, size in zip(("lines", "samples"), zenith.shape, strict=True):
-                group.createDimension(name, size)
             for name, values in (("path_length", zenith + 4000), ("to_sun_zenith", zenith)):
-                group.createVariable(name, "f8", ("lines", "samples"))[:] = values
+                put(group, name, ("lines", "samples"), values, "f8")
             return
-        for name, size in (("downtrack", zenith.shape[0]), ("crosstrack", zenith.shape[1]), ("bands", 2)):
-            file.createDimension(name, size)
-        image = file.createVariable("obs", "f4", ("downtrack", "crosstrack", "bands"), fill_value=np.float32(-9999.0))
-        image[:] = np.stack([zenith + 4000, zenith], axis=-1)
+        put(file, "obs", ("downtrack", "crosstrack", "bands"), np.stack([zenith + 4000, zenith], axis=-1), fill=-9999)
         names = file.createGroup("sensor_band_parameters").createVariable("observation_bands", str, ("bands",))
         names[:] = np.array(["Path length (in meters)", "To-sun zenith (0 to 90 degrees from zenith)"])
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
 
-from hyperval.imagery import acquisition_notes, open_cube, time_notes
+from hyperval.imagery import acquisition_notes, time_notes
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 900.0, 2007.0, 2400.0]), np.array([4.0, 4.0, 8.0, 8.0]))
@@ -78,25 +77,6 @@ def test_times_around_midnight_and_with_an_offset():
     assert time_notes({"gps start time": "00:03:00"}, late, "line") == ()
     local = datetime(2012, 9, 20, 12, 31, tzinfo=timezone(timedelta(hours=-4)))
     assert time_notes({"acquisition time": "2012-09-20T16:31:00"}, local, "line") == ()
-
-
-@pytest.mark.data
-def test_a_cube_with_the_bands_and_bad_bands_of_a_real_line(data_dir, tmp_path):
-    """A cube written by hand under the 360 bands that a real ProSpecTIR-VS header lists."""
-    with open(data_dir("sensors/prospectir_vs_bands_2010.csv"), newline="") as stream:
-        table = list(csv.DictReader(stream))
-    keys = {"wavelength": "center_um", "fwhm": "fwhm_um", "bbl": "bbl"}
-    listed = {key: ", ".join(row[column] for row in table) for key, column in keys.items()}
-    text = "ENVI\nsamples = 2\nlines = 1\nbands = 360\ndata type = 2\ninterleave = bil\nbyte order = 0\n"
-    text += "wavelength units = Micrometers\ncalculated co2 shift = 3.65\nvimg1 = {1,117}\nvimg2 = {118,360}\n"
-    text += "".join(f"{k} = {{{v}}}\n" for k, v in listed.items())
-    (tmp_path / "l.hdr").write_text(text)
-    np.full((1, 360, 2), 500, "<i2").tofile(tmp_path / "l.img")
-    cube = open_cube(tmp_path / "l.img", quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=0.001)
-    assert "bad-band list: 106 of 360 bands are bad" in cube.notes
-    notes = acquisition_notes(cube.extras, cube.axis, cube.samples, 360)
-    assert "of a band width at 20" in notes[0]
-    assert notes[1] == "header: 2 detectors, bands 1-117 and 118-360 (from 1)"
 
 
 @pytest.mark.parametrize(

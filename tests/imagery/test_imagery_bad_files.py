@@ -92,13 +92,6 @@ def tiff(tmp_path: Path, values: np.ndarray) -> Path:
     return path
 
 
-def test_geotiff_with_given_axis(tiff: Path, values: np.ndarray, axis: SpectralAxis):
-    cube = open_cube(tiff, quantity="reflectance", scale=1e-4, axis=axis)
-    assert np.allclose(np.concatenate([b.values for b in cube.blocks(4)]), values, atol=1e-15)
-    assert np.allclose(cube.pixels((np.array([5, 0]), np.array([1, 4]))), values[[5, 0], [1, 4]], atol=1e-15)
-    assert (cube.ignore_value, cube.pixel_area_m2, cube.crs.to_epsg()) == (-99, 4.0, 32618)
-
-
 def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
     # One pixel of 32,769 bands in 1.4 kB: width, height, bits, samples per pixel, strip and its place.
     entries = [(256, 4, 1), (257, 4, 1), (258, 3, 8), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 32_769)]
@@ -122,7 +115,11 @@ def test_other_sidecars_of_a_geotiff_are_not_read(tiff: Path, axis: SpectralAxis
         with rasterio.open(tiff.with_name(name), "w", **smaller) as dataset:
             dataset.write(np.zeros((4, *size), "u1"))
     tiff.with_suffix(".tfw").write_text("9\n0\n0\n-9\n0\n0\n")
+    with rasterio.open(tiff, "r+") as dataset:  # these are read, once
+        dataset.scales, dataset.offsets = (1e-4,) * 4, (0.01,) * 4
+    assert np.allclose(open_cube(tiff, quantity="reflectance", axis=axis).read(0, 6).values, values + 0.01, atol=1e-12)
     cube = open_cube(tiff, quantity="reflectance", scale=1e-4, axis=axis)
+    assert (cube.ignore_value, cube.pixel_area_m2, cube.crs.to_epsg()) == (-99, 4.0, 32618)
     block = cube.read(0, 6)
     assert np.allclose(block.values, values, atol=1e-15)
     assert block.valid.all()
@@ -157,20 +154,6 @@ def test_a_compressed_data_file_is_called_that(cube_file: Path, packing: str):
     with pytest.raises(InputError, match=rf"cube\.img: the data file is compressed \({packing}\)") as caught:
         open_cube(cube_file, quantity="reflectance")
     assert "decompress it" in str(caught.value)
-
-
-def test_data_that_only_begin_like_an_archive_are_read(cube_file: Path):
-    raw = bytearray(cube_file.read_bytes())
-    raw[:2] = b"\x1f\x8b"  # two bytes of an int16 value may be anything
-    cube_file.write_bytes(raw)
-    assert open_cube(cube_file, quantity="other").read(0, 1).values.shape == (1, 5, 4)
-
-
-def test_geotiff_scale_tags_are_applied_once(tiff: Path, axis: SpectralAxis, values: np.ndarray):
-    with rasterio.open(tiff, "r+") as dataset:
-        dataset.scales, dataset.offsets = (1e-4,) * 4, (0.01,) * 4
-    cube = open_cube(tiff, quantity="reflectance", axis=axis)
-    assert np.allclose(cube.read(0, 6).values, values + 0.01, atol=1e-12)
 
 
 def test_sidecar_header_of_another_size(tiff: Path, cube_file: Path):

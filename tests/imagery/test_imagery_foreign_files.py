@@ -30,32 +30,28 @@ def tagged(path: Path, values: np.ndarray, tags: list[dict[str, str]]) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("unit", "per_nm"), [("Nanometers", 1.0), ("Micrometers", 1e-3), ("um", 1e-3)])
-def test_wavelengths_in_the_tags_of_the_bands(tmp_path: Path, values, unit: str, per_nm: float):
-    tags = [{"wavelength": f"{w * per_nm:.6g}", "wavelength_units": unit} for w in CENTRE]
-    cube = open_cube(tagged(tmp_path / "c.tif", values, tags), quantity="reflectance")
-    assert cube.axis.centre_nm == pytest.approx(CENTRE, rel=1e-12)
-    assert any("no fwhm" in note for note in cube.notes)
-    widths = [{**entry, "fwhm": f"{9.5 * per_nm:.6g}"} for entry in tags]
-    cube = open_cube(tagged(tmp_path / "w.tif", values, widths), quantity="reflectance")
-    assert cube.axis.fwhm_nm == pytest.approx([9.5] * 4)
-
-
-@pytest.mark.parametrize("domain", ["ENVI", None])
+@pytest.mark.parametrize("domain", ["ENVI", None, "names"])
 @pytest.mark.parametrize("each", [True, False])
-def test_wavelengths_in_the_domain_of_envi_or_of_the_data_set(tmp_path: Path, values, domain, each):
+@pytest.mark.parametrize(("unit", "per_nm"), [("nm", 1.0), ("Micrometers", 1e-3)])
+def test_wavelengths_in_tags_of_bands_or_data_set_or_in_names(tmp_path: Path, values, domain, each, unit, per_nm):
     path = tagged(tmp_path / "c.tif", values, [])
-    listed = {"wavelength": [str(w) for w in CENTRE], "fwhm": ["9.5"] * 4, "bbl": ["1", "1", "0", "1"]}
+    listed = {"wavelength": [f"{w * per_nm:g}" for w in CENTRE], "fwhm": [f"{9.5 * per_nm:g}"] * 4}
+    listed["bbl"] = ["1", "1", "0", "1"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with rasterio.open(path, "r+") as out:
-            for band in range(4 if each else 1):
+            if domain == "names":
+                out.descriptions = [f"{w} {unit}" for w in listed["wavelength"]]
+            for band in range((4 if each else 1) * (domain != "names")):
                 entries = {key: texts[band] if each else ",".join(texts) for key, texts in listed.items()}
-                out.update_tags(*([band + 1] if each else []), ns=domain, **{"wavelength units": "nm", **entries})
-    axis = open_cube(path, quantity="reflectance").axis
-    assert axis.centre_nm.tolist() == list(CENTRE)
-    assert axis.fwhm_nm.tolist() == [9.5] * 4
-    assert axis.good.tolist() == [True, True, False, True]
+                out.update_tags(*([band + 1] if each else []), ns=domain, **{"wavelength units": unit, **entries})
+    cube = open_cube(path, quantity="reflectance")
+    assert cube.axis.centre_nm == pytest.approx(CENTRE)
+    if domain == "names":
+        assert any("names of the bands" in note for note in cube.notes)
+    else:
+        assert cube.axis.fwhm_nm == pytest.approx([9.5] * 4)
+        assert cube.axis.good.tolist() == [True, True, False, True]
 
 
 @pytest.mark.parametrize(
@@ -90,17 +86,6 @@ def test_a_file_that_gdal_converted_keeps_its_wavelengths(tmp_path: Path, values
     assert cube.axis.centre_nm == pytest.approx([433.29, 446.58, 659.87, 873.15], abs=1e-9)
     assert cube.axis.fwhm_nm == pytest.approx([5.0] * 4)
     assert any("whole nanometres" in note for note in cube.notes)
-
-
-def test_wavelengths_in_the_names_of_the_bands(tmp_path: Path, values):
-    path = tagged(tmp_path / "n.tif", values, [{}] * 4)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "r+") as out:
-            out.descriptions = [f"{w:.2f} Nanometers" for w in CENTRE]
-    cube = open_cube(path, quantity="reflectance")
-    assert cube.axis.centre_nm == pytest.approx(CENTRE)
-    assert any("names of the bands" in note for note in cube.notes)
 
 
 def test_two_wavelengths_of_a_band_are_refused(tmp_path: Path, values):

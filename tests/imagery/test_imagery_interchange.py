@@ -8,7 +8,6 @@ import numpy as np
 import product_shells as shells
 import pytest
 import spectral
-import xarray as xr
 from affine import Affine
 from rasterio.crs import CRS
 
@@ -33,18 +32,6 @@ def test_an_envi_cube_becomes_a_mapped_image_of_spy(tmp_path: Path, axis, values
     assert image.bands.band_unit == "nm"
     back = open_cube(image, quantity="reflectance")  # the file is known by its name
     assert np.allclose(back.read(0, 6).values, values, atol=1e-12)
-
-
-def test_a_product_becomes_a_loaded_image_of_spy_and_comes_back(tmp_path: Path):
-    shells.prisma(tmp_path / "p.he5")
-    cube = open_cube(tmp_path / "p.he5", quantity="radiance")
-    image = cube.to_spy()
-    assert isinstance(image, spectral.image.ImageArray)
-    assert np.allclose(np.asarray(image), cube.read(0, cube.lines).values, rtol=1e-6)
-    back = open_cube(image, quantity="radiance", unit="uW cm-2 sr-1 nm-1")
-    assert back.axis.matches(cube.axis)
-    assert np.allclose(back.read(2, 3).values, cube.read(2, 3).values, rtol=1e-6)
-    assert spectral.get_rgb(image, [2, 1, 0]).shape == (cube.lines, cube.samples, 3)
 
 
 def test_xarray_reads_by_parts_and_goes_both_ways(tmp_path: Path, monkeypatch):
@@ -104,15 +91,3 @@ def test_a_score_map_becomes_theirs():
 def test_what_is_no_cube_is_refused(thing):
     with pytest.raises(UsageError, match="is no cube"):
         open_cube(thing, quantity="other")
-
-
-def test_an_array_of_xarray_with_units_is_believed():
-    data = xr.DataArray(
-        np.full((2, 3, 4), 5.0, np.float32),
-        dims=("wavelength", "y", "x"),
-        coords={"wavelength": ("wavelength", [500.0, 600.0], {"units": "nm"})},
-        attrs={"units": "W m-2 sr-1 um-1"},
-    )
-    cube = open_cube(data, quantity="radiance")
-    assert cube.shape == (3, 4)
-    assert np.allclose(cube.read(0, 3).values, 0.5)

@@ -40,15 +40,6 @@ def test_places_come_back_to_a_part_of_a_pixel(line, table):
     assert np.abs(error.mean(axis=0)).max() < 0.02  # no half-pixel shift
 
 
-def test_a_straight_line_without_roll_is_an_affine_transform(tmp_path):
-    line = ScannedLine(heading=0.0, roll=0.0)
-    table = open_lookup_table(write_table(tmp_path / "glt.dat", *line.table()), SHAPE)
-    places = some_places()
-    assert np.allclose(table.to_pixel(line.on_map(*places.T), where="t"), places, atol=1e-6)
-    assert table.pixel_area_m2 == pytest.approx(1.0, rel=1e-9)
-    assert table.metres_per_unit == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize(("size", "cell"), [(1.0, 1.0), (2.0, 1.0), (1.0, 2.0)])
 def test_the_area_of_a_raw_pixel_is_not_that_of_a_cell(tmp_path, size, cell):
     line = ScannedLine(size=size)

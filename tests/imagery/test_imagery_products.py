@@ -29,6 +29,7 @@ from hyperval.imagery import (
     table_of,
 )
 from hyperval.imagery.arrays import SLAB_BYTES
+from hyperval.units import radiance_to_internal
 
 LINES, SAMPLES = shells.LINES, shells.SAMPLES
 
@@ -75,20 +76,6 @@ def test_aviris_3_radiance_with_its_lookup_table(tmp_path: Path, chunks):
     place = (shells.MAP.c + 4 * (4.5 + 2), shells.MAP.f - 4 * (5.5 + 1))
     assert np.allclose(table.to_pixel(np.array([place]), where="here"), [[4.5, 5.5]], atol=1e-6)
     assert table.pixel_area_m2 == pytest.approx(16.0, rel=1e-6)
-
-
-def test_emit_radiance_with_bad_bands_and_lookup_table(tmp_path: Path):
-    path = tmp_path / "EMIT_L1B_RAD_001_20240501T191103_2412112_012.nc"
-    shells.emit(path)
-    cube = open_cube(path, quantity="radiance")
-    assert cube.axis.good.tolist() == [True, True, True, False, True]
-    with xr.open_dataset(path, engine="h5netcdf") as other:
-        assert np.allclose(values_of(cube), other["radiance"].values, rtol=1e-7, equal_nan=True)
-    assert not cube.read(0, 1).valid[0, 0]
-    table = open_lookup_table(lookup_raster(cube.raster), cube.shape)
-    assert table.crs == CRS.from_epsg(4326)
-    with xr.open_dataset(path, group="location", engine="h5netcdf") as other:
-        assert np.array_equal(table.raster.read_bands(0, 14)[0], np.nan_to_num(other["glt_x"].values))
 
 
 def test_neon_reflectance(tmp_path: Path):
@@ -144,18 +131,6 @@ def test_prisma_reflectance_has_its_corners_at_centres_or_edges(tmp_path: Path, 
     half = 0.0 if edges else 15.0
     assert cube.transform == Affine(30.0, 0, 600_000 - half, 0, -30.0, 4_900_000 + half)
     assert cube.crs.to_epsg() == 32632
-
-
-@pytest.mark.parametrize("ortho", [False, True])
-def test_tanager_radiance(tmp_path: Path, ortho: bool):
-    shells.tanager(tmp_path / "t.h5", ortho=ortho)
-    cube = open_cube(tmp_path / "t.h5", quantity="radiance")
-    name = f"HDFEOS/{'GRIDS' if ortho else 'SWATHS'}/HYP/Data Fields/toa_radiance"
-    other = by_gdal(tmp_path / "t.h5", name).transpose(1, 2, 0)
-    assert np.allclose(values_of(cube), np.where(other == -9999.0, np.nan, 0.1 * other), rtol=1e-6, equal_nan=True)
-    if ortho:
-        assert cube.transform == Affine(30.0, 0, 400_000.0, 0, -30.0, 3_800_000.0)
-        assert cube.crs == shells.UTM11
 
 
 @pytest.mark.parametrize(
@@ -266,13 +241,6 @@ def test_where_several_arrays_could_be_meant_the_message_lists_them(tmp_path: Pa
         open_cube(path, quantity="radiance", variable="L")
 
 
-def test_an_array_without_wavelengths_is_listed_and_refused(tmp_path: Path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["scene"] = np.zeros((4, 5, 6))
-    with pytest.raises(InputError, match=r"(?s)no array of the file has a wavelength coordinate.*scene \("):
-        open_cube(tmp_path / "a.h5", quantity="radiance")
-
-
 def test_another_quantity_or_unit_than_the_products_is_refused(tmp_path: Path):
     shells.emit(tmp_path / "e.nc")
     with pytest.raises(InputError, match="holds radiance, the campaign says reflectance"):
@@ -362,36 +330,6 @@ def test_another_process_opens_a_product_for_itself(tmp_path: Path):
     assert np.array_equal(again.read(0, LINES).values, cube.read(0, LINES).values, equal_nan=True)
 
 
-def test_every_layout_names_its_source_and_a_known_unit():
-    from hyperval.units import radiance_to_internal
-
-    arrays = {
-        "path",
-        "dimensions",
-        "wavelength",
-        "fwhm",
-        "good",
-        "plus",
-        "scale",
-        "divisor",
-        "offset",
-        "subtract",
-        "range",
-    }
-    stated = {
-        "product", "sensor", "quantity", "unit", "arrays", "wavelength_unit", "source", "remark", "sorts", "ignore",
-        "bad_ranges_nm", "lookup_table", "location", "geotransform", "map_info", "crs", "epsg", "corner_pixels",
-        "pixel_size", "struct_metadata", "sun_zenith", "entries",
-    }  # fmt: skip
-    for tree in layouts().trees:
-        assert tree.source
-        assert tree.keys() <= stated  # a key that nothing reads would change nothing
-        assert all(array.keys() <= arrays and re.fullmatch("[lsb]{3}", array.dimensions) for array in tree.arrays)
-        assert tree.quantity in ("radiance", "reflectance")
-        assert tree.unit == "1" or radiance_to_internal(tree.unit) > 0
-    assert all(radiance_to_internal(s.radiance_unit) > 0 and s.source for s in layouts().sidecars)
-
-
 def test_memory_does_not_grow_with_the_image(tmp_path: Path):
     """300 MB in blocks that were never written: a shell as large as a flight line takes a few lines of memory."""
     shape = (284, 2000, 132)
@@ -412,6 +350,9 @@ def test_an_hdf5_tree_without_dimensions_is_a_cube_where_wavelengths_lie_beside(
     values = shells.radiances(7)
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["scene/image"] = values
+    with pytest.raises(InputError, match=r"(?s)no array of the file has a wavelength coordinate.*scene/image \("):
+        open_cube(tmp_path / "a.h5", quantity="radiance")
+    with h5py.File(tmp_path / "a.h5", "a") as file:
         file["scene/wavelength"] = np.linspace(400.0, 1000.0, 7)
         file["scene/dark"] = np.zeros((3, 4))
     cube = open_cube(tmp_path / "a.h5", quantity="radiance", unit="uW cm-2 sr-1 nm-1")
@@ -514,23 +455,6 @@ def test_tanager_states_its_unit_and_sun_in_its_own_way(tmp_path: Path):
     assert sun_zenith_deg(cube.raster) == (33.0, "t.h5")
 
 
-def test_prisma_reflectance_in_scanner_geometry_has_its_places(tmp_path: Path):
-    shells.prisma(tmp_path / "p.he5", "L2C")
-    cube = open_cube(tmp_path / "p.he5", quantity="reflectance")
-    vnir = by_gdal(tmp_path / "p.he5", "HDFEOS/SWATHS/PRS_L2C_HCO/Data Fields/VNIR_Cube")
-    assert cube.axis.centre_nm.tolist() == pytest.approx([402.5, 650.8, 951.0, 972.7, 2496.9], rel=1e-6)
-    assert np.allclose(values_of(cube)[..., 0], vnir[:, 2] * 0.9 / 65535.0, rtol=1e-6)
-    table, _ = table_of(cube.raster)
-    assert table is not None
-    assert cube.transform is None
-    place = "HDFEOS/SWATHS/PRS_L2C_HCO/Geolocation Fields"
-    latitude, longitude = (
-        by_gdal(tmp_path / "p.he5", f"{place}/{name}").squeeze() for name in ("Latitude", "Longitude")
-    )
-    inner = np.array([(longitude[i, j], latitude[i, j]) for i, j in ((2, 3), (5, 6), (8, 2))], float)
-    assert np.allclose(table.to_pixel(inner, where="here"), [[3.5, 2.5], [6.5, 5.5], [2.5, 8.5]], atol=0.02)
-
-
 MAPPED = {  # writer, place of the first corner and pixel, zone, and the angle of the sun that the file states
     "aviris": (lambda path: shells.aviris(path, "reflectance"), shells.MAP, 32611, None),
     "emit": (lambda path: shells.emit(path, "reflectance"), None, None, None),
@@ -570,3 +494,44 @@ def test_prisma_radiance_at_the_surface_is_called_that(tmp_path: Path):
     shells.prisma(tmp_path / "p.he5", "L2B")
     cube = open_cube(tmp_path / "p.he5", quantity="radiance")
     assert any(note.startswith("warning: L2B is the radiance that leaves the surface") for note in cube.notes)
+
+
+ARRAY_KEYS = re.compile("path|dimensions|wavelength|fwhm|good|plus|scale|divisor|offset|subtract|range")
+TREE_KEYS = re.compile(
+    "product|sensor|quantity|unit|arrays|wavelength_unit|source|remark|sorts|ignore|bad_ranges_nm|lookup_table|location|"
+    "geotransform|map_info|crs|epsg|corner_pixels|pixel_size|struct_metadata|sun_zenith|entries"
+)
+
+
+def test_every_layout_names_its_source_and_states_what_is_read():
+    for tree in layouts().trees:
+        assert tree.source
+        assert all(map(TREE_KEYS.fullmatch, tree))  # a key that nothing reads would change nothing
+        assert all(ARRAY_KEYS.fullmatch(key) for array in tree.arrays for key in array)
+        assert all(re.fullmatch("[lsb]{3}", array.dimensions) for array in tree.arrays)
+        assert tree.quantity in ("radiance", "reflectance")
+        assert tree.unit == "1" or radiance_to_internal(tree.unit) > 0
+    assert all(radiance_to_internal(s.radiance_unit) > 0 and s.source for s in layouts().sidecars)
+
+
+@pytest.mark.parametrize("product", ["emit", "tanager", "prisma"])
+def test_radiance_in_scanner_geometry_with_what_places_it(tmp_path: Path, product: str):
+    path = tmp_path / "a.nc"
+    stored = getattr(shells, product)(path)
+    cube = open_cube(path, quantity="radiance")
+    assert cube.transform is None
+    if product != "prisma":
+        factor = {"emit": 1.0, "tanager": 0.1}[product]
+        assert np.allclose(values_of(cube), np.where(stored == -9999, np.nan, factor * stored), equal_nan=True)
+        assert not cube.read(0, LINES).valid.all()
+        assert cube.axis.good.tolist() == [True, True, True, product == "tanager", True]
+    if product == "tanager":
+        return
+    table, _ = table_of(cube.raster)
+    assert table.crs == CRS.from_epsg(4326)
+    if product == "emit":
+        with xr.open_dataset(path, group="location", engine="h5netcdf") as other:
+            assert np.array_equal(table.raster.read_bands(0, 14)[0], np.nan_to_num(other["glt_x"].values))
+    back = open_cube(cube.to_spy(), quantity="radiance", unit="uW cm-2 sr-1 nm-1")  # loaded: no ENVI file of one scale
+    assert back.axis.matches(cube.axis)
+    assert np.allclose(back.read(2, 3).values, cube.read(2, 3).values, rtol=1e-6, equal_nan=True)

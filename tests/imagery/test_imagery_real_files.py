@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import csv
-import itertools
 
 import numpy as np
 import pytest
 import rasterio
 import spectral
 
-from hyperval.envi_header import DATA_TYPES
 from hyperval.errors import InputError
 from hyperval.imagery import intersected_objects, objects, open_cube, open_raster, overlaps, read_regions
 
@@ -45,36 +43,6 @@ def test_published_geotiff_equals_the_envi_copy(data_dir):
         assert np.allclose(dataset.read().transpose(1, 2, 0) / 1e4, a.read(0, 86).values, atol=1e-12)
     image = spectral.open_image(str(envi.with_suffix(".hdr"))).load()
     assert np.allclose(np.asarray(image), a.read(0, 86).values, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "unit", "bands", "text"),
-    [
-        ("envi/av3_ivanpah_20250308/AV320250308t200738_rdn.img", "Micrometers", 284, True),
-        ("envi/prism_20231110/prm20231110t071521_rdn_two_px", "Nanometers", 246, False),
-    ],
-)
-def test_airborne_radiance_pixels(data_dir, name, unit, bands, text):
-    path = data_dir(name)
-    cube = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1")
-    assert (cube.bands, cube.samples) == (bands, 1)
-    assert 300 < cube.axis.centre_nm[0] < 400
-    values = cube.read(0, cube.lines).values
-    spy = spectral.open_image(str(cube.raster.header.path)).load()
-    assert np.array_equal(values.astype("f4"), np.asarray(spy))
-    if text:  # the distributor's own text copy of the same pixel
-        table = np.loadtxt(path.with_suffix(".txt"))
-        assert np.allclose(values[0, 0], table[:, -1], rtol=1e-6)
-        assert np.allclose(cube.axis.centre_nm, table[:, 0] * (1000 if table[0, 0] < 10 else 1), atol=0.01)
-
-
-def test_files_without_wavelengths_are_not_cubes(data_dir):
-    path = data_dir("envi/av3_ivanpah_20250308/AV320250308t200738_obs.img")
-    with pytest.raises(InputError, match="lists no wavelengths"):
-        open_cube(path, quantity="other")
-    stored = open_raster(path).read_lines(0, 1)[0, 0]
-    text = data_dir("envi/av3_ivanpah_20250308/AV320250308t200738_obs.txt").read_text()
-    assert np.allclose(stored, [float(word) for word in text.replace(",", " ").split()][-11:], rtol=1e-6)
 
 
 def test_hysu_targets_from_rasters_are_those_of_the_list(data_dir):
@@ -130,33 +98,3 @@ def test_envi_ascii_export(data_dir):
     assert overlaps(regions.values()) == []
     with pytest.raises(InputError, match="made for 349 lines x 1905 samples"):
         read_regions(path, (348, 1905))
-
-
-def test_the_published_cube_in_every_type_and_layout(data_dir, tmp_path):
-    published = open_cube(
-        data_dir("hysu/published/full/DLR_HySU_HS_full.tif"), quantity="reflectance", wavelength_unit="um"
-    )
-    stored = published.raster.read_lines(0, 20)
-    expected = published.read(0, 20)
-    waves = ", ".join(repr(w) for w in published.axis.centre_nm.tolist())
-    mask = np.zeros((20, 123), bool)
-    mask[::3, ::5] = True
-    for code in sorted(set(DATA_TYPES) - {1}):  # a byte does not hold its numbers
-        for order, (interleave, axes) in itertools.product(
-            (0, 1), {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}.items()
-        ):
-            offset = 13 * (code % 2)
-            path = tmp_path / "c.img"
-            kind = "<>"[order] + DATA_TYPES[code]
-            path.write_bytes(b"\xff" * offset + stored.transpose(axes).astype(kind).tobytes())
-            path.with_suffix(".hdr").write_text(
-                f"ENVI\nsamples = 123\nlines = 20\nbands = 135\nheader offset = {offset}\ndata type = {code}\n"
-                f"interleave = {interleave}\nbyte order = {order}\nwavelength units = nm\n"
-                f"wavelength = {{{waves}}}\nreflectance scale factor = 10000\ndata ignore value = 15000\n"
-            )
-            cube = open_cube(path, quantity="reflectance")
-            block = cube.read(0, 20)
-            assert np.array_equal(block.values, expected.values, equal_nan=True), (code, order, interleave)
-            assert np.array_equal(block.valid, expected.valid)
-            assert np.array_equal(cube.pixels(mask), expected.values[mask], equal_nan=True)
-            assert np.array_equal(cube.read_stored(3, 5)[0].transpose(1, 2, 0), stored[3:8])

@@ -295,24 +295,6 @@ def test_bad_geojson(tmp_path: Path, text: str, message: str | None):
         read_regions(path, SHAPE, coordinates="pixel")
 
 
-def test_geojson_must_be_told_its_coordinates(tmp_path: Path):
-    path, _ = written(tmp_path, "geojson-pixel")
-    with pytest.raises(UsageError, match="coordinates: pixel, map"):
-        read_regions(path, SHAPE)
-    with pytest.raises(InputError, match="has no position"):
-        read_regions(path, SHAPE, coordinates="map")
-
-
-@pytest.mark.parametrize(("count", "notes"), [(0, 0), (20, 0), (24, 1)])
-def test_the_pixel_count_of_a_classic_polygon_is_compared(tmp_path: Path, count: int, notes: int):
-    path = tmp_path / "b.roi"
-    path.write_bytes(roi_binary("grass", polygons=[SQUARE], count=count))
-    region = read_regions(path, SHAPE)["grass"]
-    assert region.n == 20
-    wanted = ["the region 'grass' has 24 pixels as its file says; 20 have their centre inside"]
-    assert region.remarks == wanted * notes
-
-
 def test_geojson_is_longitude_and_latitude_without_being_asked(tmp_path: Path):
     path, options = written(tmp_path, "geojson-lonlat")
     stated = read_regions(path, SHAPE, **options)
@@ -322,15 +304,6 @@ def test_geojson_is_longitude_and_latitude_without_being_asked(tmp_path: Path):
     path, options = written(tmp_path, "geojson-map")
     with pytest.raises(UsageError, match=r"(?s)no longitude and latitude.*state coordinates: pixel or map"):
         read_regions(path, SHAPE, **{**options, "coordinates": None})
-
-
-def test_class_raster_of_another_size_or_without_classes(tmp_path: Path):
-    path = write_cube(tmp_path / "c.img", np.ones((9, 12, 1)), data_type=1)
-    with pytest.raises(InputError, match="9 lines and 12 samples"):
-        read_regions(path, SHAPE)
-    path = write_cube(tmp_path / "d.img", np.full((10, 12, 1), 1.5))
-    with pytest.raises(InputError, match="no class numbers"):
-        read_regions(path, SHAPE)
 
 
 @given(st.binary(max_size=200), st.sampled_from(["", "<", "{", "JoeB", "; ENVI Output of ROIs\n", "line,sample\n"]))
@@ -358,14 +331,6 @@ def test_guard_is_a_disc(radius: float, pixels: int):
     assert not guard(np.zeros(SHAPE, bool), 3).any()
     with pytest.raises(UsageError):
         guard(mask, float("nan"))
-
-
-def test_a_packed_region_file_that_swells_is_refused(tmp_path: Path):
-    """40 MB of blanks in 40 kB: read no further than the limit."""
-    path = tmp_path / "rois.txt"
-    path.write_bytes(gzip.compress(b"; ENVI Output of ROIs (4.8)\n" + b" " * (40 << 20)))
-    with pytest.raises(InputError, match="larger than 32 MiB"):
-        read_regions(path, SHAPE)
 
 
 def test_the_header_of_a_class_raster_must_lie_in_the_root(tmp_path: Path):
@@ -507,3 +472,34 @@ def test_sets_of_pixels():
             rectangle_region("r", lines, samples, SHAPE)
     with pytest.raises(UsageError):
         Region("a", np.ones(SHAPE), "x")
+
+
+def test_what_a_file_states_beside_its_pixels(tmp_path: Path):
+    path = tmp_path / "b.roi"
+    for count, remarks in (
+        (20, []),
+        (24, ["the region 'grass' has 24 pixels as its file says; 20 have their centre in"]),
+    ):
+        path.write_bytes(roi_binary("grass", polygons=[SQUARE], count=count))
+        region = read_regions(path, SHAPE)["grass"]
+        assert (region.n, [r[: len(remarks[0])] for r in region.remarks] if remarks else region.remarks) == (
+            20,
+            remarks,
+        )
+    path, _ = written(tmp_path, "geojson-pixel")
+    for coordinates, error, message in (
+        (None, UsageError, "coordinates: pixel, map"),
+        ("map", InputError, "no position"),
+    ):
+        with pytest.raises(error, match=message):
+            read_regions(path, SHAPE, coordinates=coordinates)
+    path = tmp_path / "rois.txt"  # 40 MB of blanks in 40 kB: read no further than the limit
+    path.write_bytes(gzip.compress(b"; ENVI Output of ROIs (4.8)\n" + b" " * (40 << 20)))
+    with pytest.raises(InputError, match="larger than 32 MiB"):
+        read_regions(path, SHAPE)
+    for values, message in (
+        (np.ones((9, 12, 1)), "9 lines and 12 samples"),
+        (np.full((10, 12, 1), 1.5), "no class num"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_regions(write_cube(tmp_path / "c.img", values), SHAPE)

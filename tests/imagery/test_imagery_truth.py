@@ -45,14 +45,6 @@ def test_one_place_in_every_coordinate_system(tmp_path: Path, place: str):
     assert not target.mask[9:].any()
 
 
-def test_small_target_lies_in_its_pixel_and_a_shifted_one_in_four(tmp_path: Path):
-    text = "material,line,sample,side_m\na,7.5,11.5,0.5\nb,3.0,5.0,0.5\n"
-    inside, corner = targets(tmp_path, text, pixel_size_m=1.0)
-    assert np.argwhere(inside.mask).tolist() == [[7, 11]]
-    assert np.argwhere(corner.mask).tolist() == [[2, 4], [2, 5], [3, 4], [3, 5]]
-    assert [inside.name, corner.name] == ["a 1", "b 2"]
-
-
 def test_heading_turns_a_long_target(tmp_path: Path):
     text = "material,line,sample,width_m,length_m,heading_deg\na,10.5,10.5,0.2,8,0\nb,10.5,10.5,0.2,8,90\n"
     north, east = targets(tmp_path, text, pixel_size_m=1.0)
@@ -157,3 +149,12 @@ def test_a_drawn_object_has_the_area_of_its_pixels_where_that_is_said():
     assert four.attributes["side_m"] == "1"
     with pytest.raises(UsageError, match="pixel_size_m"):
         region_objects([Region("felt", mask, "")], "cloth", side_m="marked")
+
+
+def test_a_small_target_lies_in_its_pixel_a_shifted_one_in_four_and_a_doubted_one_around(tmp_path: Path):
+    text = "material,line,sample,side_m,position_uncertainty_m\na,7.5,11.5,0.5,\nb,3.0,5.0,0.5,0\nc,7.5,11.5,0.5,2\n"
+    inside, corner, unsure = targets(tmp_path, text, pixel_size_m=1.0)
+    assert np.argwhere(inside.mask).tolist() == [[7, 11]]
+    assert np.argwhere(corner.mask).tolist() == [[2, 4], [2, 5], [3, 4], [3, 5]]
+    assert unsure.mask.sum() == 13  # lattice points within 2 pixels
+    assert [inside.name, corner.name] == ["a 1", "b 2"]

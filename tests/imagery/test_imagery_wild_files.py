@@ -13,7 +13,7 @@ from rasterio.crs import CRS
 
 from hyperval.envi_header import parse_header, read_header
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery import crs_of, open_cube, pixel_area_m2, read_regions, transform_of
+from hyperval.imagery import crs_of, open_cube, pixel_area_m2, transform_of
 
 SIZES = "ENVI\nsamples = 2\nlines = 2\nbands = 1\ndata type = 1\ninterleave = bsq\nbyte order = 0\n"
 
@@ -87,81 +87,6 @@ def test_resonon_writes_a_latitude_band_and_units_without_equals_sign(data_dir):
         Affine(0.04, 0, 441371.00707299996, 0, -0.04, 4855941.7317699995), precision=1e-9
     )
     assert pixel_area_m2(transform_of(header), None, header.entries) == pytest.approx(0.0016)
-
-
-@pytest.mark.data
-def test_plantcv_leaves_the_byte_order_out(data_dir, tmp_path: Path):
-    text = data_dir("formats/plantcv_no_byte_order.hdr").read_text()
-    (tmp_path / "a.hdr").write_text(text)
-    stored = np.arange(31 * 580 * 43, dtype="<u2").reshape(31, 580, 43) % 1000 + 1
-    stored.astype("<u2").tofile(tmp_path / "a.img")
-    cube = open_cube(tmp_path / "a.img", quantity="other")
-    assert "the header states no byte order: read as little-endian" in cube.notes
-    assert np.array_equal(cube.read(0, 31).values, stored.transpose(0, 2, 1))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with rasterio.open(tmp_path / "a.img", driver="ENVI") as dataset:
-            assert np.array_equal(dataset.read(), stored.transpose(1, 0, 2))
-
-
-@pytest.mark.data
-def test_enmapbox_states_the_coordinate_system_twice(data_dir):
-    header = read_header(data_dir("formats/enmapbox_crs_twice.hdr"))
-    assert header.notes == ("header: 'coordinate system string' stands twice and says the same (lines 13 and 192)",)
-    assert crs_of(header).to_epsg() == 32633
-
-
-@pytest.mark.data
-def test_the_sidecar_of_a_geotiff_needs_sizes_only(data_dir, tmp_path: Path):
-    header = data_dir("formats/test.tif.hdr")
-    (tmp_path / "test.tif.hdr").write_bytes(header.read_bytes())
-    with rasterio.open(
-        tmp_path / "test.tif", "w", driver="GTiff", width=220, height=400, count=177, dtype="int16",
-        crs="EPSG:32633", transform=Affine(30, 0, 380952.37, 0, -30, 5820372.35),
-    ) as dataset:  # fmt: skip
-        dataset.write(np.full((177, 400, 220), 1234, np.int16))
-    cube = open_cube(tmp_path / "test.tif", quantity="reflectance", scale=1e-4)
-    assert (cube.shape, cube.bands) == ((400, 220), 177)
-    assert (cube.axis.centre_nm[0], cube.axis.centre_nm[-1]) == (460.0, 2409.0)
-    assert np.allclose(cube.read(0, 1).values, 0.1234)
-
-
-@pytest.mark.data
-def test_a_shapefile_of_envi_names_its_regions_by_class_name(data_dir):
-    pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
-    import pyogrio
-
-    path = data_dir("formats/ROI.shp")
-    bounds = pyogrio.read_info(path, force_total_bounds=True)["total_bounds"]
-    size = 100.0
-    shape = (int((bounds[3] - bounds[1]) / size) + 2, int((bounds[2] - bounds[0]) / size) + 2)
-    transform = Affine(size, 0, bounds[0] - size, 0, -size, bounds[3] + size)
-    place = {"transform": transform, "crs": CRS.from_epsg(32649)}
-    found = read_regions(path, shape, **place)
-    assert sorted(found) == ["City", "Vegetation", "Water"]
-    meta, _, shapes, columns = pyogrio.raw.read(path)
-    names = columns[list(meta["fields"]).index("CLASS_NAME")]
-    from rasterio.features import rasterize
-
-    for name, region in found.items():  # GDAL draws the same pixels from the same geometry
-        drawn = np.zeros(shape, bool)
-        for wkb, given in zip(shapes, names, strict=True):
-            if given.strip() == name:
-                ring = _ring(bytes(wkb))
-                geometry = {"type": "Polygon", "coordinates": [ring]}
-                drawn |= rasterize([(geometry, 1)], out_shape=shape, transform=place["transform"]).astype(bool)
-        assert np.array_equal(region.mask, drawn)
-    assert sorted(read_regions(path, shape, name_field="class_id", **place)) == ["1", "2", "3"]
-    with pytest.raises(UsageError, match=r"(?s)no attribute 'kind'.*CLASS_NAME, CLASS_ID, CLASS_CLRS"):
-        read_regions(path, shape, name_field="kind", **place)
-
-
-def _ring(wkb: bytes) -> list[tuple[float, float]]:
-    """Exterior of a polygon in well-known binary, little-endian, read apart from our reader."""
-    kind, _ = np.frombuffer(wkb, "<u4", 2, 1)
-    start = 9 if kind == 3 else 18  # a polygon, or the first of several
-    count = int(np.frombuffer(wkb, "<u4", 1, start)[0])
-    return [tuple(p) for p in np.frombuffer(wkb, "<f8", 2 * count, start + 4).reshape(-1, 2).tolist()]
 
 
 def small_cube(tmp_path: Path, entries: str, values: np.ndarray, name: str = "a.img") -> Path:
