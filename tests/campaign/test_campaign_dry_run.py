@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from hyperval import cli
-from hyperval.campaign import WRONG, dry_run, job_of, jobs_of, overview, read_texts, summary
+from hyperval.campaign import WRONG, dry_run, job_of, jobs_of, overview, read_jobs, summary
 from hyperval.config import load_yaml
 from hyperval.errors import UsageError
 from hyperval.imagery import write_cube
@@ -127,9 +127,9 @@ def test_what_is_complete_is_ready_and_nothing_is_written(places, tmp_path, caps
     assert cli.run(["validate", "--dry-run", str(path)]) == 0
     assert "line-{line} (2 campaigns): ready" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.rglob("*")) == before
-    first, second = [text.campaign() for text in read_texts(path)]
+    first, second = [job.campaign for job in read_jobs(path)]
     assert (first.name, second.name) == ("line-0920-1631", "line-0920-1638")
-    assert second.run == {"line": "0920-1638"}
+    assert read_jobs(path)[1].words == {"line": "0920-1638"}
     with pytest.raises(UsageError, match="holds 2 runs"):
         job_of(path)
 
@@ -157,7 +157,7 @@ def test_mistakes_in_what_is_read_are_named(places, tmp_path, name, old, new, wo
 @pytest.mark.parametrize("runs", [[], "a", [{}], ["a"], [{"line": str(i)} for i in range(101)]])
 def test_runs_that_are_none(places, tmp_path, runs):
     with pytest.raises(UsageError, match="no list of runs"):
-        read_texts(written(tmp_path, {**CAMPAIGN, "runs": runs}, SCENARIO))
+        read_jobs(written(tmp_path, {**CAMPAIGN, "runs": runs}, SCENARIO))
 
 
 def test_a_collection_of_others_waits_until_a_file_of_it_is_there(places, tmp_path, capsys):

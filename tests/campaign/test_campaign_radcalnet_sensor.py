@@ -15,7 +15,7 @@ from rasterio.warp import transform as warp
 
 from hyperval import cli
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.campaign import DayScenarios, day_scenarios, dry_run, read_texts
+from hyperval.campaign import DayScenarios, day_scenarios, dry_run, read_jobs
 from hyperval.imagery import write_cube
 from hyperval.model import Origins, predict
 from hyperval.results import Cause
@@ -69,8 +69,8 @@ def overpasses(tmp_path, monkeypatch):
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # the stand-in for the engine lives in this process
     monkeypatch.setattr("hyperval.model.world.atmospheric_terms", terms)
     campaign = shutil.copytree(FOLDER, tmp_path / "campaign") / "campaign.yaml"
-    (text, *_) = read_texts(campaign)
-    for mark in text.named.to_fill_in:
+    (text, *_) = read_jobs(campaign)
+    for mark in text.to_fill_in:
         name, _, number = mark.where.rpartition(":")
         lines = Path(name).read_text().splitlines()
         lines[int(number) - 1] = re.sub(r'"FILL_IN.*"', VALUES[mark.key], lines[int(number) - 1])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.campaign import job_of, read_texts
+from hyperval.campaign import job_of, read_jobs
 from hyperval.errors import UsageError
 
 ROOT = Path(__file__).parents[2]
@@ -53,7 +53,7 @@ def load(tmp_path: Path, *replacements: tuple[str, str]):
 def test_the_campaigns_of_the_project_are_valid(path):
     # A campaign with values to be filled in has tests of its own.
     waiting = "FILL_IN" in path.read_text()
-    for campaign in [read_texts(path)[0].outline()] if waiting else [text.campaign() for text in read_texts(path)]:
+    for campaign in [read_jobs(path)[0].outline] if waiting else [job.campaign for job in read_jobs(path)]:
         assert any(gate.gate for gate in campaign.comparisons) or "broken" in campaign.name
         assert campaign.assumptions
 

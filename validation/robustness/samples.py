@@ -37,7 +37,7 @@ from contents import (
 
 from hyperval.atmosphere import read_channels, read_chn, read_modtran_json, read_table, read_tape7, terms_from_runs
 from hyperval.baseline import load_baseline
-from hyperval.campaign import read_texts
+from hyperval.campaign import read_jobs
 from hyperval.collection_files import AbundanceTruth, BandTableFile, RegionSource
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header
@@ -173,8 +173,8 @@ def _yaml() -> dict[str, tuple[Path, Callable[[Path], Any], float]]:
     campaign = ROOT / "campaigns" / "share2012-twin"
     return {
         "yaml": (ROOT / "studies" / "tornado.yaml", load_yaml, 0.1),
-        "campaign": (campaign / "campaign.yaml", lambda path: [text.campaign() for text in read_texts(path)], 0.06),
-        "campaign texts": (ROOT / "campaigns" / "share2012-avon" / "campaign.yaml", read_texts, 0.06),
+        "campaign": (campaign / "campaign.yaml", lambda path: [job.campaign for job in read_jobs(path)], 0.06),
+        "campaign texts": (ROOT / "campaigns" / "share2012-avon" / "campaign.yaml", read_jobs, 0.06),
         "scenario": (campaign / "scenario.yaml", load_scenario, 0.06),
         "scene": (campaign / "scene.yaml", load_scene, 0.06),
         "sensor": (ROOT / "src" / "hyperval" / "sensor" / "library" / "hydice.yaml", load_sensor, 0.06),

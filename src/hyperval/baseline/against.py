@@ -33,7 +33,7 @@ from hyperval.baseline.accepted import (
     versions,
     write_baseline,
 )
-from hyperval.campaign import AnyJob, Job, jobs_of, validate
+from hyperval.campaign import Job, jobs_of, validate
 from hyperval.campaign.provenance import command_without_output, source_revision
 from hyperval.errors import InputError, UsageError
 from hyperval.progress import track
@@ -193,8 +193,8 @@ def _folder(keep: Path | None) -> Iterator[Path]:
         yield scratch / "runs"
 
 
-def _read(job: AnyJob, source: Path, *, finished: bool) -> RunNumbers:
-    name = job.campaign.name
+def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
+    name = job.outline.name
     inner = source / name
     run = Run.open(inner if is_run(inner) else source)
     table = run.table.where(campaign=name)
@@ -206,23 +206,23 @@ def _read(job: AnyJob, source: Path, *, finished: bool) -> RunNumbers:
     return RunNumbers(
         "campaign",
         name,
-        job.campaign.title,
+        job.outline.title,
         campaign_metrics(table),
         versions(packages if isinstance(packages, dict) else None, run.provenance.get("python")),
         skipped_reason(table),
-        bool(job.campaign.simulated),
+        bool(job.outline.simulated),
         str(job.path),
     )
 
 
-def _stale(job: AnyJob, provenance: Mapping[str, Any]) -> str | None:
+def _stale(job: Job, provenance: Mapping[str, Any]) -> str | None:
     """Why a finished run does not tell what the files and the source of now would give; None when it may."""
     then, now = provenance.get("source_revision"), source_revision()
     if then and now and then.get("commit") != now["commit"]:
         return f"was made by commit {str(then.get('commit'))[:12]}, the source is at {now['commit'][:12]}"
-    several = isinstance(job, Job) and bool(job.campaign.run)  # runs in one file, of which another may have changed
+    several = bool(job.words)  # runs in one file, of which another may have changed
     said = (provenance.get("configuration") or {}).get("campaign")
-    if isinstance(job, Job) and several and said != json_value(job.campaign.model_dump(mode="json", by_alias=True)):
+    if several and said != json_value(job.campaign.model_dump(mode="json", by_alias=True)):
         return f"was made with another {job.path.name}"
     for item in provenance.get("inputs", ()):
         reference = str(item.get("reference"))

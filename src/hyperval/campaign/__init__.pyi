@@ -1,13 +1,12 @@
 """A campaign: its file read and looked over, run, judged; its record, its draft, the power of its criteria."""
 
 from .forward import predict_to_folder
-from .job import SIMULATED, AnyJob, Job, Waiting, job_of, jobs_of, read_texts
+from .job import SIMULATED, Job, job_of, jobs_of, read_jobs
 from .names import WRONG, Item, dry_run, overview, summary
-from .one import run_campaign
 from .pictures import expected_maps, scene_content
 from .power import Power, campaign_power, power_table
 from .provenance import command_without_output, package_versions, record_of, source_revision
-from .run import observe, validate
+from .run import observe, run_campaign, validate
 from .schema import Campaign, DayScenarios, day_scenarios
 from .sides import (
     Collected,
@@ -21,10 +20,10 @@ from .sides import (
 from .starter import StarterSources, starter_campaign
 
 __all__ = [
-    "SIMULATED", "WRONG", "AnyJob", "Campaign", "Collected", "DayScenarios", "Inputs", "Item", "Job", "Power",
-    "StarterSources", "Waiting", "campaign_power", "collected", "command_without_output", "day_scenarios", "dry_run",
+    "SIMULATED", "WRONG", "Campaign", "Collected", "DayScenarios", "Inputs", "Item", "Job", "Power",
+    "StarterSources", "campaign_power", "collected", "command_without_output", "day_scenarios", "dry_run",
     "expected_maps", "job_of", "jobs_of", "observe", "overview", "package_versions", "power_table",
-    "predict_to_folder", "read_texts", "record_of", "run_campaign", "scene_content", "source_revision",
+    "predict_to_folder", "read_jobs", "record_of", "run_campaign", "scene_content", "source_revision",
     "spread_curves", "starter_campaign", "summary", "validate", "with_fills_of_truth", "with_measured_fractions",
     "without_circles",
 ]  # fmt: skip

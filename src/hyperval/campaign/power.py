@@ -13,8 +13,8 @@ from pathlib import Path
 
 import hyperval
 from hyperval.attribute import InjectedError, NotInjectable, injected_errors, injected_prediction
-from hyperval.campaign.job import AnyJob, Job, Waiting, jobs_of
-from hyperval.campaign.one import outcomes
+from hyperval.campaign.job import Job, jobs_of
+from hyperval.campaign.run import outcomes
 from hyperval.campaign.sides import collected, predicted_side
 from hyperval.errors import MissingDataError
 from hyperval.executors import in_order, worker_count, workers
@@ -87,7 +87,7 @@ def campaign_power(
     HypervalError : of any campaign.
     """
     jobs = jobs_of(*paths)
-    before = {job.campaign.name: accepted_table(job.campaign.name) for job in jobs}
+    before = {job.outline.name: accepted_table(job.outline.name) for job in jobs}
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         tables = _tables(jobs, before, show_progress)
         for place in (*([folder] if folder is not None else []), *([ACCEPTED] if accept else [])):
@@ -99,18 +99,18 @@ def campaign_power(
     return tables
 
 
-def _tables(jobs: Sequence[AnyJob], before: Mapping[str, PowerTable | None], show_progress: bool | None) -> list[Power]:
+def _tables(jobs: Sequence[Job], before: Mapping[str, PowerTable | None], show_progress: bool | None) -> list[Power]:
     with workers(worker_count(len(jobs))) as where:
         results = track(in_order(where, _piece, jobs), "campaigns", len(jobs), show=show_progress)
         return [
-            Power(job.campaign.name, table, skipped, before[job.campaign.name])
+            Power(job.outline.name, table, skipped, before[job.outline.name])
             for job, (table, skipped) in zip(jobs, results, strict=True)
         ]
 
 
-def _piece(job: AnyJob) -> tuple[PowerTable | None, str]:
-    if isinstance(job, Waiting):
-        return None, job.reason
+def _piece(job: Job) -> tuple[PowerTable | None, str]:
+    if job.waits is not None:
+        return None, job.waits[0]
     try:
         return power_table(job, show_progress=False), ""
     except MissingDataError as error:

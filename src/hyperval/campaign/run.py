@@ -1,12 +1,7 @@
-"""What the commands call: validate, observe into a folder.
+"""A campaign is run: observed once, predicted, compared, judged and written; several at once, each into its own folder.
 
-Campaigns that need not run again: finished before a run was ended, or whole in the output of an earlier one.
-
-A campaign's folder bears a record (``.hyperval-made-of.json``) of what it was made of and of its own files.
-
-Several campaigns at once: each in a process of its own, each into a folder of its own.
-
-The command ``observe``: the empirical pipeline alone.
+Those that need not run again are taken as they are: finished before a run was ended, or whole in the output of an
+earlier one.  A campaign's folder bears a record (``.hyperval-made-of.json``) of what it was made of and of its files.
 """
 
 from __future__ import annotations
@@ -16,117 +11,252 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import hyperval
-from hyperval.campaign.job import SIMULATED, AnyJob, Job, job_of, jobs_of
-from hyperval.campaign.one import report_of, run_campaign, step_of, unfinished
-from hyperval.campaign.provenance import package_versions, source_revision
+from hyperval.attribute import ScenarioModel, Truths, assumed_inputs, attribute, few_objects
+from hyperval.campaign.job import SIMULATED, Job, job_of, jobs_of
+from hyperval.campaign.pictures import quicklook, score_maps
+from hyperval.campaign.provenance import package_versions, record_of, source_revision
+from hyperval.campaign.schema import Outline
+from hyperval.campaign.sides import Collected, collected, header_notes, joined, truth_notes
+from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import InputLog
-from hyperval.errors import HypervalError, UsageError, internal_error
+from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
-from hyperval.progress import track, working
+from hyperval.model import Truth, inputs_of, predict, predictions, read
+from hyperval.observe import Observed
+from hyperval.observe import observe as observe_collection
+from hyperval.products import PredictedProducts, Products
+from hyperval.progress import step, track, working
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.run import accepted_table
-from hyperval.results import Outcome, ResultTable, judged_or_whole
+from hyperval.results import Cause, Outcome, Result, ResultTable, judged_or_whole, of_campaign
 from hyperval.run import read_rows
+from hyperval.scenario import Scenario
+from hyperval.settings import with_settings
 from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, whole_folder, write_text
 
-if TYPE_CHECKING:
-    from hyperval.observe import Observed
+# Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
+OBJECT_DRAWS = 1600
+INTERNAL_ERROR = 4
+UNCHANGED = "{}: nothing changed since the earlier run, taken from it (--again runs it)"
+Done = tuple[RunReport, int | None]
+Form = Literal["envi", "cog"]
 
 
-class Finished:
-    """The campaigns of a run that need not run again: finished before it was ended, or in an earlier run's output.
+def run_campaign(
+    job: Job,
+    *,
+    predicts: bool = True,
+    show_progress: bool | None = None,
+    with_observed: Callable[[Observed], None] | None = None,
+) -> RunReport:
+    """Run one campaign; files it cannot find in a registered data set make it SKIPPED.
+
+    ``with_observed`` is called while the files of the collection, simulated ones too, are still there.
+
+    Raises
+    ------
+    HypervalError : anything else that the user can mend.
+    """
+    if job.waits is not None:
+        return replace(unfinished(job, Outcome.SKIPPED, job.waits[0]), remedy=job.waits[1])
+    name = job.campaign.name
+    try:
+        with ExitStack() as stack:
+            with step_of(name, "observe", predicts):
+                side = stack.enter_context(collected(job, show_progress=show_progress))
+                if with_observed is not None:
+                    with_observed(side.observed)
+            sides = []
+            if predicts:
+                with step_of(name, "predict"):
+                    sides = [predict(s, side.origins(s, show_progress), objects=True) for s in side.scenarios]
+            with step_of(name, "compare" if predicts else "summarise", predicts):
+                return _report(side, sides, show_progress)
+    except MissingDataError as error:
+        if not predicts:  # nothing but the collection was asked for
+            raise
+        sets = job.missing_sets  # all that the campaign lacks, and not the first that was asked for
+        remedy = f"hyperval data fetch {' '.join(sets)}" if len(sets) > 1 else error.mend or ""
+        reason = f"{error.where}: {error.what}\n  to mend it: {remedy}"
+        return replace(unfinished(job, Outcome.SKIPPED, reason), remedy=remedy)
+
+
+def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextManager[None]:
+    """Progress bars within say which campaign and which of its steps they belong to."""
+    steps = ("observe", "predict", "compare", "report") if predicts else ("observe", "summarise", "report")
+    return step(campaign, steps.index(what) + 1, len(steps), what)
+
+
+def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progress: bool | None) -> RunReport:
+    """What both sides say, compared and judged; what the collection says where nothing was predicted."""
+    campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
+    more: dict[str, Any] = {"kind": "Collection of campaign"}
+    prediction = None
+    # What compares takes 30 MB: not before the imagery is done with.
+    if predicted:
+        from hyperval.campaign.sides import predicted_side, spread_curves
+
+        prediction = predicted_side(side, predicted)
+        rows = outcomes(side, prediction)
+        never = never_met(rows, prediction, observed.observation)
+        rows += reasons(side, prediction, show_progress=show_progress)
+        eigenvalues, tails = spread_curves(prediction, observed.observation)
+        more = {"kind": "Campaign", "never_met": never, "eigenvalues": eigenvalues, "tails": tails}
+        more["power"] = accepted_table(campaign.name)
+    else:
+        from hyperval.compare.products import product_rows
+
+        rows = product_rows(observed.observation, "observed")
+    notes = [
+        *(["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []),
+        *campaign.assumptions,
+        *observed.observation.notes,
+        *header_notes(observed.place, scenarios),
+        *truth_notes(observed.place, campaign.detection, scenarios),
+        *(prediction.notes if prediction else ()),
+    ]
+    both = [observed.observation, *predicted]
+    return replace(
+        report_of(campaign, rows),
+        prediction=prediction,
+        observation=observed.observation,
+        score_maps=score_maps(observed, campaign.detection, prediction.expected_scores if prediction else {}),
+        quicklook=quicklook(observed),
+        provenance=record_of(side.inputs.log, scenarios, side.seed, {"campaign": campaign}, both),
+        notes=list(dict.fromkeys(notes)),
+        references=campaign.references,
+        chosen_after=campaign.every_choice(),
+        **more,
+    )
+
+
+def report_of(campaign: Outline, rows: Iterable[Result]) -> RunReport:
+    """What a campaign's file and its rows alone say."""
+    return RunReport(
+        campaign=campaign.name,
+        title=campaign.title,
+        description=campaign.description,
+        simulated=bool(campaign.simulated),
+        computed=campaign.computed,
+        table=ResultTable(of_campaign(rows, campaign.name)),
+    )
+
+
+def unfinished(job: Job, outcome: Outcome, reason: str) -> RunReport:
+    """The planned comparisons of a campaign that could not be made, each as a row."""
+    campaign = job.outline
+    cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
+    rows = [gate.unmade(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects]
+    return replace(
+        report_of(campaign, rows),
+        provenance=record_of(InputLog.of_file(job.path), [], None, {"campaign": campaign}, []),
+        notes=[reason, *campaign.assumptions],
+        references=campaign.references,
+    )
+
+
+def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
+    """Every comparison of a campaign with its outcome.
+
+    It needs no second look at the collection, so that it can be called for a prediction that was moved.
 
     Parameters
     ----------
-    folder : holds a folder for each campaign until all of them are done
-    earlier : output of an earlier run, with a folder for each campaign; None: nothing is taken from there
+    prediction : of :func:`hyperval.campaign.sides.predicted_side`
     """
+    from hyperval.compare import compare_products, judged
 
-    def __init__(self, folder: Path, earlier: Path | None = None):
-        self.folder = folder / "campaigns"
-        self.earlier = earlier
-
-    def keep(self, job: Job, run: RunReport) -> None:
-        """Remember that the folder of a campaign is whole; not where something was skipped or went wrong."""
-        write_record(job, run, self.folder / job.campaign.name)
-
-    def load(self, job: Job) -> RunReport | None:
-        """The report of a campaign, without its arrays, where it is finished and would come out the same.
-
-        What is left of one that is not, or that was made of other files, settings or programs, is removed.
-        """
-        own = self.folder / job.campaign.name
-        run = as_before(job, own)
-        if run is None:
-            shutil.rmtree(own, ignore_errors=True)
-            if self.earlier is not None:
-                run = taken_over(job, self.earlier / job.campaign.name, own)
-        return run
-
-    def hand_over(self, names: Sequence[str], target: Path) -> None:
-        """Move the folders of these campaigns into ``target``."""
-        for name in names:
-            os.rename(self.folder / name, target / name)
-
-    def remove(self) -> None:
-        """Remove what is kept: the output is whole."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-        with suppress(OSError):
-            self.folder.parent.rmdir()
+    engines = {s.atmosphere.engine for s in side.scenarios if s.atmosphere}
+    rows = compare_products(
+        prediction,
+        side.observed.observation,
+        method="+".join(sorted(engines)) or "statistics",
+        equivalence_margin=side.campaign.equivalence_margin,
+    )
+    return judged(rows, side.campaign.comparisons)
 
 
-def write_record(job: Job, run: RunReport, folder: Path) -> None:
-    """Write into a campaign's folder what it was made of; not where something was skipped or went wrong."""
-    if any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
-        return
-    read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
-    files = {name: digest for name, digest in read.items() if not name.startswith(SIMULATED)}
-    with suppress(OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
-        record = {
-            "made_of": made_of(job, files),
-            "files": list(files),
-            "outputs": {
-                p.relative_to(folder).as_posix(): sha256_of(p) for p in files_within(folder) if p.name != RECORD
-            },
-        }
-        write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
+def never_met(rows: Iterable[Result], prediction: Products, observation: Products) -> list[tuple[Result, str]]:
+    """The criteria that can never be met, each with what would have to be known better for it."""
+    from hyperval.compare.spectra import would_take
+
+    return [(row, would_take(row, prediction, observation)) for row in rows if row.never_met]
 
 
-def as_before(job: Job, folder: Path) -> RunReport | None:
-    """The report that stands whole in ``folder``, without its arrays, where it would come out the same."""
-    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
-        record, log = json.loads((folder / RECORD).read_bytes()), InputLog(job.folder)
-        files = {name: sha256_of(log.resolve(name)) for name in record["files"]}
-        is_whole = all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
-        if record["outputs"] and is_whole and record["made_of"] == made_of(job, files):
-            return report_of(job.campaign, judged_or_whole(read_rows(folder)))
-    return None
+def never_met_by(job: Job) -> list[tuple[Result, str]]:
+    """Those of a campaign whose collection takes no time to look at."""
+    from hyperval.campaign.sides import predicted_side
+
+    with collected(job, show_progress=False) as side:
+        prediction = predicted_side(side, [predict(s, side.origins(s, False)) for s in side.scenarios])
+        return never_met(outcomes(side, prediction), prediction, side.observed.observation)
 
 
-def taken_over(job: Job, source: Path, target: Path) -> RunReport | None:
-    """Give ``target`` the files of the finished campaign in ``source`` where it would come out the same.
+def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bool | None = None) -> list[Result]:
+    """Why the two sides differ: rows of the model asked again with inputs moved, and of the what-ifs.
 
-    Each file gets a second name; nothing is copied where the file system knows several names of a file.  What else
-    stands in ``source`` stays there.
+    None where the campaign does not ask for them; ``prediction`` as it was compared.
     """
-    run = as_before(job, source)
-    if run is None:
-        return None
-    for name in (*json.loads((source / RECORD).read_bytes())["outputs"], RECORD):
-        (target / name).parent.mkdir(parents=True, exist_ok=True)
-        try:
-            os.link(source / name, target / name)
-        except OSError:
-            shutil.copyfile(source / name, target / name)
-    return run
+    if side.campaign.attribution is None:
+        return []
+    observation = side.observed.observation
+    # Where every object is one pixel, the scores of pixels say the same.
+    whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
+    draws = OBJECT_DRAWS if whole else False
+
+    def of_truths(scenario: Scenario, truths: Sequence[Truth]) -> Iterator[PredictedProducts]:
+        # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and
+        # not what takes draws of its own for each of a hundred truths.
+        closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
+        processing = scenario.processing.model_copy(update={"detectors": closed})
+        lighter = scenario.model_copy(update={"processing": processing}) if closed else scenario
+        return predictions(lighter, truths, side.origins(scenario, show_progress), objects=draws, object_curves=False)
+
+    # Predicted once, however often nothing is moved in it; the scenario is kept, whose number another would get.
+    as_stated: dict[int, tuple[Scenario, PredictedProducts]] = {}
+
+    def moved_side(scenario: Scenario, truths: Sequence[Truth]) -> Iterator[PredictedProducts]:
+        moved = of_truths(scenario, [truth for truth in truths if truth])
+        for truth in truths:
+            if not truth and id(scenario) not in as_stated:
+                as_stated[id(scenario)] = scenario, next(of_truths(scenario, [{}]))
+            yield next(moved) if truth else as_stated[id(scenario)][1]
+
+    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truths]) -> Iterator[Products]:
+        sides = [moved_side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(scenarios)]
+        for parts in zip(*sides, strict=True):
+            yield joined(side, scenarios, parts)
+
+    def measured_again(changes: Mapping[str, Any]) -> Products:
+        changed, detection = with_settings(side.campaign, changes), None
+        if changed.detection is not None:  # no residual is an area
+            detection = changed.detection.model_copy(update={"unmixing": None})
+        before = side.observed.surfaces if changed.collection == side.campaign.collection else None
+        return observe_collection(
+            changed.collection, detection, side.inputs.resolve, before=before, show_progress=show_progress
+        ).observation
+
+    worlds = [read(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
+    return attribute(
+        ScenarioModel(side.scenarios, predicted, measured_again),
+        observation,
+        [inputs_of(world) for world in worlds],
+        [assumed_inputs(world) for world in worlds],
+        side.campaign.attribution,
+        budgeted=prediction,
+        show_progress=show_progress,
+    )
+
+
+# What need not run again ----------------------------------------------------------------------------------------------
 
 
 def made_of(job: Job, files: Mapping[str, str]) -> str:
@@ -141,11 +271,11 @@ def made_of(job: Job, files: Mapping[str, str]) -> str:
     """
     log = InputLog(job.folder)
     digests = {log.resolve(name): digest for name, digest in files.items()}
-    if job.campaign.run:  # one of several runs: what the file says of this one is below
+    if job.words:  # one of several runs: what the file says of this one is below
         digests.pop(job.path.resolve(), None)
     inner: dict[str, Any] = {
         "campaign": job.campaign.model_dump(mode="json", by_alias=True),
-        "words": dict(job.campaign.run),
+        "words": dict(job.words),
         "files": sorted(digests.values()),
         "beside": _beside(job, list(digests)),
         "program": _program(),
@@ -178,85 +308,157 @@ def _beside(job: Job, read: Sequence[Path]) -> list[list[str]]:
     return sorted(sorted(n for n in some if n.startswith(own) or not n.startswith(others)) for some in names)
 
 
-INTERNAL_ERROR = 4
-UNCHANGED = "{}: nothing changed since the earlier run, taken from it (--again runs it)"
-Done = tuple[RunReport, int | None]
+class Piece(NamedTuple):
+    """A campaign on its way to its folder.
+
+    Attributes
+    ----------
+    folder : which it is written into; what stands there whole, and would come out the same, is kept
+    earlier : folder of an earlier run that it may be taken from; None: it is not
+    raises : whether an error is raised; else it becomes the rows of the campaign
+    """
+
+    job: Job
+    folder: Path
+    earlier: Path | None
+    raises: bool
+    show_progress: bool | None = None
+
+    def unchanged(self) -> RunReport | None:
+        """The report of a campaign that stands whole, without its arrays; what does not is removed.
+
+        Each file of an earlier run gets a second name; nothing is copied where the file system knows several names
+        of a file.  What else stands there stays.
+        """
+        if run := as_before(self.job, self.folder):
+            return run
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir(parents=True)
+        run = as_before(self.job, self.earlier) if self.earlier is not None else None
+        if run is None or self.earlier is None:
+            return None
+        for name in (*json.loads((self.earlier / RECORD).read_bytes())["outputs"], RECORD):
+            (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(self.earlier / name, self.folder / name)
+            except OSError:
+                shutil.copyfile(self.earlier / name, self.folder / name)
+        return run
+
+    def run(self) -> Done:
+        """Run it into its folder; its report without the arrays, and the exit code of the error that stopped it."""
+        try:
+            run, code = run_campaign(self.job, show_progress=self.show_progress), None
+        except Exception as error:  # one broken campaign must not hide what the others say
+            if self.raises:
+                raise
+            return self.failed(error)
+        return self.written(run, code)
+
+    def failed(self, error: Exception) -> Done:
+        """What stopped it, as its rows."""
+        known = isinstance(error, HypervalError)
+        words = str(error) if known else internal_error(error)
+        code = error.exit_code if isinstance(error, HypervalError) else INTERNAL_ERROR
+        return self.written(unfinished(self.job, Outcome.ERROR, words), code)
+
+    def written(self, run: RunReport, code: int | None) -> Done:
+        """Write its folder, and what it was made of where nothing was skipped or went wrong."""
+        with step_of(run.campaign, "report"), working("figures and page", show=self.show_progress):
+            write_outputs(run, self.folder)
+        if not any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
+            write_record(self.job, run, self.folder)
+        table = judged_or_whole(run.table)
+        return replace(run, table=table, prediction=None, observation=None, score_maps={}, quicklook=None), code
 
 
-def run_jobs(
-    jobs: Sequence[AnyJob],
-    finished: Finished,
+def write_record(job: Job, run: RunReport, folder: Path) -> None:
+    """Write into a campaign's folder what it was made of."""
+    read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
+    files = {name: digest for name, digest in read.items() if not name.startswith(SIMULATED)}
+    with suppress(OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
+        outputs = {p.relative_to(folder).as_posix(): sha256_of(p) for p in files_within(folder) if p.name != RECORD}
+        record = {"made_of": made_of(job, files), "files": list(files), "outputs": outputs}
+        write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
+
+
+def as_before(job: Job, folder: Path) -> RunReport | None:
+    """The report that stands whole in ``folder``, without its arrays, where it would come out the same."""
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
+        record, log = json.loads((folder / RECORD).read_bytes()), InputLog(job.folder)
+        files = {name: sha256_of(log.resolve(name)) for name in record["files"]}
+        is_whole = all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
+        if record["outputs"] and is_whole and record["made_of"] == made_of(job, files):
+            return report_of(job.campaign, judged_or_whole(read_rows(folder)))
+    return None
+
+
+def _run_all(pieces: Sequence[Piece], scheduler: str | None, tell: Callable[[str], None]) -> list[Done]:
+    """Run what would not come out the same; the result does not depend on how many run at once, or where."""
+    done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.unchanged())}
+    for run, _ in done.values():
+        tell(UNCHANGED.format(run.campaign))
+    left = [i for i in range(len(pieces)) if i not in done]
+    with workers(worker_count(len(left)), scheduler if left else None) as where:
+        here = where.executor is None  # one after the other, each with its own bars
+        show = pieces[0].show_progress
+        handed = [pieces[i] if here else pieces[i]._replace(show_progress=False) for i in left]
+        results = in_order(where, Piece.run, handed, ahead=max(1, len(left)))
+        try:
+            done |= zip(left, track(results, "campaigns", len(left), show=False if here else show), strict=False)
+        except WorkersLostError as error:  # the campaigns whose results are not there yet
+            done |= {i: pieces[i].failed(error) for i in left if i not in done}
+    return [done[i] for i in range(len(pieces))]
+
+
+def validate(
+    paths: Sequence[Path],
+    output: Path,
     *,
     scheduler: str | None = None,
+    strict: bool = False,
+    again: bool = False,
     tell: Callable[[str], None] = lambda _: None,
     show_progress: bool | None = None,
-) -> list[Done]:
-    """Run every campaign into a folder of its name; the result does not depend on how many run at once, or where.
+) -> int:
+    """Predict, observe and compare every campaign; write one folder, or one for each and an index.
 
     Parameters
     ----------
-    finished : where the folders are made, and stay until the output is whole; those that an earlier run finished
-        are not run again
-    scheduler : address of a Dask scheduler, whose workers see that folder and the data under the same names;
-        default: one process for each processor
-    tell : is given a line on each campaign that is not run again
+    scheduler : address of a Dask scheduler whose workers run the campaigns, where there are several; they see the
+        output folder and the data under the same names
+    strict : undecided and skipped gates give 1, too
+    again : run also what stands in ``output`` and would come out the same
+    tell : is given a line on what was not run again
 
     Returns
     -------
-    For each campaign, in the order given, its report without the arrays (they are written), and the exit code of
-    the error that stopped it (None when nothing did).  What stops one campaign becomes its ERROR rows.
+    The exit code of the contract.  A campaign whose data set is not at hand is SKIPPED in the table with the
+    command that fetches it, or with who holds it.  An error in one of several campaigns becomes ERROR rows, the
+    others are run, and the code is that of the first error; with a single campaign it is raised and nothing is
+    written.  Of several, those that are finished stand in ``OUTPUT/.hyperval-partial`` until the results are whole:
+    the same command goes on from there.
     """
-    finished.folder.mkdir(parents=True, exist_ok=True)
-    ready = {i: (run, None) for i, job in enumerate(jobs) if isinstance(job, Job) and (run := finished.load(job))}
-    for run, _ in ready.values():
-        tell(UNCHANGED.format(run.campaign))
-    left = [job for i, job in enumerate(jobs) if i not in ready]
-    new = iter(_run_left(left, finished, scheduler, show_progress) if left else [])
-    return [ready[i] if i in ready else next(new) for i in range(len(jobs))]
-
-
-def _run_left(
-    jobs: Sequence[AnyJob], finished: Finished, scheduler: str | None, show_progress: bool | None
-) -> list[Done]:
-    done: list[Done] = []
-    with workers(worker_count(len(jobs)), scheduler) as where:
-        here = where.executor is None  # one after the other, each with its own bars
-        pieces = [(job, finished, show_progress if here else False) for job in jobs]
-        results = in_order(where, _run_into, pieces, ahead=len(jobs))
-        try:
-            done.extend(track(results, "campaigns", len(jobs), show=False if here else show_progress))
-        except WorkersLostError as error:  # the campaigns whose results are not there yet
-            done += [_written(job, finished, *_failed(job, error), False) for job in jobs[len(done) :]]
-    return done
-
-
-def _run_into(piece: tuple[AnyJob, Finished, bool | None]) -> Done:
-    job, finished, show_progress = piece
-    try:
-        run, code = run_campaign(job, show_progress=show_progress), None
-    except Exception as error:  # one broken campaign must not hide what the others say
-        run, code = _failed(job, error)
-    return _written(job, finished, run, code, show_progress)
-
-
-def _failed(job: AnyJob, error: Exception) -> Done:
-    if isinstance(error, HypervalError):
-        return unfinished(job, Outcome.ERROR, str(error)), error.exit_code
-    return unfinished(job, Outcome.ERROR, internal_error(error)), INTERNAL_ERROR
-
-
-def _written(job: AnyJob, finished: Finished, run: RunReport, code: int | None, show_progress: bool | None) -> Done:
-    folder = finished.folder / job.campaign.name
-    folder.mkdir(exist_ok=True)
-    with step_of(run.campaign, "report"), working("figures and page", show=show_progress):
-        write_outputs(run, folder)
-    if isinstance(job, Job):
-        finished.keep(job, run)
-    table = judged_or_whole(run.table)
-    return replace(run, table=table, prediction=None, observation=None, score_maps={}, quicklook=None), code
-
-
-Form = Literal["envi", "cog"]
+    jobs = jobs_of(*paths)
+    with whole_folder(output) as folder:
+        earlier = None if again else output.resolve()
+        if len(jobs) == 1:
+            done = _run_all([Piece(jobs[0], folder, earlier, True, show_progress)], None, tell)
+            return done[0][0].table.exit_code(strict=strict)
+        kept, names = partial_folder(output) / "campaigns", [job.outline.name for job in jobs]
+        pieces = [
+            Piece(job, kept / name, earlier / name if earlier else None, False, show_progress)
+            for job, name in zip(jobs, names, strict=True)
+        ]
+        done = _run_all(pieces, scheduler, tell)
+        write_index([run for run, _ in done], folder, parts=kept)
+        for name in names:
+            os.rename(kept / name, folder / name)
+    shutil.rmtree(kept, ignore_errors=True)
+    with suppress(OSError):
+        kept.parent.rmdir()
+    first_error = next((code for _, code in done if code is not None), None)
+    return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
 
 
 def observe(
@@ -295,59 +497,3 @@ def observe(
         with step_of(run.campaign, "report", predicts=False), working("figures and page", show=show_progress):
             write_outputs(replace(run, notes=[*run.notes, *notes]), folder)
     return 0
-
-
-def validate(
-    paths: Sequence[Path],
-    output: Path,
-    *,
-    scheduler: str | None = None,
-    strict: bool = False,
-    again: bool = False,
-    tell: Callable[[str], None] = lambda _: None,
-    show_progress: bool | None = None,
-) -> int:
-    """Predict, observe and compare every campaign; write one folder, or one for each and an index.
-
-    Parameters
-    ----------
-    scheduler : address of a Dask scheduler whose workers run the campaigns, where there are several; they see the
-        output folder and the data under the same names
-    strict : undecided and skipped gates give 1, too
-    again : run also what stands in ``output`` and would come out the same
-    tell : is given a line on what was not run again
-
-    Returns
-    -------
-    The exit code of the contract.  A campaign whose data set is not at hand is SKIPPED in the table with the
-    command that fetches it, or with who holds it.  An error in one of several campaigns becomes ERROR rows, the
-    others are run, and the code is that of the first error; with a single campaign it is raised and nothing is
-    written.  Of several, those that are finished stand in ``OUTPUT/.hyperval-partial`` until the results are whole:
-    the same command goes on from there.
-    """
-    jobs = jobs_of(*paths)
-    with whole_folder(output) as folder:
-        if len(jobs) == 1:
-            return _only(jobs[0], folder, None if again else output, tell, show_progress).exit_code(strict=strict)
-        finished = Finished(partial_folder(output).resolve(), None if again else output.resolve())
-        done = run_jobs(jobs, finished, tell=tell, scheduler=scheduler, show_progress=show_progress)
-        write_index([run for run, _ in done], folder, parts=finished.folder)
-        finished.hand_over([job.campaign.name for job in jobs], folder)
-    finished.remove()
-    first_error = next((code for _, code in done if code is not None), None)
-    return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
-
-
-def _only(
-    job: AnyJob, folder: Path, earlier: Path | None, tell: Callable[[str], None], show_progress: bool | None
-) -> ResultTable:
-    """The table of a single campaign, whose files then stand in ``folder``."""
-    if isinstance(job, Job) and earlier is not None and (run := taken_over(job, earlier, folder)):
-        tell(UNCHANGED.format(run.campaign))
-        return run.table
-    run = run_campaign(job, show_progress=show_progress)
-    with step_of(run.campaign, "report"), working("figures and page", show=show_progress):
-        write_outputs(run, folder)
-    if isinstance(job, Job):
-        write_record(job, run, folder)
-    return run.table

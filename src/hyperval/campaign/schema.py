@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import scipy
-from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.attribute.schema import AttributionOptions
@@ -240,13 +240,6 @@ class Campaign(Outline):
     )
 
     attribution: AttributionOptions | None = Field(None, description="look for the reasons where the sides differ")
-
-    _run: Mapping[str, str] = PrivateAttr(default_factory=dict)
-
-    @property
-    def run(self) -> Mapping[str, str]:
-        """The words of this run that stand in braces in the campaign and its scenario files; often none."""
-        return self._run
 
     @property
     def computed(self) -> bool:

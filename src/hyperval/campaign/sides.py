@@ -342,7 +342,7 @@ def collected(
     campaign, inputs = job.campaign, Inputs(job.path)
     with ExitStack() as stack:
         scenarios = [
-            one for s in campaign.scenarios for one in scenarios_of(s, inputs.resolve, inputs.log.base, campaign.run)
+            one for s in campaign.scenarios for one in scenarios_of(s, inputs.resolve, inputs.log.base, job.words)
         ]
         seed = None
         if campaign.collection.simulate:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.campaign import AnyJob, Campaign, Inputs, Job, Waiting, collected, jobs_of
+from hyperval.campaign import Campaign, Inputs, Job, collected, jobs_of
 from hyperval.campaign.provenance import command_without_output, record_of
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
@@ -90,7 +90,7 @@ INTERNAL_ERROR = 4
 class Entry:
     """One campaign to be run, as it is handed to a worker."""
 
-    job: AnyJob
+    job: Job
     seed: int
     extensions: tuple[Path, ...] = ()
 
@@ -116,8 +116,8 @@ class Benchmarked:
 def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> Benchmarked:
     """Every row of one campaign; what stops it becomes its one row, SKIPPED or ERROR."""
     job = entry.job
-    if isinstance(job, Waiting):
-        return _stopped(entry, Outcome.SKIPPED, job.reason)
+    if job.waits is not None:
+        return _stopped(entry, Outcome.SKIPPED, job.waits[0])
     try:
         load_extensions(entry.extensions)
         return _run(entry, job, show_progress)

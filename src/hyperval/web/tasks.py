@@ -275,7 +275,7 @@ def _scores(observed: ObservedProducts, subject: str, detector: str, unit: str) 
 
 
 def _job(path: str) -> Job | None:
-    return next((job for job in jobs_of(Path(path)) if isinstance(job, Job)), None)
+    return next((job for job in jobs_of(Path(path)) if job.waits is None), None)
 
 
 def collection(folder: str, path: str) -> None:
