@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,16 +56,13 @@ class Power:
         """Errors that are seen by gates, by other rows or not at all where the accepted table says otherwise."""
         if self.table is None or self.accepted is None:
             return []
-        now, before = self.table.errors, self.accepted.errors
-        return [
-            f"{name}: {_sight(now.get(name))}, accepted: {_sight(before.get(name))}"
-            for name in dict.fromkeys((*now, *before))
-            if _sight(now.get(name)) != _sight(before.get(name))
-        ]
-
-
-def _sight(injected: Injected | None) -> str:
-    return "not in the table" if injected is None else str(injected.sight)
+        now, before = (
+            {name: str(injected.sight) for name, injected in table.errors.items()}
+            for table in (self.table, self.accepted)
+        )
+        names = dict.fromkeys((*now, *before))
+        pairs = [(n, now.get(n, "not in the table"), before.get(n, "not in the table")) for n in names]
+        return [f"{name}: {sight}, accepted: {accepted}" for name, sight, accepted in pairs if sight != accepted]
 
 
 def campaign_power(
@@ -87,9 +84,9 @@ def campaign_power(
     HypervalError : of any campaign.
     """
     jobs = jobs_of(*paths)
-    before = {job.outline.name: accepted_table(job.outline.name) for job in jobs}
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
-        tables = _tables(jobs, before, show_progress)
+        with workers(worker_count(len(jobs))) as where:
+            tables = list(track(in_order(where, _power, jobs), "campaigns", len(jobs), show=show_progress))
         for place in (*([folder] if folder is not None else []), *([ACCEPTED] if accept else [])):
             for item in tables:
                 if item.table is not None:
@@ -99,22 +96,14 @@ def campaign_power(
     return tables
 
 
-def _tables(jobs: Sequence[Job], before: Mapping[str, PowerTable | None], show_progress: bool | None) -> list[Power]:
-    with workers(worker_count(len(jobs))) as where:
-        results = track(in_order(where, _piece, jobs), "campaigns", len(jobs), show=show_progress)
-        return [
-            Power(job.outline.name, table, skipped, before[job.outline.name])
-            for job, (table, skipped) in zip(jobs, results, strict=True)
-        ]
-
-
-def _piece(job: Job) -> tuple[PowerTable | None, str]:
+def _power(job: Job) -> Power:
+    name = job.outline.name
     if job.waits is not None:
-        return None, job.waits[0]
+        return Power(name, skipped=job.waits[0])
     try:
-        return power_table(job, show_progress=False), ""
+        return Power(name, power_table(job, show_progress=False), accepted=accepted_table(name))
     except MissingDataError as error:
-        return None, str(error)
+        return Power(name, skipped=str(error))
 
 
 def power_table(

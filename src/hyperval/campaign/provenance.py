@@ -75,22 +75,14 @@ def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
 
     Two runs into different folders have the same provenance.
     """
-    given = list(sys.argv if arguments is None else arguments)
-    out = [Path(given[0]).name] if given else []
-    skip = False
-    for word in given[1:]:
-        if skip:
-            skip = False
-            continue
-        if word in {"-o", "--output", "--data-dir", "--junit"}:
-            skip = True
-            continue
-        if re.match(r"^(--output|--data-dir|--junit)=|^-o.", word):
-            continue
-        if word in {"--again", "-q", "--quiet"}:  # what gives the same results
-            continue
+    program, *given = [*(sys.argv if arguments is None else arguments)] or [""]
+    out, skip = [Path(program).name] if program else [], False
+    for word in given:
         path = Path(word)
-        out.append("/".join(path.parts[-2:]) if path.is_absolute() else word)
+        of_place = re.match(r"(--output|--data-dir|--junit)(=|$)|-o", word)
+        if not skip and not of_place and word not in {"--again", "-q", "--quiet"}:  # what gives the same results
+            out.append("/".join(path.parts[-2:]) if path.is_absolute() else word)
+        skip = not skip and of_place is not None and word in {"-o", "--output", "--data-dir", "--junit"}
     return out
 
 

@@ -308,7 +308,7 @@ def _beside(job: Job, read: Sequence[Path]) -> list[list[str]]:
     return sorted(sorted(n for n in some if n.startswith(own) or not n.startswith(others)) for some in names)
 
 
-class Piece(NamedTuple):
+class CampaignRun(NamedTuple):
     """A campaign on its way to its folder.
 
     Attributes
@@ -393,7 +393,7 @@ def as_before(job: Job, folder: Path) -> RunReport | None:
     return None
 
 
-def _run_all(pieces: Sequence[Piece], scheduler: str | None, tell: Callable[[str], None]) -> list[Done]:
+def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callable[[str], None]) -> list[Done]:
     """Run what would not come out the same; the result does not depend on how many run at once, or where."""
     done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.unchanged())}
     for run, _ in done.values():
@@ -403,7 +403,7 @@ def _run_all(pieces: Sequence[Piece], scheduler: str | None, tell: Callable[[str
         here = where.executor is None  # one after the other, each with its own bars
         show = pieces[0].show_progress
         handed = [pieces[i] if here else pieces[i]._replace(show_progress=False) for i in left]
-        results = in_order(where, Piece.run, handed, ahead=max(1, len(left)))
+        results = in_order(where, CampaignRun.run, handed, ahead=max(1, len(left)))
         try:
             done |= zip(left, track(results, "campaigns", len(left), show=False if here else show), strict=False)
         except WorkersLostError as error:  # the campaigns whose results are not there yet
@@ -443,11 +443,11 @@ def validate(
     with whole_folder(output) as folder:
         earlier = None if again else output.resolve()
         if len(jobs) == 1:
-            done = _run_all([Piece(jobs[0], folder, earlier, True, show_progress)], None, tell)
+            done = _run_all([CampaignRun(jobs[0], folder, earlier, True, show_progress)], None, tell)
             return done[0][0].table.exit_code(strict=strict)
         kept, names = partial_folder(output) / "campaigns", [job.outline.name for job in jobs]
         pieces = [
-            Piece(job, kept / name, earlier / name if earlier else None, False, show_progress)
+            CampaignRun(job, kept / name, earlier / name if earlier else None, False, show_progress)
             for job, name in zip(jobs, names, strict=True)
         ]
         done = _run_all(pieces, scheduler, tell)

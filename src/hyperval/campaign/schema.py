@@ -59,15 +59,20 @@ def campaign_runs(data: Any, lines: dict[Location, int], name: str) -> list[tupl
     return [(dict(run), with_words(rest, run)) for run in runs]
 
 
-def with_words(content: Any, words: Mapping[str, str]) -> Any:
-    """The content with ``{word}`` replaced in every text; other braces stay as they are."""
+def with_words(content: Any, words: Mapping[str, Any]) -> Any:
+    """The content with ``{word}`` replaced in every text; other braces stay as they are.
+
+    A word that is a text by itself may stand for a number.
+    """
     if isinstance(content, dict):
         return {key: with_words(value, words) for key, value in content.items()}
     if isinstance(content, list):
         return [with_words(value, words) for value in content]
     if isinstance(content, str):
+        if content[:1] == "{" and content[1:-1] in words:
+            return words[content[1:-1]]
         for word, text in words.items():
-            content = content.replace(f"{{{word}}}", text)
+            content = content.replace(f"{{{word}}}", str(text))
     return content
 
 
@@ -144,7 +149,7 @@ def day_scenarios(source: DayScenarios, scenario: Path, day: Path, words: Mappin
     out = []
     for time in times:
         at = _words(rows, time, source.radcalnet, str((text.get("atmosphere") or {}).get("model", "")), scenario)
-        made = validate(Scenario, _with_numbers(with_words(text, dict(words)), at), lines, str(scenario))
+        made = validate(Scenario, with_words(with_words(text, words), at), lines, str(scenario))
         made._folder = scenario.resolve().parent
         out.append(made)
     return out
@@ -166,18 +171,6 @@ def _words(day: RadCalNetDay, time: str, file: str, model: str, where: Path) -> 
         "latitude_deg": day.latitude_deg, "longitude_deg": day.longitude_deg, "ground_km": round(ground, 4),
         "station_km": day.altitude_m / 1e3,
     }  # fmt: skip
-
-
-def _with_numbers(content: Any, words: Mapping[str, Any]) -> Any:
-    if isinstance(content, dict):
-        return {key: _with_numbers(value, words) for key, value in content.items()}
-    if isinstance(content, list):
-        return [_with_numbers(value, words) for value in content]
-    if isinstance(content, str):
-        if content[:1] == "{" and content[1:-1] in words:
-            return words[content[1:-1]]
-        return with_words(content, {name: str(value) for name, value in words.items()})
-    return content
 
 
 class Choice(Model):
