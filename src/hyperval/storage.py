@@ -40,79 +40,53 @@ except ImportError:  # no such claims on this system: everything goes on without
 _QUIET_S = 60.0  # the number of a process on another machine may be that of none here
 
 
-class Claim:
-    """A file that one process claims for itself until it releases it or ends.
-
-    Parameters
-    ----------
-    path : the file; made where it is not there, with the number of the process in it
+def _claim(path: Path) -> int:
+    """An open file that this process claims for itself, however it ends, with its number in it; made where it is not.
 
     Raises
     ------
     BlockingIOError : another process claims it.
     OSError : it cannot be made.
     """
-
-    def __init__(self, path: Path):
-        self.path = path
-        while True:
-            self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
-            try:
-                self._lock()
-                if self._is_current():
-                    break
-            except BaseException:
-                os.close(self._handle)
-                raise
-            os.close(self._handle)  # removed by the one that had it, between opening and claiming
-        os.ftruncate(self._handle, 0)
-        os.write(self._handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
-
-    def release(self) -> None:
-        """Remove the file where it still is the claimed one, and let go."""
-        if self._is_current():
-            self.path.unlink(missing_ok=True)
-        os.close(self._handle)
-
-    def _lock(self) -> None:
-        if fcntl is None:
-            return
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         try:
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fcntl is not None:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            os.close(handle)
             raise
         except OSError:  # a file system without claims
-            return
-
-    def _is_current(self) -> bool:
-        mine = os.fstat(self._handle)
-        try:
-            there = os.lstat(self.path)
-        except OSError:
-            return False
-        return (mine.st_dev, mine.st_ino) == (there.st_dev, there.st_ino)
+            pass
+        if _is_at(handle, path):
+            os.ftruncate(handle, 0)
+            os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+            return handle
+        os.close(handle)  # removed by the one that had it, between opening and claiming
 
 
-def claimed_by(path: Path) -> str:
-    """The words of the process that claims ``path``, empty where they cannot be read."""
-    try:
-        with open(path, "rb") as stream:
-            return stream.read(200).decode("utf-8", "replace").strip()
-    except OSError:
-        return ""
-
-
-def is_left(path: Path, process: int) -> bool:
-    """Whether a file or folder was left by a process of this machine that ended a while ago."""
-    try:
-        if time.time() - os.lstat(path).st_mtime < _QUIET_S:
-            return False
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    except OSError:  # it is gone, or the process is another user's
-        return False
+def _is_at(handle: int, path: Path) -> bool:
+    """Whether an open file still is the one of that name."""
+    with suppress(OSError):
+        return os.path.samestat(os.fstat(handle), os.lstat(path))
     return False
+
+
+def remove_left(place: Path, start: str, end: str = "") -> None:
+    """Remove what killed processes of this machine left in ``place``: ``start``, their number, eight letters, ``end``.
+
+    What ended a moment ago is left: the number of a process on another machine may be that of none here.
+    """
+    exact = re.compile(re.escape(start) + r"(\d+)-[a-z0-9_]{8}" + re.escape(end))
+    for name in os.listdir(place):
+        path, match = place / name, exact.fullmatch(name)
+        with suppress(PermissionError, FileNotFoundError):  # it is gone, or the process is another user's
+            if match is None or time.time() - os.lstat(path).st_mtime < _QUIET_S:
+                continue
+            try:
+                os.kill(int(match[1]), 0)
+            except ProcessLookupError:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 @contextmanager
@@ -124,11 +98,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     prefix = f".{path.name[:60]}.hyperval-"  # the name itself may be as long as a name can be
-    left = re.compile(re.escape(prefix) + r"(\d+)-[a-z0-9_]{8}" + re.escape(path.suffix))
-    for name in os.listdir(path.parent):
-        match = left.fullmatch(name)
-        if match and is_left(path.parent / name, int(match[1])):
-            (path.parent / name).unlink(missing_ok=True)
+    remove_left(path.parent, prefix, path.suffix)
     handle, name = tempfile.mkstemp(prefix=f"{prefix}{os.getpid()}-", suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
@@ -165,15 +135,6 @@ def scratch_folder(purpose: str, beside: Path | None = None) -> Iterator[Path]:
         yield Path(folder)
 
 
-def remove_left(place: Path, start: str) -> None:
-    """Remove the folders in ``place`` that killed processes left: ``start``, their number, eight letters."""
-    exact = re.compile(re.escape(start) + r"(\d+)-[a-z0-9_]{8}")
-    for name in os.listdir(place):
-        match = exact.fullmatch(name)
-        if match and is_left(place / name, int(match[1])):
-            shutil.rmtree(place / name, ignore_errors=True)
-
-
 def decoded(raw: bytes) -> str:
     """Text in UTF-8 (with or without mark) or else Latin-1."""
     try:
@@ -194,19 +155,16 @@ def sha256_of(path: Path) -> str:
         raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
 
 
-def git_blob_of(path: Path) -> str:
-    """The id that git gives a file's content, in hexadecimal: SHA-1 of ``blob SIZE`` and a zero byte before it."""
-    digest = hashlib.sha1(b"blob %d\0" % path.stat().st_size, usedforsecurity=False)
+def has_digest(path: Path, digest: str) -> bool:
+    """Whether a file has the digest ``sha256:HEX``, or ``git-blob:HEX``, the id that git gives its content."""
+    kind, _, value = digest.partition(":")
+    if kind == "sha256":
+        return sha256_of(path) == value
+    whole = hashlib.sha1(b"blob %d\0" % path.stat().st_size, usedforsecurity=False)
     with open(path, "rb") as stream:
         while part := stream.read(1 << 20):
-            digest.update(part)
-    return digest.hexdigest()
-
-
-def has_digest(path: Path, digest: str) -> bool:
-    """Whether a file has the digest ``sha256:HEX`` or ``git-blob:HEX``."""
-    kind, _, value = digest.partition(":")
-    return (sha256_of(path) if kind == "sha256" else git_blob_of(path)) == value
+            whole.update(part)
+    return whole.hexdigest() == value
 
 
 def size_of(path: Path) -> int:
@@ -328,27 +286,30 @@ def _refuse_foreign(place: Path, kind: FolderKind) -> None:
 @contextmanager
 def _claimed(place: Path, given: Path) -> Iterator[None]:
     """The folder, made where it is not there, and nobody else's for the block."""
+    lock, made, is_done = place / LOCK, False, False
     try:
         if place.exists() and not place.is_dir():
             raise UsageError("is a file", where=str(given), expected="a folder for the output")
         made = not place.exists()
         place.mkdir(parents=True, exist_ok=True)
-        lock = Claim(place / LOCK)
+        handle = _claim(lock)
     except BlockingIOError as error:
+        who = "it does not say which"
+        with suppress(OSError):
+            who = lock.read_text("utf-8", "replace")[:200].strip() or who
         raise UsageError(
-            f"another run writes here ({claimed_by(place / LOCK) or 'it does not say which'})",
-            where=str(given),
-            mend="wait until it ends, or name another folder",
+            f"another run writes here ({who})", where=str(given), mend="wait until it ends, or name another folder"
         ) from error
     except OSError as error:
         raise _no_folder(given, error) from error
-    done = False
     try:
         yield
-        done = True
+        is_done = True
     finally:
-        lock.release()
-        if made and not done:
+        if _is_at(handle, lock):
+            lock.unlink(missing_ok=True)
+        os.close(handle)
+        if made and not is_done:
             with suppress(OSError):
                 place.rmdir()
 
