@@ -14,7 +14,7 @@ import pytest
 
 import hyperval
 from hyperval import cli
-from hyperval.cli.shared import note
+from hyperval.cli import note
 from hyperval.errors import EngineError, InputError, MissingDataError, UsageError
 from hyperval.results import Outcome, Result, Role
 from hyperval.run import results_json

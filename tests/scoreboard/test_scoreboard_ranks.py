@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from hyperval.pixels import AlarmBlocks
-from hyperval.scoreboard.ranks import MEASURES, BlockCounts, counts_by_block, rank_sets, ranked
+from hyperval.scoreboard import MEASURES, BlockCounts, counts_by_block, rank_sets, ranked
 
 
 def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 2000) -> BlockCounts:

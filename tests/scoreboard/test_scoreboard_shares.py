@@ -8,13 +8,7 @@ from scipy import sparse
 
 from hyperval.model import AREAS
 from hyperval.pixels import AlarmBlocks, alarms_at_detection, counts_of, empirical_roc, roc_area
-from hyperval.scoreboard.ranks import (
-    LOG_AREA,
-    MEASURES,
-    BlockCounts,
-    counts_by_block,
-    measured,
-)
+from hyperval.scoreboard import LOG_AREA, MEASURES, BlockCounts, counts_by_block, measured
 
 
 def one_detector(targets: np.ndarray, background: np.ndarray, block: np.ndarray) -> BlockCounts:

@@ -14,12 +14,11 @@ from typer.testing import CliRunner
 from web_browser import NEEDS_BROWSER, WIDER_THAN_SCREEN, careful_page, picture, serious
 from web_server import serve
 
-import hyperval.model.forward
-from hyperval import api
+from hyperval import api, model
 from hyperval.cli import app as command
 from hyperval.figures import Drawing
 from hyperval.run import read_pair
-from hyperval.web.store import view_name
+from hyperval.web import view_name
 from small_campaign import SmallCampaign, scene_data, undrawn, write_yaml
 
 PLANK = "scene.targets.[yellow plank].subjects"
@@ -104,7 +103,7 @@ def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
 @NEEDS_BROWSER
 def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run, browser, monkeypatch):
     observed, compared = threading.Event(), threading.Event()
-    predict = hyperval.model.forward.predict
+    predict = model.predict
     monkeypatch.setattr("hyperval.model.forward.predict", lambda *a, **k: observed.wait(60) and predict(*a, **k))
     undrawn(monkeypatch, lambda *_, **__: compared.wait(60) and [])
     context = browser.new_context(base_url=own.address)

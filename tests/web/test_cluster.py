@@ -9,8 +9,7 @@ import pytest
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
 pytest.importorskip("fastapi", reason="needs the extra web")
-
-from hyperval.web.workers import Cancelled, Cluster, Full, TaskFailed, WorkerTask
+from hyperval.web import Cancelled, Cluster, Full, TaskFailed, WorkerTask
 
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.filterwarnings("default")  # of the libraries behind the scheduler

@@ -16,9 +16,7 @@ from typer.testing import CliRunner
 
 from hyperval.cli import app as command
 from hyperval.scenario import Scenario, load_scenario
-from hyperval.web.inputs import needs, plain, predefined, scenario_form
-from hyperval.web.pages_predict import walk
-from hyperval.web.store import view_name
+from hyperval.web import needs, plain, predefined, scenario_form, view_name, walk
 from small_campaign import undrawn
 
 EASY = {"name": "yellow-planks-asphalt"}

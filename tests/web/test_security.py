@@ -9,9 +9,7 @@ import time
 import pytest
 import requests
 
-from hyperval.web.guard import POLICY
-from hyperval.web.runs import campaigns_of
-from hyperval.web.store import ServerSettings
+from hyperval.web import POLICY, ServerSettings, campaigns_of
 
 EASY = {"name": "panels"}
 JSON = {"content-type": "application/json"}

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("fastapi", reason="needs the extra web")
-
-from hyperval.web.store import Limits, RunStore
+from hyperval.web import Limits, RunStore
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from processes import awaited, is_at_work
 
 pytest.importorskip("fastapi", reason="needs the extra web")
 
-from hyperval.cli.commands import keep_caches
-from hyperval.web.workers import Cancelled, TaskFailed, WorkerPool, WorkerTask
+from hyperval.cli import keep_caches
+from hyperval.web import Cancelled, TaskFailed, WorkerPool, WorkerTask
 
 HERE = Path(__file__).parent
 

@@ -15,12 +15,18 @@ import uvicorn
 
 from hyperval.errors import HypervalError
 from hyperval.progress import set_listener
-from hyperval.web import tasks
-from hyperval.web.app import make_app
-from hyperval.web.guard import connections_of
-from hyperval.web.refusal import said
-from hyperval.web.store import Limits, ServerSettings
-from hyperval.web.workers import Cancelled, Full, TaskFailed, WorkerTask
+from hyperval.web import (
+    Cancelled,
+    Full,
+    Limits,
+    ServerSettings,
+    TaskFailed,
+    WorkerTask,
+    connections_of,
+    make_app,
+    said,
+    tasks,
+)
 
 
 class Crew:

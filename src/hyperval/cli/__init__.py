@@ -5,7 +5,8 @@ Results go to files, data to standard output, messages to standard error.  Exit 
 was checked, 130 interrupted, 143 terminated.
 """
 
+from hyperval.cli.commands import keep_caches
 from hyperval.cli.main import main, run
-from hyperval.cli.shared import app
+from hyperval.cli.shared import app, note
 
-__all__ = ["app", "main", "run"]
+__all__ = ["app", "keep_caches", "main", "note", "run"]

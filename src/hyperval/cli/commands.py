@@ -418,7 +418,7 @@ def benchmark(
     scheduler: Scheduler = None,
 ) -> int:
     """Rank all detectors on every campaign."""
-    from hyperval.scoreboard.one import benchmark as run
+    from hyperval.scoreboard import benchmark as run
 
     code = run(
         campaigns,

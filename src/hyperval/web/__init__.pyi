@@ -1,0 +1,16 @@
+"""The web application: pages and a JSON API over the verbs of the package, served to browsers on this machine."""
+
+from .app import make_app
+from .guard import POLICY, connections_of
+from .inputs import needs, plain, predefined, scenario_form
+from .pages_predict import walk
+from .refusal import said
+from .runs import campaigns_of
+from .store import LOOPBACK, Limits, RunStore, ServerSettings, view_name
+from .workers import Cancelled, Cluster, Full, TaskFailed, WorkerPool, WorkerTask
+
+__all__ = [
+    "LOOPBACK", "POLICY", "Cancelled", "Cluster", "Full", "Limits", "RunStore", "ServerSettings", "TaskFailed",
+    "WorkerPool", "WorkerTask", "campaigns_of", "connections_of", "make_app", "needs", "plain", "predefined", "said",
+    "scenario_form", "view_name", "walk",
+]  # fmt: skip
