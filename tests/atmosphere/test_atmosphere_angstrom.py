@@ -2,43 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from hyperval.atmosphere import AerosolMix, AtmosphericState, sixs, sixs_terms
-from hyperval.atmosphere.sixs import NODES_NM, Monochromatic, aerosol_extinction, angstrom_law
+from hyperval.atmosphere.sixs import NODES_NM, aerosol_extinction
 
 STATE = {
     "aot550": 0.3, "sensor_altitude_km": 1000.0, "solar_zenith_deg": 30.0, "solar_azimuth_deg": 0.0,
     "day_of_year": 150, "water_vapour_g_cm2": 1.0,
 }  # fmt: skip
-
-
-def test_the_law():
-    assert angstrom_law(np.array([550.0]), 1.3).tolist() == [1.0]
-    assert angstrom_law(np.array([1100.0, 275.0]), 1.0) == pytest.approx([0.5, 2.0])
-
-
-def test_each_node_is_run_with_the_depth_of_the_law(monkeypatch, tmp_path):
-    """The depth at 550 nm that each run is given, times what the type makes of it, is that of the law."""
-    given = {}
-
-    def run(text):
-        lines = text.split("\n")
-        if lines[3] == "4":
-            given[float(lines[-7]) * 1e3] = float(lines[6])
-        return text
-
-    monkeypatch.setattr(sixs, "_run_all", lambda decks, folder, what, show: [run(d) for d in decks])
-    monkeypatch.setattr(sixs, "parse_monochromatic", lambda text: Monochromatic(0.05, 0.9, 0.9, 0.1, 0.1, 0.0, 1.0))
-    monkeypatch.setattr(sixs, "sixs_fingerprint", lambda: "a stand-in")
-    state = AtmosphericState(angstrom_exponent=0.2, **STATE)
-    node = sixs._scattering(state, sixs._Setting(sixs.SunAndView(30.0, 0.0, 0.0), 0.0, None), tmp_path, False)
-    extinction = aerosol_extinction("rural")
-    law = 0.3 * (NODES_NM / 550.0) ** -0.2
-    assert [given[nm] for nm in NODES_NM] == pytest.approx(law / extinction, abs=1e-6)  # decks have six decimals
-    assert node["depth_aerosol"] == pytest.approx(law, rel=1e-12)
 
 
 @pytest.mark.slow
@@ -52,18 +24,6 @@ def test_extinction_of_every_type_is_what_the_solver_prints(engine_cache):
             run = sixs.deck(sixs.SunAndView(0.0, 0.0, 0.0), "0\n", 0.0, None, f"-1\n{nm / 1e3:.4f}", haze)
             printed = sixs.parse_monochromatic(sixs.run_sixs(run, engine_cache)).depth_aerosol
             assert aerosol_extinction(aerosol)[nodes.index(nm)] == pytest.approx(printed, rel=4e-4)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"aot550": None, "meteorological_range_km": 20.0}, "needs aot550"), ({"engine": "modtran"}, "sixs alone"),
-        ({"angstrom_exponent": 5.0}, "less than or equal to 3"),
-    ],
-)  # fmt: skip
-def test_what_it_does_not_go_with(change, words):
-    with pytest.raises(ValidationError, match=words):
-        AtmosphericState(**{**STATE, "angstrom_exponent": 0.2, **change})
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState, EngineRatio, engine_ratio, molecular_albedo, sixs, ways
+from hyperval.atmosphere import AtmosphericState, EngineRatio, molecular_albedo, sixs, ways
 from hyperval.atmosphere.physics import GREATEST_WATER_G_CM2, low_share
 
 STATE = AtmosphericState(
@@ -115,13 +115,3 @@ def test_clear_air_keeps_its_albedo_and_aerosol_of_a_stated_colour_its_path(engi
     path = EngineRatio(NM, 0.0 * one, 0.0 * one, 0.5 * one, one)
     less = engine(STATE, path).path_radiance / engine(STATE, None).path_radiance
     assert less == pytest.approx((0.02 * 0.9 + 0.5 * 0.01 * 0.8) / (0.02 * 0.9 + 0.01 * 0.8))
-
-
-def test_shipped_numbers_are_those_of_the_document():
-    ratio = engine_ratio()
-    assert ratio.wavelength_nm.shape == (425,)
-    assert np.all(np.diff(ratio.wavelength_nm) > 0.0)
-    at = lambda values, nm: float(np.interp(nm, ratio.wavelength_nm, values))  # noqa: E731
-    assert at(ratio.water, 1128.0) > 0.2  # the water band that 6S has least of
-    assert at(ratio.dry, 948.0) < 0.0 < at(ratio.dry, 762.0)
-    assert np.all(ratio.path[ratio.wavelength_nm <= 600.0] == 1.0)

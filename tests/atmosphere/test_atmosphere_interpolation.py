@@ -6,10 +6,9 @@ import pickle
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from hyperval.atmosphere import AtmosphericTerms, interpolated_terms
-from hyperval.atmosphere.terms import Rule, along, node_weights, smooth_rule, spaced
+from hyperval.atmosphere.terms import smooth_rule, spaced
 from hyperval.errors import UsageError
 
 NM = np.array([500.0, 600.0, 700.0])
@@ -20,27 +19,6 @@ def terms(transmittance, albedo=0.1):
     """Terms that are all proportional to one transmittance, but for the albedo."""
     t = np.broadcast_to(np.asarray(transmittance, float), NM.shape)
     return AtmosphericTerms(NM, 0.1 * t, t, 0.2 * t, np.full(3, albedo), 3.0 * t, t)
-
-
-@pytest.mark.parametrize("name", ["meteorological_range_km", "water_vapour_g_cm2", "solar_zenith_deg", "aot550"])
-def test_weights_sum_to_one_and_are_one_at_their_node(name):
-    nodes = spaced(name, 1.0, 5.0, 4)
-    rule = smooth_rule(name)
-    np.testing.assert_allclose(node_weights(nodes, nodes, rule), np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(node_weights(nodes, np.linspace(1.0, 5.0, 17), rule).sum(axis=1), 1.0, rtol=1e-12)
-    assert nodes[0] == 1.0
-    assert nodes[-1] == 5.0
-
-
-def test_linear_weights_are_those_of_an_independent_interpolator():
-    nodes, values, points = np.array([0.0, 1.0, 3.0]), RNG.normal(size=(3, 4)), RNG.uniform(0, 3, 20)
-    found = node_weights(nodes, points, Rule("linear")) @ values
-    np.testing.assert_allclose(found, np.stack([np.interp(points, nodes, v) for v in values.T], axis=1), rtol=1e-12)
-
-
-def test_along_an_axis_and_by_weights_a_spline_is_the_same():
-    nodes, values = np.array([1.0, 2.0, 4.0, 7.0]), RNG.normal(size=(4, 5))
-    np.testing.assert_allclose(along(nodes, values, 3.3, Rule("cubic")), CubicSpline(nodes, values)(3.3), rtol=1e-12)
 
 
 def test_a_grid_is_exact_where_absorption_goes_with_the_root_of_the_column_and_haze_with_one_over_the_range():

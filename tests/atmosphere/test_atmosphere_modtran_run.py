@@ -16,7 +16,6 @@ from hyperval.atmosphere import (
     atmospheric_terms,
     modtran6_json,
     read_channels,
-    tape5,
     terms_from_runs,
 )
 from hyperval.atmosphere.modtran import Modtran, configured_modtran, run_modtran
@@ -151,17 +150,3 @@ def test_replayed_real_runs_give_their_terms(stand_in, tmp_path, data_dir):
     np.testing.assert_array_equal(terms.fwhm_nm, direct.fwhm_nm)
     with pytest.raises(EngineError, match="ended with code 1"):
         atmospheric_terms(AtmosphericState(**{**STATE, "aot550": 0.2}), cache_dir=tmp_path / "cache")
-
-
-@pytest.mark.data
-def test_replayed_real_tape7_is_read_by_the_same_way(stand_in, tmp_path, data_dir):
-    path = data_dir("modtran/modtran5_decks/data_path100/tape7.gz")
-    (tmp_path / "sample").write_bytes(gzip.decompress(path.read_bytes()))
-    stand_in(replay(tmp_path / "sample", "tape7"), version=5)
-    (tmp_path / "run").mkdir()
-    deck = tape5(AtmosphericState(**STATE), [0.0])
-    found = run_modtran(deck, configured_modtran(), tmp_path / "run")
-    assert found.read_bytes() == (tmp_path / "sample").read_bytes()
-    # One run is not enough for the terms: said in plain words.
-    with pytest.raises(Exception, match="3 albedos for 1 runs"):
-        atmospheric_terms(AtmosphericState(**STATE), cache_dir=tmp_path / "cache")

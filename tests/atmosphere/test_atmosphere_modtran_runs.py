@@ -88,16 +88,6 @@ def test_emission_of_the_black_run_belongs_to_the_path(tmp_path):
     np.testing.assert_allclose(warm.direct, cold.direct, rtol=1e-12)
 
 
-def test_runs_in_files_of_their_own_and_in_any_order(tmp_path):
-    for name, rho in (("bright", 0.5), ("black", 0.0), ("dark", 0.1)):
-        (tmp_path / name).write_text(tape7((rho,)))
-    (tmp_path / "all").write_text(tape7((0.0, 0.1, 0.5)))
-    apart = read_modtran_runs([tmp_path / n for n in ("bright", "black", "dark")])
-    together = read_modtran_runs([tmp_path / "all"])
-    np.testing.assert_array_equal(apart.direct, together.direct)
-    np.testing.assert_array_equal(apart.path_radiance, together.path_radiance)
-
-
 def test_runs_that_do_not_belong_together_are_refused(tmp_path):
     (tmp_path / "tape7").write_text(tape7((0.0, 0.1, 0.5)))
     (tmp_path / "other").write_text(tape7((1.0,), terms=spectrum(61)))
@@ -136,23 +126,6 @@ def test_real_runs_are_reproduced_and_agree_with_the_printed_coefficients(data_d
     np.testing.assert_allclose(terms.adjacency[hazy], printed.adjacency[hazy], rtol=0.1)
     np.testing.assert_allclose(terms.spherical_albedo, printed.spherical_albedo, atol=6e-4)
     assert np.all((terms.diffuse_fraction[bright] >= 0.0) & (terms.diffuse_fraction[bright] < 0.5))
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("relative", AIRBORNE)
-def test_each_real_run_follows_from_the_two_others(data_dir, relative):
-    blocks = read_channels(data_dir(relative))
-    rho = [0.0, 0.1, 0.5]
-    s = blocks[0].printed.spherical_albedo  # two runs give the level, the printed S the curvature
-    total = [b.path + b.ground for b in blocks]
-    lit = total[2] > 0.01 * total[2].max()
-    bounced = [r / (1 - s * r) for r in rho]
-    for left_out in range(3):
-        i, j = (k for k in range(3) if k != left_out)
-        slope = (total[j] - total[i]) / (bounced[j] - bounced[i])
-        predicted = total[i] + slope * (bounced[left_out] - bounced[i])
-        # The black run is a small difference of the two brighter ones.
-        np.testing.assert_allclose(predicted[lit], total[left_out][lit], rtol=2e-4, atol=1e-4 * total[2][lit].max())
 
 
 @pytest.mark.data

@@ -17,26 +17,6 @@ STATE = {
 GRID = np.arange(350.0, 2601.0, 10.0)
 
 
-def test_what_is_stated_stands_in_the_place_of_the_rule():
-    rule = AtmosphericState(**STATE).aerosol_fraction_below
-    assert 0.2 < rule < 0.9
-    assert AtmosphericState(**STATE, aerosol_share_below=0.75).aerosol_fraction_below == 0.75
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"sensor_altitude_km": 700.0}, "within the air"),
-        ({"aerosol": "none", "aot550": None}, "over aerosol"),
-        ({"engine": "modtran"}, "sixs alone"),
-        ({"aerosol_share_below": 0.0}, "greater than 0"),
-    ],
-)
-def test_what_it_does_not_go_with(change, words):
-    with pytest.raises(ValidationError, match=words):
-        AtmosphericState(**{**STATE, "aerosol_share_below": 0.5, **change})
-
-
 def terms(state) -> AtmosphericTerms:
     """A path that is the share, and half of it the exponent, seen over nothing else."""
     one = np.ones(GRID.size)

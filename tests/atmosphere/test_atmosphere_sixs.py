@@ -10,7 +10,7 @@ import pytest
 
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms, molecular_albedo, sixs, solar
 from hyperval.atmosphere.sixs import run_sixs
-from hyperval.spectra import SpectralAxis, in_window
+from hyperval.spectra import in_window
 
 AIRBORNE = {  # 2.65 km above the ground
     "model": "midlatitude-summer", "aot550": 0.2, "ground_altitude_km": 0.35, "sensor_altitude_km": 3.0,
@@ -127,14 +127,6 @@ def test_limits_hold_at_every_wavelength(terms_of, base):
     assert np.all(terms.gas_transmittance[window] > 0.5)
 
 
-def test_covers_bands_from_350_to_2510_nm(terms_of):
-    terms = terms_of(state())
-    centre = np.array([350.0, 1000.0, 2510.0])
-    bands = terms.at_bands(SpectralAxis(centre, np.full(3, 10.0)))
-    assert np.all(np.isfinite(bands.direct))
-    assert bands.path_radiance[0] > bands.path_radiance[1] > bands.path_radiance[2]
-
-
 def test_molecular_atmosphere_has_its_published_optical_depth(engine_cache, terms_of):
     # Bodhaine et al., J. Atmos. Oceanic Technol. 16 (1999), table 3: 0.09718 at 550 nm, 1013.25 hPa, 45 N.
     st = state(RAYLEIGH_FROM_SPACE)
@@ -212,36 +204,6 @@ def test_thin_aerosol_under_an_aircraft_stays_linear(terms_of, engine_cache, sol
     st = state(aot550=0.003)
     ours = apparent_reflectance(terms_at(st), st, 0.0)[at(clean, 550.0)]
     assert raw[1] > ours * 1.01  # the trap is still there, and avoided
-
-
-def test_stand_in_stays_inside_what_the_solver_honours():
-    for depth in (0.001, 0.05, 0.2, 3.0):
-        for fraction in (0.01, 0.3, 0.6, 0.9, 0.9999, 1.0):
-            for height in (0.05, 1.0, 2.65, 20.0):
-                for nm in (550.0, 1650.0):
-                    used, share = sixs._stand_in(depth, fraction, height, nm)
-                    assert used >= max(depth, 0.1)
-                    assert used * (1.0 - share) >= 0.00149
-                    assert share > min(1.0 - np.exp(-height / 4.0), 1.0 - 0.0016 / used) - 1e-9
-    assert sixs._stand_in(0.003, 1.0, None, 550.0) == (0.003, 1.0)
-
-
-def test_solver_honours_the_depth_below_that_it_is_given(engine_cache):
-    used, share = sixs._stand_in(0.02, 0.1, 2.65, 550.0)
-    aerosol = sixs.Aerosol("1", used, used * share)
-    out = run_sixs(sixs.deck(sixs.SunAndView(40, 0, 0), "0\n", 0.0, 2.65, "-1\n0.5500", aerosol), engine_cache)
-    assert sixs.parse_monochromatic(out).depth_aerosol == pytest.approx(used * share, abs=6e-6)
-
-
-@pytest.mark.slow
-def test_hazier_air_scatters_more_and_lets_less_through(solver_at):
-    terms_at = solver_at(400.0, 470.0, 550.0, 670.0, 860.0)
-    clear, hazy = terms_at(state(aot550=0.1)), terms_at(state(aot550=0.4))
-    i = slice(at(clear, 400.0), at(clear, 1000.0))
-    assert np.all(hazy.path_radiance[i] > clear.path_radiance[i])
-    assert np.all(hazy.adjacency[i] > clear.adjacency[i])
-    assert np.all(hazy.direct[i] < clear.direct[i])
-    assert np.all(hazy.ground_irradiance[i] < clear.ground_irradiance[i])
 
 
 @pytest.mark.slow

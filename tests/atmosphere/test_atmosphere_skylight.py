@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from test_atmosphere_sixs import AIRBORNE, at, state
-
-from hyperval.spectra import SpectralAxis
 
 pytestmark = pytest.mark.slow  # two states of the engine
 
@@ -34,12 +30,3 @@ def test_the_beam_follows_from_the_optical_depths(pair):
     # What is left of the global light after scattering alone: 0.8-0.97 for such a sky.
     assert 0.85 < down < 0.95
     assert np.all(np.diff(airborne.diffuse_fraction[at(airborne, 400.0) : at(airborne, 1000.0) : 20]) < 0)
-
-
-def test_terms_without_it_average_as_before(pair):
-    airborne, _ = pair
-    axis = SpectralAxis(np.array([550.0, 860.0]), np.full(2, 10.0))
-    assert airborne.at_bands(axis).diffuse_fraction == pytest.approx(
-        airborne.diffuse_fraction[[at(airborne, 550.0), at(airborne, 860.0)]], rel=0.01
-    )
-    assert replace(airborne, diffuse_fraction=None).at_bands(axis).diffuse_fraction is None

@@ -29,22 +29,6 @@ def test_embedded_spectrum_carries_the_energy_of_its_source():
     assert 0.01 * np.trapezoid(e, nm) == pytest.approx(1347.9, rel=2e-3)
 
 
-def test_goes_with_the_inverse_square_of_the_distance():
-    near = solar.extraterrestrial_irradiance("astm-g173", GRID, 0.9833)
-    far = solar.extraterrestrial_irradiance("astm-g173", GRID, 1.0167)
-    np.testing.assert_allclose(near / far, (1.0167 / 0.9833) ** 2, rtol=1e-12)
-
-
-def test_fraunhofer_lines_are_averaged_not_picked(monkeypatch):
-    # A comb that a grid of 2.5 nm would read as 0 or 1 must give its mean.
-    nm = np.arange(300.0, 500.0, 0.5)
-    comb = (np.arange(nm.size) % 5 == 0).astype(float)
-    grid = np.arange(320.0, 480.0, 2.5)
-    monkeypatch.setattr(solar, "_spectrum", lambda name, root: (nm, comb))
-    values = solar.extraterrestrial_irradiance("comb", grid)
-    assert values == pytest.approx(0.2, abs=0.01)
-
-
 @pytest.mark.parametrize("fwhm_nm", [3.5, 5.5, 10.0])
 def test_bands_see_the_lines_where_the_source_has_them(fwhm_nm):
     # Against plain sums over the source by 0.1 nm; the engine's grid of 2.5 nm alone is up to 4 % off below 460 nm.
@@ -90,15 +74,6 @@ def test_shipped_spectrum_has_the_published_energy():
         assert np.median(ratio) - 1.0 == pytest.approx(expected, abs=0.004)
 
 
-def test_no_data_directory_moves_the_default(monkeypatch, tmp_path):
-    (tmp_path / "sensors").mkdir()
-    (tmp_path / "sensors/tsis_f0_0p5.txt").write_text("350 1\n2500 1\n")
-    before = solar.extraterrestrial_irradiance("tsis-1", GRID)
-    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
-    solar._spectrum.cache_clear()
-    assert np.array_equal(solar.extraterrestrial_irradiance("tsis-1", GRID), before)
-
-
 @pytest.mark.data
 def test_shipped_numbers_are_made_from_the_source_and_bands_see_it_through_them(data_dir, monkeypatch):
     source = data_dir("sensors/tsis_f0_0p5.txt")
@@ -134,30 +109,6 @@ def test_files_agree_in_unit_and_size(data_dir, monkeypatch):
         assert np.all(np.abs(ratio - 1.0) < 0.08)
 
 
-def test_absent_file_says_how_to_mend(monkeypatch):
-    monkeypatch.delenv("HYPERVAL_DATA", raising=False)
-    with pytest.raises(MissingDataError, match=r"kurudz_0\.1nm[\s\S]*HYPERVAL_DATA[\s\S]*tsis-1"):
-        solar.extraterrestrial_irradiance("kurucz", GRID)
-
-
-def test_malformed_file_is_named_with_its_line(tmp_path, monkeypatch):
-    (tmp_path / "sensors").mkdir()
-    with gzip.open(tmp_path / "sensors/kurudz_0.1nm.dat.gz", "wt") as stream:
-        stream.write("# head\n250.0 70\n250.1 seventy\n")
-    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
-    with pytest.raises(InputError, match=r"gz:3: not a row"):
-        solar.extraterrestrial_irradiance("kurucz", GRID)
-
-
-def test_unknown_name_and_uncovered_grid():
-    with pytest.raises(UsageError, match="unknown solar spectrum"):
-        solar.extraterrestrial_irradiance("sunny", GRID)
-    with pytest.raises(UsageError, match="covers"):
-        solar.extraterrestrial_irradiance("astm-g173", np.array([200.0, 210.0]))
-    with pytest.raises(UsageError, match="tsis-1 covers 350-2500 nm"):
-        solar.extraterrestrial_irradiance("tsis-1", np.array([2720.0, 2730.0]))
-
-
 def test_sun_and_spectrum_are_those_of_the_package_that_is_not_imported_for_them():
     import pandas as pd
     from pvlib import solarposition, spectrum
@@ -171,3 +122,20 @@ def test_sun_and_spectrum_are_those_of_the_package_that_is_not_imported_for_them
         assert earth_sun_distance_au(when) == distance
     table = spectrum.get_reference_spectra(standard="ASTM G173-03")["extraterrestrial"]
     np.testing.assert_array_equal(_spectrum("astm-g173", ())[1], table.to_numpy() * 100.0)
+
+
+def test_what_is_not_at_hand_not_covered_or_damaged_is_said(monkeypatch, tmp_path):
+    monkeypatch.delenv("HYPERVAL_DATA", raising=False)
+    for name, grid, kind, said in (
+        ("kurucz", GRID, MissingDataError, r"kurudz_0\.1nm[\s\S]*HYPERVAL_DATA[\s\S]*tsis-1"),
+        ("sunny", GRID, UsageError, "unknown solar spectrum"),
+        ("tsis-1", np.array([2720.0, 2730.0]), UsageError, "tsis-1 covers 350-2500 nm"),
+    ):
+        with pytest.raises(kind, match=said):
+            solar.extraterrestrial_irradiance(name, grid)
+    (tmp_path / "sensors").mkdir()
+    with gzip.open(tmp_path / "sensors/kurudz_0.1nm.dat.gz", "wt") as stream:
+        stream.write("# head\n250.0 70\n250.1 seventy\n")
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
+    with pytest.raises(InputError, match=r"gz:3: not a row"):
+        solar.extraterrestrial_irradiance("kurucz", GRID)

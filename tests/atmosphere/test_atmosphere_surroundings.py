@@ -50,15 +50,6 @@ def test_its_uncertainty_is_that_of_the_surroundings():
     assert lawn(one).budget["surroundings"] == pytest.approx(0.5 * (high - low), rel=1e-3)
 
 
-def test_it_is_read_from_a_file(tmp_path):
-    (tmp_path / "around.txt").write_text("wavelength_nm reflectance\n400 0.1\n2500 0.5\n")
-    source = {"file": "around.txt", "wavelength_unit": "nm", "reflectance_unit": "fraction"}
-    seen = lawn(scenario(spectrum=source), resolve=lambda name: tmp_path / name)
-    around = 0.1 + 0.4 * (AXIS.centre_nm - 400.0) / 2100.0
-    terms = stand_in_atmosphere(AtmosphericState(**STATE)).at_bands(AXIS)
-    assert seen.mean == pytest.approx(mean_radiance(terms, 0.3, around), rel=1e-6)
-
-
 def test_the_key_of_a_height_of_their_own_is_gone_and_says_so(tmp_path):
     (tmp_path / "atmosphere.yaml").write_text("sensor_altitude_km: 2.3\nsurroundings_altitude_km: 0.0\n")
     with pytest.raises(UsageError, match=r"atmosphere\.yaml:2: .*this key is gone; .*ground_altitude_km"):

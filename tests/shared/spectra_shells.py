@@ -9,6 +9,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from hyperval.spectra import FieldSpectrum, read_spectrum
+
 NM = np.arange(400.0, 461.0, 2.0)
 # Eight channels correlated by 0.9, the rest by 0.3: to two decimals it has no negative eigenvalue.
 CORRELATION = np.where(np.equal.outer(NM < 416.0, NM < 416.0), 0.9, 0.3) + 0.1 * np.eye(NM.size)
@@ -80,3 +82,52 @@ def hypernets(path: Path, **changes: np.ndarray | None) -> Path:
             for i, size in enumerate(array.shape):
                 file[name].dims[i].attach_scale(file["wavelength"] if size == NM.size else series)
     return path
+
+
+def rows(*columns, sep: str = ",", end: str = "\n") -> str:
+    """Columns of numbers or words as lines of text."""
+    text = lambda v: v if isinstance(v, str) else f"{v:g}"  # noqa: E731
+    return "".join(sep.join(map(text, row)) + end for row in zip(*columns, strict=True))
+
+
+def read(folder: Path, content: str | bytes, name: str = "s.txt", **options) -> FieldSpectrum:
+    """The spectrum of a file of this content."""
+    (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    return read_spectrum(folder / name, **options)
+
+
+SVC = (
+    "/*** Spectra Vista SIG Data ***/\r\nname= plank_1.sig\r\ninstrument= HI: 1 (HR-1024i)\r\n"
+    "units= Radiance, Radiance\r\ncomm= \r\ndata= \r\n"
+)
+SED = (
+    "Comment:\r\nVersion: 2.0\r\nInstrument: PSR-3500\r\nMeasurement: REFLECTANCE\r\nColumns [4]:\r\nData:\r\n"
+    "Wvl\tNorm. DN (Ref.)\tNorm. DN (Target)\t{}\r\n"
+)
+
+
+def asd(
+    stored: np.ndarray | None = None,
+    white: np.ndarray | None = None,
+    *,
+    kind: int = 1,
+    version: bytes = b"as7",
+    reference: bool = True,
+    code: int = 2,
+    first: float = 400.0,
+    step: float = 100.0,
+    words: bytes = b"",
+    settings: tuple[tuple[str, int, tuple[float, ...]], ...] = (),
+    behind: bytes = b"",
+) -> bytes:
+    """An ASD file: a header with these settings, the stored spectrum, its white reference, and what stands behind."""
+    white = np.array([1000.0, 2000, 3000, 4000]) if white is None else white
+    stored = np.array([0.05, 0.1, 0.2, 0.4]) * white if stored is None else stored
+    head = bytearray(484)
+    head[:3] = version
+    head[186], head[199] = kind, code
+    for form, at, values in (("<2f", 191, (first, step)), ("<H", 204, (stored.size,)), *settings):
+        struct.pack_into(form, head, at, *values)
+    dtype = {0: "<f4", 1: "<i4", 2: "<f8"}[code]
+    block = struct.pack("<H", 0xFFFF if reference else 0) + b"\0" * 16 + struct.pack("<H", len(words)) + words
+    return bytes(head) + stored.astype(dtype).tobytes() + block + white.astype(dtype).tobytes() + behind
