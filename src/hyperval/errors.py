@@ -79,6 +79,15 @@ def _refusals() -> dict[str, dict[str, Any]]:
     return found
 
 
+def refuse(
+    wrong: object, what: str, where: object, expected: str | None = None, mend: str | None = None,
+    kind: type[HypervalError] = InputError,
+) -> None:  # fmt: skip
+    """Raise ``kind``, an InputError by default, where something is wrong."""
+    if wrong:
+        raise kind(what, where=str(where), expected=expected, mend=mend)
+
+
 def reader(function: Callable[P, R]) -> Callable[P, R]:
     """Wrap a function that reads the file named by its first argument.
 

@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "hyperval"
 # One wrong import for each contract of pyproject.toml: the file that gets it, and the line.
 WRONG_IMPORTS = {
     "rooms": ("pixels/roc.py", "from hyperval.campaign.run import validate"),
-    "circles": ("spectra/text.py", "from hyperval.spectra.readers import read_spectra"),
+    "circles": ("spectra/text.py", "from hyperval.spectra.read import read_spectra"),
     "formulas": ("compare/rows.py", "from hyperval.datasets import resolve"),
     "simulated": ("simulate/collection.py", "from hyperval.pixels.roc import roc_curve"),
     "provenance": ("study/run.py", "from hyperval.campaign.run import validate"),

@@ -176,7 +176,7 @@ SLOW = {
 @pytest.mark.parametrize("content", SLOW.values(), ids=SLOW)
 def test_long_lines_take_no_longer_than_their_length(content: bytes, tmp_path: Path, soon: None):
     (tmp_path / "a.txt").write_bytes(content)
-    assert exit_code(READERS["hyperval.spectra.readers.read_spectrum"], tmp_path / "a.txt") in (0, 2, 3)
+    assert exit_code(READERS["hyperval.spectra.read.read_spectrum"], tmp_path / "a.txt") in (0, 2, 3)
 
 
 MISNAMED = b'{"crs": {"properties": {"name": "EPSG:1,5"}}, ' + (FEATURE % b"[[[0, 0], [1, 1], [2, 2]]]")[1:]
@@ -186,7 +186,7 @@ UNPACKABLE = gzip.compress(bytes(range(256)) * 9)[:40] + b"x" * 90
 @pytest.mark.parametrize(
     ("function", "name", "content", "message"),
     [
-        ("spectra.readers.read_spectrum", "a.csv", b"name,400,500,600,700\na,1\rb,2,3,4,5\n", "2 cells"),
+        ("spectra.read.read_spectrum", "a.csv", b"name,400,500,600,700\na,1\rb,2,3,4,5\n", "2 cells"),
         ("paths.read_table", "a.csv", b"line,sample\n1,2\r3,4,5\n", "3 cells for 2 columns"),
         ("imagery.regions.read_regions", "a.json", FEATURE % (b"[[[" + b"9" * 400 + b", 1], [1, 1], [2, 2]]]"),
          "not valid GeoJSON: a number of 400 digits"),

@@ -28,7 +28,7 @@ from hyperval.run import Run, to_xarray
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.simulate import simulate as simulate_scene
 from hyperval.simulate.schema import SceneFile
-from hyperval.spectra.readers import read_records
+from hyperval.spectra import read_records
 from hyperval.storage import whole_folder
 from hyperval.study.run import study_to_folder
 

@@ -293,7 +293,7 @@ class Sources:
             raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
 
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
-        from hyperval.spectra.readers import read_spectrum
+        from hyperval.spectra import read_spectrum
 
         path = self.resolve(str(source.file))
         how = {k: getattr(source, k) for k in ("record", "wavelength_unit", "reflectance_unit")}

@@ -41,10 +41,9 @@ from hyperval.pixels import (
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
 from hyperval.scenario import SpectrumSource, Surface, Uncertainty, load_scenario
 from hyperval.sensor.specification import Sensor, load_sensor
-from hyperval.spectra import FieldSpectrum, read_spectrum
+from hyperval.spectra import FieldSpectrum, number_table, read_spectrum
 from hyperval.spectra.axis import SpectralAxis, band_average, fwhm_from_spacing
 from hyperval.spectra.networks import TOP, read_radcalnet
-from hyperval.spectra.text import number_table
 from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
 
 BLACK = "black ground"

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from itertools import pairwise
@@ -26,10 +26,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
-from hyperval.spectra.readers_record import MAX_BYTES, Record, SpectrumErrors
+from hyperval.spectra.record import MAX_BYTES, Record, SpectrumErrors
 
 Array = npt.NDArray[np.float64]
 
@@ -108,15 +108,13 @@ def is_hypernets(raw: bytes) -> bool:
 
 def hypernets_records(path: Path) -> list[Record]:
     """The series as spectra, named by number and direction of view, with their errors; flagged ones say so."""
-    sequence = read_hypernets(path)
-    return [
-        Record(
-            name, sequence.wavelength_nm, sequence.reflectance[i], str(path), sequence.scan_deviation[i],
-            int(sequence.scans[i]) or None, "nm", "fraction", None,
-            (f"quality flags {sequence.flags[i]:#x}",) if sequence.flags[i] else (), errors=sequence.errors(i),
-        )
-        for i, name in enumerate(sequence.names)
-    ]  # fmt: skip
+    sequence, records = read_hypernets(path), []
+    for i, name in enumerate(sequence.names):
+        spread, n, errors = sequence.scan_deviation[i], int(sequence.scans[i]) or None, sequence.errors(i)
+        notes = (f"quality flags {sequence.flags[i]:#x}",) if sequence.flags[i] else ()
+        record = Record(name, sequence.wavelength_nm, sequence.reflectance[i], spread, n, str(path), notes=notes)
+        records.append(replace(record, errors=errors, wavelength_unit="nm", unit="fraction"))
+    return records
 
 
 @reader
@@ -131,46 +129,38 @@ def read_hypernets(path: Path | str) -> HypernetsSequence:
 
     path = checked_file(path, what="HYPERNETS file", most=MAX_BYTES)
     check_hdf5(path)
-    whole = {"where": str(path), "expected": "a HYPERNETS file of level L2A"}
+    where, expected = str(path), "a HYPERNETS file of level L2A"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the dimension that stands twice
             with xr.open_dataset(path, engine="h5netcdf") as data:
-                if lacking := [name for name in _SHAPES if name not in data.variables]:
-                    raise InputError(f"holds no {lacking[0]}", **whole)
+                lacking = next((name for name in _SHAPES if name not in data.variables), "")
+                refuse(lacking, f"holds no {lacking}", where, expected)
                 sizes = {"w": data["wavelength"].size, "s": data["acquisition_time"].size}
-                if sizes["w"] > MAX_WAVELENGTHS or sizes["s"] > MAX_SERIES:
-                    raise InputError("too many wavelengths or series", where=str(path), expected="one sequence")
+                many = sizes["w"] > MAX_WAVELENGTHS or sizes["s"] > MAX_SERIES
+                refuse(many, "too many wavelengths or series", where, "one sequence")
                 values = {name: np.asarray(data[name].values, dtype=float) for name in _SHAPES}
                 about = {k: data.attrs.get(k) for k in ("site_id", "site_latitude", "site_longitude")}
-    except (InputError, UsageError):
+    except HypervalError:
         raise
     except Exception as error:  # whatever a damaged file makes of the libraries
-        raise InputError(f"cannot be read: {error}", **whole) from error
+        raise InputError(f"cannot be read: {error}", where=where, expected=expected) from error
     for name, axes in _SHAPES.items():
-        if values[name].shape != (shape := tuple(sizes[axis] for axis in axes)):
-            raise InputError(f"{name} has shape {values[name].shape}", where=str(path), expected=str(shape))
+        shape = tuple(sizes[axis] for axis in axes)
+        refuse(values[name].shape != shape, f"{name} has shape {values[name].shape}", where, str(shape))
     nm, rho, matrix = values["wavelength"], values["reflectance"].T, values["err_corr_systematic_reflectance"]
     random, systematic = (0.01 * values[f"u_rel_{kind}_reflectance"].T for kind in ("random", "systematic"))
-    for wrong, what in (
-        (
-            nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0),
-            "wavelengths do not increase within 200 to 3000 nm",
-        ),
-        (
-            not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01),
-            "a correlation beyond -1 to 1, or other than 1 with itself",
-        ),
-        (np.any(random < 0.0) or np.any(systematic < 0.0), "uncertainties below 0"),
-    ):
-        if wrong:
-            raise InputError(what, where=str(path))
+    disorder = nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0)
+    refuse(disorder, "wavelengths do not increase within 200 to 3000 nm", where)
+    beyond = not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01)
+    refuse(beyond, "a correlation beyond -1 to 1, or other than 1 with itself", where)
+    refuse(np.any(random < 0.0) or np.any(systematic < 0.0), "uncertainties below 0", where)
     flags, scans = (np.nan_to_num(values[name]).astype(np.int64) for name in ("quality_flag", "n_valid_scans"))
     try:
         latitude, longitude = float(str(about["site_latitude"])), float(str(about["site_longitude"]))
         times = tuple(datetime.fromtimestamp(t, UTC) for t in values["acquisition_time"])
     except (ValueError, OverflowError, OSError) as error:
-        raise InputError(f"place or time is missing: {error}", **whole) from error
+        raise InputError(f"place or time is missing: {error}", where=where, expected=expected) from error
     return HypernetsSequence(
         str(about["site_id"]), latitude, longitude, nm, rho, values["std_reflectance"].T, random * np.abs(rho),
         systematic * np.abs(rho), matrix, values["viewing_zenith_angle"], values["viewing_azimuth_angle"],
@@ -233,9 +223,8 @@ class RadCalNetDay:
 
     def column(self, label: str) -> int:
         """Number of a half hour by its label; raises UsageError where it holds no value."""
-        if label not in self.valid:
-            what = "holds no value" if label in self.labels else "is none of the file"
-            raise UsageError(f"the half hour {label} {what}", where=self.source, expected=", ".join(self.valid))
+        what = f"the half hour {label} {'holds no value' if label in self.labels else 'is none of the file'}"
+        refuse(label not in self.valid, what, self.source, ", ".join(self.valid), kind=UsageError)
         return self.labels.index(label)
 
     def at(self, label: str) -> dict[str, float]:
@@ -269,37 +258,32 @@ def is_radcalnet(head: bytes) -> bool:
 def radcalnet_records(text: str, path: Path) -> list[Record]:
     """The valid half hours of a file as spectra, named by their time; the spread is the standard uncertainty."""
     day = day_of(text, path)
-    return [
-        Record(
-            label, day.wavelength_nm, day.values[i], str(path), day.uncertainty[i], None, "nm", "fraction",
-            None if day.quantity == SURFACE else day.quantity,
-        )
-        for label in day.valid
-        for i in (day.labels.index(label),)
-    ]  # fmt: skip
+    kind, records = "" if day.quantity == SURFACE else day.quantity, []
+    for label in day.valid:
+        values, uncertainty = day.values[i := day.column(label)], day.uncertainty[i]
+        record = Record(label, day.wavelength_nm, values, uncertainty, source=str(path), quantity=kind)
+        records.append(replace(record, wavelength_unit="nm", unit="fraction"))
+    return records
 
 
 def day_of(text: str, path: Path) -> RadCalNetDay:
     """A daily file from its text; errors as for :func:`read_radcalnet`."""
-    quantity = _KINDS.get(path.suffix.lower())
-    if quantity is None:
-        raise UsageError(
-            "the text of RadCalNet's files does not say whether the surface or the top of the atmosphere is meant",
-            where=str(path), expected="a name that ends in .input (surface) or .output (top of the atmosphere)",
-        )  # fmt: skip
+    quantity = _KINDS.get(path.suffix.lower(), "")
+    what = "the text of RadCalNet's files does not say whether the surface or the top of the atmosphere is meant"
+    expected = "a name that ends in .input (surface) or .output (top of the atmosphere)"
+    refuse(not quantity, what, path, expected, kind=UsageError)
     lines = [(f"{path}:{i}", line.split("\t")) for i, line in enumerate(text.splitlines(), start=1) if line.strip()]
     rows = [_Row(where, words[0].strip(), [w.strip() for w in words[1:] if w.strip()]) for where, words in lines]
     keyed = [row for row in rows if row.key.endswith(":")][: len(_KEYS)]
     end = _Row(rows[-1].where if rows else str(path), "the end of the file", [])
     for key, row in zip(_KEYS, [*keyed, *[end] * len(_KEYS)], strict=False):
-        if row.key != f"{key}:":
-            raise InputError(f"{row.key[:40]!r} where {key!r} belongs", where=row.where, expected=f"{key}: and values")
+        refuse(row.key != f"{key}:", f"{row.key[:40]!r} where {key!r} belongs", row.where, f"{key}: and values")
     site, *place, year, days, clock = keyed[:7]
     count = len(year.words)
     latitude, longitude, altitude = (float(row.numbers(1)[0]) for row in place)
     times = tuple(map(clock.time, year.numbers(count), days.numbers(count), clock.cells(count)))
-    if any(b <= a for a, b in pairwise(times)):
-        raise InputError("the half hours do not follow each other", where=clock.where, expected="increasing UTC")
+    disorder = any(b <= a for a, b in pairwise(times))
+    refuse(disorder, "the half hours do not follow each other", clock.where, "increasing UTC")
     # The state and the spectra, and after them the uncertainties of all of it.
     half = rows.index(keyed[-len(STATE)])
     (nm, values), (u_nm, uncertainty) = (_spectra(part, count, str(path)) for part in (rows[:half], rows[half:]))
@@ -307,16 +291,12 @@ def day_of(text: str, path: Path) -> RadCalNetDay:
         {name: row.numbers(count) for name, row in zip(STATE.values(), keyed[at:], strict=False)}
         for at in (_KEYS.index("P"), -len(STATE))
     )
-    if not np.array_equal(nm, u_nm):
-        raise InputError("uncertainties at other wavelengths than the values", where=str(path))
-    if np.nanmin(uncertainty, initial=0.0) < 0 or any(np.nanmin(u, initial=0.0) < 0 for u in doubt.values()):
-        raise InputError("uncertainties below 0", where=str(path))
+    refuse(not np.array_equal(nm, u_nm), "uncertainties at other wavelengths than the values", path)
+    negative = any(np.nanmin(u, initial=0.0) < 0 for u in (uncertainty, *doubt.values()))
+    refuse(negative, "uncertainties below 0", path)
     wrong = np.isfinite(values) & ~((values > -0.1) & (values < 2.0))
-    if wrong.any():
-        raise InputError(
-            f"{int(wrong.sum())} values such as {values[wrong][0]:g} are neither a reflectance nor a mark",
-            where=str(path), expected=f"a fraction, or {NO_VALUE:g} to 9999 where there is none",
-        )  # fmt: skip
+    what = f"{wrong.sum()} values such as {values[wrong][:1]} are neither a reflectance nor a mark"
+    refuse(wrong.any(), what, path, f"a fraction, or {NO_VALUE:g} to 9999 where there is none")
     return RadCalNetDay(
         site.cells(1)[0], latitude, longitude, altitude, quantity, times, state, doubt, nm, values, uncertainty,
         str(path),
@@ -332,9 +312,8 @@ class _Row(NamedTuple):
 
     def cells(self, count: int) -> list[str]:
         """The words behind the key, as many as there have to be."""
-        if len(self.words) != count or not count:
-            what = f"{len(self.words)} values" + (f" of {self.key[:-1]}" if self.key.endswith(":") else "")
-            raise InputError(what, where=self.where, expected=f"{count or 1} values, one a half hour")
+        what = f"{len(self.words)} values" + (f" of {self.key[:-1]}" if self.key.endswith(":") else "")
+        refuse(len(self.words) != count or not count, what, self.where, f"{count or 1} values, one a half hour")
         return self.words
 
     def numbers(self, count: int) -> Array:
@@ -344,9 +323,8 @@ class _Row(NamedTuple):
         except ValueError as error:
             expected = "numbers separated by tabulators"
             raise InputError("not a row of numbers", where=self.where, expected=expected) from error
-        if not np.all(np.isfinite(values)):
-            expected = f"{NO_VALUE:g} to 9999 where there is none"
-            raise InputError("a number is missing", where=self.where, expected=expected)
+        expected = f"{NO_VALUE:g} to 9999 where there is none"
+        refuse(not np.all(np.isfinite(values)), "a number is missing", self.where, expected)
         return np.where(values >= NO_VALUE, np.nan, values)
 
     def time(self, year: float, day: float, clock: str) -> datetime:
@@ -355,8 +333,7 @@ class _Row(NamedTuple):
             start = datetime.strptime(f"{int(year):04d} {clock}", "%Y %H:%M").replace(tzinfo=UTC)
         except ValueError as error:
             raise InputError(f"not a time: {clock!r}", where=self.where, expected="UTC as HH:MM") from error
-        if not 1 <= day <= 366:
-            raise InputError(f"day {day:g} of the year", where=self.where, expected="1 to 366")
+        refuse(not 1 <= day <= 366, f"day {day:g} of the year", self.where, "1 to 366")
         return start + timedelta(days=int(day) - 1)
 
 
@@ -365,6 +342,6 @@ def _spectra(rows: list[_Row], count: int, path: str) -> tuple[Array, Array]:
     numbers = [row for row in rows if not row.key.endswith(":")]
     values = np.array([row.numbers(count) for row in numbers]).reshape(-1, count)
     nm = np.array([_Row(row.where, "", [row.key]).numbers(1)[0] for row in numbers])
-    if nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 300 and nm[-1] < 3000):
-        raise InputError("no increasing wavelengths in nm", where=path, expected="400 to 2500 nm")
+    disorder = nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 300 and nm[-1] < 3000)
+    refuse(disorder, "no increasing wavelengths in nm", path, "400 to 2500 nm")
     return nm, values.T

@@ -10,14 +10,15 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, UsageError
-from hyperval.spectra.readers_record import MAX_ROWS, Record
+from hyperval.errors import InputError, UsageError, refuse
+from hyperval.spectra.record import MAX_ROWS, Record
 from hyperval.units import only_wavelength_unit
 
 Array = npt.NDArray[np.float64]
@@ -57,11 +58,11 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     wavelengths is left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
     """
     header, table, first_line = number_table(text, path)
-    titles, where, spread = _titles(header, table.shape[1]), str(path), dict[int, int]()
+    titles, where, whole, spread = _titles(header, table.shape[1]), str(path), "\n".join(header), dict[int, int]()
     if columns is not None:
         picked = [_column(c, titles, where) for c in columns]
-        if len(picked) not in (2, 3):
-            raise UsageError("columns are (wavelength, value) or (wavelength, value, standard deviation)", where=where)
+        what = "columns are (wavelength, value) or (wavelength, value, standard deviation)"
+        refuse(len(picked) not in (2, 3), what, where, kind=UsageError)
         table, titles = table[:, picked], [titles[i] for i in picked]
         spread = {1: 2} if len(picked) == 3 else {}
     else:
@@ -70,31 +71,25 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         for i in range(2, len(titles)):
             if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
                 spread[i - 1] = i
-    if table.shape[1] < 2:
-        raise InputError(
-            "a single column", where=f"{path}:{first_line}", expected="a wavelength and a value in every row",
-            mend="where the wavelengths have a file of their own, name it (wavelengths)",
-        )  # fmt: skip
-    whole, wavelength = "\n".join(header), table[:, 0]
-    ends = [float(e) for key in ("First", "Last") if _NUMBER.match(e := _entry(whole, f"{key} X Value") or "")]
-    count_stated, count = _entry(whole, "Number of X Values"), re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole)
-    check_stated(wavelength, where, count=count_stated, ends=(ends[0], ends[1]) if len(ends) == 2 else None)
-    y_units, name = _entry(whole, "Y Units?"), _entry(whole, "Name")
-    unit, records = wavelength_unit_in(titles[0], whole, where), []
+    expected = "a wavelength and a value in every row"
+    mend = "where the wavelengths have a file of their own, name it (wavelengths)"
+    refuse(table.shape[1] < 2, "a single column", f"{path}:{first_line}", expected, mend)
+    nm = table[:, 0]
+    ends = [float(e) for key in ("First", "Last") if is_number(e := _entry(whole, f"{key} X Value") or "")]
+    check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
+    replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
+    unit, y_units, records = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?"), list[Record]()
     for i in range(1, table.shape[1]):
-        if i in spread.values() or (i > 1 and np.array_equal(table[:, i], wavelength)):
+        if i in spread.values() or (i > 1 and np.array_equal(table[:, i], nm)):
             continue
         beside = table[:, spread[i]] if i in spread else None
         unmeasured = beside is not None and not beside.any()
-        record = _of_column(y_units or titles[i], titles[i] or name or "", wavelength, table[:, i], where, unit)
+        record = _of_column(y_units or titles[i], titles[i] or of_header, nm, table[:, i], where, unit)
         if columns is None and _SPREAD.search(titles[i]):
             record = replace(record, quantity="a standard deviation")
-        records.append(
-            replace(
-                record, standard_deviation=None if unmeasured else beside, n=int(count.group(1)) if count else None,
-                notes=("a standard deviation of 0 everywhere is none",) if unmeasured else (),
-            )
-        )  # fmt: skip
+        notes = ("a standard deviation of 0 everywhere is none",) if unmeasured else ()
+        n = int(replicates[1]) if replicates else None
+        records.append(replace(record, standard_deviation=None if unmeasured else beside, n=n, notes=notes))
     if len(records) == 1:
         return [replace(r, name=path.stem if r.name in ("", *titles) else r.name) for r in records]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
@@ -102,47 +97,19 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
 
 def _of_column(says: str, name: str, wavelength: Array, values: Array, where: str, unit: str | None) -> Record:
     """A column of numbers with the quantity and the units that a text says it has."""
-    return Record(
-        name, wavelength, values, where, wavelength_unit=unit, reflectance_unit=reflectance_unit_in(says),
-        quantity=quantity_in(says), unit=power_unit_in(says),
-    )  # fmt: skip
-
-
-def column_record(text: str, path: Path, grid_text: str, grid: Path) -> Record:
-    """A spectrum of a library that keeps values and wavelengths in files of one column each."""
-    header, values, _ = number_table(text, path)
-    grid_header, wavelength, _ = number_table(grid_text, grid)
-    if values.shape[1] != 1 or wavelength.shape != values.shape:
-        what, expected = (
-            "{} rows of {} columns".format(*values.shape),
-            f"one column of {len(wavelength)} rows, as in {grid}",
-        )
-        raise InputError(what, where=str(path), expected=expected)
-    name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
-    unit = wavelength_unit_in(" ".join(grid_header), "", str(grid))
-    title = name.group(1).strip() if name else path.stem
-    return Record(title, wavelength[:, 0], values[:, 0], str(path), wavelength_unit=unit)
-
-
-def usgs_rows(text: str) -> int | None:
-    """How many numbers a USGS file of one column holds below "Record=NUMBER: TITLE"; None for another file."""
-    lines = text.split("\n")
-    if not re.search(r"\bRecord\s*=\s*[0-9]+\s*:", lines[0]):
-        return None
-    rows = [line for line in lines[1:] if line.strip()]
-    return len(rows) if rows and all(_only_number(line) for line in rows) else None
+    record = Record(name, wavelength, values, source=where, quantity=quantity_in(says), wavelength_unit=unit)
+    return replace(record, unit=power_unit_in(says) or percent_in(says))
 
 
 def plot_records(text: str, path: Path) -> list[Record]:
     """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
     header, table, _ = number_table(text, path)
     matches = [re.match(r"^Column ([0-9]{1,6}):\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE]) for line in header]
-    titles = {int(m.group(1)) - 1: m.group(2) for m in matches if m}
-    if sorted(titles) != list(range(table.shape[1])) or table.shape[1] < 2:
-        raise InputError(f"{len(titles)} titles for {table.shape[1]} columns", where=str(path))
+    titles, count = {int(m.group(1)) - 1: m.group(2) for m in matches if m}, table.shape[1]
+    unlike = sorted(titles) != list(range(count)) or count < 2
+    refuse(unlike, f"{len(titles)} titles for {count} columns", path)
     unit = wavelength_unit_in(titles[0], "", str(path))
-    columns = list(enumerate(table.T))
-    return [_of_column(titles[i], titles[i], table[:, 0], values, str(path), unit) for i, values in columns[1:]]
+    return [_of_column(titles[i], titles[i], table[:, 0], table[:, i], str(path), unit) for i in range(1, count)]
 
 
 def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Array, int]:
@@ -161,95 +128,78 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
     for number, line in enumerate(text.splitlines(), start=first):
         if not line.strip():
             continue
-        cells = _cells(line)
+        cells, where = _cells(line), f"{path}:{number}"
         numbers = len(cells) > 0 and all(_NUMBER.match(c) for c in cells)
-        if not rows and not (numbers and (len(cells) > 1 or not header or _only_number(line))):
+        if not rows and not (numbers and (len(cells) > 1 or not header or is_number(line.strip()))):
             header.append(line.strip())
-            if len(header) > MAX_HEADER_LINES:
-                raise InputError(f"no numbers in the first {MAX_HEADER_LINES} lines", where=str(path))
+            refuse(len(header) > MAX_HEADER_LINES, f"no numbers in the first {MAX_HEADER_LINES} lines", path)
             continue
         if rows and _END.match(line) and not ended:
             ended = True
             continue
-        if not numbers or ended:
-            raise InputError(
-                f"not a row of numbers: {line.strip()[:60]!r}",
-                where=f"{path}:{number}",
-                expected="one row of numbers per channel",
-            )
+        unlike = f"not a row of numbers: {line.strip()[:60]!r}"
+        refuse(not numbers or ended, unlike, where, "one row of numbers per channel")
         if len(rows) == 1 and len(rows[0]) == 1 < len(cells) and rows[0][0].is_integer():
             stated, rows, start = str(int(rows[0][0])), [], 0
-        if rows and len(cells) != len(rows[0]):
-            raise InputError(f"{len(cells)} columns", where=f"{path}:{number}", expected=f"{len(rows[0])}, as above")
-        if len(rows) >= MAX_ROWS or len(cells) > MAX_COLUMNS:
-            raise InputError(f"more than {MAX_ROWS} rows or {MAX_COLUMNS} columns", where=f"{path}:{number}")
+        columns = len(rows[0]) if rows else len(cells)
+        refuse(len(cells) != columns, f"{len(cells)} columns", where, f"{columns}, as above")
+        most = len(rows) >= MAX_ROWS or len(cells) > MAX_COLUMNS
+        refuse(most, f"more than {MAX_ROWS} rows or {MAX_COLUMNS} columns", where)
         start = start or number
         rows.append([float(c.replace("d", "e").replace("D", "e")) for c in cells])
-    if not rows:
-        raise InputError(
-            "the file holds no numbers",
-            where=str(path),
-            expected="a wavelength and a value in every row, or a spectrum a row under titles that are wavelengths",
-        )
+    expected = "a wavelength and a value in every row, or a spectrum a row under titles that are wavelengths"
+    refuse(not rows, "the file holds no numbers", path, expected)
     table = np.array(rows)
-    check_stated(table[:, 0], str(path), count=stated, ends=None)
+    check_stated(table[:, 0], str(path), stated)
     return header, table, start
 
 
-def check_stated(wavelength: Array, where: str, *, count: str | None, ends: tuple[float, float] | None) -> None:
+def check_stated(wavelength: Array, where: str, count: str | None, ends: Sequence[float] = ()) -> None:
     """Refuse a table that has not as many rows, or not the first and last wavelength, that the file states.
 
     Parameters
     ----------
     count : number of rows as it stands in the file
-    ends : the two ends in either order, each with a fiftieth of itself to spare
+    ends : the two ends in either order, each with a fiftieth of itself to spare; others than two are not looked at
 
     Raises
     ------
     InputError : another number of rows or other ends.
     """
-    what = ""
-    if count is not None and not (count.strip().isdecimal() and int(count[:9]) == wavelength.size):
-        what, expected = f"{wavelength.size} rows", count.strip()[:20]
-    elif ends is not None:
+    if count is not None:
+        as_many = count.strip().isdecimal() and int(count[:9]) == wavelength.size
+        refuse(not as_many, f"{wavelength.size} rows", where, f"{count.strip()[:20]}, as it states", _CUT)
+    if len(ends) == 2:
         stated, found = np.array(sorted(ends)), np.array([wavelength.min(), wavelength.max()])
-        if not np.all(np.abs(found - stated) <= _ENDS * np.abs(stated)):
-            what = "wavelengths from {:g} to {:g}".format(*found)
-            expected = "{:g} to {:g}".format(*stated)
-    if what:
-        raise InputError(what, where=where, expected=f"{expected}, as it states", mend=_CUT)
+        words, beyond = "{:g} to {:g}", np.abs(found - stated) > _ENDS * np.abs(stated)
+        what, expected = f"wavelengths from {words.format(*found)}", f"{words.format(*stated)}, as it states"
+        refuse(beyond.any(), what, where, expected, _CUT)
 
 
 def check_last_line(text: str, where: str) -> None:
     """Refuse a table of one format whose last line has no end and fewer digits than the one above: it was cut."""
-    if not text or text[-1] in "\r\n":
-        return
-    above, last = (line.split() for line in text.splitlines()[-2:])
-    digits = [len(cells[-1].partition(".")[2]) for cells in (above, last) if cells]
-    if len(above) != len(last) or digits[-1] < digits[0]:
-        raise InputError(f"the last line is cut: {' '.join(last)[:60]!r}", where=where, mend=_CUT)
+    if text and text[-1] not in "\r\n":
+        above, last = (line.split() for line in text.splitlines()[-2:])
+        digits = [len(cells[-1].partition(".")[2]) for cells in (above, last) if cells]
+        cut = len(above) != len(last) or digits[-1] < digits[0]
+        refuse(cut, f"the last line is cut: {' '.join(last)[:60]!r}", where, mend=_CUT)
 
 
-def reflectance_unit_in(title: str) -> str | None:
-    """The reflectance unit that a column title states, None when it states none."""
-    if re.search(r"%\s*\*\s*100", title):
-        return "scaled:10000"
-    if "%" in title or re.search(r"percent", title, re.IGNORECASE):
-        return "percent"
-    if re.search(r"\[1(\.0)?\]|fraction", title, re.IGNORECASE):
-        return "fraction"
-    return None
+def percent_in(title: str) -> str | None:
+    """The unit of a reflectance that a column title states, None when it states none."""
+    units = (r"%\s*\*\s*100", "scaled:10000"), ("%|percent", "percent"), (r"\[1(\.0)?\]|fraction", "fraction")
+    return next((unit for said, unit in units if re.search(said, title, re.IGNORECASE)), None)
 
 
-def quantity_in(title: str) -> str | None:
-    """Reflectance, radiance, irradiance or another quantity where a column title says so, else None."""
+def quantity_in(title: str) -> str:
+    """Reflectance, radiance, irradiance or another quantity where a column title says so, else nothing."""
     if re.search(r"reflect|(?<![a-z])rfl(?![a-z])", title, re.IGNORECASE):
-        return None if re.search("radiance", title, re.IGNORECASE) else "reflectance"
+        return "" if re.search("radiance", title, re.IGNORECASE) else "reflectance"
     for quantity, pattern in _QUANTITIES.items():
         if match := re.search(pattern, title.strip(), re.IGNORECASE):
             return quantity or match.group().lower()
     power = power_unit_in(title)
-    return None if power is None else "radiance" if " sr-1" in power else "irradiance"
+    return "" if power is None else "radiance" if " sr-1" in power else "irradiance"
 
 
 def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
@@ -261,17 +211,12 @@ def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     """
     states = r"^\W*(X Units?|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
     lines = [title, *(line for line in header.splitlines() if re.match(states, line, re.IGNORECASE))]
+    mend = "convert them: a wavelength in nm is 1e7 over the wavenumber in cm-1"
     for line in lines:
         nm, um = bool(_NM.search(line)), bool(_UM.search(line))
         if nm != um:
             return "nm" if nm else "um"
-        if _WAVENUMBER.search(line):
-            raise InputError(
-                f"wavenumbers: {line[:60]!r}",
-                where=where,
-                expected="wavelengths in nm or um",
-                mend="convert them: a wavelength in nm is 1e7 over the wavenumber in cm-1",
-            )
+        refuse(_WAVENUMBER.search(line), f"wavenumbers: {line[:60]!r}", where, "wavelengths in nm or um", mend)
     return None
 
 
@@ -314,8 +259,9 @@ def _cells(line: str) -> list[str]:
     return [c for c in re.split(r"[,\s]+", text) if c]
 
 
-def _only_number(line: str) -> bool:
-    return bool(_NUMBER.match(line.strip()))
+def is_number(text: str) -> bool:
+    """Whether a text is one number, and nothing else."""
+    return bool(_NUMBER.match(text))
 
 
 def _titles(header: list[str], count: int) -> list[str]:
@@ -361,11 +307,11 @@ def _split_titles(line: str, count: int) -> list[str]:
 
 def _column(wanted: str | int, titles: list[str], where: str) -> int:
     if isinstance(wanted, int):
-        if not 0 <= wanted < len(titles):
-            raise UsageError(f"no column {wanted}", where=where, expected=f"0 to {len(titles) - 1}")
+        outside, last = not 0 <= wanted < len(titles), len(titles) - 1
+        refuse(outside, f"no column {wanted}", where, f"0 to {last}", kind=UsageError)
         return wanted
-    if titles.count(wanted) != 1:
-        raise UsageError(f"no column {wanted!r}", where=where, expected="one of " + ", ".join(t or "?" for t in titles))
+    expected = "one of " + ", ".join(t or "?" for t in titles)
+    refuse(titles.count(wanted) != 1, f"no column {wanted!r}", where, expected, kind=UsageError)
     return titles.index(wanted)
 
 
@@ -387,7 +333,7 @@ def is_row_table(text: str) -> bool:
     if _first_band(titles) is None:
         return False
     # Numbers under "wavelength" are wavelengths, and the other columns spectra that go by a number.
-    return not (_FIRST_TITLE.match(titles[0]) and _is_number(rest.split(delimiter, 1)[0].strip(' "')))
+    return not (_FIRST_TITLE.match(titles[0]) and _value(rest.split(delimiter, 1)[0].strip(' "')) is not None)
 
 
 def _delimiter(line: str) -> str:
@@ -411,20 +357,17 @@ def row_records(text: str, path: Path) -> list[Record]:
     rows: list[tuple[str, list[str]]] = []
     try:
         titles = _without_end([t.strip() for t in next(reader)])
-        first = _first_band(titles) or 0
+        first, most = _first_band(titles) or 0, f"more than {MAX_ROWS} rows or {MAX_CELLS} cells"
         for cells in reader:
             where, cells = f"{path}:{reader.line_num}", _without_end([c.strip() for c in cells], len(titles))
-            if not any(cells):
-                continue
-            if len(cells) != len(titles):
-                raise InputError(f"{len(cells)} cells", where=where, expected=f"{len(titles)}, as in the first line")
-            rows.append((where, cells))
-            if len(rows) > MAX_ROWS or len(rows) * len(titles) > MAX_CELLS:
-                raise InputError(f"more than {MAX_ROWS} rows or {MAX_CELLS} cells", where=where)
+            if any(cells):
+                expected = f"{len(titles)}, as in the first line"
+                refuse(len(cells) != len(titles), f"{len(cells)} cells", where, expected)
+                rows.append((where, cells))
+                refuse(len(rows) > MAX_ROWS or len(rows) * len(titles) > MAX_CELLS, most, where)
     except csv.Error as error:
         raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
-    if not rows:
-        raise InputError("the table has titles and no spectrum", where=str(path))
+    refuse(not rows, "the table has titles and no spectrum", path)
     lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
     differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
     named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), None)
@@ -438,19 +381,16 @@ def row_records(text: str, path: Path) -> list[Record]:
 
 def _of_row(name: str, about: dict[str, str], titles: list[str], cells: list[str], where: str) -> Record:
     """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
-    for title, cell in zip(titles, cells, strict=True):
-        if not _is_number(cell):
-            raise InputError(f"the cell under {title!r} is no number", where=where)
-    values = np.array([float(c) if c and c.lower() != "na" else np.nan for c in cells])
-    suffix = _WAVELENGTH.match(titles[0])
+    numbers = [_value(cell) for cell in cells]
+    if None in numbers:
+        raise InputError(f"the cell under {titles[numbers.index(None)]!r} is no number", where=where)
+    values, suffix = np.array(numbers, dtype=float), _WAVELENGTH.match(titles[0])
     unit = (suffix[2] if suffix else None) or wavelength_unit_in(about.get("wavelength units", ""), "", where)
     percent, greatest = "percent" in about.get("measurement units", "").lower(), np.nanmax(values, initial=0.0)
     doubt = f"the file says percent, and the values reach {greatest:.3g}" if percent and greatest <= 1.5 else None
-    return Record(
-        name, _wavelengths(titles), values, where, wavelength_unit=unit,
-        reflectance_unit="percent" if percent and doubt is None else None, doubt=doubt,
-        quantity=quantity_in(about.get("measurement quantity", about.get("measurement", ""))),
-    )  # fmt: skip
+    quantity = quantity_in(about.get("measurement quantity", about.get("measurement", "")))
+    record = Record(name, _wavelengths(titles), values, source=where, quantity=quantity, wavelength_unit=unit)
+    return replace(record, unit="percent" if percent and doubt is None else None, doubt=doubt)
 
 
 def _wavelengths(titles: list[str]) -> Array:
@@ -478,12 +418,12 @@ def _without_end(cells: list[str], least: int = 0) -> list[str]:
     return cells
 
 
-def _is_number(cell: str) -> bool:
+def _value(cell: str) -> float | None:
+    """The number in a cell, NaN where it is empty or says so; None where it holds no number."""
     try:
-        float(cell or "nan")
+        return float(cell or "nan")
     except ValueError:
-        return cell.lower() == "na"
-    return True
+        return float("nan") if cell.lower() == "na" else None
 
 
 # What the maker says that the numbers of a .sig file, times 1e-10, are in; the file names the quantity alone.
@@ -510,17 +450,13 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     entries, table = _signature(text, path, (4,), "wavelength, reference, target, reflectance in percent")
     units = entries.get("units", "").split(",")[-1].strip().lower()
     if quantity in SVC_UNITS:
-        if units not in SVC_UNITS:
-            raise InputError(f"the target is in {units or 'an unknown unit'}, not in {quantity}", where=str(path))
+        what = f"the target is in {units or 'an unknown unit'}, not in {quantity}"
+        refuse(units not in SVC_UNITS, what, path)
         notes = (f"{units} taken as {SVC_SCALE:g} {SVC_UNITS[units]}, the maker's unit",)
         power = _reflectance_of(entries, path, table, SVC_SCALE * table[:, 2])
-        return replace(power, reflectance_unit=None, quantity=units, unit=SVC_UNITS[units], notes=notes)
-    if not table[:, 3].any():
-        raise InputError(
-            f"no reflectance: a single scan of {units or 'an unknown quantity'}",
-            where=str(path),
-            expected="target over white reference in the fourth column",
-        )
+        return replace(power, quantity=units, unit=SVC_UNITS[units], notes=notes)
+    what = f"no reflectance: a single scan of {units or 'an unknown quantity'}"
+    refuse(not table[:, 3].any(), what, path, "target over white reference in the fourth column")
     return _reflectance_of(entries, path, table, table[:, 3])
 
 
@@ -533,12 +469,8 @@ def ger_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     ------
     InputError : not such a file, or another quantity than a reflectance.
     """
-    if quantity in SVC_UNITS:
-        raise InputError(
-            f"the unit of the {quantity} in a GER file is not known",
-            where=str(path),
-            mend="convert the target's column to a table of wavelength and value, and state its unit",
-        )
+    mend = "convert the target's column to a table of wavelength and value, and state its unit"
+    refuse(quantity in SVC_UNITS, f"the unit of the {quantity} in a GER file is not known", path, mend=mend)
     entries, table = _signature(text, path, (3, 4), "wavelength, target, reference, perhaps reflectance in percent")
     with np.errstate(divide="ignore", invalid="ignore"):
         percent = np.where(table[:, 2] > 0, 100.0 * (table[:, 1] / table[:, 2]), np.nan)
@@ -548,29 +480,23 @@ def ger_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
 def _reflectance_of(entries: dict[str, str], path: Path, table: Array, values: Array) -> Record:
     """The spectrum of a .sig file, in percent."""
     name = entries.get("name", "").removesuffix(".sig") or path.stem
-    return Record(
-        name, table[:, 0], values, str(path), wavelength_unit="nm", reflectance_unit="percent", quantity="reflectance"
-    )
+    record = Record(name, table[:, 0], values, source=str(path), quantity="reflectance")
+    return replace(record, wavelength_unit="nm", unit="percent")
 
 
 def _signature(text: str, path: Path, columns: tuple[int, ...], expected: str) -> tuple[dict[str, str], Array]:
     """The entries ``key= value`` above the line ``data=`` of a .sig file, and the numbers below it."""
-    lines = text.splitlines()
-    entries: dict[str, str] = {}
+    entries, lines = dict[str, str](), text.splitlines()
     for number, line in enumerate(lines[1:], start=2):
-        if not line.strip():
-            continue
         key, equals, value = line.partition("=")
-        if not equals:
-            raise InputError(f"not of the form 'key= value': {line[:60]!r}", where=f"{path}:{number}")
+        refuse(line.strip() and not equals, f"not of the form 'key= value': {line[:60]!r}", f"{path}:{number}")
         entries[key.strip().lower()] = value.strip()
-        if key.strip().lower() == "data":
+        if "data" in entries:
             break
-    else:
-        raise InputError("no 'data=' line", where=str(path))
+    refuse("data" not in entries, "no 'data=' line", path)
     header, table, start = number_table("\n".join(lines[number:]), path, first=number + 1)
-    if header or table.shape[1] not in columns:
-        raise InputError(f"{table.shape[1]} columns", where=f"{path}:{start}", expected=expected)
+    unlike = header or table.shape[1] not in columns
+    refuse(unlike, f"{table.shape[1]} columns", f"{path}:{start}", expected)
     check_last_line(text, str(path))
     return entries, table
 
@@ -582,31 +508,28 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     in the line ``Units:``.  It has as many rows and columns as it says, over the range that it says.
     """
     lines, where = text.splitlines(), str(path)
-    begin = next((i for i, line in enumerate(lines) if line.strip().lower() == "data:"), None)
-    if begin is None or begin + 1 >= len(lines):
-        raise InputError("no 'Data:' line", where=where)
-    titles = [t.strip() for t in lines[begin + 1].split("\t")]
+    begin = next((i for i, line in enumerate(lines[:-1]) if line.strip().lower() == "data:"), -1)
+    refuse(begin < 0, "no 'Data:' line", where)
+    titles, there = [t.strip() for t in lines[begin + 1].split("\t")], f"{path}:{begin + 2}"
     stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
-    power = quantity in SVC_UNITS
-    wanted = quantity if power else "reflectance"
+    wanted = quantity if quantity in SVC_UNITS else "reflectance"
     pattern, forms = _SED_COLUMNS[wanted]
     columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
-    if len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
-        what, expected = f"no {wanted} column: " + ", ".join(titles), f"Wvl and one column {forms}"
-        raise InputError(what, where=f"{path}:{begin + 2}", expected=expected)
-    unit = None if power else reflectance_unit_in(titles[columns[0]])
-    if unit is None and not power:
-        raise InputError(f"the unit of {titles[columns[0]]!r} is not known", where=f"{path}:{begin + 2}")
+    lacking = len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE)
+    refuse(lacking, f"no {wanted} column: {', '.join(titles)}", there, f"Wvl and one column {forms}")
+    unit = (
+        power_unit_in(stated.get("units", ""))
+        if wanted == quantity != "reflectance"
+        else percent_in(titles[columns[0]])
+    )
+    unknown = unit is None and wanted == "reflectance"
+    refuse(unknown, f"the unit of {titles[columns[0]]!r} is not known", there)
     header, table, start = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
     named = [int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))] or [len(titles)]
-    if header or not table.shape[1] == len(titles) == named[0]:
-        what = f"{table.shape[1]} columns under {len(titles)} titles"
-        raise InputError(what, where=f"{path}:{start}", expected=f"{named[0]} of both, as it states")
+    unlike, what = header or len({table.shape[1], len(titles), named[0]}) > 1, f"{table.shape[1]} columns under"
+    refuse(unlike, f"{what} {len(titles)} titles", f"{path}:{start}", f"{named[0]} of both, as it states")
     ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
-    ends_nm = (float(ends[1]), float(ends[2])) if ends else None
-    check_stated(table[:, 0], where, count=stated.get("channels"), ends=ends_nm)
+    check_stated(table[:, 0], where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
     check_last_line(text, where)
-    return Record(
-        path.stem, table[:, 0], table[:, columns[0]], where, wavelength_unit="nm", reflectance_unit=unit,
-        quantity=wanted, unit=power_unit_in(stated.get("units", "")) if power else None,
-    )  # fmt: skip
+    record = Record(path.stem, table[:, 0], table[:, columns[0]], source=where, quantity=wanted)
+    return replace(record, wavelength_unit="nm", unit=unit)

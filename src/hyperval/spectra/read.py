@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from hyperval.envi_header import EnviHeader, header_beside, read_header
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.envi_header import header_beside, read_header
+from hyperval.errors import InputError, UsageError, reader, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra import binary, networks, text
-from hyperval.spectra.readers_record import MAX_BYTES, Asked, FieldSpectrum, Record, finished, mean_of
+from hyperval.spectra import binary, libraries, networks, text
+from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
 from hyperval.storage import decoded
 
 # Printable characters of any 8-bit code, tabulators, ends of lines and pages.
@@ -29,7 +29,6 @@ _NOT_READ = {
     b"\xd0\xcf\x11\xe0": "an old spreadsheet", b"MATLAB": "a MATLAB file", b"\x93NUMPY": "a NumPy file",
     b"{": "JSON", b"<": "XML",
 }  # fmt: skip
-MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
 @reader
@@ -72,15 +71,13 @@ def read_spectrum(
     UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
     """
     path = checked_file(path, root=root, what="spectrum file")
-    beside = _wavelengths_beside(path) if wavelengths is None and columns is None else None
+    beside = libraries.wavelengths_beside(path) if wavelengths is None and columns is None else None
     if wavelengths is None and beside is None:
         chosen = _chosen(_records(path, columns, root, quantity), record, str(path))
     else:
         grid = checked_file(beside or str(wavelengths), root=root, what="wavelength file")
-        chosen = text.column_record(decoded(_read(path)), path, decoded(_read(grid)), grid)
-        if beside is not None:
-            chosen = replace(chosen, notes=(*chosen.notes, f"wavelengths from {beside.name}, which lies beside it"))
-    return finished(chosen, Asked(quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated))
+        chosen = libraries.usgs_record(path, grid, beside is not None)
+    return finished(chosen, quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated)
 
 
 @reader
@@ -105,40 +102,18 @@ def read_records(
     UsageError : the same, and numbers that the file does not have.
     """
     if isinstance(path, Path | str):
-        path = checked_file(path, root=root, what="spectrum file")
-        listed = _records(path, None, root, quantity)
+        listed = _records(checked_file(path, root=root, what="spectrum file"), None, root, quantity)
     else:
-        listed = binary.records_at_hand(path)
-    asked = Asked(quantity, wavelength_unit, reflectance_unit, unit)
-    return [finished(record, asked) for record in _wanted(listed, records, listed[0].where if listed else "library")]
+        listed = libraries.library_at_hand(path)
+    numbers = {w for w in records or () if isinstance(w, int)}
+    for number in numbers:
+        _check_number(number, len(listed), listed[0].source if listed else "library")
+    wanted = listed if records is None else [r for i, r in enumerate(listed) if i in numbers or r.name in records]
+    return [finished(record, quantity, wavelength_unit, reflectance_unit, unit) for record in wanted]
 
 
-def _wavelengths_beside(path: Path) -> Path | None:
-    """The file of wavelengths of a USGS spectrum of one column, in its folder or the one above."""
-    rows = _usgs_rows(path)
-    if rows is None:
-        return None
-    fits = []
-    for folder in (path.parent, path.parent.parent):
-        named = [p for p in sorted(folder.glob("*.txt")) if "wavelength" in p.name.lower() and p != path]
-        fits += [p for p in named[:MAX_WAVELENGTH_FILES] if _usgs_rows(p) == rows]
-    return fits[0] if len(fits) == 1 else None
-
-
-def _usgs_rows(path: Path) -> int | None:
-    """Numbers in a file of one column as USGS writes it; None for any other file."""
-    if path.suffix.lower() != ".txt" or path.stat().st_size > MAX_BYTES:
-        return None
-    return text.usgs_rows(decoded(path.read_bytes()))
-
-
-def _wanted(candidates: list[Record], wanted: Sequence[str | int] | None, where: str) -> list[Record]:
-    if wanted is None:
-        return candidates
-    numbers = {w for w in wanted if isinstance(w, int)}
-    if any(not 0 <= w < len(candidates) for w in numbers):
-        raise UsageError(f"no record {max(numbers)}", where=where, expected=f"0 to {len(candidates) - 1}")
-    return [r for i, r in enumerate(candidates) if i in numbers or r.name in wanted]
+def _check_number(number: int, count: int, where: str) -> None:
+    refuse(not 0 <= number < count, f"no record {number}", where, f"0 to {count - 1}", kind=UsageError)
 
 
 @dataclass(frozen=True)
@@ -162,7 +137,11 @@ class _File:
     @cached_property
     def raw(self) -> bytes:
         """The whole file (InputError where it is too large, or empty)."""
-        return _read(self.path)
+        size, expected = self.path.stat().st_size, f"a spectrum file of at most {MAX_BYTES} bytes"
+        refuse(size > MAX_BYTES, f"{size} bytes", self.path, expected)
+        raw = self.path.read_bytes()
+        refuse(not raw.strip(), "the file is empty", self.path)
+        return raw
 
     @cached_property
     def head(self) -> bytes:
@@ -170,31 +149,25 @@ class _File:
         return self.raw[:4096].lstrip(b"\xef\xbb\xbf")
 
     @cached_property
-    def not_read(self) -> str | None:
-        """The name of its format where that is known and not read."""
-        return next((name for mark, name in _NOT_READ.items() if self.head.startswith(mark)), None)
-
-    @cached_property
     def text(self) -> str:
-        """The file as text (InputError where it is none)."""
-        raw = without_padding(self.raw) if b"\0" in self.head else self.raw
-        if b"\0" in raw[:4096]:
-            raise InputError("a binary file of unknown format", where=str(self.path), expected=_expected())
+        """The file as text (InputError where it is none), without the NUL that ViewSpec pads a comment with."""
+        raw, plain = self.raw, self.raw.replace(b"\0", b"")
+        if b"\0" in self.head and not plain.translate(None, _TEXT) and len(plain) >= 0.5 * len(raw):
+            raw = plain
+        refuse(b"\0" in raw[:4096], "a binary file of unknown format", self.path, _expected())
         return decoded(raw)
 
     @cached_property
-    def header(self) -> EnviHeader | None:
+    def header(self) -> Path | None:
         """The ENVI header beside it."""
-        beside = header_beside(self.path)
-        return None if beside is None else read_header(beside)
+        return header_beside(self.path)
 
 
-@dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A format of spectra: how a file of it is known, and how its records are read."""
 
     name: str
-    knows: Callable[[_File], bool]
+    knows: Callable[[_File], object]
     records: Callable[[_File], list[Record]]
 
 
@@ -204,12 +177,9 @@ def _expected() -> str:
 
 def _refused(file: _File) -> list[Record]:
     """Raise InputError for a format that is known and not read, with how to get at its numbers."""
-    raise InputError(
-        f"{file.not_read}, which is not read",
-        where=str(file.path),
-        expected=_expected(),
-        mend="save it as text: a wavelength and a value in every row",
-    )
+    name = next(name for mark, name in _NOT_READ.items() if file.head.startswith(mark))
+    mend = "save it as text: a wavelength and a value in every row"
+    raise InputError(f"{name}, which is not read", where=str(file.path), expected=_expected(), mend=mend)
 
 
 def _begins(*marks: bytes) -> Callable[[_File], bool]:
@@ -223,11 +193,11 @@ FORMATS = (
     Format("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), lambda f: text.plot_records(f.text, f.path)),
     Format(
         "header of an ENVI spectral library", _begins(b"ENVI\r", b"ENVI\n", b"ENVI "),
-        lambda f: binary.library_records(f.path, None, f.root),
+        lambda f: libraries.envi_library(f.path, None, f.root),
     ),
     Format("SVC .sig", _begins(b"/*** Spectra Vista"), lambda f: [text.svc_record(f.text, f.path, f.quantity)]),
     Format("GER .sig", _begins(b"///GER"), lambda f: [text.ger_record(f.text, f.path, f.quantity)]),
-    Format("", lambda f: f.not_read is not None, _refused),
+    Format("", _begins(*_NOT_READ), _refused),
     Format("HYPERNETS", lambda f: networks.is_hypernets(f.raw), lambda f: networks.hypernets_records(f.path)),
     Format("RadCalNet", lambda f: networks.is_radcalnet(f.head), lambda f: networks.radcalnet_records(f.text, f.path)),
     Format(
@@ -235,8 +205,8 @@ FORMATS = (
         lambda f: [text.sed_record(f.text, f.path, f.quantity)],
     ),
     Format(
-        "ENVI spectral library with its header", lambda f: f.header is not None,
-        lambda f: binary.library_records(f.path, f.header, f.root),
+        "ENVI spectral library with its header", lambda f: f.header,
+        lambda f: libraries.envi_library(f.path, read_header(f.header or f.path), f.root),
     ),
     Format(
         "text, a spectrum a row", lambda f: f.columns is None and text.is_row_table(f.text),
@@ -255,46 +225,23 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
     return [replace(r, quantity=r.quantity or "radiance") for r in records]
 
 
-def _read(path: Path) -> bytes:
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise InputError(f"{size} bytes", where=str(path), expected=f"a spectrum file of at most {MAX_BYTES} bytes")
-    raw = path.read_bytes()
-    if not raw.strip():
-        raise InputError("the file is empty", where=str(path))
-    return raw
-
-
-def without_padding(raw: bytes) -> bytes:
-    """Text without the NUL that ViewSpec pads a comment with; unchanged where other signs tell a binary file."""
-    text = raw.replace(b"\0", b"")
-    return raw if text.translate(None, _TEXT) or len(text) < 0.5 * len(raw) else text
-
-
 def _chosen(records: list[Record], record: str | int | None, where: str) -> Record:
-    names = ", ".join(repr(r.name) for r in records[:40])
+    """The one that is wanted, by name, part of a name or number."""
+    names, count = ", ".join(repr(r.name) for r in records[:40]), len(records)
     if record is None:
-        if len(records) > 1:
-            pair = len(records) == 2 and all(r.name.startswith("column ") for r in records)
-            raise UsageError(
-                f"the file holds {len(records)} spectra",
-                where=where,
-                expected=f"record: one of {names}, or 'mean'",
-                mend="where the third column is the standard deviation of the second, write above them what "
-                "they are: wavelength, reflectance, sd"
-                if pair
-                else None,
-            )
+        pair = count == 2 and all(r.name.startswith("column ") for r in records)
+        mend = "where the third column is the standard deviation of the second, write above them what they are: "
+        mend = f"{mend}wavelength, reflectance, sd" if pair else ""
+        expected = f"record: one of {names}, or 'mean'"
+        refuse(count > 1, f"the file holds {count} spectra", where, expected, mend, UsageError)
         return records[0]
     if isinstance(record, int):
-        if not 0 <= record < len(records):
-            raise UsageError(f"no record {record}", where=where, expected=f"0 to {len(records) - 1}")
+        _check_number(record, count, where)
         return records[record]
     exact = [r for r in records if r.name == record]
     if not exact and record == "mean":
         return mean_of(records)
     matches = exact or [r for r in records if record.lower() in r.name.lower()]
-    if len(matches) != 1:
-        what = f"{len(matches)} records match {record!r}" if matches else f"no record {record!r}"
-        raise UsageError(what, where=where, expected=f"one of {names}")
+    what = f"{len(matches)} records match {record!r}" if matches else f"no record {record!r}"
+    refuse(len(matches) != 1, what, where, f"one of {names}", kind=UsageError)
     return matches[0]
