@@ -98,6 +98,40 @@ def emit(path: Path, kind: str = "radiance") -> np.ndarray:
     return values
 
 
+def places(group, dims: tuple[str, str]) -> None:
+    """Longitude and latitude of every pixel of a swath."""
+    rows, cols = np.mgrid[0:LINES, 0:SAMPLES]
+    put(group, "latitude", dims, 44.0 - 0.0027 * rows + 0.0005 * cols)
+    put(group, "longitude", dims, 10.0 + 0.0037 * cols + 0.0004 * rows)
+
+
+def hypso(path: Path) -> np.ndarray:
+    """HYPSO L1B: group products with Lt (lines, samples, bands) in W m-2 sr-1 um-1, bands as its attributes."""
+    values = radiances(5) * 10.0
+    dims = ("lines", "samples")
+    with netcdf.Dataset(path, "w") as file:
+        file.setncattr("instrument", "HYPSO-1 Hyperspectral Imager")
+        bands = {"wavelengths": np.array([400.3, 450.1, 550.2, 650.9, 790.4]), "fwhm": np.array([5.5] * 5)}
+        put(file.createGroup("products"), "Lt", (*dims, "bands"), values, units="W/m^2/micrometer/sr", **bands)
+        places(file.createGroup("navigation"), dims)
+        put(file["navigation"], "solar_zenith", dims, np.full((LINES, SAMPLES), 41.5))
+    return values
+
+
+def oci(path: Path) -> np.ndarray:
+    """PACE OCI L2: geophysical_data/rhos (lines, pixels, wavelength_3d), packed, its bands and places in groups."""
+    stored = np.random.default_rng(7).integers(-20_000, 20_000, (LINES, SAMPLES, 4)).astype(np.int16)
+    stored[1, 2] = -32767
+    dims = ("number_of_lines", "pixels_per_line")
+    with netcdf.Dataset(path, "w") as file:
+        packing = {"fill": -32767, "scale_factor": np.float32(1e-5), "add_offset": np.float32(0.25), "units": "1"}
+        put(file.createGroup("geophysical_data"), "rhos", (*dims, "wavelength_3d"), stored, "i2", **packing)
+        bands = file.createGroup("sensor_band_parameters")
+        put(bands, "wavelength_3d", ("wavelength_3d",), [346.0, 440.0, 665.0, 2131.0], units="nm")
+        places(file.createGroup("navigation_data"), dims)
+    return np.where(stored == -32767, np.nan, 1e-5 * stored + 0.25)
+
+
 def observation(path: Path, product: str, zenith: np.ndarray) -> None:
     """Angles of every pixel beside an image of AVIRIS-3 (arrays of a group) or EMIT (bands with names)."""
     with netcdf.Dataset(path, "w") as file:
@@ -206,9 +240,12 @@ def tanager(path: Path, kind: str = "toa_radiance", *, ortho: bool = False) -> n
         image = fields.create_dataset(kind, data=values.transpose(2, 0, 1), chunks=(5, 4, 4), compression="gzip")
         image.attrs["wavelengths"] = np.array([400.0, 600.0, 900.0, 1400.0, 2200.0])
         image.attrs["fwhm"] = np.array([5.5] * 5)
-        image.attrs["_FillValue"] = np.float32(-9999.0)
         if kind == "surface_reflectance":
+            image.attrs["_FillValue"] = np.float32(-9999.0)
             image.attrs["good_wavelengths"] = np.array([1, 1, 1, 0, 1])
+        else:  # no fill value: that of the layout
+            image.attrs["Unit"] = "uW/(cm^2 sr um)"
+        fields["sun_zenith"] = np.where(np.arange(LINES)[:, None] < 2, -9999.0, np.full((LINES, SAMPLES), 33.0))
         if ortho:
             file["HDFEOS/GRIDS/HYP"].attrs["epsg_code"] = 32611
             text = (

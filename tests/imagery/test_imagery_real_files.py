@@ -78,15 +78,6 @@ def test_hysu_masks_cube_and_pixel_list_agree_with_the_rasters(data_dir):
     assert overlaps([bands[m] for m in MATERIALS.values()])
 
 
-def test_hysu_pixel_coordinates_are_those_of_the_list(data_dir):
-    cube = open_cube(data_dir("hysu/hysu_full_refl.img"), quantity="reflectance")
-    with open(data_dir("hysu/target_pixels.csv"), newline="") as stream:
-        row = next(csv.DictReader(stream))
-    t, x, y = cube.transform, int(row["col0"]) + 0.5, int(row["row0"]) + 0.5
-    assert t.a * x + t.b * y + t.c == pytest.approx(float(row["utm32_e_center"]), abs=0.006)
-    assert t.d * x + t.e * y + t.f == pytest.approx(float(row["utm32_n_center"]), abs=0.006)
-
-
 def test_envi_ascii_export(data_dir):
     path = data_dir("roi/2013_IEEE_GRSS_DF_Contest_Samples_VA.txt.gz")
     regions = read_regions(path, (349, 1905))

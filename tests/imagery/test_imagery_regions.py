@@ -18,7 +18,7 @@ from rasterio.warp import transform as reproject
 from scipy import ndimage
 
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.imagery import Region, guard, objects, overlaps, polygon_mask, read_regions, rectangle_region, write_cube
+from hyperval.imagery import Region, guard, polygon_mask, read_regions, write_cube
 
 SHAPE = (10, 12)  # lines, samples
 SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
@@ -460,18 +460,6 @@ def test_places_that_cannot_be_are_one_clear_error(tmp_path: Path, options, poin
     (tmp_path / "r.geojson").write_text(collection(feature(polygon(points), name="a")))
     with pytest.raises(InputError, match=message):
         read_regions(tmp_path / "r.geojson", SHAPE, transform=TRANSFORM, crs=UTM18, **options)
-
-
-def test_sets_of_pixels():
-    a, b, c = (rectangle_region(n, at, at, SHAPE) for n, at in (("a", (0, 3)), ("b", (3, 5)), ("c", (8, 9))))
-    assert (a.n, overlaps([a, b, c])) == (16, [("a", "b", 1)])
-    labels, count = objects(a.mask | c.mask | rectangle_region("d", (4, 4), (4, 4), SHAPE).mask)
-    assert (count, labels[0, 0], labels[4, 4], labels[8, 8], labels[0, 9]) == (2, 1, 1, 2, 0)  # they join over corners
-    for lines, samples in (((0, 10), (0, 1)), ((3, 2), (0, 1)), ((0, 1), (-1, 1))):
-        with pytest.raises(InputError, match="not in the image"):
-            rectangle_region("r", lines, samples, SHAPE)
-    with pytest.raises(UsageError):
-        Region("a", np.ones(SHAPE), "x")
 
 
 def test_what_a_file_states_beside_its_pixels(tmp_path: Path):

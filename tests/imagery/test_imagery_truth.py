@@ -12,8 +12,6 @@ from affine import Affine
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import (
     Region,
-    TargetMasks,
-    all_pixels,
     guard,
     intersected_objects,
     read_targets,
@@ -93,16 +91,6 @@ def test_objects_are_the_intersection_and_need_not_be_connected():
         intersected_objects({"cloth": cloth}, sizes, {4: 1.0})
     with pytest.raises(InputError, match="differ in shape"):
         intersected_objects({"cloth": cloth[:5]}, sizes, {1: 1.0})
-
-
-def test_a_target_holds_its_window_alone(tmp_path: Path):
-    rows = "".join(f"a,{i % 20},{i % 30},0.5,t{i}\n" for i in range(60))
-    found = targets(tmp_path, "material,row0,col0,side_m,name\n" + rows, pixel_size_m=1.0)
-    assert sum(t.part.nbytes for t in found) == 60
-    assert all(t.mask.shape == SHAPE and t.mask.sum() == 1 for t in found)
-    masks = TargetMasks(found)
-    assert (list(masks)[-1], len(masks)) == ("t59", 60)
-    assert np.array_equal(all_pixels(found, SHAPE), np.logical_or.reduce([masks[name] for name in masks]))
 
 
 @pytest.mark.parametrize(("row", "col", "doubt"), [(0.5, 0.5, 3.0), (19.5, 29.5, 2.5), (10.2, 15.7, 1.0), (3, 3, 90)])

@@ -213,64 +213,32 @@ def test_a_header_of_hydice_with_its_byte_order_in_numbers_or_words(tmp_path: Pa
 # What comes after the sizes, as each program writes it, and the first wavelength [nm].
 PROGRAMS = {
     "HySpex": (
-        "data type = 12\nheader offset = 32\nID = VNIR\nComment = a = b\n"
-        "wavelength = {400.0 ,500.0 ,600.0}\n",
-        400,
-    ),
+        "data type = 12\nheader offset = 32\nID = VNIR\nComment = a = b\nwavelength = {400.0 ,500.0 ,600.0}\n", 400),
     "Headwall": (
-        "data type=12\nrotation={{1, 2}, {3, 4}}\nlabel= VNIR\ntimestamp=;\nwavelength = {400\n,500\n"
-        ",600\n}\n",
-        400,
-    ),
+        "data type=12\nrotation={{1, 2}, {3, 4}}\nlabel= VNIR\ntimestamp=;\nwavelength = {400\n,500\n,600\n}\n", 400),
     "Specim FX": (
-        "data type = 12\nfile type = ENVI\n\nStart Time = UTC TIME: 08:18:33\n\nerrors = {none}\n"
-        "temperature = {\n28.65\n}\nwavelength = {\n400.0,\n500.0,\n600.0\n}\nfwhm = {\n5.0,\n5.0,\n"
-        "5.0\n}\n",
-        400,
-    ),
+        "data type = 12\nfile type = ENVI\n\nStart Time = UTC TIME: 08:18:33\n\nerrors = {none}\ntemperature = {\n"
+        "28.65\n}\nwavelength = {\n400.0,\n500.0,\n600.0\n}\nfwhm = {\n5.0,\n5.0,\n5.0\n}\n", 400),
     "Resonon": (
-        "data type = 12\nrotation = {0,0}\nflip radiometric calibration = False\nlabel = {}\n"
-        "ceiling = 4095\nwavelength = {400.0, 500.0, 600.0}\n",
-        400,
-    ),
+        "data type = 12\nrotation = {0,0}\nflip radiometric calibration = False\nlabel = {}\nceiling = 4095\n"
+        "wavelength = {400.0, 500.0, 600.0}\n", 400),
     "ITRES": (
         "data type = 2\nwavelength units = nanometers\nband names = {\n Band 1 : 400.0 +/- 2.4 nm,\n"
-        " Band 2 : 500.0 +/- 2.4 nm,\n Band 3 : 600.0 +/- 2.4 nm}\n",
-        400,
-    ),
+        " Band 2 : 500.0 +/- 2.4 nm,\n Band 3 : 600.0 +/- 2.4 nm}\n", 400),
     "HyMap": (
-        "data type = 2\nbyte order = 1\nwavelength units = Micrometers\nwavelength = {\n"
-        " 0.4361,0.4503,\n0.4652}\nfwhm = {0.0155,0.0152,0.015}\n",
-        436.1,
-    ),
+        "data type = 2\nbyte order = 1\nwavelength units = Micrometers\nwavelength = {\n 0.4361,0.4503,\n0.4652}\n"
+        "fwhm = {0.0155,0.0152,0.015}\n", 436.1),
     "Hyperion": (
         "data type = 2\nbyte order = 1\nbbl = {0,1,1}\nwavelength units = Nanometers\n"
-        "wavelength={355.59,365.76,375.94}\nfwhm={11.39,11.39,11.39}\n",
-        355.59,
-    ),
-    "IDL": (
-        "data type = 4\nz plot range = {0.00, 1.00}\nwavelength = {\n 4.0e-001, 5.0e-001,\n"
-        " 6.0e-001}\n",
-        400,
-    ),
+        "wavelength={355.59,365.76,375.94}\nfwhm={11.39,11.39,11.39}\n", 355.59),
+    "IDL": ("data type = 4\nz plot range = {0.00, 1.00}\nwavelength = {\n 4.0e-001, 5.0e-001,\n 6.0e-001}\n", 400),
     "MATLAB": (
         "data type = 4\nbyte order = ieee-le\ndescription = {}\nwavelength units = Unknown\n"
-        "wavelength = {400 500 600}\n",
-        400,
-    ),
-    "R": (
-        "data type = 4\nwavelength units = \"Nanometers\"\nwavelength = {400, 500, 600,}\n",
-        400,
-    ),
-    "GDAL": (
-        "data type = 4\nband names = {\n400 Nanometers,\n500 Nanometers,\n600 Nanometers}\n"
-        "data ignore value = 0\n",
-        400,
-    ),
-    "DOS": (
-        "data type = 4\nWavelength\t=\t{ .4,.5,.6 }\r\nwavelength units = Micrometer\r\n\x1a\0\0",
-        400,
-    ),
+        "wavelength = {400 500 600}\n", 400),
+    "R": ("data type = 4\nwavelength units = \"Nanometers\"\nwavelength = {400, 500, 600,}\n", 400),
+    "GDAL": ("data type = 4\nband names = {\n400 Nanometers,\n500 Nanometers,\n600 Nanometers}\n"
+             "data ignore value = 0\n", 400),
+    "DOS": ("data type = 4\nWavelength\t=\t{ .4,.5,.6 }\r\nwavelength units = Micrometer\r\n\x1a\x00\x00", 400),
 }  # fmt: skip
 
 
