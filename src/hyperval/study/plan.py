@@ -5,6 +5,7 @@ Inverse questions: at which value of an input does an output take a value?
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -23,7 +24,7 @@ from hyperval.model.world import column_of, plain
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.study.evaluate import PFA, Columns, Evaluator, check_outputs
-from hyperval.study.schema import Input, Move, Output, Required, StudyFile
+from hyperval.study.schema import Input, Output, Required, StudyFile
 from hyperval.study.tables import Column, StudyPoints, listed, moved
 
 Array = npt.NDArray[np.float64]
@@ -77,8 +78,8 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     for reference in _references(scenario):
         log.resolve(reference)
     plan = Plan(study, scenario, points, Evaluator(world), (), {}, log)
-    plan = replace(plan, notes=tuple(_notes(plan)))
-    return replace(plan, sky_error=_sky_error(plan) if nodes else {})
+    plan = replace(plan, sky_error=_sky_error(plan) if nodes else {})
+    return replace(plan, notes=tuple(_notes(plan)))
 
 
 def _scenario(study: StudyFile) -> Scenario:
@@ -94,10 +95,9 @@ def try_values(study: StudyFile, scenario: Scenario) -> None:
 
     Limits of numbers are intervals, so that the ends speak for what lies between.
     """
-    items: list[Input | Required] = [*study.inputs, *study.required]
-    for item in items:
+    for item in study.moving:
         for value in _values_to_try(item):
-            point = moved({item.name: _as_input(item)}, {item.name: column_of([value])})
+            point = moved({item.name: item}, {item.name: column_of([value])})
             changes = {p: plain(c[0]) for p, c in point.items()}
             at = changes.pop(PFA, None)
             if at is not None and not 0.0 < at < 1.0:
@@ -109,19 +109,12 @@ def try_values(study: StudyFile, scenario: Scenario) -> None:
                 raise UsageError(f"input {item.name!r} at {value!r}: {error}") from error
 
 
-def _as_input(item: Input | Required) -> Input:
-    if isinstance(item, Input):
-        return item
-    return Input(name=item.name, path=item.path, moves=item.moves, values=[item.between[0]])
-
-
 def _values_to_try(item: Input | Required) -> list[Any]:
     if isinstance(item, Required):
         return list(item.between)
-    if item.random is not None:
-        return list(item.random.ends)
     values = listed(item)
-    assert values is not None  # noqa: S101 - the model's own check
+    if values is None:
+        return list(item.random.ends) if item.random is not None else []
     tries = values.tolist()
     return tries if len(tries) <= _MOST_TRIED or values.dtype == object else [min(tries), max(tries)]
 
@@ -130,67 +123,49 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
     """States of the atmosphere that the study needs, entries that differ in each; or nodes of entries to go between."""
     if scenario.atmosphere is None:
         return [], {}
-    moving: list[tuple[Input | Required, Move, str]] = []
-    items: list[Input | Required] = [*study.inputs, *study.required]
-    for item in items:
-        for move in item.targets:
-            room, _, key = move.path.partition(".")
-            if room == "atmosphere" and key not in ("engine", "table"):
-                moving.append((item, move, key))
-    if not moving:
-        return [{}], {}
+    moving = [
+        (item, move, key) for item in study.moving for move in item.targets
+        for room, _, key in [move.path.partition(".")] if room == "atmosphere" and key not in ("engine", "table")
+    ]  # fmt: skip
+    values = {item.name: listed(item) if isinstance(item, Input) else None for item, _, _ in moving}
     alone = study.design.kind == "one-at-a-time"
-    values = {}
-    for item, _, _ in moving:
-        states = listed(item) if isinstance(item, Input) else None
-        values[item.name] = None if states is None else [*([None] if alone else []), *states.tolist()]
-    if all(v is not None for v in values.values()):
-        count = int(np.prod([len(v or ()) for v in values.values()]))
-        if alone or count <= study.atmosphere.above:
-            return _listed_states(values, moving, alone), {}
+    every = [[*([None] if alone else []), *(() if own is None else own.tolist())] for own in values.values()]
+    count = 0 if any(own is None for own in values.values()) else math.prod(map(len, every))
+    if count and (alone or count <= study.atmosphere.above):
+        points = [c for c in product(*every) if not alone or sum(x is not None for x in c) <= 1]
+        columns = {name: column_of(of) for name, of in zip(values, zip(*points, strict=True), strict=True)}
+        states = moved({item.name: item for item, _, _ in moving}, columns)
+        each = {key: states[move.path].tolist() for _, move, key in moving}
+        rows = [dict(zip(each, row, strict=True)) for row in zip(*each.values(), strict=True)] if each else [{}]
+        rows = [{k: plain(v) for k, v in row.items() if v is not None} for row in rows]
+        return list({repr(sorted(row.items())): row for row in rows}.values()), {}
     nodes = {}
     for item, move, key in moving:
-        if isinstance(item, Input) and _words(item):
-            continue  # read again for each
-        ends = np.sort(move.offset + move.factor * np.array([float(v) for v in _values_to_try(item)]))
-        different = np.unique(ends)
-        few = isinstance(item, Input) and item.random is None and different.size <= study.atmosphere.nodes
-        low, high = float(different[0]), float(different[-1])
-        nodes[key] = tuple((different if few else spaced(key, low, high, study.atmosphere.nodes)).tolist())
+        own = values[item.name]
+        if own is None or own.dtype != object:  # words are read again for each
+            ends = np.unique([move.offset + move.factor * float(v) for v in _values_to_try(item)])
+            few = own is not None and ends.size <= study.atmosphere.nodes
+            between = ends if few else spaced(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
+            nodes[key] = tuple(between.tolist())
     return [], nodes
-
-
-def _words(item: Input) -> bool:
-    values = listed(item)
-    return values is not None and values.dtype == object
-
-
-def _listed_states(
-    values: Mapping[str, list[Any] | None], moving: list[tuple[Input | Required, Move, str]], alone: bool
-) -> list[Mapping[str, Any]]:
-    combinations = [
-        c for c in product(*(v or [] for v in values.values())) if not alone or sum(x is not None for x in c) <= 1
-    ]
-    columns = {name: column_of(of) for name, of in zip(values, zip(*combinations, strict=True), strict=True)}
-    states = moved({item.name: _as_input(item) for item, _, _ in moving}, columns)
-    each = {key: states[move.path].tolist() for _, move, key in moving}
-    rows = [
-        {k: plain(v) for k, v in zip(each, row, strict=True) if v is not None}
-        for row in zip(*each.values(), strict=True)
-    ]
-    return list({repr(sorted(row.items())): row for row in rows}.values())
 
 
 def _notes(plan: Plan) -> list[str]:
     notes = []
-    items: list[Input | Required] = [*plan.study.inputs, *plan.study.required]
-    paths = [m.path for i in items for m in i.targets]
+    paths = [m.path for i in plan.study.moving for m in i.targets]
     stated = plan.evaluator.world.stated
     anew = [p for p in paths if p != PFA and reads_again(stated, p)]
     if anew:
         notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
     for key, nodes in stated.atmosphere.nodes.items():
         notes.append(f"atmosphere.{key} is interpolated between engine runs at " + ", ".join(f"{x:.4g}" for x in nodes))
+    notes += [
+        f"interpolated atmosphere at {plan.study.atmosphere.checked} held-out states: {name} relative error "
+        f"{error:.1e} (ground of {_GROUND:g}, two-way gas transmittance above {_LEAST_GAS:g})"
+        for name, error in plan.sky_error.items() if name.startswith("radiance")
+    ]  # fmt: skip
+    if any(i.random for i in plan.study.inputs):
+        notes.append(f"random inputs: Sobol sequence, scrambled, seed {plan.study.design.seed}")
     return notes
 
 

@@ -308,6 +308,11 @@ class StudyFile(Model):
         return self
 
     @property
+    def moving(self) -> list[Input | Required]:
+        """What moves entries of the scenario: inputs, and what is looked for."""
+        return [*self.inputs, *self.required]
+
+    @property
     def folder(self) -> Path | None:
         """Folder of the study file; the scenario's file is relative to it."""
         return self._folder
