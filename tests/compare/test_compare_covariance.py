@@ -15,7 +15,9 @@ from hyperval.compare import (
 from hyperval.pixels import noise_part
 from hyperval.products import (
     ClassificationError,
+    ObservedProducts,
     PixelDistribution,
+    PredictedProducts,
     SpectralEstimate,
 )
 from hyperval.results import Outcome
@@ -40,8 +42,20 @@ def sample(n, seed=2):
     return estimate(np.cov(x.T), n, x.mean(axis=0))
 
 
-def rows_of(predicted, observed, **more):
-    rows = compare_covariance(predicted, observed, subject="grass", method="radiance", axis=AXIS, **more)
+def rows_of(predicted, observed, predicted_distribution=None, observed_distribution=None, predicted_noise=None):
+    def side(kind, estimate, law, **more):
+        known = {
+            name: {} if held is None else {"grass": held}
+            for name, held in (("radiance", estimate), ("distribution", law))
+        }
+        return kind(AXIS, **known, **more)
+
+    noise = {"grass": predicted_noise or {}}
+    sides = (
+        side(PredictedProducts, predicted, predicted_distribution, noise=noise),
+        side(ObservedProducts, observed, observed_distribution),
+    )
+    rows = compare_covariance(*sides, subject="grass", method="radiance")
     return {row.metric: row for row in rows}
 
 

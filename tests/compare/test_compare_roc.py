@@ -28,7 +28,6 @@ from hyperval.model import (
     WHOLE,
     Z95,
     ClassScores,
-    RocArea,
     clopper_pearson,
     curve_area,
     greatest_class_false_alarm,
@@ -159,24 +158,20 @@ def test_units_of_the_curves_must_agree():
 def test_auc_with_and_without_estimates():
     rng = np.random.default_rng(3)
     t, b = rng.normal(2, 1, 200), rng.normal(0, 1, 50000)
-    truth = stats.norm.cdf(2 / np.sqrt(2))
-    assert curve_area(model_curve(2.0), WHOLE) == pytest.approx(truth, abs=1e-5)
-    assert curve_area(empirical_roc(t, b), RocArea(1e-4, 1.0)) == pytest.approx(roc_area(counts_of(t, b)), abs=2e-3)
-    # A curve that stops at P_FA 0.6 is joined to (1, 1); one that stops at 0.3 has no area.
-    whole = model_curve(2.0)
+    whole, truth = model_curve(2.0, unit="pixel"), stats.norm.cdf(2 / np.sqrt(2))
+    assert curve_area(whole, WHOLE) == pytest.approx(truth, abs=1e-5)
 
     def cut(end):
         kept = whole.pfa <= end
         return RocCurve(*(x[kept] for x in (whole.pfa, whole.pd, whole.pd_lower, whole.pd_upper, whole.threshold)))
 
-    assert curve_area(cut(0.6), WHOLE) == pytest.approx(truth, abs=5e-3)
-    pixel = model_curve(2.0, unit="pixel")
-    assert by_metric(compare_roc(cut(0.6), pixel, **NAMES))["auc_difference"].value == pytest.approx(0, abs=5e-3)
-    assert by_metric(compare_roc(cut(0.3), pixel, **NAMES))["auc_difference"].outcome is Outcome.SKIPPED
+    # A curve that stops at P_FA 0.6 is joined to (1, 1); one that stops at 0.3 has no area.
+    assert by_metric(compare_roc(cut(0.6), whole, **NAMES))["auc_difference"].value == pytest.approx(0, abs=5e-3)
+    assert by_metric(compare_roc(cut(0.3), whole, **NAMES))["auc_difference"].outcome is Outcome.SKIPPED
     curve = with_summary(empirical_roc(t, b, unit="object"), t, b)
-    rows = by_metric(compare_roc(model_curve(2.0), curve, **NAMES))
-    assert rows["auc_difference"].lower < rows["auc_difference"].value < rows["auc_difference"].upper
-    assert rows["auc_difference"].value == pytest.approx(truth - roc_area(counts_of(t, b)), abs=1e-5)
+    row = by_metric(compare_roc(model_curve(2.0), curve, **NAMES))["auc_difference"]
+    assert row.lower < row.value < row.upper
+    assert row.value == pytest.approx(truth - roc_area(counts_of(t, b)), abs=1e-5)
 
 
 def test_score_moments():
@@ -250,13 +245,6 @@ def test_every_subject_of_either_side_has_rows():
 KM2 = 0.08
 
 
-def smooth_curve(separation, width=0.0):
-    pfa = np.geomspace(1e-9, 0.999, 181)
-    x = stats.norm.isf(pfa)
-    pd = [stats.norm.sf(x - d) for d in (separation - width, separation, separation + width)]
-    return RocCurve(pfa, pd[1], pd[0], pd[2], x, "object")
-
-
 def whole_curve(separation, seed=1, targets=30, background=20_000, area=KM2):
     rng = np.random.default_rng(seed)
     t, b = rng.normal(separation, 1, targets), rng.normal(size=background)
@@ -268,7 +256,7 @@ def by_metric(rows):
 
 
 def test_every_row_of_a_true_prediction():
-    rows = by_metric(compare_roc(smooth_curve(2.5, 0.1), whole_curve(2.5), **NAMES))
+    rows = by_metric(compare_roc(model_curve(2.5, 0.1), whole_curve(2.5), **NAMES))
     for name in ("auc_{}", "partial_auc_{}@0..1e-1", "log_auc_{}@1e-3..1e-1", "far_{}@pd0.5", "far_{}@pd0.9"):
         p, o, d = (rows[name.format(side)] for side in ("predicted", "measured", "difference"))
         assert d.value == pytest.approx(p.value - o.value)
@@ -282,7 +270,7 @@ def test_every_row_of_a_true_prediction():
     for level in ("1e-1", "1e-2", "1e-3"):
         assert rows[f"pd_inside_joint_region@{level}"].value == 1.0
         assert rows[f"far_measured@{level}"].value == pytest.approx(float(level) * 20_000 / KM2)
-    wrong = by_metric(compare_roc(smooth_curve(4.5), whole_curve(2.5), **NAMES))
+    wrong = by_metric(compare_roc(model_curve(4.5), whole_curve(2.5), **NAMES))
     assert wrong["pd_inside_joint_region@1e-2"].value == 0.0
     assert wrong["auc_difference"].lower > 0
     assert wrong["far_difference@pd0.5"].upper < 0
@@ -290,7 +278,7 @@ def test_every_row_of_a_true_prediction():
 
 def test_alarms_and_joint_region_by_hand():
     curve = whole_curve(2.5)
-    rows = by_metric(compare_roc(smooth_curve(2.5), curve, **NAMES))
+    rows = by_metric(compare_roc(model_curve(2.5), curve, **NAMES))
     low, high = (float(x) * 20_000 / KM2 for x in clopper_pearson(200, 20_000))
     assert (rows["far_measured@1e-2"].lower, rows["far_measured@1e-2"].upper) == pytest.approx((low, high))
     assert rows["far_measured@1e-2"].reason == "200 alarms on 0.08 km2"
@@ -304,7 +292,7 @@ def test_alarms_and_joint_region_by_hand():
 def test_no_alarm_at_all_still_has_an_upper_limit():
     t, b = np.arange(20) + 100.0, np.random.default_rng(0).normal(size=12_203)
     curve = with_summary(empirical_roc(t, b, unit="object", background_area_km2=KM2), t, b)
-    row = by_metric(compare_roc(smooth_curve(9.0), curve, **NAMES))["far_measured@pd0.5"]
+    row = by_metric(compare_roc(model_curve(9.0), curve, **NAMES))["far_measured@pd0.5"]
     assert (row.value, row.lower) == (0.0, 0.0)
     one_sided = zero_count_upper_limit(12_203) * 12_203 / KM2
     assert "one-sided) " in row.reason + " "
@@ -313,15 +301,15 @@ def test_no_alarm_at_all_still_has_an_upper_limit():
 
 
 def test_what_is_not_known_is_skipped_with_its_reason():
-    rows = by_metric(compare_roc(smooth_curve(2.5), whole_curve(2.5, area=None), **NAMES))
+    rows = by_metric(compare_roc(model_curve(2.5), whole_curve(2.5, area=None), **NAMES))
     assert rows["far_measured@1e-2"].outcome is Outcome.SKIPPED
     assert "ground area" in rows["far_measured@pd0.9"].reason
-    small = by_metric(compare_roc(smooth_curve(2.5), whole_curve(2.5, background=900), **NAMES))
+    small = by_metric(compare_roc(model_curve(2.5), whole_curve(2.5, background=900), **NAMES))
     row = small["log_auc_difference@1e-3..1e-1"]
     assert row.outcome is Outcome.SKIPPED
     assert "900 background samples expect 0.9 alarms" in row.reason
     assert "joint_pd@1e-3" not in small
-    one = by_metric(compare_roc(smooth_curve(2.5), whole_curve(2.5, targets=1), **NAMES))
+    one = by_metric(compare_roc(model_curve(2.5), whole_curve(2.5, targets=1), **NAMES))
     assert one["pd_inside_joint_region@1e-2"].outcome is Outcome.SKIPPED
     flat = RocCurve(*(np.array(x) for x in ([1e-3, 1.0], [0.95, 1], [0.9, 1], [0.97, 1], [1, 0])), "object")
     unreached = by_metric(compare_roc(flat, whole_curve(2.5), **NAMES))["far_predicted@pd0.5"]
@@ -330,7 +318,7 @@ def test_what_is_not_known_is_skipped_with_its_reason():
 
 def test_the_joint_region_holds_the_truth_though_the_background_sets_the_threshold():
     # 400 collections: conservative; at a true 0.95 fewer than 0.92 come in 0.4 % of runs (seed fixed).
-    truth, make = smooth_curve(2.0), RowMaker("roc", "s", "m")
+    truth, make = model_curve(2.0), RowMaker("roc", "s", "m")
     rng = np.random.default_rng(8)
     hits = 0
     for _ in range(400):
@@ -350,7 +338,7 @@ def test_one_side_alone_has_its_rows_too():
     seen = by_metric(product_rows(ObservedProducts(axis, roc={key: whole_curve(2.5)}), "observed"))
     assert {"auc_measured", "far_measured@1e-3", "far_measured@pd0.9", "joint_pd@1e-2"} <= set(seen)
     assert not any("predicted" in name or "difference" in name for name in seen)
-    told = by_metric(product_rows(PredictedProducts(axis, roc={key: smooth_curve(2.5, 0.2)}), "predicted"))
+    told = by_metric(product_rows(PredictedProducts(axis, roc={key: model_curve(2.5, 0.2)}), "predicted"))
     assert told["auc_predicted"].lower < told["auc_predicted"].value < told["auc_predicted"].upper
     assert not any(name.startswith(("far", "joint")) for name in told)
     bare = by_metric(product_rows(ObservedProducts(axis, roc={key: whole_curve(2.5, area=None)}), "observed"))

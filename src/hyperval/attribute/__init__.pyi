@@ -14,7 +14,7 @@ from .ranking import (
     rankings,
 )
 from .residuals import ComparedQuantity, ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stacked
-from .run import attribute, quadratic_design, sensitivity_indices
+from .run import attribute, sensitivity_indices
 from .schema import AttributionOptions, WhatIf
 from .whatif import AlarmRatio, ScenarioModel, Truths, alarm_ratios, changed_scenarios, gaps_of, reason_for
 
@@ -22,6 +22,6 @@ __all__ = [
     "COMMON", "DIFFERENT", "AlarmRatio", "AttributionOptions", "Candidate", "ComparedQuantity", "InjectedError",
     "NotInjectable", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf", "Whitened", "alarm_ratios",
     "assumed_inputs", "attribute", "budget_covariance", "changed_scenarios", "common_and_own", "explanation",
-    "few_objects", "gaps_of", "injected_errors", "injected_prediction", "quadratic_design", "quantities", "ranking",
+    "few_objects", "gaps_of", "injected_errors", "injected_prediction", "quantities", "ranking",
     "rankings", "reason_for", "sampled_covariance", "sensitivity_indices", "stacked",
 ]  # fmt: skip

@@ -36,12 +36,10 @@ class InjectedError:
     ----------
     name : as the power table has it
     values : what stands where, for what a scenario says
-    line : (gain, offset) of an empirical line that is off; None for any other error
     """
 
     name: str
-    values: Callable[[World], Truth] = lambda world: {}
-    line: tuple[float, float] | None = None
+    values: Callable[[World], Truth]
 
     def truth(self, world: World) -> Truth:
         """What truly stands where with the error.
@@ -51,7 +49,7 @@ class InjectedError:
         NotInjectable : the scenario has nothing of the kind.
         """
         try:
-            values = self.values(world) if self.line is None else _off_line(world, *self.line)
+            values = self.values(world)
             for path in values:
                 value_at(world, path)
         except NotInjectable:
@@ -83,8 +81,8 @@ def injected_errors() -> tuple[InjectedError, ...]:
         InjectedError("target covariance by f, not f squared", _fine_texture),
         InjectedError("fill x 0.8", _times("fill", 0.8)),
         InjectedError("blur x 1.5", _times("blur", 1.5)),
-        InjectedError("empirical line gain x 1.02", line=(1.02, 0.0)),
-        InjectedError("empirical line offset + 0.005", line=(1.0, 0.005)),
+        InjectedError("empirical line gain x 1.02", _line(1.02, 0.0)),
+        InjectedError("empirical line offset + 0.005", _line(1.0, 0.005)),
     )
 
 
@@ -98,15 +96,12 @@ def injected_prediction(
     NotInjectable : the scenario has nothing of the kind.
     """
     truth = error.truth(read(scenario, origins))
-    return _seen(predict(scenario, origins, truth=truth, objects=objects), scenario, error), truth
-
-
-def _seen(prediction: PredictedProducts, scenario: Scenario, error: InjectedError) -> PredictedProducts:
-    if error.line is None or scenario.atmosphere is None:
-        return prediction
-    # The collected reflectance is that of its own line: an error of the model's shows in the predicted one.
-    seen = {name: _through_line(estimate, *error.line) for name, estimate in prediction.reflectance.items()}
-    return replace(prediction, reflectance=seen)
+    prediction = predict(scenario, origins, truth=truth, objects=objects)
+    if "line.gain" in truth:  # what was collected is through its own line: an error of the model's shows in its own
+        gain, offset = truth["line.gain"], truth["line.offset"]
+        seen = {name: _through_line(estimate, gain, offset) for name, estimate in prediction.reflectance.items()}
+        prediction = replace(prediction, reflectance=seen)
+    return prediction, truth
 
 
 def _times(path: str, factor: float) -> Callable[[World], Truth]:
@@ -204,13 +199,17 @@ def _means(world: World, taken: Mapping[str, str]) -> Truth:
     return moves
 
 
-def _off_line(world: World, gain: float, offset: float) -> Truth:
+def _line(gain: float, offset: float) -> Callable[[World], Truth]:
     """An empirical line that is off for the detectors; where reflectance was collected, in the surfaces' own."""
-    if world.stated.scenario.atmosphere is None:
-        return {"sensor.gain": gain, "sensor.offset": offset}
-    if world.stated.scenario.processing.elm == "none":
-        raise NotInjectable("there is no empirical line")
-    return {"line.gain": gain, "line.offset": offset}
+
+    def values(world: World) -> Truth:
+        if world.stated.scenario.atmosphere is None:
+            return {"sensor.gain": gain, "sensor.offset": offset}
+        if world.stated.scenario.processing.elm == "none":
+            raise NotInjectable("there is no empirical line")
+        return {"line.gain": gain, "line.offset": offset}
+
+    return values
 
 
 def _through_line(estimate: SpectralEstimate, gain: float, offset: float) -> SpectralEstimate:

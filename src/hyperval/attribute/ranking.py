@@ -15,8 +15,9 @@ import scipy
 from scipy import linalg
 
 from hyperval.attribute.residuals import ENOUGH, Stack
+from hyperval.compare.rows import Array
 from hyperval.errors import UsageError
-from hyperval.model import UncertainInput, World, inputs_of, number_input, spectral_input
+from hyperval.model import UncertainInput, World, inputs_of, number_input, spectral_input, value_at
 from hyperval.model.inputs import AEROSOL, SURROUNDINGS, WATER, Kind, field_spectrum_of, form_in_words
 from hyperval.scenario import SpectralForm
 
@@ -45,8 +46,8 @@ def assumed_inputs(world: World) -> list[UncertainInput]:
 
 
 def _usual(world: World) -> Iterator[UncertainInput]:
-    scene, unmoved = world.stated.scenario.scene, _unmoved(world)
-    yield from (_part(world, *row) for row in _PARTS if row[2] not in unmoved)
+    scene = world.stated.scenario.scene
+    yield from (_part(world, *row) for row in _PARTS if _there(world, row[2]))
     if world.stated.scenario.atmosphere is not None:
         path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
         size = np.array([SHIFT_NM])
@@ -62,7 +63,7 @@ def _usual(world: World) -> Iterator[UncertainInput]:
             one = spectral_input(world, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
             words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
             yield replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words)
-    shares = [c for c in scene.classes if 0 < c.fraction < 1] if len(scene.classes) > 1 else []
+    shares = [c for c in scene.classes if _there(world, f"fraction.[{c.name}]")]
     for c in shares[:1] if len(scene.classes) == 2 else shares:  # of two the other one's is the same input
         yield _part(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION)
 
@@ -72,23 +73,16 @@ def _part(world: World, name: str, kind: Kind, path: str, part: float) -> Uncert
     return replace(one, rows=part * np.atleast_1d(np.asarray(one.nominal, dtype=float))[None, :])
 
 
-def _unmoved(world: World) -> set[str]:
-    """Paths of usual inputs that this scenario does not have."""
-    scenario, state = world.stated.scenario, world.stated.scenario.atmosphere
-    solved = state is not None and state.engine != "table"
-    fills = [p.fill for t in scenario.scene.targets for p in t.populations]
-    there = {
-        "light.surroundings": state is not None,
-        "sensor.noise": state is not None,
-        "atmosphere.aot550": solved and state is not None and bool(state.aerosol_optical_depth),
-        "atmosphere.water_vapour_g_cm2": solved and state is not None and bool(state.water_vapour_g_cm2),
-        "fill": bool(fills),
-        "blur": any(f.geometry is not None and np.any(f.geometry.psf_fwhm_pixels or 0.0) for f in fills),
-    }
-    return {path for path, known in there.items() if not known}
+def _there(world: World, path: str) -> bool:
+    """Whether a scenario has something at a path that is not 0; an atmosphere's table is of one state."""
+    state = world.stated.scenario.atmosphere
+    if path.startswith("atmosphere.") and (state is None or state.engine == "table"):
+        return False
+    try:
+        return bool(np.any(np.nan_to_num(np.asarray(value_at(world, path), dtype=float))))
+    except UsageError:
+        return False
 
-
-Array = npt.NDArray[np.float64]
 
 ALL = "all"
 # A stated uncertainty is too wide where the data refute, at this level, all that is less than so many times so.

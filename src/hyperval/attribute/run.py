@@ -1,10 +1,4 @@
-"""Looking for the reasons: every input moved, every what-if run, all of them ranked; the reasons as rows.
-
-How much of a quantity's variance each input brings, alone and together with the others: inputs are standard normal;
-the quantity is taken as a polynomial of degree two through a few evaluations, whose squared Hermite coefficients are
-the shares of the variance.  Source: Sudret, Reliab. Eng. Syst. Saf. 93, 964-979, 2008; indices: Sobol 1993, Homma &
-Saltelli 1996.
-"""
+"""Looking for the reasons: every input moved, every what-if run, all of them ranked; the reasons as rows."""
 
 from __future__ import annotations
 
@@ -12,10 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperval.attribute.ranking import Candidate, Ranking, budget_covariance, closing_change, rankings
 from hyperval.attribute.residuals import ComparedQuantity, quantities, stacked
@@ -41,65 +33,38 @@ Evaluate = Callable[[Sequence[Truths], str], list[tuple[Array, Array]]]
 Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
 
 
-class Indices(NamedTuple):
-    """Variance-based sensitivity of Q quantities to k inputs.
+def sensitivity_indices(
+    base: Array, ends: Sequence[tuple[Array, Array]], pairs: Mapping[tuple[int, int], Array]
+) -> tuple[Array, Array]:
+    """(k, Q) parts of each quantity's variance that each of k inputs brings alone, and with all its interactions.
 
-    Attributes
+    NaN for a quantity without variance.
+    Inputs are standard normal, and the quantity is the polynomial of degree two through the values: of
+    f0 + a z + b (z^2 - 1)/sqrt(2) + c z z' with orthonormal terms the variance is the sum of the squares of
+    a = (f+ - f-)/2, b = (f+ + f- - 2 f0)/sqrt(2) and c = f++ - f+ - f'+ + f0.  Source: Sudret, Reliab. Eng. Syst.
+    Saf. 93, 964-979, 2008; indices: Sobol 1993, Homma & Saltelli 1996.
+
+    Parameters
     ----------
-    first : (Q, k) part of the variance that an input brings alone
-    total : (Q, k) the same with all its interactions
+    base : (Q,) f0, the quantities with every input at its middle
+    ends : for each input (Q,) f+ and f-, with it one standard deviation up and down
+    pairs : (Q,) f++, with two inputs up at once; of a pair that is not there the interaction counts as none
+
+    Examples
+    --------
+    >>> f = lambda z, w: np.array([3.0 * z + w**2 + 2.0 * z * w])
+    >>> ends = [(f(1.0, 0.0), f(-1.0, 0.0)), (f(0.0, 1.0), f(0.0, -1.0))]
+    >>> alone, every = sensitivity_indices(f(0.0, 0.0), ends, {(0, 1): f(1.0, 1.0)})
+    >>> (15.0 * alone[:, 0]).round(9).tolist(), (15.0 * every[:, 0]).round(9).tolist()
+    ([9.0, 2.0], [13.0, 6.0])
     """
-
-    first: Array
-    total: Array
-
-
-def quadratic_design(inputs: int) -> Array:
-    """Points that a polynomial of degree two needs: the middle, each input at -1 and 1, each pair at (1, 1).
-
-    Returns (n, inputs) with n = (k + 1)(k + 2)/2.
-    """
-    unit = np.eye(inputs)
-    pairs = [unit[i] + unit[j] for i, j in combinations(range(inputs), 2)]
-    return np.concatenate([np.zeros((1, inputs)), unit, -unit, *([np.array(pairs)] if pairs else [])])
-
-
-def sensitivity_indices(design: npt.ArrayLike, values: npt.ArrayLike) -> Indices:
-    """Indices of quantities (n, Q) evaluated at the points (n, k) of a design.
-
-    Raises
-    ------
-    UsageError : fewer points than the polynomial has terms.
-
-    A quantity without variance has NaN.
-    """
-    z, y = np.asarray(design, dtype=float), np.asarray(values, dtype=float)
-    y = y[:, None] if y.ndim == 1 else y
-    basis, members = _hermite(z)
-    if len(basis) < basis.shape[1]:
-        raise UsageError(f"{len(basis)} evaluations for {z.shape[1]} inputs", expected=f"{basis.shape[1]} and more")
-    coefficients, *_ = np.linalg.lstsq(basis, y, rcond=None)
-    squares = coefficients[1:] ** 2  # orthonormal: they sum to the variance
-    variance = squares.sum(axis=0)
-    moves = variance > 1e-24 * (1.0 + coefficients[0] ** 2)
-    shares = np.where(moves, squares / np.where(moves, variance, 1.0), np.nan)
-    alone = np.array([[m == (i,) for m in members] for i in range(z.shape[1])], dtype=float)
-    joint = np.array([[i in m for m in members] for i in range(z.shape[1])], dtype=float)
-    return Indices((alone @ shares).T, (joint @ shares).T)
-
-
-def _hermite(z: Array) -> tuple[Array, list[tuple[int, ...]]]:
-    """Orthonormal Hermite polynomials to degree two (n, P), and which inputs each one but the first holds."""
-    k = z.shape[1]
-    columns: list[Array] = [np.ones(len(z))]
-    members: list[tuple[int, ...]] = []
-    for i in range(k):
-        columns += [z[:, i], (z[:, i] ** 2 - 1.0) / np.sqrt(2.0)]
-        members += [(i,), (i,)]
-    for i, j in combinations(range(k), 2):
-        columns.append(z[:, i] * z[:, j])
-        members.append((i, j))
-    return np.stack(columns, axis=1), members
+    alone = np.array([0.25 * (up - down) ** 2 + 0.5 * (up + down - 2.0 * base) ** 2 for up, down in ends])
+    total, variance = alone.copy(), alone.sum(axis=0)
+    for (i, j), value in pairs.items():
+        joint = (value - ends[i][0] - ends[j][0] + base) ** 2
+        total[i], total[j], variance = total[i] + joint, total[j] + joint, variance + joint
+    whole = np.where(variance > 1e-24 * (1.0 + base**2), variance, np.nan)
+    return alone / whole, total / whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +143,7 @@ def attribute(
         shares = _indices(counted, evaluate, values, ends)
     outcomes = run_what_ifs(model, stack, numbers, covariance, observed, options.what_ifs, base, show_progress)
     ranked = rankings(stack, stack.observed - predicted, covariance, columns, options.each)
-    known = {r.candidate: (shares.first[:, k], shares.total[:, k]) for k, r in enumerate(counted)} if shares else {}
+    known = {r.candidate: side for r, *side in zip(counted, *shares, strict=True)} if shares else {}
     return [
         *(row for ranking in ranked for row in _ranking_rows(ranking)),
         *(row for q, number in enumerate(numbers) for row in _sensitivity_rows(number, q, values[q], ends, known)),
@@ -201,7 +166,7 @@ def _reasons(stated: Sequence[Sequence[UncertainInput]], assumed: Sequence[Seque
     return out
 
 
-def _indices(reasons: Sequence[_Reason], evaluate: Evaluate, base: Array, ends: Ends) -> Indices:
+def _indices(reasons: Sequence[_Reason], evaluate: Evaluate, base: Array, ends: Ends) -> tuple[Array, Array]:
     """First and total sensitivities, each input along its leading direction.
 
     Only the inputs that move most are changed together; inputs of the atmosphere never are, as each pair would take
@@ -210,18 +175,19 @@ def _indices(reasons: Sequence[_Reason], evaluate: Evaluate, base: Array, ends: 
     sides = [ends[r.candidate] for r in reasons]
     moves = np.array([np.abs(up - down) for up, down in sides])
     share = np.max(moves / np.maximum(moves.max(axis=0), 1e-300), axis=1)
-    leading = set(np.argsort(-share, kind="stable")[:MOST_TOGETHER])
-    values = [base, *(up for up, _ in sides), *(down for _, down in sides)]
-    joint: dict[int, list[Truth]] = {}
-    for i, j in combinations(range(len(reasons)), 2):
-        a, b = reasons[i], reasons[j]
-        if {i, j} <= leading and not a.candidate.kind == b.candidate.kind == ATMOSPHERE:
-            members = zip(a.members, b.members, strict=True)
-            joint[len(values)] = [together([(m, m.moved(1.0)) for m in pair if m is not None]) for pair in members]
-        values.append(sides[i][0] + sides[j][0] - base)
-    for place, (_, value) in zip(joint, evaluate(list(joint.values()), "reasons: pairs of inputs"), strict=True):
-        values[place] = value
-    return sensitivity_indices(quadratic_design(len(reasons)), np.array(values))
+    leading = sorted(np.argsort(-share, kind="stable")[:MOST_TOGETHER].tolist())
+    pairs = [
+        (i, j)
+        for i, j in combinations(leading, 2)
+        if not reasons[i].candidate.kind == reasons[j].candidate.kind == ATMOSPHERE
+    ]
+    truths = [
+        [together([(m, m.moved(1.0)) for m in both if m is not None])
+         for both in zip(reasons[i].members, reasons[j].members, strict=True)]
+        for i, j in pairs
+    ]  # fmt: skip
+    found = evaluate(truths, "reasons: pairs of inputs")
+    return sensitivity_indices(base, sides, {pair: value for pair, (_, value) in zip(pairs, found, strict=True)})
 
 
 def _ranking_rows(r: Ranking) -> Iterator[Result]:
@@ -248,7 +214,7 @@ def _sensitivity_rows(
     place: int,
     predicted: float,
     ends: Ends,
-    shares: Mapping[Candidate, tuple[Array, Array]],
+    shares: Mapping[Candidate, Sequence[Array]],
 ) -> Iterator[Result]:
     gap = quantity.observed - predicted
     for candidate, (up, down) in ends.items():

@@ -538,14 +538,7 @@ def eigenvalue_spectra(
         left, right = getattr(prediction, quantity), getattr(observation, quantity)
         common = [s for s in right if s in left and right[s].n and right[s].pixel_covariance is not None]
         for subject in sorted(common, key=lambda s: -right[s].n)[:MOST_SUBJECTS]:
-            sample = sampled(
-                left[subject],
-                right[subject],
-                observation.axis,
-                prediction.distribution.get(subject),
-                observation.distribution.get(subject),
-                MOST_EIGENVALUES,
-            )
+            sample = sampled(prediction, observation, subject, quantity, MOST_EIGENVALUES)
             if sample is None or isinstance(sample, str):
                 continue
             low, high = SamplingBand.limits(sample.band.eigenvalues)

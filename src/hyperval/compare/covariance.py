@@ -24,7 +24,7 @@ from hyperval.pixels import (
     sampling_band,
     statistics_of_covariance,
 )
-from hyperval.products import PixelDistribution, SpectralEstimate
+from hyperval.products import PixelDistribution, PredictedProducts, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Result
 from hyperval.spectra.axis import SpectralAxis, in_window
 
@@ -56,17 +56,7 @@ def independent_pixels(n: int, distribution: PixelDistribution | None, size: int
     return np.maximum(np.concatenate([leading, np.full(size - leading.size, leading[-1])]) - 1.0, 1.0)
 
 
-def compare_covariance(
-    predicted: SpectralEstimate | None,
-    observed: SpectralEstimate | None,
-    *,
-    subject: str,
-    method: str,
-    axis: SpectralAxis,
-    predicted_distribution: PixelDistribution | None = None,
-    observed_distribution: PixelDistribution | None = None,
-    predicted_noise: Mapping[str, Array] | None = None,
-) -> list[Result]:
+def compare_covariance(predicted: Products, observed: Products, *, subject: str, method: str) -> list[Result]:
     """Rows of one subject; ``method`` names the quantity.  There are none where a side has no spread.
 
     The measured covariance is compared with covariances drawn from the predicted one (sampling bands at 95 %):
@@ -77,8 +67,8 @@ def compare_covariance(
     - ``subspace_angle@k`` [deg] largest principal angle of the first k eigenvectors, ``subspace_inside_95@k``;
     - ``bhattacharyya_distance`` of the two normal laws, and ``bhattacharyya_covariance_excess``: the covariance's
       part less what sampling alone gives, with its band.  SKIPPED with fewer than 3 pixels for each band;
-    - ``noise_ratio`` predicted over measured standard deviation of the noise, where ``predicted_noise`` says how
-      much of the covariance is noise (source -> (B,) variance) and the observation in how many columns it lies.
+    - ``noise_ratio`` predicted over measured standard deviation of the noise, of radiance, where the prediction says
+      how much of the covariance is noise and the observation in how many columns it lies.
 
     Examples
     --------
@@ -86,26 +76,25 @@ def compare_covariance(
     >>> own = np.exp(-np.abs(np.subtract.outer(np.arange(8.0), np.arange(8.0))) / 4.0)
     >>> predicted = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.012 * own)
     >>> observed = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.010 * own, n=400)
-    >>> rows = compare_covariance(predicted, observed, subject="grass", method="radiance", axis=axis)
+    >>> sides = (Products(axis, radiance={"grass": side}) for side in (predicted, observed))
+    >>> rows = compare_covariance(*sides, subject="grass", method="radiance")
     >>> [(r.metric, round(r.value, 2)) for r in rows if not r.metric.endswith(("@2", "@3", "@4", "@5"))]
     [('eigenvalue_ratio@1', 1.19), ('eigenvalues_inside_95', 0.0), ('total_variance_ratio', 1.2),
     ('subspace_angle@1', 0.0), ('subspace_inside_95@1', 1.0), ('bhattacharyya_distance', 0.02),
     ('bhattacharyya_covariance_excess', 0.0)]
     """
-    make = RowMaker("covariance", subject, method)
-    if predicted is None or observed is None:
-        return []
-    sample = sampled(predicted, observed, axis, predicted_distribution, observed_distribution, EIGENVALUES)
+    make, sample = RowMaker("covariance", subject, method), sampled(predicted, observed, subject, method, EIGENVALUES)
     if isinstance(sample, str):
         return make.skipped(Cause.FEW_PIXELS, sample)
     if sample is None:
         return []
     rows = [*_eigenvalue_rows(make, sample), *_space_rows(make, sample)]
-    samples = None if observed_distribution is None else observed_distribution.samples
-    if predicted_noise and samples is not None and samples > 1:
-        kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
-        rows += _noise_rows(make, predicted, observed, predicted_noise, sample, samples, kurtosis)
-    return [*rows, *_distance_rows(make, predicted.mean, observed.mean, sample)]
+    law = observed.distribution.get(subject)
+    told = isinstance(predicted, PredictedProducts) and method == "radiance"
+    noise = predicted.noise.get(subject) if isinstance(predicted, PredictedProducts) and told else None
+    if noise and law is not None and (law.samples or 0) > 1:
+        rows += _noise_rows(make, sample, noise, law.samples or 0)
+    return [*rows, *_distance_rows(make, sample)]
 
 
 @dataclass(frozen=True)
@@ -114,14 +103,17 @@ class Sampled:
 
     Attributes
     ----------
+    sides : predicted and measured
     bands : (B,) compared
     covariances : (b, b) predicted and measured, in those bands
     measured, band : statistics of the measured covariance and of the drawn ones
     spaces : the k of the principal angles
     n : pixels; ``fewest``: independent ones behind any direction
     size : directions in which the prediction has a spread
+    kurtosis : of the predicted law
     """
 
+    sides: tuple[SpectralEstimate, SpectralEstimate]
     bands: Mask
     covariances: tuple[Array, Array]
     measured: Statistics
@@ -130,36 +122,32 @@ class Sampled:
     n: int
     fewest: float
     size: int
+    kurtosis: float
 
 
-def sampled(
-    predicted: SpectralEstimate,
-    observed: SpectralEstimate,
-    axis: SpectralAxis,
-    predicted_distribution: PixelDistribution | None,
-    observed_distribution: PixelDistribution | None,
-    most: int,
-) -> Sampled | str | None:
+def sampled(predicted: Products, observed: Products, subject: str, quantity: str, most: int) -> Sampled | str | None:
     """The measured covariance and what chance alone makes of the predicted one, for at most ``most`` eigenvalues.
 
     None where a side has no spread; a text that says why where the two cannot be compared.
     """
-    if predicted.pixel_covariance is None or observed.pixel_covariance is None or observed.n is None:
+    p, o = (getattr(side, quantity).get(subject) for side in (predicted, observed))
+    if p is None or o is None or p.pixel_covariance is None or o.pixel_covariance is None or o.n is None:
         return None
-    bands, n = compared_bands(predicted, observed, axis), observed.n
+    bands, n = compared_bands(p, o, observed.axis), o.n
     if n < FEWEST_PIXELS or not bands.any():
         return f"{n} pixels and {int(bands.sum())} bands say nothing of a covariance"
     at = np.ix_(bands, bands)
-    first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
-    first = first + np.diag(np.broadcast_to(observed.rounding, bands.shape)[bands])
+    first, second = np.asarray(p.pixel_covariance)[at], np.asarray(o.pixel_covariance)[at]
+    first = first + np.diag(np.broadcast_to(o.rounding, bands.shape)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return "a covariance is not finite"
-    kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
+    law = predicted.distribution.get(subject)
+    kurtosis = 0.0 if law is None else kurtosis_parameter(law.tail_dof)
     if math.isinf(kurtosis):
         return "tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band"
     directions = EigenDirections.of(first)
     size = directions.values.size
-    independent = independent_pixels(n, observed_distribution, size)
+    independent = independent_pixels(n, observed.distribution.get(subject), size)
     drawn = max(min(MOST_EIGENVALUES, size, n - 1, int(independent.min())), 1)
     count = min(most, drawn)
     spaces = tuple(k for k in SPACES if k <= count and k < size)
@@ -168,7 +156,8 @@ def sampled(
     measured = statistics_of_covariance(directions, directions.of_other(second), count, most, full_rank=full)
     band = _band(directions.values.tobytes(), independent.tobytes(), drawn, spaces, kurtosis)
     band = replace(band, eigenvalues=band.eigenvalues[:, :count])
-    return Sampled(bands, (first, second), measured, band, spaces, n, float(independent.min()) + 1.0, size)
+    fewest = float(independent.min()) + 1.0
+    return Sampled((p, o), bands, (first, second), measured, band, spaces, n, fewest, size, kurtosis)
 
 
 @lru_cache(maxsize=64)
@@ -204,14 +193,14 @@ def _space_rows(make: RowMaker, sample: Sampled) -> Iterator[Result]:
         yield make.row(f"subspace_inside_95@{k}", float(angle <= most), n=sample.n, reason=reason)
 
 
-def _distance_rows(make: RowMaker, predicted: Array, observed: Array, sample: Sampled) -> Iterator[Result]:
-    """The distance of the two normal laws with means (B,), and what of it is the covariance's beyond sampling."""
+def _distance_rows(make: RowMaker, sample: Sampled) -> Iterator[Result]:
+    """The distance of the two normal laws, and what of it is the covariance's beyond sampling."""
     found, drawn = sample.measured.distance, sample.band.distance
     if math.isnan(found):
         why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
         yield from make.skipped(Cause.FEW_PIXELS, why, "bhattacharyya_distance", "bhattacharyya_covariance_excess")
         return
-    (p, o), (first, second) = (predicted[sample.bands], observed[sample.bands]), sample.covariances
+    (p, o), (first, second) = (side.mean[sample.bands] for side in sample.sides), sample.covariances
     yield make.row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
     excess = found - float(drawn.mean())
     low, high = SamplingBand.limits(drawn - drawn.mean())
@@ -220,31 +209,25 @@ def _distance_rows(make: RowMaker, predicted: Array, observed: Array, sample: Sa
     yield _row(make, "bhattacharyya_covariance_excess", excess, ends, sample.n, reason)
 
 
-def _noise_rows(
-    make: RowMaker,
-    predicted: SpectralEstimate,
-    observed: SpectralEstimate,
-    sources: Mapping[str, Array],
-    sample: Sampled,
-    samples: int,
-    kurtosis: float,
-) -> list[Result]:
+def _noise_rows(make: RowMaker, sample: Sampled, sources: Mapping[str, Array], samples: int) -> list[Result]:
     """The noise in the measured covariance; nothing where the model has none.
 
     The sources are those at the mean of the class, and the calibration error follows the mean square of its pixels.
     """
-    total = np.sum(list(sources.values()), axis=0)
+    (predicted, observed), total = sample.sides, np.sum(list(sources.values()), axis=0)
     bands = sample.bands & np.isfinite(total) & (total > 0)
     if not bands.any():
         return []
     at = np.ix_(bands, bands)
     texture = np.asarray(predicted.pixel_covariance)[at] - np.diag(total[bands])
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
-    more = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
-    calibration = calibration + more
-    noise = total[bands] + more + np.broadcast_to(observed.rounding, total.shape)[bands]
+    beyond = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
+    calibration = calibration + beyond
+    noise = total[bands] + beyond + np.broadcast_to(observed.rounding, total.shape)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[at]
-    part = noise_part(second, first, noise, sample.fewest - 1.0, kurtosis, calibration=calibration, samples=samples)
+    part = noise_part(
+        second, first, noise, sample.fewest - 1.0, sample.kurtosis, calibration=calibration, samples=samples
+    )
     low, high = (part.factor + sign * Z95 * part.uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
         return make.skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")

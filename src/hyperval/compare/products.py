@@ -33,7 +33,7 @@ from hyperval.compare.spectra import compare_spectra
 from hyperval.errors import UsageError
 from hyperval.model.intervals import Z95
 from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
-from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, PredictedProducts, Products, RocCurve, background_of
+from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, Products, RocCurve, background_of
 from hyperval.results import Outcome, Result
 
 # Quantities in which pixels of a class spread.
@@ -153,7 +153,11 @@ def compare_products(
     rows: list[Result] = []
     for product in SPECTRA:
         rows += of(compare_spectra, product, product=product, axis=observed.axis)
-    rows += _covariance_rows(predicted, observed)
+    for quantity in SPREAD:
+        for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
+            rows += compare_covariance(predicted, observed, subject=subject, method=quantity)
+    for subject, left, right in _pairs(predicted.distribution, observed.distribution):
+        rows += compare_distribution(left, right, subject=subject)
     rows += of(compare_classification, "classification")
     rows += of(compare_scores, "scores")
     for detector in dict.fromkeys(detector for _, detector in predicted.object_scores):
@@ -177,27 +181,6 @@ def _alternatives(side: Products, subject: str) -> str:
         return ", which has no roc at all"
     more = f" and {len(subjects) - MOST_NAMED} more" if len(subjects) > MOST_NAMED else ""
     return ", which has " + ", ".join(repr(s) for s in subjects[:MOST_NAMED]) + more
-
-
-def _covariance_rows(predicted: Products, observed: Products) -> list[Result]:
-    """Covariances that both sides hold, in each quantity, and the tails of the classes."""
-    rows: list[Result] = []
-    noise = predicted.noise if isinstance(predicted, PredictedProducts) else {}
-    for quantity in SPREAD:
-        for subject, left, right in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
-            rows += compare_covariance(
-                left,
-                right,
-                subject=subject,
-                method=quantity,
-                axis=observed.axis,
-                predicted_distribution=predicted.distribution.get(subject),
-                observed_distribution=observed.distribution.get(subject),
-                predicted_noise=noise.get(subject) if quantity == "radiance" else None,
-            )
-    for subject, left, right in _pairs(predicted.distribution, observed.distribution):
-        rows += compare_distribution(left, right, subject=subject)
-    return rows
 
 
 def _pairs(left: Mapping[K, Any], right: Mapping[K, Any]) -> Iterator[tuple[K, Any, Any]]:

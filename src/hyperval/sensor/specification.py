@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -31,17 +31,28 @@ Array = npt.NDArray[np.float64]
 Source = Annotated[str, Field(min_length=3)]
 
 
-class Quantity(Model):
+class _OneOf(Model):
+    """Entries of which exactly one is given."""
+
+    one_of: ClassVar[tuple[str, ...]] = ()
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if sum(getattr(self, name) not in (None, ()) for name in self.one_of) != 1:
+            raise ValueError(f"give either {', '.join(self.one_of[:-1])} or {self.one_of[-1]}")
+        return self
+
+
+class Quantity(_OneOf):
     """A number, or a table over wavelength, with its source."""
 
+    one_of = ("value", "table")
     value: float | None = None
     table: list[tuple[float, float]] | None = Field(None, description="[nm, value] pairs, wavelength increasing")
     source: Source
 
     @model_validator(mode="after")
-    def _one_of(self) -> Quantity:
-        if (self.value is None) == (self.table is None):
-            raise ValueError("give either value or table")
+    def _rising(self) -> Self:
         if self.table is not None and (len(self.table) < 2 or np.any(np.diff([w for w, _ in self.table]) <= 0)):
             raise ValueError("a table needs at least two rows in rising wavelength")
         return self
@@ -58,11 +69,6 @@ class Quantity(Model):
         if self.table is None:
             return self.model_copy(update={"value": factor * float(self.value or 0.0)})
         return self.model_copy(update={"table": [(w, factor * v) for w, v in self.table]})
-
-    @property
-    def assumed(self) -> bool:
-        """True when the source says that the number is an assumption."""
-        return self.source.lower().startswith("assumed")
 
 
 class RegularBands(Model):
@@ -81,9 +87,10 @@ class StatedGap(Model):
     source: Source
 
 
-class Bands(Model):
+class Bands(_OneOf):
     """The band set: a table of [centre nm, FWHM nm, good 0/1], evenly spaced bands, or such bands part by part."""
 
+    one_of = ("table", "regular", "parts")
     table: list[tuple[float, float, int]] | None = None
     regular: RegularBands | None = None
     parts: list[RegularBands] | None = Field(None, min_length=1, description="evenly spaced bands, by spectrometer")
@@ -97,27 +104,21 @@ class Bands(Model):
     )
     source: Source
 
-    @model_validator(mode="after")
-    def _one_of(self) -> Bands:
-        if sum(given is not None for given in (self.table, self.regular, self.parts)) != 1:
-            raise ValueError("give either table, regular or parts")
-        return self
+    @property
+    def even(self) -> list[RegularBands]:
+        """Parts of evenly spaced bands; none of a table."""
+        return self.parts or ([self.regular] if self.regular is not None else [])
 
     @property
     def fwhms(self) -> list[float]:
         """Widths as the file lists them [nm]: of each band of a table, or one of each part."""
-        if self.table is not None:
-            return [fwhm for _, fwhm, _ in self.table]
-        return [p.fwhm_nm for p in self.parts or ([self.regular] if self.regular is not None else [])]
+        return [fwhm for _, fwhm, _ in self.table or ()] or [part.fwhm_nm for part in self.even]
 
     def scaled(self, factor: float) -> Bands:
         """The same centres with every width times a factor."""
         table = None if self.table is None else [(w, factor * f, good) for w, f, good in self.table]
-        regular, *parts = (
-            None if b is None else b.model_copy(update={"fwhm_nm": factor * b.fwhm_nm})
-            for b in (self.regular, *(self.parts or ()))
-        )
-        return self.model_copy(update={"table": table, "regular": regular, "parts": parts or None})
+        parts = [part.model_copy(update={"fwhm_nm": factor * part.fwhm_nm}) for part in self.even]
+        return self.model_copy(update={"table": table, "regular": None, "parts": parts or None})
 
     @property
     def axis(self) -> SpectralAxis:
@@ -125,10 +126,17 @@ class Bands(Model):
         if self.table is not None:
             rows: Array = np.array(self.table, dtype=np.float64)
             return SpectralAxis(rows[:, 0], rows[:, 1], rows[:, 2] > 0)
-        parts = self.parts or ([self.regular] if self.regular is not None else [])
-        centres = [r.first_nm + r.step_nm * np.arange(r.count, dtype=np.float64) for r in parts]
-        widths = [np.full(r.count, r.fwhm_nm) for r in parts]
-        return SpectralAxis(np.concatenate(centres), np.concatenate(widths))
+        centres = [r.first_nm + r.step_nm * np.arange(r.count, dtype=np.float64) for r in self.even]
+        return SpectralAxis(np.concatenate(centres), np.repeat(self.fwhms, [r.count for r in self.even]))
+
+
+_NEEDS = {  # of each convention of (3.14)
+    "value": ("cm2_sr",),
+    "square-ifov": ("aperture_m", "ifov_mrad"),
+    "cone": ("aperture_m", "ifov_mrad"),
+    "f-number": ("f_number", "pixel_pitch_um"),
+    "slit": ("f_number", "slit_width_um", "slit_height_um"),
+}
 
 
 class Throughput(Model):
@@ -150,15 +158,8 @@ class Throughput(Model):
     source: Source
 
     @model_validator(mode="after")
-    def _complete(self) -> Throughput:
-        needs = {
-            "value": ("cm2_sr",),
-            "square-ifov": ("aperture_m", "ifov_mrad"),
-            "cone": ("aperture_m", "ifov_mrad"),
-            "f-number": ("f_number", "pixel_pitch_um"),
-            "slit": ("f_number", "slit_width_um", "slit_height_um"),
-        }[self.convention]
-        lacking = [name for name in needs if getattr(self, name) is None]
+    def _complete(self) -> Self:
+        lacking = [name for name in _NEEDS[self.convention] if getattr(self, name) is None]
         if lacking:
             raise ValueError(f"the convention {self.convention} needs {', '.join(lacking)}")
         return self
@@ -172,32 +173,24 @@ class Throughput(Model):
     @property
     def value_cm2_sr(self) -> float:
         """A Omega [cm2 sr] (3.14)."""
-        match self.convention:
-            case "value":
-                return float(self.cm2_sr or 0)
-            case "f-number":
-                return f_number_throughput(self.f_number or 0, (self.pixel_pitch_um or 0) ** 2)
-            case "slit":
-                return f_number_throughput(self.f_number or 0, (self.slit_width_um or 0) * (self.slit_height_um or 0))
-        return aperture_throughput(
-            self.aperture_m or 0,
-            1e-3 * (self.ifov_mrad or 0),
-            obscuration=self.obscuration,
-            convention=self.convention,
-        )
+        first, *rest = (float(getattr(self, name)) for name in _NEEDS[self.convention])
+        if not rest:
+            return first
+        if rest and self.convention in ("f-number", "slit"):
+            return f_number_throughput(first, rest[0] * rest[-1])  # a pixel is square
+        return aperture_throughput(first, 1e-3 * rest[0], obscuration=self.obscuration, convention=self.convention)
 
 
-class Blur(Model):
+class Blur(_OneOf):
     """Point spread function in two directions, by widths or by MTF: pairs (along, across) the track."""
 
+    one_of = ("fwhm_pixels", "mtf_at_nyquist")
     fwhm_pixels: tuple[float, float] | None = Field(None, description="Gaussian besides the aperture [pixels]")
     mtf_at_nyquist: tuple[float, float] | None = Field(None, description="of the pixel, aperture included [1]")
     source: Source
 
     @model_validator(mode="after")
-    def _one_of(self) -> Blur:
-        if (self.fwhm_pixels is None) == (self.mtf_at_nyquist is None):
-            raise ValueError("give either fwhm_pixels or mtf_at_nyquist")
+    def _in_range(self) -> Self:
         if self.fwhm_pixels is not None and not all(0 <= w <= 5 for w in self.fwhm_pixels):
             raise ValueError("fwhm_pixels lies between 0 and 5")
         if self.mtf_at_nyquist is not None and not all(0.01 <= m <= 2 / np.pi for m in self.mtf_at_nyquist):
@@ -225,7 +218,7 @@ class SpectralShift(Model):
     source: Source
 
     @model_validator(mode="after")
-    def _complete(self) -> SpectralShift:
+    def _complete(self) -> Self:
         if bool(self.smile_nm) != (self.columns is not None):
             raise ValueError("smile_nm and columns go together")
         return self
@@ -272,7 +265,7 @@ class PublishedSnr(Model):
     source: Source
 
     @model_validator(mode="after")
-    def _one_reference(self) -> PublishedSnr:
+    def _one_reference(self) -> Self:
         if self.radiance is not None and self.scene is not None:
             raise ValueError("give radiance or scene, not both")
         return self
@@ -393,16 +386,16 @@ def binned_noise(noise: NoiseModel, count: int) -> NoiseModel:
         measured = (1.0 / np.sqrt(g), fixed**2 / g, sign * root_sum(c / a**2) / g)
     full = None if noise.full_scale is None else _groups(noise.full_scale, count).min(axis=1)
 
-    def whole(x: npt.ArrayLike) -> Array:
-        return _groups(np.broadcast_to(x, noise.fixed_noise.shape), count)[:, 0]
+    def first(x: Any) -> Any:
+        return _groups(x, count)[:, 0] if np.ndim(x) else x
 
     return replace(
         noise,
         electrons_per_radiance=g,
         fixed_noise=fixed,
         lsb_electrons=root_sum(noise.lsb_electrons),
-        bits=whole(noise.bits).astype(int) if np.ndim(noise.bits) else noise.bits,
-        bit_error_rate=whole(noise.bit_error_rate) if np.ndim(noise.bit_error_rate) else noise.bit_error_rate,
+        bits=first(noise.bits),
+        bit_error_rate=first(noise.bit_error_rate),
         calibration_percent=calibration,
         measured=measured,
         full_scale=full,
@@ -415,9 +408,10 @@ def _groups(values: npt.ArrayLike, count: int) -> Array:
     return np.asarray(x[:whole].reshape(-1, count))
 
 
-class Arm(Model):
+class Arm(_OneOf):
     """One spectrometer: its range and everything of (3.13)-(3.19) that belongs to it."""
 
+    one_of = ("full_well_electrons", "saturation_radiance", "lsb_electrons")
     name: str
     range_nm: tuple[float, float]
     throughput: Throughput
@@ -434,13 +428,6 @@ class Arm(Model):
     bit_error_rate: Quantity = Quantity(value=0.0, table=None, source="assumed: error-free recording")
     bit_error_per: Literal["bit", "word"] = "bit"
 
-    @model_validator(mode="after")
-    def _one_scale(self) -> Arm:
-        given = [self.full_well_electrons, self.saturation_radiance, self.lsb_electrons]
-        if sum(g is not None for g in given) != 1:
-            raise ValueError("give one of full_well_electrons, saturation_radiance, lsb_electrons")
-        return self
-
 
 class MeasuredNoise(Model):
     """NEdL = |a sqrt(b + L) + c| as tabulated for a sensor: rows [nm, a, b, c]."""
@@ -450,15 +437,16 @@ class MeasuredNoise(Model):
     source: Source
 
     @model_validator(mode="after")
-    def _positive(self) -> MeasuredNoise:
+    def _positive(self) -> Self:
         if any(a <= 0 or b < 0 for _, a, b, _ in self.table):
             raise ValueError("a must be positive and b not negative")
         return self
 
 
-class SensorSpecification(Model):
+class SensorSpecification(_OneOf):
     """One sensor file."""
 
+    one_of = ("arms", "measured_noise")
     schema_version: Literal[1] = Field(1, alias="schema")
     name: str
     title: str
@@ -473,12 +461,6 @@ class SensorSpecification(Model):
     calibration_error_percent: Quantity
     published_snr: tuple[PublishedSnr, ...] = Field((), description="what `hyperval sensor check` compares with")
     known_discrepancies: tuple[KnownDiscrepancy, ...] = ()
-
-    @model_validator(mode="after")
-    def _one_noise(self) -> SensorSpecification:
-        if bool(self.arms) == (self.measured_noise is not None):
-            raise ValueError("give either arms or measured_noise")
-        return self
 
 
 @dataclass(frozen=True)
@@ -512,20 +494,19 @@ class Sensor:
                 shift[(nominal.centre_nm >= low) & (nominal.centre_nm <= high)] += item.at(op.column)
             except ValueError as error:
                 raise UsageError(f"sensor_operation.column: {error}") from error
-        if isinstance(op.wavelength_shift_nm, dict):
-            names = [a.name for a in self.specification.arms]
-            for name, value in op.wavelength_shift_nm.items():
-                if name not in names:
-                    raise UsageError(
-                        f"sensor_operation.wavelength_shift_nm: sensor {self.name!r} has no arm {name!r}",
-                        expected="one of " + (", ".join(names) or "none: give one number"),
-                    )
-                shift[self.arm_index(nominal.centre_nm) == names.index(name)] += value
+        stated = op.wavelength_shift_nm
+        if isinstance(stated, dict):
+            names = [arm.name for arm in self.specification.arms]
+            if unknown := [name for name in stated if name not in names]:
+                raise UsageError(
+                    f"sensor_operation.wavelength_shift_nm: sensor {self.name!r} has no arm {unknown[0]!r}",
+                    expected="one of " + (", ".join(names) or "none: give one number"),
+                )
+            by_arm = np.array([stated.get(name, 0.0) for name in names])
+            shift += by_arm[self.arm_index(nominal.centre_nm)] if stated else 0.0
         else:
-            shift += op.wavelength_shift_nm
-        if not np.any(shift):
-            return nominal
-        return SpectralAxis(nominal.centre_nm + shift, nominal.fwhm_nm, nominal.good)
+            shift += stated
+        return SpectralAxis(nominal.centre_nm + shift, nominal.fwhm_nm, nominal.good) if np.any(shift) else nominal
 
     def noise(self, axis: SpectralAxis | None = None, operation: SensorOperation | None = None) -> NoiseModel:
         """The noise (3.13-3.20) on ``axis`` (default: the sensor's own bands), frames and pixels averaged.
@@ -607,16 +588,11 @@ class Sensor:
         return np.asarray(gap.argmin(axis=0))
 
     def _assumptions(self) -> list[str]:
-        assumptions = []
-        for arm in self.specification.arms:
-            for name in type(arm).model_fields:
-                value = getattr(arm, name)
-                source = getattr(value, "source", "")
-                if source.lower().startswith("assumed"):
-                    assumptions.append(f"{arm.name}: {name} ({source})")
-        if self.specification.calibration_error_percent.assumed:
-            assumptions.append(f"calibration_error_percent ({self.specification.calibration_error_percent.source})")
-        return assumptions
+        spec = self.specification
+        named = [(f"{arm.name}: {key}", getattr(arm, key)) for arm in spec.arms for key in type(arm).model_fields]
+        named.append(("calibration_error_percent", spec.calibration_error_percent))
+        sources = [(name, getattr(value, "source", "")) for name, value in named]
+        return [f"{name} ({source})" for name, source in sources if source.lower().startswith("assumed")]
 
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")

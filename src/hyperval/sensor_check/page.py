@@ -5,7 +5,7 @@ Figures of a datasheet: response, SNR, noise, saturation, detection, sensitivity
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
@@ -29,7 +29,6 @@ from hyperval.figures.spec import (
     shortened,
     single,
 )
-from hyperval.products import PredictedProducts
 from hyperval.report import verdict as v
 from hyperval.report.html import page
 from hyperval.results import Outcome, Result
@@ -39,10 +38,7 @@ from hyperval.sensor_check.suite import (
     LEVELS,
     MIDDLE,
     TOLERANCE,
-    Probe,
     SensorCheck,
-    SnrPoint,
-    Swing,
     check_sensor,
     neighbour_ratio,
     numbers,
@@ -66,64 +62,42 @@ _SOURCES = {
 
 def datasheet_figures(check: SensorCheck) -> list[Figure]:
     """Every figure that the checks allow, in the order of the page."""
-    if not check.usable:
-        return []
-    figures = [
-        *response_figures(check),
-        snr_figure(check),
-        published_figure(check.points) if check.points else None,
-        noise_figure(check),
-        saturation_figure(check),
-        detection_figure(check.predictions),
-        sensitivity_figure(check.swings, check.probe, check.vary),
-    ]
-    return [one for one in figures if one is not None]
+    drawings = (_responses, _snr, _published, _noise, _saturation, _detection, _sensitivity)
+    return [figure for draw in drawings for figure in draw(check)] if check.usable else []
 
 
-def response_figures(check: SensorCheck) -> list[Figure]:
+def _responses(check: SensorCheck) -> Iterator[Figure]:
     """Widths against spacing, and the responses of a few bands."""
-    axis = check.sensor.axis
-    wide, narrow = SOURCES[0], SOURCES[5]
-    marks = [
-        Mark(
-            "line",
-            {"x": axis.centre_nm, "y": axis.fwhm_nm},
-            "full width at half maximum",
-            wide,
-            marker="" if len(axis) >= 30 else "circle",
-        )
-    ]
+    axis, (wide, narrow) = check.axis, (SOURCES[0], SOURCES[5])
+    columns, marker = {"x": axis.centre_nm, "y": axis.fwhm_nm}, "" if len(axis) >= 30 else "circle"
+    marks, ratio = [Mark("line", columns, "full width at half maximum", wide, marker=marker)], ""
     if len(axis) > 1:
         spacing = np.diff(axis.centre_nm)
         if check.sensor.specification.bands.spacing == "contiguous":  # what is left out between spectrometers is none
             spacing = np.where(spacing > 3.0 * np.median(spacing), np.nan, spacing)
         columns = {"x": 0.5 * (axis.centre_nm[:-1] + axis.centre_nm[1:]), "y": spacing}
         marks.append(Mark("line", columns, "spacing", narrow, "dashed"))
-    ratio = f"; the median width is {np.median(neighbour_ratio(axis)):.2f} spacings" if len(axis) > 1 else ""
-    responses, shown = [], _few_bands(axis)
-    for k in shown.tolist():
-        sigma = axis.fwhm_nm[k] * SIGMA_PER_FWHM
-        w = axis.centre_nm[k] + np.linspace(-3 * sigma, 3 * sigma, 61)
-        response = np.exp(-0.5 * ((w - axis.centre_nm[k]) / sigma) ** 2)
-        responses.append(Mark("line", {"x": w, "y": response}, "", (wide, narrow)[k % 2]))
+        ratio = f"; the median width is {np.median(neighbour_ratio(axis)):.2f} spacings"
+    yield Figure(
+        "response", "response", "Width and spacing of the bands",
+        f"Width and spacing of the {len(axis)} bands against wavelength{ratio}.",
+        (single(_wavelengths(axis), "width, spacing [nm]", marks),),
+    )  # fmt: skip
+    sigmas, responses = np.linspace(-3.0, 3.0, 61), []
+    for k in _few_bands(axis).tolist():
+        w = axis.centre_nm[k] + sigmas * axis.fwhm_nm[k] * SIGMA_PER_FWHM
+        responses.append(Mark("line", {"x": w, "y": np.exp(-0.5 * sigmas**2)}, "", (wide, narrow)[k % 2]))
     ends = responses[0].columns["x"][0], responses[-1].columns["x"][-1]
-    return [
-        Figure(
-            "response", "response", "Width and spacing of the bands",
-            f"Width and spacing of the {len(axis)} bands against wavelength{ratio}.",
-            (single(_wavelengths(axis), "width, spacing [nm]", marks),),
-        ),
-        Figure(
-            "responses", "response", f"Responses of {shown.size} bands",
-            f"Relative response of {shown.size} bands against wavelength.",
-            (single(Axis(WAVELENGTH, ends=ends), "relative response", responses),),
-        ),
-    ]  # fmt: skip
+    yield Figure(
+        "responses", "response", f"Responses of {len(responses)} bands",
+        f"Relative response of {len(responses)} bands against wavelength.",
+        (single(Axis(WAVELENGTH, ends=ends), "relative response", responses),),
+    )  # fmt: skip
 
 
-def snr_figure(check: SensorCheck) -> Figure:
+def _snr(check: SensorCheck) -> Iterator[Figure]:
     """SNR against wavelength at the reference radiances, with and without C_R."""
-    axis, noise = check.sensor.axis, check.sensor.noise()
+    axis, noise = check.axis, check.noise
     marks, highest = [], []
     for level, colour in zip(LEVELS, SOURCES, strict=False):
         radiance = sunlit_radiance(axis, level)
@@ -132,7 +106,7 @@ def snr_figure(check: SensorCheck) -> Figure:
         marks.append(_curve(axis, noise.snr(radiance), "", colour, "dashed"))
         highest.append(free[_shown(axis) if len(axis) >= 30 else axis.good])
     middle = noise.snr(sunlit_radiance(axis, MIDDLE), calibration=False)[_shown(axis)]
-    return Figure(
+    yield Figure(
         "snr", "snr", "Signal-to-noise ratio, sun at 45° and no atmosphere (dashed: with the calibration error C_R)",
         "Signal-to-noise ratio against wavelength for ground of 0.05, 0.25 and 0.6, with and without the "
         f"calibration error. At 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to "
@@ -141,48 +115,43 @@ def snr_figure(check: SensorCheck) -> Figure:
     )  # fmt: skip
 
 
-def noise_figure(check: SensorCheck) -> Figure:
+def _noise(check: SensorCheck) -> Iterator[Figure]:
     """Share of each source in the noise variance."""
-    axis = check.sensor.axis
+    axis, few = check.axis, len(check.axis) < 30
+    left, right = axis.centre_nm - axis.fwhm_nm / 2, axis.centre_nm + axis.fwhm_nm / 2
     views: list[Panels] = []
     shown: dict[str, str] = {}
     for level in (LEVELS[0], LEVELS[-1]):
-        parts = check.sensor.noise().breakdown(sunlit_radiance(axis, level))
+        parts = check.noise.breakdown(sunlit_radiance(axis, level))
         rows = {words: np.abs(getattr(parts, name)) for name, words in _SOURCES.items()}
         total, base, marks = sum(rows.values()), np.zeros(len(axis)), []
         for (words, value), colour in zip(rows.items(), SOURCES, strict=False):
             share = 100.0 * value / total
-            if np.max(share) <= 0.01:
-                continue
-            columns = {"x": axis.centre_nm, "low": base, "high": base + share}
-            if len(axis) < 30:
-                left, right = axis.centre_nm - axis.fwhm_nm / 2, axis.centre_nm + axis.fwhm_nm / 2
-                columns = {"left": left, "right": right, "bottom": base, "top": base + share}
-            marks.append(Mark("bars" if len(axis) < 30 else "area", columns, words, colour, alpha=1.0))
-            base = base + share
-            shown.setdefault(words, colour)
+            if np.max(share) > 0.01:
+                bars = {"left": left, "right": right, "bottom": base, "top": base + share}
+                columns = bars if few else {"x": axis.centre_nm, "low": base, "high": base + share}
+                marks.append(Mark("bars" if few else "area", columns, words, colour, alpha=1.0))
+                base = base + share
+                shown.setdefault(words, colour)
         label = "share of the variance [%]"
         views.append(single(_wavelengths(axis), label, marks, subject=f"reflectance {level:g}", ends=(0.0, 100.0)))
     alt = f"Share of each source in the variance of the noise, dark and bright ground: {', '.join(shown)}."
-    return Figure("noise", "noise", "Sources of noise, dark and bright ground", alt, tuple(views))
+    yield Figure("noise", "noise", "Sources of noise, dark and bright ground", alt, tuple(views))
 
 
-def saturation_figure(check: SensorCheck) -> Figure | None:
-    """Signal as a part of full scale; None where the file does not say where that is."""
-    axis, noise = check.sensor.axis, check.sensor.noise()
-    if noise.full_scale is None:
-        return None
+def _saturation(check: SensorCheck) -> Iterator[Figure]:
+    """Signal as a part of full scale, where the file says where that is."""
+    if check.noise.full_scale is None:
+        return
     levels = (*LEVELS[1:], 1.0)
-    parts = [noise.full_scale_fraction(sunlit_radiance(axis, level)) for level in levels]
-    marks = [
-        _curve(axis, part, f"reflectance {level:g}", colour)
-        for level, part, colour in zip(levels, parts, SOURCES, strict=False)
-    ]
+    parts = [check.noise.full_scale_fraction(sunlit_radiance(check.axis, level)) for level in levels]
+    named = zip(levels, parts, SOURCES, strict=False)
+    marks = [_curve(check.axis, part, f"reflectance {level:g}", colour) for level, part, colour in named]
     highest = max(1.0, *(float(np.max(part)) for part in parts))
-    return Figure(
+    yield Figure(
         "saturation", "saturation", "Signal as a part of full scale, sun at 45° and no atmosphere (dotted: full scale)",
         f"Signal as a part of full scale against wavelength; the highest, at reflectance 1, is {highest:.2f}.",
-        (single(_wavelengths(axis), "part of full scale", marks, ends=(0.0, 1.08 * highest), level=1.0),),
+        (single(_wavelengths(check.axis), "part of full scale", marks, ends=(0.0, 1.08 * highest), level=1.0),),
     )  # fmt: skip
 
 
@@ -217,8 +186,11 @@ _MOST_SWINGS = 20
 _LOWEST_PFA = 1e-6
 
 
-def published_figure(points: Sequence[SnrPoint]) -> Figure:
+def _published(check: SensorCheck) -> Iterator[Figure]:
     """Computed over published ratio by wavelength."""
+    points = check.points
+    if not points:
+        return
     looks = {
         "value": ("circle", SOURCES[0], "published value"),
         "at least": ("square", SOURCES[2], "published lower bound"),
@@ -240,18 +212,18 @@ def published_figure(points: Sequence[SnrPoint]) -> Figure:
             marks.append(Mark("dots", columns, label, colour, marker=marker, words=words, beside="right"))
     listed = "; ".join(f"{p.wavelength_nm:g} nm {p.computed:.0f} to {p.published:g}" for p in points)
     ends = min(0.6, 0.9 * float(ratios.min())), max(1.4, 1.15 * float(ratios.max()))
-    return Figure(
+    yield Figure(
         "published-snr", "published_snr", "Computed over published signal-to-noise ratio",
         f"Computed against published ratios: {listed}.",
         (single(Axis(WAVELENGTH, ends=x), "computed / published", marks, ends=ends, level=1.0),),
     )  # fmt: skip
 
 
-def detection_figure(predictions: Mapping[str, PredictedProducts]) -> Figure | None:
+def _detection(check: SensorCheck) -> Iterator[Figure]:
     """Receiver operating characteristic of every target of the standard scenes."""
-    scenes = {name: prediction for name, prediction in predictions.items() if prediction.roc}
+    scenes = {name: prediction for name, prediction in check.predictions.items() if prediction.roc}
     if not scenes:
-        return None
+        return
     keys = [key for prediction in scenes.values() for key in prediction.roc]
     subjects = list(dict.fromkeys(key[0] for key in keys))
     dashes = dict(zip(sorted({key[1] for key in keys}), get_args(Dash), strict=False))
@@ -269,17 +241,18 @@ def detection_figure(predictions: Mapping[str, PredictedProducts]) -> Figure | N
             single(Axis("P_FA", "log", ends=(_LOWEST_PFA, 1.0)), "P_D", marks, subject=name, ends=(-0.02, 1.04))
         )
     words = ", ".join(f"{detector}: {dash}" for detector, dash in dashes.items())
-    return Figure(
+    yield Figure(
         "detection", "scenario", f"Detection in the standard scenes with this sensor ({words})",
         f"Probability of detection against that of false alarm in {', '.join(scenes)}, by target and detector.",
         tuple(views),
     )  # fmt: skip
 
 
-def sensitivity_figure(swings: Sequence[Swing], probe: Probe | None, vary: float) -> Figure | None:
+def _sensitivity(check: SensorCheck) -> Iterator[Figure]:
     """Tornado: what each assumed number does to the SNR and to P_D."""
+    swings, probe, vary = check.swings, check.probe, check.vary
     if not swings:
-        return None
+        return
     kept = list(swings[:_MOST_SWINGS])
     views: list[Panels] = []
     rows, names = np.arange(len(kept), dtype=float), row_names([s.number.name for s in kept])
@@ -295,7 +268,7 @@ def sensitivity_figure(swings: Sequence[Swing], probe: Probe | None, vary: float
         views.append(Panels(Axis("change"), (Part(names, marks, (("x", 0.0),)),), name))
     most, what = kept[0], f" of {probe.key[0]} by {probe.key[1]}" if probe else ""
     more = f"; {len(kept)} of {len(swings)} are drawn" if len(kept) < len(swings) else ""
-    return Figure(
+    yield Figure(
         "sensitivity", "sensitivity",
         f"Assumed numbers {100 * vary:g} % lower and higher: SNR of the band that moves most, P_D{what}{more}",
         f"Bars of what each of {len(swings)} assumed numbers does when it is {100 * vary:g} % lower or higher. "
@@ -321,46 +294,25 @@ _FOLDED = 12  # rows of a section that are not folded
 
 def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: dict[str, Any]) -> str:
     """The page of one sensor."""
-    rows = list(check.table)
-    listed = numbers(check.sensor.specification)
-    failed = [r for r in rows if v.gate_fails(r)]
+    rows, listed = list(check.table), numbers(check.sensor.specification)
+    assumed = sum(n.assumed for n in listed)
+    failed, known = ([r for r in rows if fails(r)] for fails in (v.gate_fails, v.disagrees_without_gating))
+    decided = len(failed) + sum(r.gates and r.outcome is Outcome.AGREES for r in rows)
+    if failed:
+        tone, words = "disagrees", f"Not accepted: {len(failed)} of {decided} checks failed."
+    else:
+        tone, words = "undecided" if known else "agrees", f"Accepted: all {decided} checks passed."
+        if known:
+            words += f" {len(known)} more do not, for reasons that the file states."
+        if assumed:
+            words += f" {assumed} of {len(listed)} numbers are assumed: the file holds together, which says"
+            words += " nothing of the instrument itself."
     return page(
         "datasheet.html.j2", figures,
-        sensor=check.sensor.specification,
-        tone=_tone(rows),
-        verdict=_verdict(rows, sum(n.assumed for n in listed), len(listed)),
-        counts=v.outcome_words(rows),
-        failed=failed,
-        known=[r for r in rows if v.disagrees_without_gating(r)],
-        facts=_facts(check.sensor),
-        numbers=listed,
-        assumed=sum(n.assumed for n in listed),
-        sections=_sections(rows, figures),
-        beside=bands_beside(check.sensor),
-        provenance=provenance,
-        folded=_FOLDED,
+        sensor=check.sensor.specification, tone=tone, verdict=words, counts=v.outcome_words(rows), failed=failed,
+        known=known, facts=_facts(check.sensor), numbers=listed, assumed=assumed, sections=_sections(rows, figures),
+        beside=bands_beside(check.sensor), provenance=provenance, folded=_FOLDED,
     )  # fmt: skip
-
-
-def _tone(rows: Sequence[Result]) -> str:
-    if any(v.gate_fails(r) for r in rows):
-        return "disagrees"
-    return "undecided" if any(v.disagrees_without_gating(r) for r in rows) else "agrees"
-
-
-def _verdict(rows: Sequence[Result], assumed: int, numbers_in_all: int) -> str:
-    failed = sum(v.gate_fails(r) for r in rows)
-    decided = failed + sum(r.gates and r.outcome is Outcome.AGREES for r in rows)
-    if failed:
-        return f"Not accepted: {failed} of {decided} checks failed."
-    known = sum(v.disagrees_without_gating(r) for r in rows)
-    words = f"Accepted: all {decided} checks passed."
-    if known:
-        words += f" {known} more do not, for reasons that the file states."
-    if assumed:
-        words += f" {assumed} of {numbers_in_all} numbers are assumed: the file holds together, which says"
-        words += " nothing of the instrument itself."
-    return words
 
 
 def _facts(sensor: Sensor) -> list[tuple[str, str]]:
@@ -404,13 +356,11 @@ def bands_beside(sensor: Sensor) -> dict[str, Any] | None:
 
 
 def _sections(rows: Sequence[Result], drawn: Sequence[Figure]) -> list[dict[str, Any]]:
-    sections = []
-    for name, title in SECTIONS.items():
-        own = [r for r in rows if r.product == name]
-        figures = [one for one in drawn if one.section == name]
-        if own or figures:
-            sections.append({"title": title, "rows": own, "figures": figures})
-    return sections
+    return [
+        {"title": title, "rows": own, "figures": figures}
+        for name, title in SECTIONS.items()
+        if (own := [r for r in rows if r.product == name]) + (figures := [f for f in drawn if f.section == name])
+    ]
 
 
 def check_to_folder(
