@@ -755,7 +755,12 @@ def _opened(folder: Path) -> Iterator[Any]:
     try:
         with h5netcdf.File(path, "r") as file:
             yield file
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
+    except KeyError as error:
+        raise InputError(
+            "was not written by this version of hyperval: it lacks what this one writes", where=str(path),
+            expected=f"products.nc of hyperval {hyperval.__version__}", mend="run it again",
+        ) from error  # fmt: skip
+    except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"cannot be read: {error}", where=str(path), expected="products.nc of a run") from error
 
 

@@ -7,11 +7,14 @@ import csv
 import json
 from pathlib import Path
 
+import h5py
 import pytest
 
 from hyperval import api, cli
 from hyperval.campaign import command_without_output
+from hyperval.errors import InputError
 from hyperval.results import COLUMNS, Cause, Outcome
+from hyperval.run import Run
 from hyperval.units import wavelength_to_nm
 from small_campaign import SmallCampaign, files_of, scene_data, write_yaml
 
@@ -69,6 +72,11 @@ def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(fig
     assert all(len(entry["sha256"]) == 64 for entry in record["inputs"])
     assert record["formulation"] == "corrected"
     assert str(tmp_path) not in (first / "provenance.json").read_text()
+
+    with h5py.File(first / "products.nc", "r+") as file:
+        del file["observed/good_band"]
+    with pytest.raises(InputError, match="was not written by this version of hyperval"):
+        _ = Run.open(first).sides
 
 
 def test_a_simulated_campaign_from_its_scene(small):

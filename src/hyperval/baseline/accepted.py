@@ -28,7 +28,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 import hyperval
-from hyperval.config import FILL_IN, Model, load_model
+from hyperval.config import Model, load_model
 from hyperval.errors import HypervalError, UsageError, reader
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model import Origins, predict
@@ -43,28 +43,6 @@ from hyperval.storage import write_text
 
 # A tolerance of more than the number itself, or than its own 95 % interval, accepts anything.
 LARGEST = {"value": 1.0, "interval": 1.0, "unit": 0.1}
-
-
-def objection(metric: str, tolerance: Tolerance, accepted: float | None, half_width: float | None) -> str | None:
-    """What is wrong with a tolerance, None when nothing is."""
-    limit = LARGEST[tolerance.of]
-    if not 0.0 <= tolerance.tolerance <= limit:
-        return f"a tolerance of {tolerance.tolerance:g} of {tolerance.of}: never above {limit:g}, never below 0"
-    if tolerance.of == "interval" and not half_width:
-        return "a tolerance of the interval needs half_width"
-    if accepted is None:
-        return None
-    width = tolerance.width(accepted, half_width)
-    low, high = metric_of(metric).low, metric_of(metric).high
-    if math.isfinite(low) and accepted - width <= low and accepted + width >= high:
-        return f"{metric} lies between {low:g} and {high:g}: a tolerance of {width:g} can never fail"
-    return None
-
-
-def looser_than_default(metric: str, tolerance: Tolerance, accepted: float, half_width: float | None) -> bool:
-    """True where the tolerance lets the number move further than the default of its kind would."""
-    usual = default_tolerance(metric, half_width).width(accepted, half_width)
-    return tolerance.width(accepted, half_width) > usual * (1.0 + 1e-9)
 
 
 def rounded(value: float) -> float | None:
@@ -98,6 +76,20 @@ class Accepted(Model):
         """Largest tolerated difference, in the metric's unit."""
         return self.limit.width(self.accepted or 0.0, self.half_width)
 
+    def objection(self, metric: str) -> str | None:
+        """What is wrong with it for a metric: it is such that nothing can break it, or loosened without a word."""
+        if not 0.0 <= self.tolerance <= LARGEST[self.of]:
+            return f"a tolerance of {self.tolerance:g} of {self.of}: never above {LARGEST[self.of]:g}, never below 0"
+        if self.of == "interval" and not self.half_width:
+            return "a tolerance of the interval needs half_width"
+        if self.accepted is None:
+            return None
+        low, high = metric_of(metric).low, metric_of(metric).high
+        if math.isfinite(low) and self.accepted - self.width <= low and self.accepted + self.width >= high:
+            return f"{metric} lies between {low:g} and {high:g}: a tolerance of {self.width:g} can never fail"
+        usual = default_tolerance(metric, self.half_width).width(self.accepted, self.half_width)
+        return "a tolerance above the default needs 'why'" if not self.why and self.width > usual * (1 + 1e-9) else None
+
 
 class Baseline(Model):
     """The accepted numbers of one campaign or sensor."""
@@ -112,17 +104,43 @@ class Baseline(Model):
 
     @model_validator(mode="after")
     def _sound(self) -> Baseline:
-        """Refuse tolerances that nothing can break, and those loosened without a word."""
+        """Refuse tolerances that mean nothing."""
         for key, item in self.metrics.items():
-            metric = split_key(key)[-1]
-            wrong = objection(metric, item.limit, item.accepted, item.half_width)
-            if wrong:
+            if wrong := item.objection(split_key(key)[-1]):
                 raise ValueError(f"{key}: {wrong}")
-            if item.accepted is None or item.why is not None:
-                continue
-            if looser_than_default(metric, item.limit, item.accepted, item.half_width):
-                raise ValueError(f"{key}: a tolerance above the default needs 'why'")
         return self
+
+    def write(self, path: Path) -> None:
+        """Write it: one number a line, so that a change reads as one."""
+        lines = [
+            f"# Accepted numbers of the {self.kind} {self.name}.  "
+            "`hyperval baseline accept` renews them; tolerances are set by hand.",
+            "schema: 1",
+            f"kind: {self.kind}",
+            *(f"{key}: {_text(getattr(self, key))}" for key in ("name", "reason", "date")),
+            f"versions: {{{', '.join(f'{key}: {_text(value)}' for key, value in self.versions.items())}}}",
+            "metrics:",
+            *(f"  {_text(key)}: {_line(item)}" for key, item in sorted(self.metrics.items())),
+        ]
+        write_text(path, "\n".join(lines) + "\n")
+
+
+def _line(item: Accepted) -> str:
+    entries = item.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    entries = {"accepted": item.accepted, **{k: v for k, v in entries.items() if k != "accepted"}}
+    return "{" + ", ".join(f"{key}: {_scalar(value)}" for key, value in entries.items()) + "}"
+
+
+def _scalar(value: object) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, str):
+        return value if value.isalpha() else _text(value)
+    return repr(value)
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False)
 
 
 def key_of(row: Result) -> str:
@@ -370,48 +388,3 @@ def today() -> str:
         raise UsageError(f"SOURCE_DATE_EPOCH is {text!r}", expected="seconds since 1970")
     now = datetime.fromtimestamp(int(text), UTC) if text else datetime.now(UTC)
     return now.date().isoformat()
-
-
-def write_baseline(
-    path: Path,
-    kind: Kind,
-    name: str,
-    reason: str,
-    used: Mapping[str, str],
-    metrics: Mapping[str, Accepted],
-    *,
-    candidate: bool = False,
-) -> None:
-    """Write one baseline, or a candidate whose reason and date are still to be given."""
-    what = f"{FILL_IN}: why these numbers are right" if candidate else reason
-    lines = [
-        f"# Accepted numbers of the {kind} {name}.  "
-        "`hyperval baseline accept` renews them; tolerances are set by hand.",
-        "schema: 1",
-        f"kind: {kind}",
-        f"name: {json.dumps(name)}",
-        f"reason: {_text(what)}",
-        f"date: {_text(today())}",
-        f"versions: {{{', '.join(f'{key}: {_text(value)}' for key, value in used.items())}}}",
-        "metrics:",
-        *(f"  {_text(key)}: {_line(item)}" for key, item in sorted(metrics.items())),
-    ]
-    write_text(path, "\n".join(lines) + "\n")
-
-
-def _line(item: Accepted) -> str:
-    entries = item.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    entries = {"accepted": item.accepted, **{k: v for k, v in entries.items() if k != "accepted"}}
-    return "{" + ", ".join(f"{key}: {_scalar(value)}" for key, value in entries.items()) + "}"
-
-
-def _scalar(value: object) -> str:
-    if value is None:
-        return "null"
-    if isinstance(value, str):
-        return value if value.isalpha() else _text(value)
-    return repr(value)
-
-
-def _text(value: str) -> str:
-    return json.dumps(value, ensure_ascii=False)

@@ -10,8 +10,8 @@ Taking the numbers of a run as those that later runs must give.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from typing import Any
 from hyperval.baseline.accepted import (
     DEFAULT_FOLDER,
     Accepted,
+    Baseline,
     Kind,
     accepted_of,
     accepted_rows,
@@ -31,17 +32,17 @@ from hyperval.baseline.accepted import (
     stored,
     today,
     versions,
-    write_baseline,
 )
 from hyperval.campaign import Job, jobs_of, validate
 from hyperval.campaign.provenance import command_without_output, source_revision
+from hyperval.config import FILL_IN
 from hyperval.errors import InputError, UsageError
 from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.verdict import accepted_words
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role, paired
 from hyperval.run import Run, file_stems, is_run, json_value, junit_xml
-from hyperval.sensor.specification import Sensor, library_names, load_sensor
+from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check.suite import Engine
 from hyperval.storage import scratch_folder, sha256_of, whole_folder, write_text
 
@@ -88,7 +89,7 @@ def _text(value: float) -> str:
     return "no value" if math.isnan(value) else f"{value:.6g}"
 
 
-ALL = "all"
+ALL, RUNS = "all", "runs"
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,19 @@ class RunNumbers:
         named = self.reference if self.kind == "campaign" else f"--sensors {self.reference}"
         where = "" if baselines == DEFAULT_FOLDER else f" --baselines {baselines}"
         return f'hyperval baseline accept {named}{where} --reason "..."'
+
+    def baseline(self, reason: str, before: Mapping[str, Accepted]) -> Baseline:
+        """Its numbers as accepted today; tolerances that stand in ``before`` are kept."""
+        numbers, used = accepted_of(self.metrics, before), dict(self.versions or versions())
+        return Baseline.model_construct(
+            schema_version=1,
+            kind=self.kind,
+            name=self.name,
+            reason=reason,
+            date=today(),
+            versions=used,
+            metrics=numbers,
+        )
 
     @property
     def owner(self) -> str:
@@ -158,39 +172,19 @@ def all_runs(
     """
     if not campaigns and not sensors:
         raise UsageError("nothing to run", expected="campaign files, or sensors")
-    chosen = [(name, load_sensor(name)) for name in _names(sensors)]
-    runs = _campaign_runs(campaigns, source, keep, show_progress) if campaigns else []
-    return [*runs, *(_sensor_run(*s, engine) for s in track(chosen, "sensors", len(chosen), show=show_progress))]
-
-
-def _names(sensors: Sequence[str]) -> list[str]:
     given = [part for text in sensors for part in text.split(",") if part]
-    return list(dict.fromkeys(n for part in given for n in (library_names() if part == ALL else (part,))))
-
-
-def _sensor_run(reference: str, sensor: Sensor, engine: Engine | None) -> RunNumbers:
-    title = sensor.specification.title
-    return RunNumbers("sensor", sensor.name, title, sensor_metrics(sensor, engine), versions(), reference=reference)
-
-
-def _campaign_runs(
-    paths: Sequence[Path], source: Path | None, keep: Path | None, show_progress: bool | None
-) -> list[RunNumbers]:
-    jobs = jobs_of(*paths)
-    if source is not None:
-        return [_read(job, source, finished=True) for job in jobs]
-    with _folder(keep) as folder:
-        validate(paths, folder, show_progress=show_progress)
-        return [_read(job, folder, finished=False) for job in jobs]
-
-
-@contextmanager
-def _folder(keep: Path | None) -> Iterator[Path]:
-    if keep is not None:
-        yield keep
-        return
-    with scratch_folder("check") as scratch:
-        yield scratch / "runs"
+    names = dict.fromkeys(n for part in given for n in (library_names() if part == ALL else (part,)))
+    chosen = {name: load_sensor(name) for name in names}
+    with ExitStack() as stack:
+        jobs = jobs_of(*campaigns) if campaigns else []
+        folder = source or keep or stack.enter_context(scratch_folder("check")) / RUNS
+        if jobs and source is None:
+            validate(campaigns, folder, show_progress=show_progress)
+        runs = [_read(job, folder, finished=source is not None) for job in jobs]
+    for name, sensor in track(chosen.items(), "sensors", len(chosen), show=show_progress):
+        title, numbers = sensor.specification.title, sensor_metrics(sensor, engine)
+        runs.append(RunNumbers("sensor", sensor.name, title, numbers, versions(), reference=name))
+    return runs
 
 
 def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
@@ -232,9 +226,6 @@ def _stale(job: Job, provenance: Mapping[str, Any]) -> str | None:
         if sha256_of(path) != item.get("sha256"):
             return f"was made with another {reference}"
     return None
-
-
-RUNS = "runs"
 
 
 @dataclass(frozen=True)
@@ -312,25 +303,23 @@ def check(
 
 
 def _against(run: RunNumbers, folder: Path) -> Checked:
-    path = baseline_path(folder, run.kind, run.name)
+    path, candidate = baseline_path(folder, run.kind, run.name), None
+    outcome, words = Outcome.DISAGREES, ""
     if run.skipped is not None:
-        return Checked(run, _one(run, Outcome.SKIPPED, run.skipped), path)
-    baseline = stored(folder, run.kind, run.name)
-    if baseline is not None:
+        outcome, words = Outcome.SKIPPED, run.skipped
+    elif (baseline := stored(folder, run.kind, run.name)) is not None:
         return Checked(run, ResultTable(compare(run.owner, baseline.metrics, run.metrics)), path, is_compared=True)
-    if run.broken:
+    elif run.broken:
         words = f"no baseline ({path}), and this run cannot become one: {run.broken[0]}"
-        return Checked(run, _one(run, Outcome.DISAGREES, words), path)
-    candidate = candidate_path(folder, run.kind, run.name)
-    write_baseline(candidate, run.kind, run.name, "", run.versions, accepted_of(run.metrics, {}), candidate=True)
-    words = f"no baseline ({path}); the numbers of this run are in {candidate}; {run.acceptance(folder)} makes them one"
-    return Checked(run, _one(run, Outcome.DISAGREES, words), path, candidate)
-
-
-def _one(run: RunNumbers, outcome: Outcome, reason: str) -> ResultTable:
+    else:
+        candidate = candidate_path(folder, run.kind, run.name)
+        run.baseline(f"{FILL_IN}: why these numbers are right", {}).write(candidate)
+        how = f"{run.acceptance(folder)} makes them one"
+        words = f"no baseline ({path}); the numbers of this run are in {candidate}; {how}"
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.NONE
     names = (run.owner, "baseline", run.name, run.kind, "baseline")
-    return ResultTable([Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=reason)])
+    row = Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=words)
+    return Checked(run, ResultTable([row]), path, candidate)
 
 
 def _write(outcome: Checks, folder: Path) -> None:
@@ -426,25 +415,20 @@ def accept(
                 expected="a run without errors",
                 mend="mend the code or the campaign",
             )
-    plans = []
-    for run in (run for run in runs if run.skipped is None):
-        before = stored(baselines, run.kind, run.name)
-        old = before.metrics if before else {}
-        plans.append((run, old, accepted_of(run.metrics, old)))
-    written, unchanged, changes = {}, [], []
-    for run, old, new in plans:
-        path, different = baseline_path(baselines, run.kind, run.name), _changes(run.owner, old, new)
-        if not different:
+    done = [run for run in runs if run.skipped is None]
+    before = {run.owner: stored(baselines, run.kind, run.name) for run in done}  # all are read before one is written
+    written, unchanged, changes = {}, [], list[Change]()
+    for run in done:
+        held = before[run.owner]
+        old = held.metrics if held else {}
+        new = run.baseline(words, old)
+        keys = [key for key in sorted({*old, *new.metrics}) if old.get(key) != new.metrics.get(key)]
+        if not keys:
             unchanged.append(run.owner)
             continue
-        write_baseline(path, run.kind, run.name, words, run.versions or versions(), new)
+        written[run.owner] = baseline_path(baselines, run.kind, run.name)
+        new.write(written[run.owner])
         candidate_path(baselines, run.kind, run.name).unlink(missing_ok=True)
-        written[run.owner] = path
-        changes += different
+        changes += [(run.owner, key, old.get(key), new.metrics.get(key)) for key in keys]
     skipped = {run.owner: run.skipped for run in runs if run.skipped is not None}
     return Acceptance(written, unchanged, skipped, changes, today())
-
-
-def _changes(owner: str, old: Mapping[str, Accepted], new: Mapping[str, Accepted]) -> list[Change]:
-    keys = sorted({*old, *new})
-    return [(owner, k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)]
