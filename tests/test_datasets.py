@@ -11,19 +11,15 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import quote
 
 import pytest
 
 from hyperval import cli, datasets
-from hyperval.datasets import DataFile, DataSet, InputLog, registry
+from hyperval.datasets import DataFile, DataSet, InputLog
 from hyperval.errors import InputError, MissingDataError, UsageError
-
-COLLECTIONS = os.environ.get("HYPERVAL_DATA", "")  # before each test has places of its own
 
 
 @pytest.fixture(autouse=True)
@@ -170,6 +166,9 @@ def test_a_pattern_stands_for_every_file_that_matches(places, tmp_path):
     assert [e["reference"] for e in log.entries()] == [
         "data:mine/grass1.asd", "data:mine/grass2.asd", "grass1.asd", "sand1.asd",
     ]  # fmt: skip
+    elsewhere = InputLog(tmp_path)  # of a campaign whose scenario stands in another folder
+    assert matching(elsewhere.resolve("grass*.asd", local / "mine")) == two
+    assert [e["reference"] for e in elsewhere.entries()] == ["data:mine/grass1.asd", "data:mine/grass2.asd"]
     odd = put(local, "mine/a[1].asd")  # a name that only looks like a pattern
     assert matching(datasets.resolve("data:mine/a[1].asd")) == [odd]
     with pytest.raises(InputError, match="no such file"):
@@ -265,33 +264,6 @@ def test_a_file_whose_git_blob_id_alone_is_published(server, places, monkeypatch
     assert {c.state for c in datasets.verify("toy")} == {"ok"}
     (places[1] / "toy/c.img").write_bytes(b"what is up, cat?")
     assert {c.state for c in datasets.verify("toy")} == {"differs"}
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("name", ["share2012-felt", "share2010-felt"])
-def test_felts_are_fetched_by_their_entry_and_images_of_other_content_are_refused(
-    name, data_dir, server, places, monkeypatch
-):
-    """Headers, masks and spectra as they are published, a stand-in for each image."""
-    monkeypatch.setenv("HYPERVAL_DATA", COLLECTIONS)
-    real = data_dir(f"{name}/images").parents[1]
-    monkeypatch.setenv("HYPERVAL_DATA", str(places[0]))
-    entry = registry()[name]
-    root = datasets.dataset("toy").files[0].address.removesuffix("/a.txt")
-    local = [replace(f, address=f"{root}/{quote(f.path)}") for f in entry.files]
-    images = [f for f in local if not (real / f.path).exists()]
-    assert 1 <= len(images) <= 2
-    for file in local:
-        server.content[f"/{quote(file.path)}"] = b"stand-in" if file in images else (real / file.path).read_bytes()
-    monkeypatch.setattr(datasets, "registry", lambda: {name: entry.model_copy(update={"files": tuple(local)})})
-    with pytest.raises(InputError, match="not the registered file"):
-        datasets.fetch(name)
-    assert set(datasets.missing(name)) >= {f"data:{f.path}" for f in images}
-    blob = hashlib.sha1(b"blob 8\0stand-in", usedforsecurity=False).hexdigest()
-    fetched = [replace(f, size=8, sha256="", git_blob=blob) if f in images else f for f in local]
-    monkeypatch.setattr(datasets, "registry", lambda: {name: entry.model_copy(update={"files": tuple(fetched)})})
-    datasets.fetch(name)
-    assert {c.state for c in datasets.verify(name)} == {"ok"}
 
 
 @pytest.mark.parametrize("answer", [b"fIrst", b"", b"first and more", b"x" * 10_000_000], ids=lambda b: str(len(b)))

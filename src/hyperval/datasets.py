@@ -136,7 +136,7 @@ def _reason(error: Exception) -> str:
     return "no connection" if isinstance(error, requests.ConnectionError) else type(error).__name__
 
 
-PREFIX = "data:"
+PREFIX, SIMULATED = "data:", "simulated:"
 
 
 @dataclass(frozen=True)
@@ -371,11 +371,19 @@ def how_to_get(entry: DataSet) -> str:
 
 
 class InputLog:
-    """Every file that a run read, for its provenance record."""
+    """Every file that a run read, simulated ones among them, for its provenance record.
+
+    Attributes
+    ----------
+    base : folder that references are relative to
+    simulated : folder of the files that ``simulated:NAME`` stands for, once they are made
+    """
 
     def __init__(self, base: Path | None = None):
         self.base = Path(base) if base is not None else Path()
+        self.simulated: Path | None = None
         self._entries: dict[str, dict[str, Any]] = {}
+        self._seen: set[Path] = set()
 
     @classmethod
     def of_file(cls, path: Path) -> InputLog:
@@ -383,21 +391,26 @@ class InputLog:
         (log := cls(path.resolve().parent)).add(path.resolve(), path.name)
         return log
 
-    def resolve(self, reference: str) -> Path:
+    def resolve(self, reference: str, base: Path | None = None) -> Path:
         """Like :func:`resolve`, and keep a record of the file; InputError where it is not the registered one."""
-        path = resolve(reference, self.base)
+        if reference.startswith(SIMULATED):
+            if self.simulated is None:
+                raise UsageError(f"{reference!r}: this campaign simulates nothing", mend="set collection.simulate")
+            return self.add(self.simulated / Path(reference.removeprefix(SIMULATED)).name, reference)
+        path = resolve(reference, base or self.base)
         if is_pattern(reference) and not path.is_file():
             for one in matching(path):
-                self.resolve((PurePosixPath(reference).parent / one.name).as_posix())
+                self.resolve((PurePosixPath(reference).parent / one.name).as_posix(), base)
             return path
-        if not reference.startswith(PREFIX) and Path(reference).is_absolute():
-            return self.add(path)
-        return self.add(path, reference)
+        is_own = base in (None, self.base) and not Path(reference).is_absolute()
+        return self.add(path, reference if is_own or reference.startswith(PREFIX) else None)
 
     def add(self, path: Path, reference: str | None = None) -> Path:
-        """Record a file that was found otherwise, such as the header beside a cube."""
-        if reference is None:
-            reference = self._relative(path)
+        """Record a file that was found otherwise, such as the header beside a cube; once, by its first name."""
+        if reference is None and path.resolve() in self._seen:
+            return path
+        self._seen.add(path.resolve())
+        reference = reference or self._relative(path)
         if reference not in self._entries:
             check_copy(reference, path)
             known = describe(reference)
@@ -416,7 +429,8 @@ class InputLog:
     def _relative(self, path: Path) -> str:
         """A name for ``path`` that says nothing of this machine."""
         full = Path(path).resolve()
-        for root, prefix in [*((r.resolve(), PREFIX) for r in _roots()), (self.base.resolve(), "")]:
+        made = [(self.simulated.resolve(), SIMULATED)] if self.simulated else []
+        for root, prefix in [*made, *((r.resolve(), PREFIX) for r in _roots()), (self.base.resolve(), "")]:
             if full.is_relative_to(root):
                 return prefix + full.relative_to(root).as_posix()
         return full.name

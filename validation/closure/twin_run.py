@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from hyperval.campaign import SIMULATED, Campaign, job_of
+from hyperval.campaign import Campaign, job_of
 from hyperval.compare import compare_products
+from hyperval.datasets import SIMULATED
 from hyperval.model import Origins, predict
 from hyperval.observe import observe
 from hyperval.results import ResultTable, of_campaign

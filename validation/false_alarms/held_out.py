@@ -24,7 +24,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage, stats
 
-from hyperval.campaign import Inputs, jobs_of
+from hyperval.campaign import jobs_of
+from hyperval.datasets import InputLog
 from hyperval.model import ClassScores, log_false_alarm
 from hyperval.observe import observe
 from hyperval.pixels import class_mixture, fit_mixture
@@ -47,7 +48,7 @@ class Image:
     def __init__(self) -> None:
         job = jobs_of(CAMPAIGN)[0]
         detection = job.campaign.detection.model_copy(update={"unmixing": None})
-        seen = observe(job.campaign.collection, detection, Inputs(job.path).resolve, show_progress=False)
+        seen = observe(job.campaign.collection, detection, InputLog.of_file(job.path).resolve, show_progress=False)
         place, detected = seen.place, seen.detected
         counted = place.background(detection.false_alarms)
         self.lines, self.samples = np.nonzero(counted)

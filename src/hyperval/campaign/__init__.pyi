@@ -1,7 +1,7 @@
 """A campaign: its file read and looked over, run, judged; its record, its draft, the power of its criteria."""
 
 from .forward import predict_to_folder
-from .job import SIMULATED, Job, job_of, jobs_of, read_jobs
+from .job import Job, job_of, jobs_of, read_jobs
 from .names import WRONG, Item, dry_run, overview, summary
 from .pictures import expected_maps, scene_content
 from .power import Power, campaign_power, power_table
@@ -10,7 +10,6 @@ from .run import observe, run_campaign, validate
 from .schema import Campaign, DayScenarios, day_scenarios
 from .sides import (
     Collected,
-    Inputs,
     collected,
     spread_curves,
     with_fills_of_truth,
@@ -20,7 +19,7 @@ from .sides import (
 from .starter import StarterSources, starter_campaign
 
 __all__ = [
-    "SIMULATED", "WRONG", "Campaign", "Collected", "DayScenarios", "Inputs", "Item", "Job", "Power",
+    "WRONG", "Campaign", "Collected", "DayScenarios", "Item", "Job", "Power",
     "StarterSources", "campaign_power", "collected", "command_without_output", "day_scenarios", "dry_run",
     "expected_maps", "job_of", "jobs_of", "observe", "overview", "package_versions", "power_table",
     "predict_to_folder", "read_jobs", "record_of", "run_campaign", "scene_content", "source_revision",

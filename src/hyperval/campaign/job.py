@@ -11,7 +11,7 @@ from typing import Any
 from hyperval.atmosphere.solar import reference_of
 from hyperval.campaign.schema import Campaign, Outline, campaign_runs, with_words
 from hyperval.config import FILL_IN, Location, Placeholder, load_yaml, placeholders, unfilled, validate
-from hyperval.datasets import PREFIX, describe, resolve, set_on_request
+from hyperval.datasets import PREFIX, SIMULATED, describe, resolve, set_on_request
 from hyperval.errors import HypervalError, UsageError, reader
 from hyperval.scenario import builtin_scenarios
 
@@ -19,7 +19,6 @@ FILE_KEYS = frozenset({
     "path", "header", "file", "csv", "simulate", "size_classes", "library", "table", "glt", "image", "replicates",
     "radcalnet",
 })  # fmt: skip
-SIMULATED = "simulated:"
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hyperval.campaign.job import SIMULATED, Job, Reference, read_jobs
+from hyperval.campaign.job import Job, Reference, read_jobs
 from hyperval.campaign.schema import Campaign, DayScenarios, scenarios_of
 from hyperval.compare.judge import Gate
 from hyperval.config import Location, load_yaml
-from hyperval.datasets import check_copy, how_to_get, resolve, set_on_request
+from hyperval.datasets import SIMULATED, check_copy, how_to_get, resolve, set_on_request
 from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, InputError
 from hyperval.imagery import needs_header

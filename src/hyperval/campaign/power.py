@@ -151,7 +151,7 @@ def power_table(
             schema=1,
             campaign=job.campaign.name,
             version=hyperval.__version__,
-            files=own_files(here.inputs.log.entries()),
+            files=own_files(here.inputs.entries()),
             gates=len(gates) - disagreeing,
             disagreeing=disagreeing,
             stated=gate_values(before),

@@ -20,13 +20,13 @@ from typing import Any, Literal, NamedTuple
 
 import hyperval
 from hyperval.attribute import ScenarioModel, Truths, assumed_inputs, attribute, few_objects
-from hyperval.campaign.job import SIMULATED, Job, job_of, jobs_of
+from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
 from hyperval.campaign.schema import Outline
 from hyperval.campaign.sides import Collected, collected, header_notes, joined, truth_notes
 from hyperval.data import NUMERICAL_DETECTORS
-from hyperval.datasets import InputLog
+from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.model import Truth, inputs_of, predict, predictions, read
@@ -130,7 +130,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         observation=observed.observation,
         score_maps=score_maps(observed, campaign.detection, prediction.expected_scores if prediction else {}),
         quicklook=quicklook(observed),
-        provenance=record_of(side.inputs.log, scenarios, side.seed, {"campaign": campaign}, both),
+        provenance=record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, both),
         notes=list(dict.fromkeys(notes)),
         references=campaign.references,
         chosen_after=campaign.every_choice(),

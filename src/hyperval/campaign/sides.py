@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.campaign.job import SIMULATED, Job
+from hyperval.campaign.job import Job
 from hyperval.campaign.schema import Campaign, scenarios_of
 from hyperval.collection import Detection
 from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
@@ -250,57 +250,15 @@ def _apart(a: float, b: float) -> bool:
     return max(a / b, b / a) > MAX_LENGTH_RATIO
 
 
-class Inputs:
-    """Files of one campaign: resolved, recorded, simulated ones among them."""
-
-    def __init__(self, path: Path):
-        self.log = InputLog.of_file(path)
-        self.simulated: Path | None = None
-        self._seen: set[Path] = set()
-
-    def resolve(self, reference: str) -> Path:
-        """The path of a reference; ``simulated:NAME`` is a file of the simulated collection."""
-        if reference.startswith(SIMULATED):
-            if self.simulated is None:
-                raise UsageError(f"{reference!r}: this campaign simulates nothing", mend="set collection.simulate")
-            path = self.log.add(self.simulated / Path(reference.removeprefix(SIMULATED)).name, reference)
-        else:
-            path = self.log.resolve(reference)
-        self._seen.add(path.resolve())
-        return path
-
-    def record_beside(self, paths: Sequence[Path]) -> None:
-        """Record files that were read beside those that were named, such as a cube's header."""
-        for path in paths:
-            if path.resolve() in self._seen:
-                continue
-            simulated = self.simulated is not None and path.is_relative_to(self.simulated)
-            self.log.add(path, f"{SIMULATED}{path.name}" if simulated else None)
-
-
 @dataclass(frozen=True)
 class Collected:
     """A campaign and what its collection says, while the files, simulated ones too, are there."""
 
     campaign: Campaign
-    inputs: Inputs
+    inputs: InputLog
     scenarios: Sequence[Scenario]
     observed: Observed
     seed: int | None
-
-    def resolver(self, scenario: Scenario) -> Callable[[str], Path]:
-        """Finds the files that a scenario names, and records them with the campaign's.
-
-        References of a scenario are relative to its own file.
-        """
-        folder, inputs = scenario.folder, self.inputs
-
-        def resolve(reference: str) -> Path:
-            if reference.startswith((SIMULATED, "data:")) or folder is None or folder == inputs.log.base:
-                return inputs.resolve(reference)
-            return inputs.log.add(InputLog(folder).resolve(reference))
-
-        return resolve
 
     def origins(self, scenario: Scenario, show_progress: bool | None) -> Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
@@ -308,7 +266,8 @@ class Collected:
         from hyperval.model import Origins
 
         return Origins(
-            observed.observation.axis, self._laws.statistics(scenario), self.resolver(scenario),
+            observed.observation.axis, self._laws.statistics(scenario),
+            partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file
             show_progress=show_progress, left_out=lambda: self._laws.left_out(scenario), read=self._read,
         )  # fmt: skip
 
@@ -325,7 +284,7 @@ class Collected:
 def collected(
     job: Job,
     *,
-    question: Callable[[Sequence[Scenario], Inputs], Campaign] | None = None,
+    question: Callable[[Sequence[Scenario], InputLog], Campaign] | None = None,
     show_progress: bool | None = None,
 ) -> Iterator[Collected]:
     """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
@@ -339,11 +298,9 @@ def collected(
     MissingDataError : files of a registered data set that are not on this machine.
     HypervalError : anything else that the user can mend.
     """
-    campaign, inputs = job.campaign, Inputs(job.path)
+    campaign, inputs = job.campaign, InputLog.of_file(job.path)
     with ExitStack() as stack:
-        scenarios = [
-            one for s in campaign.scenarios for one in scenarios_of(s, inputs.resolve, inputs.log.base, job.words)
-        ]
+        scenarios = [one for s in campaign.scenarios for one in scenarios_of(s, inputs.resolve, inputs.base, job.words)]
         seed = None
         if campaign.collection.simulate:
             scratch = stack.enter_context(scratch_folder("simulated"))
@@ -358,13 +315,14 @@ def collected(
             show_progress=show_progress,
         )
         if observed.place is not None:
-            inputs.record_beside(observed.place.source_files)
+            for path in observed.place.source_files:  # such as a cube's header
+                inputs.add(path)
         scenarios = [with_measured_fractions(scenario, observed.place) for scenario in scenarios]
         scenarios = with_fills_of_truth(scenarios, observed.place, campaign.detection)
         yield Collected(campaign, inputs, scenarios, observed, seed)
 
 
-def _simulate(reference: str, inputs: Inputs, scratch: Path, show_progress: bool | None) -> int:
+def _simulate(reference: str, inputs: InputLog, scratch: Path, show_progress: bool | None) -> int:
     from hyperval.simulate import load_scene, simulate
     from hyperval.simulate.inputs import load_inputs
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.campaign import Campaign, Inputs, Job, collected, jobs_of
+from hyperval.campaign import Campaign, Job, collected, jobs_of
 from hyperval.campaign.provenance import command_without_output, record_of
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
@@ -145,7 +145,7 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
     """The rows with every detector, or with the campaign's own where the others were ``refused``."""
     name, chosen = job.campaign.name, Question(job.campaign, {})
 
-    def ask(scenarios: Sequence[Scenario], inputs: Inputs) -> Campaign:
+    def ask(scenarios: Sequence[Scenario], inputs: InputLog) -> Campaign:
         nonlocal chosen
         regions: list[str] = []
         if job.campaign.detection is not None and not job.campaign.detection.undesired:
@@ -160,7 +160,7 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
         rows = detector_rows(collection.observed, chosen, seed=entry.seed, show_progress=show_progress)
         rows += peer_rows(collection.observed, chosen.campaign.detection, collection.inputs.resolve)
         record = record_of(
-            collection.inputs.log,
+            collection.inputs,
             collection.scenarios,
             collection.seed,
             {"campaign": chosen.campaign},

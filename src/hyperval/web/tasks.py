@@ -25,9 +25,9 @@ from hyperval import api
 from hyperval.campaign.forward import predict_to_folder
 from hyperval.campaign.job import Job, jobs_of
 from hyperval.campaign.run import observe, validate
-from hyperval.campaign.sides import Inputs
 from hyperval.campaign.starter import StarterSources, starter_campaign
 from hyperval.config import load_model
+from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.figures.catalogue import first_figures
 from hyperval.figures.detection import densities_figure, exceedance_figure
@@ -283,7 +283,7 @@ def collection(folder: str, path: str) -> None:
     job = _job(path)
     if job is None or job.campaign.collection is None or job.campaign.collection.simulate is None:
         raise UsageError("this campaign simulates nothing")
-    file = Inputs(job.path).resolve(job.campaign.collection.simulate)
+    file = InputLog.of_file(job.path).resolve(job.campaign.collection.simulate)
     scene, part = load_scene(file), Path(folder) / "collection.part"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
@@ -297,7 +297,7 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     collection = None if job is None else job.campaign.collection
     if job is None or collection is None or collection.cube is None:
         raise UsageError("this campaign has no cube")
-    inputs = Inputs(job.path)
+    inputs = InputLog.of_file(job.path)
     if collection.simulate:
         inputs.simulated = Path(folder) / COLLECTION
     cube = open_source(collection.cube, inputs.resolve, collection.bands)
