@@ -1,7 +1,7 @@
 """Images on disk: their readers and writer, regions of interest, truth, places on a map."""
 
 from .acquisition import acquisition_notes, time_notes
-from .cube import Block, Cube, open_cube
+from .cube import Block, Cube, needs_header, open_cube, open_raster, raster_of_size
 from .description import Description, Raster, record
 from .drawing import outside_error, polygon_mask
 from .envi import EnviRaster, crs_of, pixel_area_m2, pixel_sides_m, transform_of
@@ -18,7 +18,6 @@ from .placing import (
     table_of,
 )
 from .products import layouts, lookup_raster, sun_of_observation
-from .rasters import needs_header, open_raster, raster_of_size
 from .regions import (
     Region,
     guard,

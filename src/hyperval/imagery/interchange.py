@@ -16,7 +16,6 @@ from hyperval.errors import refusal
 from hyperval.imagery.arrays import Piece, Store, Term, array_raster, at_hand, labelled_array
 from hyperval.imagery.description import Description, ListedBands, Raster
 from hyperval.imagery.envi import EnviRaster
-from hyperval.imagery.rasters import open_raster
 from hyperval.spectra.axis import SpectralAxis
 
 if TYPE_CHECKING:
@@ -126,8 +125,8 @@ def map_to_spy(values: npt.NDArray[Any], name: str) -> spectral.image.ImageArray
     return _image_array(np.asarray(values)[:, :, None], spectral.BandInfo(), name)
 
 
-def raster_of(image: Any, variable: str | None = None) -> Raster:
-    """The raster of an object of SPy or xarray, read by parts where it is lazy.
+def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
+    """The raster of an object of SPy or xarray, read by parts where it is lazy; the path of one that SPy maps.
 
     Raises
     ------
@@ -144,7 +143,7 @@ def raster_of(image: Any, variable: str | None = None) -> Raster:
     path, about = Path(str(image.filename or "SPy image")), image.bands
     headers = (path.with_suffix(".hdr"), Path(f"{path}.hdr"))
     if isinstance(image, SpyFile) and path.is_file() and any(h.is_file() for h in headers):
-        return open_raster(path)
+        return path
     if about.centers is None:
         raise refusal("exchange.no_wavelengths")
     widths = None if about.bandwidths is None else np.asarray(about.bandwidths, float)

@@ -24,6 +24,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import HypervalError, reader, refusal
+from hyperval.imagery.cube import open_raster
 from hyperval.imagery.description import Raster
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import (
@@ -34,7 +35,6 @@ from hyperval.imagery.products import (
     median_angle,
     sun_of_observation,
 )
-from hyperval.imagery.rasters import open_raster
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]

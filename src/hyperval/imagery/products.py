@@ -122,32 +122,30 @@ class ProductTree:
 
     def number(self, reference: Reference) -> float:
         """A number; InputError when the file has none there, or not a finite one."""
-        if not isinstance(reference, str):
-            return float(reference)
-        try:
-            number = float(np.asarray(self.raw(reference)).ravel()[0])
-        except (TypeError, ValueError, IndexError):
-            number = np.nan
-        if not np.isfinite(number):
+        found = self._floats(reference) if isinstance(reference, str) else np.array([float(reference)])
+        if not np.isfinite(found[:1]).any():
             raise refusal("product.number", self.path, reference=reference)
-        return number
+        return float(found[0])
 
     def numbers(self, reference: str, count: int, what: str) -> Array:
         """(count,) numbers; InputError when the file does not have as many."""
-        value = self.raw(reference)
-        try:
-            out = np.zeros(0) if value is None else np.asarray(value, dtype=float).ravel()
-        except (TypeError, ValueError):
-            out = np.zeros(0)
+        out = self._floats(reference)
         if out.size != count:
             raise refusal("product.numbers", self.path, size=out.size, what=what, reference=reference, count=count)
         return out
 
-    def image(self, reference: str, axes: int = 3) -> h5py.Dataset | None:
-        """An array of so many axes, None without any; InputError where it is none or cannot be read by its blocks."""
+    def _floats(self, reference: str) -> Array:
+        value = self.raw(reference)
+        try:
+            return np.zeros(0) if value is None else np.asarray(value, dtype=float).ravel()
+        except (TypeError, ValueError):
+            return np.zeros(0)
+
+    def image(self, reference: str, axes: int = 3) -> h5py.Dataset:
+        """An array of so many axes; InputError where it is none or cannot be read by its blocks."""
         array = self.item(reference)
         if not isinstance(array, h5py.Dataset):
-            return None
+            raise refusal("product.image", self.path, name=reference)
         name = array.name.strip("/")
         if array.chunks is not None and int(np.prod(array.chunks)) * array.dtype.itemsize > MAX_CHUNK_BYTES:
             raise refusal("array.block", self.path, name=name, mib=MAX_CHUNK_BYTES >> 20)
@@ -182,7 +180,7 @@ def open_product(path: Path) -> ArrayRaster | None:
         if tree is None:
             return None
         layout = tree.layout
-        images = [_image(tree, array.path) for array in layout.arrays]
+        images = [tree.image(array.path) for array in layout.arrays]
         ignore = _ignore(tree, images[0])
         pieces = tuple(_piece(tree, a, image, ignore) for a, image in zip(layout.arrays, images, strict=True))
         transform, crs, notes = (None, None, ()) if layout.lookup_table else _position(tree, pieces[0])
@@ -206,9 +204,9 @@ def lookup_raster(raster: Raster) -> ArrayRaster | None:
     with _product_of(raster) as tree:
         if tree is None or tree.layout.lookup_table is None:
             return None
-        columns = [c for name in tree.layout.lookup_table if (c := tree.image(name, axes=2)) is not None]
-        if len(columns) < 2:
+        if not all(isinstance(tree.item(name), h5py.Dataset) for name in tree.layout.lookup_table):
             return None
+        columns = [tree.image(name, axes=2) for name in tree.layout.lookup_table]
         pieces = tuple(Piece((Term(c.name.strip("/")),), "ls", c.shape, np.dtype(np.int32)) for c in columns)
         fill, position = _stated(columns[0].attrs, *_FILLS), _position(tree, pieces[0])[:2]
     return array_raster(raster.path, Store(raster.path, hdf5), pieces, position=position, zero_for=fill)
@@ -224,19 +222,11 @@ def location_raster(raster: Raster) -> ArrayRaster | None:
     return array_raster(raster.path, Store(raster.path, hdf5), pieces)
 
 
-def _image(tree: ProductTree, reference: str) -> h5py.Dataset:
-    """An array of three axes."""
-    found = tree.image(reference)
-    if found is None:
-        raise refusal("product.image", tree.path, name=reference)
-    return found
-
-
 def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore: float | None) -> Piece:
     first = Term(image.name.strip("/"))
     if array.plus is None:
         return Piece((first,), array.dimensions, image.shape, image.dtype.newbyteorder("="))
-    second = _image(tree, array.plus[0])
+    second = tree.image(array.plus[0])
     if second.shape != image.shape:
         raise refusal("product.shape", tree.path, name=second.name, other=image.name)
     weight = 1.0 / tree.number(array.plus[1])

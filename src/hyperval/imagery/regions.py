@@ -15,23 +15,10 @@ from rasterio.crs import CRS
 from scipy import ndimage
 from skimage.measure import label
 
-from hyperval.envi_header import header_beside
 from hyperval.errors import reader, refusal
-from hyperval.imagery.arrays import MATRICES
 from hyperval.imagery.drawing import WARNING, ImageGrid, Position, RegionDrawing
-from hyperval.imagery.regions_files import (
-    ascii_drawings,
-    binary_drawings,
-    csv_drawings,
-    geojson_drawings,
-    is_kml,
-    is_vector,
-    raster_masks,
-    vector_drawings,
-    xml_drawings,
-)
-from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
-from hyperval.paths import checked_file, head_of
+from hyperval.imagery.regions_files import drawings_of
+from hyperval.paths import checked_file
 
 Mask = npt.NDArray[np.bool_]
 
@@ -114,29 +101,9 @@ def read_regions(
     UsageError : unknown format, unknown names, or ``coordinates`` not stated.
     """
     path = checked_file(path, root=root, what="region file")
-    head = head_of(path)
-    stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
-    grid = ImageGrid(cube_shape, transform, crs, coordinates, name_field)
     by_value = isinstance(names, Mapping) and any(isinstance(key, int) for key in names)
-    drawn: Mapping[Any, Mask | RegionDrawing]
-    if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in TIFF_MARKS:
-        drawn = raster_masks(path, cube_shape, by_value=by_value, root=root)
-    elif stripped.startswith(b"<") and not is_kml(head):
-        drawn = xml_drawings(path, grid)
-    elif b"ENVI Output of ROIs" in head[:200]:
-        drawn = ascii_drawings(path, cube_shape)
-    elif head.startswith(b"JoeB"):
-        drawn = binary_drawings(path, cube_shape)
-    elif is_vector(head):
-        drawn = vector_drawings(path, grid, root)
-    elif stripped.startswith(b"{"):
-        drawn = geojson_drawings(path, grid)
-    elif path.suffix.lower() == ".hdr" or head.startswith(tuple(MATRICES)) or header_beside(path) is not None:
-        drawn = raster_masks(path, cube_shape, by_value=by_value, root=root, variable=name_field)
-    elif path.suffix.lower() in (".csv", ".txt"):
-        drawn = csv_drawings(path, cube_shape)
-    else:
-        raise refusal("region.format", path)
+    grid = ImageGrid(cube_shape, transform, crs, coordinates, name_field)
+    drawn = drawings_of(path, grid, by_value=by_value, root=root)
     named = _named(drawn, names, path)
     named = {n: made for n, made in named.items() if any(n == p or fnmatchcase(n, p) for p in patterns)} or named
     out = {}

@@ -19,10 +19,13 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.envi_header import header_beside
 from hyperval.errors import refusal
+from hyperval.imagery.arrays import MATRICES
+from hyperval.imagery.cube import raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
 from hyperval.imagery.drawing import ImageGrid, RegionDrawing, in_pixels, named_crs
-from hyperval.imagery.rasters import raster_of_size
+from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 
 Array = npt.NDArray[np.float64]
@@ -468,3 +471,35 @@ def _wkb_geometry(wkb: bytes | None, where: str) -> dict[str, Any]:
     if geometry.is_empty:
         raise refusal("vector.empty", where)
     return dict(shapely.geometry.mapping(geometry))
+
+
+def drawings_of(
+    path: Path, grid: ImageGrid, *, by_value: bool = False, root: Path | None = None
+) -> Mapping[Any, RegionDrawing | Mask]:
+    """What a file of regions draws, by name; the format is known from its content.
+
+    ``by_value`` : the classes of a raster by their value in place of their name
+
+    Raises
+    ------
+    UsageError : a format that is not known.
+    """
+    head, shape = head_of(path), grid.shape
+    stripped, ending = head.lstrip(b"\xef\xbb\xbf \t\r\n"), path.suffix.lower()
+    if ending in TIFF_SUFFIXES or head[:4] in TIFF_MARKS:
+        return raster_masks(path, shape, by_value=by_value, root=root)
+    if stripped.startswith(b"<") and not is_kml(head):
+        return xml_drawings(path, grid)
+    if b"ENVI Output of ROIs" in head[:200]:
+        return ascii_drawings(path, shape)
+    if head.startswith(b"JoeB"):
+        return binary_drawings(path, shape)
+    if is_vector(head):
+        return vector_drawings(path, grid, root)
+    if stripped.startswith(b"{"):
+        return geojson_drawings(path, grid)
+    if ending == ".hdr" or head.startswith(tuple(MATRICES)) or header_beside(path) is not None:
+        return raster_masks(path, shape, by_value=by_value, root=root, variable=grid.name_field)
+    if ending in (".csv", ".txt"):
+        return csv_drawings(path, shape)
+    raise refusal("region.format", path)

@@ -28,11 +28,10 @@ from hyperval.collection_files import (
     VectorSource,
 )
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery import Cube, open_cube
+from hyperval.imagery import Cube, open_cube, open_raster
 from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.envi import pixel_sides_m
 from hyperval.imagery.placing import LookupTable, location_table, open_lookup_table, table_of
-from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import (
     Region,
     guard,

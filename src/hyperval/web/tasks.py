@@ -33,7 +33,7 @@ from hyperval.figures.catalogue import first_figures
 from hyperval.figures.detection import densities_figure, exceedance_figure
 from hyperval.figures.spec import Figure, statement
 from hyperval.figures.spectra import spectra_figure
-from hyperval.imagery.rasters import open_raster
+from hyperval.imagery import open_raster
 from hyperval.model.roc import detection_at
 from hyperval.observe.place import open_source
 from hyperval.products import (
