@@ -134,23 +134,6 @@ def test_budget_adds_up_to_the_error_covariance():
     assert "field spectrum" not in p.radiance["grass"].budget
 
 
-def test_elm_cancels_the_atmosphere_but_not_the_field_spectrum():
-    p = run(UNCERTAIN)
-    assert p.reflectance["grass"].standard_uncertainty == pytest.approx(np.zeros(10), abs=1e-12)
-    assert p.reflectance["panel"].standard_uncertainty == pytest.approx(np.full(10, 0.01), rel=1e-9)
-
-
-def test_measured_statistics_are_handed_in():
-    text = "".join(SCENE).replace("spectrum: {builtin: asphalt}", "spectrum: {measured: court}")
-    data, lines = parse_yaml(text)
-    s = validate(Scenario, data, lines, "text")
-    court = builtin_class("soil", AXIS)
-    p = predict(s, Origins(measured={"court": court}))  # the axis is that of the statistics
-    assert p.reflectance["asphalt"].mean == pytest.approx(court.mean)
-    with pytest.raises(UsageError, match="region 'court', which were not handed in"):
-        predict(s, Origins(axis=AXIS))
-
-
 @pytest.mark.parametrize("mean", ["{builtin: asphalt}", "{constant: 0.2}"], ids=["builtin", "constant"])
 def test_measured_tails_come_with_the_measured_covariance(mean):
     """The class mean from elsewhere: `tail_dof: measured` is that of the region whose covariance the class has."""
@@ -278,23 +261,6 @@ def test_field_spectrum_error_from_its_file():
         spectrum_error_sd(error, replace(surface, n=None), AXIS)
     with pytest.raises(UsageError, match="no standard deviation"):
         spectrum_error_sd(error, replace(surface, standard_deviation=None), AXIS)
-
-
-def test_gain_of_the_class_is_on_its_adjacency_term_too():
-    """(3.11) with g_B = 4, kappa = 1: both terms carry it, in the products and in the scores."""
-    s = scenario(**{"name: asphalt, fraction: 0.3,": "name: asphalt, gain: 4, fraction: 0.3,",
-                    "scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"})  # fmt: skip
-    p = predict(s, Origins(axis=AXIS, engine=engine))
-    one = predict(
-        scenario(**{"scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"}),
-        Origins(axis=AXIS, engine=engine),
-    )
-    noise = load_sensor("prospectir-vs").noise(AXIS).variance(p.radiance["asphalt"].mean)
-    before = one.radiance["asphalt"].pixel_covariance - np.diag(noise)
-    after = p.radiance["asphalt"].pixel_covariance - np.diag(noise)
-    assert after == pytest.approx(4 * before, rel=1e-9)
-    f = detector_of(p)
-    assert p.scores["tenth", "cem"].sd ** 2 == pytest.approx(f.variance(p.reflectance["tenth"].pixel_covariance))
 
 
 def test_relative_covariance():

@@ -134,16 +134,6 @@ def test_shifted_bands_see_the_red_edge_elsewhere():
     assert abs(shifted.scores["full", "cem"].mean - 1.0) > 1e-4
 
 
-def test_noise_apart_and_averaged():
-    p, q = run(), of(ATMOSPHERE + "sensor_operation: {frames_averaged: 4, spatial_binning: [2, 1]}\n", use=engine)
-    one, many = p.noise["grass"], q.noise["grass"]
-    assert set(one) == {"shot", "fixed", "quantisation", "bit_errors", "calibration", "fit"}
-    assert p.snr["grass"].mean == pytest.approx(p.radiance["grass"].mean / np.sqrt(sum(one.values())))
-    for term in ("shot", "fixed", "quantisation"):
-        assert many[term] == pytest.approx(one[term] / 8)
-    assert many["calibration"] == pytest.approx(one["calibration"])
-
-
 def test_saturation_is_said():
     dim, bright = (of(use=lambda st, k=k: replace(engine(st), direct=k * engine(st).direct)) for k in (0.1, 60))
     assert not any("SATURATION" in n for n in dim.notes)
@@ -172,14 +162,6 @@ def test_blur_of_the_sensor_serves_where_a_geometry_states_none(tmp_path):
 
 
 # processing
-
-
-@pytest.mark.parametrize("features", ["pca: 10", "mnf: 10"])
-def test_all_features_are_the_bands(features):
-    p = of(use=engine, **{"processing: {": "processing: {features: {" + features + "}, "})
-    q = run()
-    for d in ("cem", "cem-correlation"):
-        assert p.roc["tenth", d, "pixel"].pd == pytest.approx(q.roc["tenth", d, "pixel"].pd, abs=1e-6)
 
 
 def test_features_that_cannot_be():

@@ -22,18 +22,19 @@ MODULES = (
     "hyperval.model.filters",
     "hyperval.model.classification",
     "hyperval.model.roc",
-    "hyperval.model.scores",
+    "hyperval.model.detection",
     "hyperval.model.ace",
 )
 # Functions of these files that are no formula of the source: readers, arrays of many truths, the packed form of a
 # matrix, the reading of curves, classifiers and laws with evidence of their own below tests/.
 BESIDE = {
-    "add_products", "at_rows", "class_features", "condition_number", "curve_area", "detection_at", "factor",
-    "fill_distribution", "fills_of_objects", "light_of", "seen_classes",
-    "feature_bands", "fills_of_population", "fully_constrained", "geometry_of", "library_names", "load_sensor",
-    "log10_false_alarm_at", "measured_error", "moments", "near_singular", "new_sensor_file", "of_truth", "on_bands",
-    "own_mean_sampling", "packed", "pixels_of_object", "predicted_error", "read_statistics_library", "solved",
-    "spread", "stacked", "stacked_fills", "stacked_noise", "statistics_of_samples", "unpacked", "whitened",
+    "ace_curves", "add_products", "at_rows", "class_features", "condition_number", "curve_area", "detect",
+    "detection_at", "detection_bands", "evaluations", "factor", "feature_bands", "fill_distribution",
+    "fills_of_objects", "fills_of_population", "fully_constrained", "geometry_of", "labelled", "library_names",
+    "light_of", "load_sensor", "log10_false_alarm_at", "measured_error", "moments", "near_singular",
+    "new_sensor_file", "of_truth", "on_bands", "own_mean_sampling", "packed", "pixels_of_object", "predicted_areas",
+    "predicted_classification", "predicted_error", "read_statistics_library", "seen_classes", "solved", "spread",
+    "stacked", "stacked_fills", "stacked_noise", "statistics_of_samples", "unpacked", "whitened",
     "whole_object_fills", "wide", "with_distances", "with_mean", "write_statistics_library",
 }  # fmt: skip
 SOURCE = Path(__file__).parents[2] / "src" / "hyperval"

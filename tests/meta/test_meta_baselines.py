@@ -77,7 +77,7 @@ def filter_sign(patch: Patch) -> None:
         right = solved_filter(detector, *arguments, **named)
         return _turned(right) if detector == "cem" else right
 
-    patch.setattr("hyperval.model.scores.solved_filter", turned)
+    patch.setattr("hyperval.model.detection.solved_filter", turned)
     patch.setitem(FILTERS, "cem", lambda *a: _turned(matched_filter_weights(*a)))
 
 

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import stats
 
 from hyperval.errors import UsageError
 from hyperval.model import (
-    ClassScores,
     PositiveDefinite,
     darkest_level,
-    greatest_class_false_alarm,
-    log_false_alarm,
     object_detection_probability,
-    score_density,
 )
 
 
@@ -49,19 +45,6 @@ def test_a_small_eigenvalue_counts_for_the_rank_and_a_lost_one_does_not():
     values[0], values[1] = 1e-10, 0.0
     with pytest.raises(UsageError, match="rank 11 of 12"):
         PositiveDefinite(with_eigenvalues(values))
-
-
-@pytest.mark.parametrize("dof", [np.inf, 5.0])
-def test_density_is_the_slope_of_the_false_alarms(dof):
-    one = ClassScores(*np.array([[[0.3, 0.7]], [[0.2, -0.1]], [[0.4, 0.2]], [[dof, np.inf]]]))
-    low, high = 0.05, 0.9
-    between = np.exp(log_false_alarm(np.array([low, high]), one.rows(np.zeros(2, int)))[0])
-    area = integrate.quad(lambda x: float(score_density(np.array([[x]]), one)[0, 0]), low, high, epsabs=1e-12)[0]
-    assert area == pytest.approx(between[0] - between[1], rel=1e-9)
-    t_scale = 0.4 * np.sqrt((dof - 2) / dof) if np.isfinite(dof) else 0.4
-    first = stats.t.sf(0.5, dof, 0.2, t_scale) if np.isfinite(dof) else stats.norm.sf(0.5, 0.2, 0.4)
-    worst = max(first, stats.norm.sf(0.5, -0.1, 0.2))
-    assert greatest_class_false_alarm(np.array([0.5]), one)[0] == pytest.approx(worst, rel=1e-12)
 
 
 def test_an_object_is_missed_where_all_its_pixels_are():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from score_classes import classes, printed_procedure, roc_of, thresholds
 
 from hyperval.errors import UsageError
-from hyperval.model import ClassScores, RocScores, false_alarm_grid, object_detection_probability
+from hyperval.model import ClassScores, RocScores, false_alarm_grid
 
 
 def backgrounds(seed: int) -> ClassScores:
@@ -37,15 +37,6 @@ def test_the_printed_procedure_lies_on_the_sweep(seed, mean, sd):
 
 def test_a_target_like_its_background_is_on_the_diagonal():
     assert curve(roc_of(0.2, 0.3, 1.0, classes((1.0, 0.2, 0.3)))) == pytest.approx(false_alarm_grid(), rel=1e-6)
-
-
-def test_an_object_is_found_at_least_as_often_as_its_best_pixel():
-    means = np.array([[[0.6, 0.3, 0.1], [0.5, 0.4, 0.0]]])
-    sds = np.full((1, 2, 3), 0.1)
-    x = np.linspace(-0.5, 1.0, 31)[None]
-    whole = object_detection_probability(x, means, sds)
-    best = object_detection_probability(x, means[..., :1], sds[..., :1])
-    assert np.all(whole >= best - 1e-15)
 
 
 def test_no_background():

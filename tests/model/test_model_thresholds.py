@@ -37,19 +37,6 @@ def test_thresholds_by_a_root_finder_on_the_plain_sum(tails):
             assert x == pytest.approx(brentq(excess, -2.0, x + 1.0, args=(p,), xtol=1e-13), abs=1e-9)
 
 
-def test_false_alarms_and_slope_by_another_route():
-    scores = random_scores(np.random.default_rng(2), 3, True)
-    x = np.array([0.05, 0.1, 0.15])
-    value, slope = log_false_alarm(x, scores)
-    for r in range(3):
-        total = density = 0.0
-        for f, m, s, d in zip(scores.fraction[r], scores.mean[r], scores.sd[r], scores.dof[r], strict=True):
-            law = norm(m, s) if np.isinf(d) else t(d, m, s * np.sqrt((d - 2.0) / d))
-            total, density = total + f * law.sf(x[r]), density + f * law.pdf(x[r])
-        assert value[r] == pytest.approx(np.log(total), rel=1e-10)
-        assert slope[r] == pytest.approx(-density / total, rel=1e-8)
-
-
 def test_thresholds_beside_a_class_that_hardly_varies():
     """A narrow class of a millionth of the area puts a small step into a smooth tail."""
     rows = [[1.0 - 1e-6, 1e-6], [0.0, 0.05], [0.02, 1e-9], [np.inf, np.inf]]

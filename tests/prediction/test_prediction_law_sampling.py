@@ -98,18 +98,3 @@ def test_what_a_law_does_not_say_far_out_stays_there():
     z = ndtri(pd[at])
     assert ndtri(both.pd_upper[at]) - z == pytest.approx(np.hypot(0.4, ndtri(limits.pd_upper[at]) - z), rel=1e-6)
     assert z - ndtri(both.pd_lower[at]) == pytest.approx(np.hypot(0.3, z - ndtri(limits.pd_lower[at])), rel=1e-6)
-
-
-def test_two_regions_are_independent(origins):
-    """Half of the scene in each of two regions of the same pixels: each has half of the change of P_FA."""
-    classes = [{"name": n, "fraction": 0.5, "spectrum": {"measured": n}} for n in ("field", "lawn")]
-    scene = scenario().scene.model_dump(mode="json", exclude_defaults=True) | {"classes": classes}
-    ((_, without),) = origins.left_out()
-    two = replace(
-        origins,
-        measured={"field": origins.measured["field"], "lawn": replace(origins.measured["field"], name="lawn")},
-        left_out=lambda: [("field", without), ("lawn", without)],
-    )
-    one, both = (predict(s, o).exceedance[KEY] for s, o in ((scenario(), origins), (scenario(scene=scene), two)))
-    ratio = np.log(both.upper / both.probability) / np.log(one.upper / one.probability)
-    assert ratio[both.upper < 0.9] == pytest.approx(np.sqrt(0.5), rel=0.05)

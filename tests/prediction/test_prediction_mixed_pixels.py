@@ -9,12 +9,8 @@ from test_prediction_mixtures import drawn, of_region, two_clusters
 from uncertain_scene import AXIS, scenario
 
 from hyperval.model import (
-    ClassScores,
     Evaluation,
-    Host,
     Origins,
-    RocScores,
-    object_detection_probability,
     predict,
     read,
     with_values,
@@ -151,38 +147,3 @@ def test_texture_finer_than_the_pixel_goes_by_the_fill_and_not_its_square():
     full, empty = variance(1.0), variance(1e-12)
     for fine, part in ((0.0, 0.09), (0.5, 0.195), (1.0, 0.3)):
         assert variance(0.3, fine) == pytest.approx(part * full + 0.49 * empty, rel=1e-9)
-
-
-def tailed(fills: np.ndarray, dof: float) -> tuple[np.ndarray, np.ndarray, Host]:
-    """Scores of pixels whose target adds little spread, and their host."""
-    laws = ClassScores(*np.array([[[1.0]], [[0.0]], [[0.1]], [[dof]]]))
-    sds = np.sqrt((1.0 - fills) ** 2 * 0.01 + fills**2 * 4e-4 + 1e-4 * fills)
-    return fills[None], sds[None], Host(1.0 - fills[None], np.zeros(1), np.array([0.01]), laws)
-
-
-@pytest.mark.parametrize("dof", [2.5, 6.0])
-def test_many_fills_are_read_between_some_of_them(dof):
-    fills = np.random.default_rng(5).beta(0.6, 0.6, 4 * 90)
-    means, sds, host = tailed(fills, dof)
-    x = np.linspace(0.0, 3.0, 40)[None]
-    plain = host.exceedance(x, means, sds)[0].reshape(40, 90, 4)
-    expected = (1.0 - np.prod(1.0 - plain, axis=2)).mean(axis=1)
-    shape = (1, 90, 4)
-    found = object_detection_probability(x, means.reshape(shape), sds.reshape(shape), host)[0]
-    assert found == pytest.approx(expected, rel=3e-3)
-
-
-@pytest.mark.parametrize("pd", [0.02, 0.5, 0.97])
-def test_false_alarms_at_a_detection_and_the_area_follow_the_same_law(pd):
-    fills = np.array([0.05, 0.3])
-    means, sds, host = tailed(fills, 3.5)
-    background = ClassScores(*np.array([[[0.6, 0.4]], [[0.0, 0.05]], [[0.1, 0.08]], [[3.5, np.inf]]]))
-    made = RocScores(background, np.zeros(1, int), means, sds, np.array([[0.4, 0.6]]), None, host)
-    pfa = 10.0 ** made.log10_false_alarm(np.array([pd]))
-    assert made.detection(pfa[:, None])[0, 0] == pytest.approx(pd, abs=1e-9)
-    grid = np.geomspace(1e-9, 1.0 - 1e-9, 20_001)[None]
-    grid = np.unique(np.concatenate([grid, 1.0 - grid], axis=1))[None]
-    assert made.auc()[0] == pytest.approx(np.trapezoid(made.detection(grid)[0], grid[0]), abs=2e-6)
-    x = np.linspace(-0.5, 1.0, 7)[None]
-    slope = (made.detection_above(x - 1e-5) - made.detection_above(x + 1e-5)) / 2e-5
-    assert made.target_density(x) == pytest.approx(slope, rel=1e-6)

@@ -12,7 +12,6 @@ from hyperval.model import (
     WHOLE,
     Origins,
     curve_area,
-    detection_at,
     drawn_covariance,
     emulator,
     inputs_of,
@@ -20,7 +19,7 @@ from hyperval.model import (
     read,
     tolerance,
 )
-from hyperval.scenario import FalseAlarmGrid, Scenario, Uncertainty
+from hyperval.scenario import Scenario, Uncertainty
 from hyperval.settings import with_settings
 
 KEY = ("tenth", "cem", "pixel")
@@ -37,11 +36,6 @@ uncertainty:
 
 def with_method(method: str, text: str = SMALL) -> Scenario:
     return scenario(ATMOSPHERE + text.replace("method: both", f"method: {method}"))
-
-
-def on_grid(s: Scenario, **numbers: float) -> Scenario:
-    processing = s.processing.model_copy(update={"false_alarm_grid": FalseAlarmGrid(**numbers)})
-    return s.model_copy(update={"processing": processing})
 
 
 @pytest.fixture(scope="module")
@@ -77,21 +71,6 @@ def test_the_budget_that_predict_adds_up_is_that_of_a_prediction_for_every_direc
         np.testing.assert_allclose(
             getattr(stated, p)[n].standard_uncertainty, np.sqrt(variance), rtol=2e-3, atol=1e-9, err_msg=f"{p} {n}"
         )
-
-
-def test_pd_is_compared_at_the_false_alarms_named_also_between_the_points_of_a_curve():
-    """On a grid without points at 1e-2 and 1e-3 the nearest ones are a fifth and more away from them."""
-    fine = with_method("both", SMALL.replace("samples: 300", "samples: 40"))
-    coarse, fine = run(on_grid(fine, lowest=2e-5, per_decade=2)), run(fine)
-    grid = coarse.roc[KEY].pfa
-    assert np.abs(np.log(grid / 1e-2)).min() > 0.1
-    p_d = quantities(coarse)["P_D", *KEY]
-    np.testing.assert_array_equal(p_d, detection_at(coarse.roc[KEY], [1e-2, 1e-3]))
-    tables = [{(*a["key"], a["at"]): a for a in p.provenance["propagation"]["agreements"]} for p in (coarse, fine)]
-    for at in (1e-2, 1e-3):
-        one, other = (t["P_D", *KEY, at] for t in tables)
-        assert one["linear_sd"] == pytest.approx(other["linear_sd"], rel=0.01)
-        assert one["drawn_sd"] == pytest.approx(other["drawn_sd"], rel=0.01)
 
 
 @pytest.mark.slow
@@ -133,14 +112,6 @@ def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
             np.testing.assert_allclose(made.engine(state).at_bands(AXIS).path_radiance, exact.path_radiance, rtol=1e-9)
         state = with_settings(s, moved(item, 1.0)).atmosphere
         np.testing.assert_allclose(made.engine(state).direct, engine(state).at_bands(AXIS).direct, rtol=2e-3)
-
-
-def test_an_input_at_the_end_of_its_range_is_interpolated_from_the_other_side():
-    s = scenario((ATMOSPHERE + "uncertainty: {aot550: 0.1}\n").replace("aot550: 0.2,", "aot550: 0.0,"))
-    made = emulator(s, inputs_of(read(s, ORIGINS)), engine, AXIS)
-    assert made.runs == 3
-    p = run(s.model_copy(update={"uncertainty": s.uncertainty.model_copy(update={"method": "both", "samples": 40})}))
-    assert np.all(np.isfinite(p.radiance["grass"].standard_uncertainty))
 
 
 def test_separation_of_a_drawn_covariance_follows_its_pivot():

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from hyperval.errors import UsageError
 from hyperval.model import Origins, UnmixedSubject, predicted_areas, predicted_classification
 from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
@@ -113,15 +112,3 @@ def test_two_classes_of_one_covariance_are_told_apart_by_their_distance():
     assert abs(error.error - exact) < 4.0 * np.sqrt(exact * (1.0 - exact) / error.n)
     assert error.distance == pytest.approx(norm.ppf(exact) ** 2 / 2.0, rel=1e-6)  # Bhattacharyya's of one covariance
     assert set(found) == {("grass / paint", "2 bands"), ("grass / paint", "all")}
-
-
-def test_a_class_without_spread_has_no_classifier():
-    bands = SimpleNamespace(name="2 bands", bands_nm=[500.0, 850.0], pca=None)
-    for spread in (None, np.zeros((B, B))):
-        with pytest.raises(UsageError, match="'grass' has no spread"):
-            predicted_classification(two_classes(spread), [("grass", "paint")], [bands], "radiance")
-
-
-def test_classes_that_are_not_predicted_are_left_out():
-    prediction = PredictedProducts(AXIS, radiance={"a": SpectralEstimate(GRASS, np.zeros((B, B)), SPREAD)})
-    assert predicted_classification(prediction, [("a", "b")], [], "radiance") == {}

@@ -4,14 +4,18 @@ from .ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedanc
 from .classification import (
     ClassLaw,
     GaussianClassifier,
+    UnmixedSubject,
     bhattacharyya_distance,
     class_features,
     classification_error,
     feature_bands,
     feature_covariance,
     features,
+    labelled,
     measured_error,
     minimum_noise_fraction,
+    predicted_areas,
+    predicted_classification,
     predicted_error,
     principal_components,
     with_distances,
@@ -60,7 +64,7 @@ from .filters import (
     spectral_matched_filter,
     unpacked,
 )
-from .forward import predict, predictions
+from .forward import engine_notes, predict, predictions, unstated_notes
 from .inputs import (
     UncertainInput,
     covariance_directions,
@@ -88,7 +92,6 @@ from .intervals import (
     mid_p_limits,
     zero_count_upper_limit,
 )
-from .notes import engine_notes, unstated_notes
 from .objects import HOST, PLACE, Shares, shares_of
 from .propagate import emulator, quantities, tolerance, with_bands, with_law_limits
 from .radiance import (
@@ -141,7 +144,6 @@ from .surfaces import (
     mean_error_covariance,
     replicate_statistics,
 )
-from .unmixing import UnmixedSubject, labelled, predicted_areas, predicted_classification
 from .world import (
     PATHS,
     Origins,

@@ -32,7 +32,7 @@ import numpy.typing as npt
 from scipy.special import ndtri
 
 from hyperval.data import LINEAR_DETECTORS
-from hyperval.model.detection import Evaluation
+from hyperval.model.detection import Evaluation, Responses
 from hyperval.model.fill import (
     PHASES,
     Neighbour,
@@ -45,7 +45,6 @@ from hyperval.model.fill import (
 )
 from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixel_reflectance
 from hyperval.model.roc import Host
-from hyperval.model.scores import Responses
 from hyperval.model.surfaces import correlation
 from hyperval.products import ObjectScores
 from hyperval.scenario import Geometry, Target, TargetSubject, Uncertainty

@@ -18,12 +18,11 @@ from scipy.special import ndtr, ndtri
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.terms import interpolated_terms
 from hyperval.data import LINEAR_DETECTORS
-from hyperval.model.detection import Evaluation
+from hyperval.model.detection import Evaluation, class_scores
 from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.radiance import Background, light_of, seen_classes
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, false_alarm_grid, log_false_alarm
-from hyperval.model.scores import class_scores
 from hyperval.model.world import Origins, Truth, World, read, settled, state_entries, state_value, with_truths
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.scenario import Scenario
