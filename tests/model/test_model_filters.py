@@ -1,9 +1,12 @@
-"""Filters: identities that hold for any data, and matrices that cannot be inverted."""
+"""Filters and unmixing: identities for any data, solutions by another route, matrices that cannot be inverted."""
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from exact_forms import abundance_covariance, sum_to_one_gain
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -12,9 +15,18 @@ from hyperval.errors import UsageError
 from hyperval.model import (
     PositiveDefinite,
     cem_correlation_weights,
+    condition_number,
+    darkest_level,
     design_filter,
+    factor,
+    fully_constrained,
     matched_filter_weights,
+    near_singular,
+    object_detection_probability,
     own_mean_sampling,
+    packed,
+    solved,
+    spectral_matched_filter,
     two_panel_line,
 )
 
@@ -149,3 +161,204 @@ def test_intervals_hold_the_mean_of_endless_pixels(classes, tail_dof):
     assert max(np.sum(z > 1.96), np.sum(z < -1.96)) <= stats.binom.isf(2e-4, 440, 0.025)
     assert np.mean(z) == pytest.approx(0.0, abs=3.9 / 440**0.5)
     assert np.std(found) < 0.7 * np.mean(plain)  # as if the filter were not made of them
+
+
+SIZES = [1, 2, 3, 8, 9, 60]  # odd and even ones are laid out differently
+
+
+def positive(size: int, seed: int = 0) -> np.ndarray:
+    a = np.random.default_rng(seed).normal(size=(size, size + 4))
+    return a @ a.T
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_solutions_and_condition_number(size):
+    matrix = positive(size) * np.outer(*[np.geomspace(1.0, 1e4, size)] * 2)
+    values, right = packed(matrix), np.random.default_rng(2).normal(size=(size, 2))
+    cholesky = factor(values.copy(), size)
+    assert cholesky is not None
+    assert solved(cholesky, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-6)
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    # LAPACK's estimate is a lower bound, nearly always within a factor of three.
+    ratio = condition_number(values, cholesky, size) / np.linalg.cond(matrix * np.outer(scale, scale), 1)
+    assert 0.33 < ratio < 1 + 1e-9
+
+
+@pytest.mark.parametrize(("correlation", "suspect"), [(0.5, False), (1 - 1e-10, True)])
+def test_pivots_tell_matrices_that_may_be_near_singular(correlation, suspect):
+    matrix = np.array([[1.0, correlation], [correlation, 1.0]]) * np.outer([1.0, 1e6], [1.0, 1e6])
+    values = packed(matrix)
+    cholesky = factor(values.copy(), 2)
+    assert near_singular(np.diag(matrix), cholesky) is suspect
+    expected = (1 + correlation) / (1 - correlation)
+    assert condition_number(values, cholesky, 2) == pytest.approx(expected, rel=1e-5)
+
+
+B = 12
+
+
+def endmembers(m, rng):
+    return np.abs(rng.normal(0.3, 0.15, (m, B)))
+
+
+def noise_matrix(rng):
+    a = rng.normal(size=(B, B))
+    return 1e-4 * (a @ a.T + B * np.eye(B))
+
+
+def by_every_support(x, e, weight):
+    """The best of all supports: least squares with sum 1 on each, kept where no abundance is negative."""
+    best, at = np.inf, np.zeros(len(e))
+    for size in range(1, len(e) + 1):
+        for chosen in combinations(range(len(e)), size):
+            part = e[list(chosen)]
+            normal = np.block([[part @ weight @ part.T, np.ones((size, 1))], [np.ones((1, size)), np.zeros((1, 1))]])
+            a = np.linalg.solve(normal, np.append(part @ weight @ x, 1.0))[:-1]
+            rest = x - a @ part
+            value = rest @ weight @ rest
+            if a.min() > -1e-12 and value < best:
+                best, at = value, np.zeros(len(e))
+                at[list(chosen)] = a
+    return at
+
+
+@given(st.integers(2, 4), st.integers(0, 10_000), st.booleans())
+@settings(max_examples=60)
+def test_equals_the_best_of_all_supports(m, seed, weighted):
+    rng = np.random.default_rng(seed)
+    e, x = endmembers(m, rng), rng.normal(0.3, 0.2, B)
+    cov = noise_matrix(rng)
+    weight = np.linalg.inv(cov) if weighted else np.eye(B)
+    found = fully_constrained(x, e, PositiveDefinite(cov) if weighted else None)
+    assert found.sum() == pytest.approx(1.0, abs=1e-12)
+    assert found.min() >= 0.0
+    assert found == pytest.approx(by_every_support(x, e, weight), abs=1e-8)
+
+
+def test_each_spectrum_may_have_endmembers_of_its_own():
+    rng = np.random.default_rng(6)
+    e, x = np.stack([endmembers(2, rng) for _ in range(5)]), rng.normal(0.3, 0.2, (5, B))
+    one_by_one = [fully_constrained(pixel, own) for pixel, own in zip(x, e, strict=True)]
+    assert fully_constrained(x, e) == pytest.approx(np.array(one_by_one), abs=1e-12)
+    noise = PositiveDefinite(noise_matrix(rng))
+    many = fully_constrained(np.stack([x, x]), e[None], noise)
+    assert many[1] == pytest.approx(fully_constrained(x, e, noise), abs=1e-12)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_error_covariance_is_that_of_pixels(weighted):
+    rng = np.random.default_rng(7)
+    e, cov = endmembers(3, rng), 0.05 * noise_matrix(rng)
+    noise = PositiveDefinite(cov) if weighted else None
+    truth = np.array([0.4, 0.35, 0.25])
+    x = truth @ e + rng.multivariate_normal(np.zeros(B), cov, 20_000)
+    a = fully_constrained(x[:4000], e, noise)
+    assert a.min() > 0.01  # no constraint but the sum binds
+    expected = abundance_covariance(e, cov, noise)
+    # A variance of 4000 pixels is known to 2.2 %: four of these.
+    assert np.cov(a.T) == pytest.approx(expected, abs=0.09 * np.abs(expected).max())
+    assert expected.sum() == pytest.approx(0.0, abs=1e-12)  # the sum has no error
+    linear = truth @ np.eye(3) + (x - truth @ e) @ sum_to_one_gain(e, noise).T
+    assert linear[:4000] == pytest.approx(a, abs=1e-7)
+
+
+def test_weighted_error_is_the_constrained_information_matrix():
+    # (E C^-1 E^T)^-1 with the sum held: F^-1 - F^-1 1 1^T F^-1 / (1^T F^-1 1); no other weights do better.
+    rng = np.random.default_rng(8)
+    e, cov = endmembers(3, rng), noise_matrix(rng)
+    f = np.linalg.inv(e @ np.linalg.inv(cov) @ e.T)
+    expected = f - np.outer(f.sum(axis=1), f.sum(axis=0)) / f.sum()
+    best = abundance_covariance(e, cov, PositiveDefinite(cov))
+    assert best == pytest.approx(expected, rel=1e-8)
+    assert np.all(np.diag(abundance_covariance(e, cov)) >= np.diag(best) * (1 - 1e-12))
+
+
+def test_refusals_unmixing():
+    with pytest.raises(UsageError, match="same bands"):
+        fully_constrained(np.ones(3), np.ones((2, 4)))
+    with pytest.raises(UsageError, match="finite"):
+        fully_constrained(np.array([1.0, np.nan]), np.eye(2))
+
+
+SCALES = st.integers(-30, 30).map(lambda k: 10.0**k)
+
+
+FEW = settings(max_examples=40, derandomize=True)
+
+
+@FEW
+@given(st.integers(0, 10_000), SCALES, st.sampled_from(["full", "singular", "nearly singular", "zero", "nan"]))
+def test_a_filter_meets_its_two_conditions_or_is_refused(seed, scale, kind):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(6, 6))
+    covariance = root @ root.T * scale**2
+    if kind == "singular":
+        covariance[:, 0] = covariance[0] = 0.0
+    elif kind == "nearly singular":
+        covariance = np.outer(root[0], root[0]) * scale**2 + 1e-13 * scale**2 * np.eye(6)
+    elif kind == "zero":
+        covariance[:] = 0.0
+    elif kind == "nan":
+        covariance[2, 2] = np.nan
+    mean, target = scale * rng.uniform(1, 2, 6), scale * rng.uniform(3, 4, 6)
+    for make in (matched_filter_weights, spectral_matched_filter, cem_correlation_weights):
+        try:
+            found = make(target, mean, covariance)
+        except UsageError:
+            assert kind != "full"
+            continue
+        assert kind not in ("zero", "nan", "singular") or make is cem_correlation_weights
+        assert np.all(np.isfinite(found.weights))
+        slack = 1e-12 * max(found.condition, 1.0) + 1e-9
+        if make is matched_filter_weights:
+            assert found.score(target) == pytest.approx(1.0, abs=slack)
+            assert found.score(mean) == pytest.approx(0.0, abs=slack)
+        elif make is cem_correlation_weights:
+            assert found.score(target) == pytest.approx(1.0, abs=slack)
+    with pytest.raises(UsageError):
+        matched_filter_weights(mean, mean, root @ root.T * scale**2)
+
+
+def test_the_darkest_of_many_pixels_is_a_median():
+    # 4,001 scenes of 50 pixels: a share of one half is known to 0.008, 4.5 of which are allowed.
+    rng = np.random.default_rng(0)
+    level = darkest_level([0.3, 0.7], [[1.0], [2.0]], [[0.2], [0.5]], 50)[0]
+    dark = rng.random((4001, 50)) < 0.3
+    least = np.where(dark, rng.normal(1.0, 0.2, dark.shape), rng.normal(2.0, 0.5, dark.shape)).min(axis=1)
+    assert np.mean(least < level) == pytest.approx(0.5, abs=0.036)
+    alone = darkest_level([1.0], [[3.0]], [[0.4]], 9)[0]
+    assert alone == pytest.approx(3.0 + 0.4 * stats.norm.ppf(1 - 0.5 ** (1 / 9)), abs=1e-12)
+
+
+def with_eigenvalues(values):
+    """A correlation-like matrix with these eigenvalues along orthonormal directions."""
+    n = len(values)
+    q = np.linalg.qr(np.random.default_rng(1).normal(size=(n, n)))[0]
+    return q @ np.diag(values) @ q.T
+
+
+def test_condition_is_that_of_the_matrix_at_unit_diagonal():
+    covariance = with_eigenvalues(np.geomspace(1.0, 1e-6, 9)) * np.outer(np.arange(1, 10), np.arange(1, 10))
+    sd = np.sqrt(np.diag(covariance))
+    assert PositiveDefinite(covariance).condition == pytest.approx(
+        np.linalg.cond(covariance / np.outer(sd, sd), 1), rel=0.3
+    )
+
+
+def test_a_small_eigenvalue_counts_for_the_rank_and_a_lost_one_does_not():
+    values = np.ones(12)
+    values[0], values[1] = 1e-10, 0.0
+    with pytest.raises(UsageError, match="rank 11 of 12"):
+        PositiveDefinite(with_eigenvalues(values))
+
+
+def test_an_object_is_missed_where_all_its_pixels_are():
+    means, sds = np.array([[0.5, 0.2, -0.1], [0.3, 0.3, 0.3]]), np.array([[0.2, 0.4, 0.3], [0.1, 0.1, 0.1]])
+    x = 0.35
+    missed = [
+        np.prod([stats.norm.cdf(x, m, s) for m, s in zip(at, spread, strict=True)])
+        for at, spread in zip(means, sds, strict=True)
+    ]
+    assert object_detection_probability(np.array([[x]]), means[None], sds[None])[0, 0] == pytest.approx(
+        1 - np.mean(missed), rel=1e-12
+    )
