@@ -11,7 +11,6 @@ from scipy.special import ndtri
 from uncertain_scene import ATMOSPHERE, AXIS, engine
 
 from hyperval.config import parse_yaml, validate
-from hyperval.data import ClassStatistics
 from hyperval.errors import InputError, UsageError
 from hyperval.model import (
     LinearFilter,
@@ -24,9 +23,8 @@ from hyperval.model import (
     predict,
     spectrum_error_sd,
 )
-from hyperval.products import PredictedProducts, background_of
+from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario, SpectrumUncertainty, load_scenario
-from hyperval.sensor.specification import load_sensor
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 
@@ -42,72 +40,6 @@ def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
 
 def run(extra: str = ATMOSPHERE, **kwargs) -> PredictedProducts:
     return predict(scenario(extra), Origins(axis=AXIS, engine=engine), **kwargs)
-
-
-def test_full_target_scores_one_and_mixed_pixels_follow_the_fill():
-    p = run()
-    assert p.scores["full", "cem"].mean == pytest.approx(1.0)
-    grass, asphalt = builtin_class("grass", AXIS).mean, builtin_class("asphalt", AXIS).mean
-    mean = average_reflectance([0.7, 0.3], [grass, asphalt])
-    line = p.reflectance
-    cov = mixture_covariance(
-        [0.7, 0.3], [grass, asphalt], [line["grass"].pixel_covariance, line["asphalt"].pixel_covariance]
-    )
-    f = matched_filter_weights(builtin_class("yellow-paint-plank", AXIS).mean, mean, cov)
-    host = float(f.score(asphalt))
-    assert p.scores["tenth", "cem"].mean == pytest.approx(0.1 + 0.9 * host, abs=1e-10)
-    assert p.scores[background_of("tenth"), "cem"].mean == pytest.approx(0.0, abs=1e-12)
-    assert p.scores[background_of("tenth"), "cem"].sd == pytest.approx(np.sqrt(f.variance(cov)), rel=1e-9)
-    # Moments of the loose planks: Var f (1 - theta_b)^2 and the rest of (3.28), from the pixel covariance.
-    seen = line["loose"].pixel_covariance
-    assert p.scores["loose", "cem"].sd == pytest.approx(np.sqrt(f.variance(seen)), rel=1e-3)
-
-
-def test_closure_with_simulated_pixels():
-    """4e5 background and 1e5 target pixels, drawn, seen, retrieved and scored one by one.
-
-    z of P_FA and P_D at 4 thresholds and of mean scores, |z| < 5: false failure under 1e-5.  Neighbourhoods do not
-    vary here; Poisson counts are drawn as normal numbers of the variance at the pixel's own radiance.
-    """
-    still = scenario(**{"scene:\n": "scene:\n  adjacency: {effective_neighbours: null}\n"})
-    p = predict(still, Origins(axis=AXIS, engine=engine))
-    rng = np.random.default_rng(2014)
-    terms = engine(scenario().atmosphere).at_bands(AXIS)
-    noise = load_sensor("prospectir-vs").noise(AXIS)
-    grass, asphalt, plank = (builtin_class(n, AXIS) for n in ("grass", "asphalt", "yellow-paint-plank"))
-    average = 0.7 * grass.mean + 0.3 * asphalt.mean
-    trapping = 1 - terms.spherical_albedo * average
-
-    def draw(c: ClassStatistics, n: int) -> np.ndarray:
-        return rng.multivariate_normal(c.mean, c.covariance, n, method="cholesky")
-
-    def retrieved(rho: np.ndarray) -> np.ndarray:
-        level = terms.path_radiance + (terms.direct * rho + terms.adjacency * average) / trapping
-        level = level + rng.standard_normal(level.shape) * np.sqrt(noise.variance(level))
-        low, high = (
-            terms.path_radiance + (terms.direct * r + terms.adjacency * average) / trapping for r in (0.1, 0.6)
-        )
-        return 0.1 + 0.5 * (level - low) / (high - low)
-
-    n, m = 400_000, 100_000
-    background = np.concatenate([retrieved(draw(grass, int(0.7 * n))), retrieved(draw(asphalt, int(0.3 * n)))])
-    f = 0.1
-    pixels = retrieved(f * draw(plank, m) + (1 - f) * draw(asphalt, m))
-    line = p.reflectance
-    cov = mixture_covariance(
-        [0.7, 0.3], [grass.mean, asphalt.mean], [line["grass"].pixel_covariance, line["asphalt"].pixel_covariance]
-    )
-    detector = matched_filter_weights(plank.mean, average, cov)
-    score_b, score_t = detector.score(background), detector.score(pixels)
-    found = p.scores["tenth", "cem"]
-    assert abs(score_t.mean() - found.mean) < 5 * found.sd / np.sqrt(m)
-    assert abs(score_t.var() / found.sd**2 - 1) < 5 * np.sqrt(2 / m)
-    curve = p.roc["tenth", "cem", "pixel"]
-    for pfa in (1e-3, 1e-2, 1e-1, 0.3):
-        k = int(np.argmin(np.abs(np.log(curve.pfa / pfa))))
-        x, expected, pd = curve.threshold[k], curve.pfa[k], curve.pd[k]
-        assert abs((score_b > x).mean() - expected) < 5 * np.sqrt(expected / n)
-        assert abs((score_t > x).mean() - pd) < 5 * np.sqrt(max(pd * (1 - pd), 1e-6) / m)
 
 
 UNCERTAIN = (
@@ -191,38 +123,6 @@ def detector_of(p: PredictedProducts) -> LinearFilter:
     means = [e.mean for e in seen]
     cov = mixture_covariance([0.7, 0.3], means, [e.pixel_covariance for e in seen])
     return matched_filter_weights(p.reflectance["full"].mean, average_reflectance([0.7, 0.3], means), cov)
-
-
-def test_scores_hold_the_adjacency_term():
-    """With neighbours that vary like one pixel, the variance of the score is that of the whole pixel covariance."""
-    lively = scenario(**{"scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"})
-    p, still = predict(lively, Origins(axis=AXIS, engine=engine)), run()
-    f = detector_of(p)
-    for name in ("tenth", "full"):
-        assert p.scores[name, "cem"].sd ** 2 == pytest.approx(
-            f.variance(p.reflectance[name].pixel_covariance), rel=1e-9
-        )
-    term = f.variance(p.reflectance["full"].pixel_covariance - still.reflectance["full"].pixel_covariance)
-    assert term > 1e-3 * p.scores["full", "cem"].sd ** 2  # the term matters for this test
-
-
-def test_gains_multiply_the_covariances():
-    flat = scenario("", **{"name: asphalt, fraction: 0.3,": "name: asphalt, gain: 4, fraction: 0.3,",
-                           "host: asphalt": "host: asphalt\n      gain: 9"})  # fmt: skip
-    q = predict(flat, Origins(axis=AXIS))
-    asphalt, plank = (builtin_class(n, AXIS).covariance for n in ("asphalt", "yellow-paint-plank"))
-    assert q.reflectance["asphalt"].pixel_covariance == pytest.approx(4 * asphalt)
-    assert q.reflectance["full"].pixel_covariance == pytest.approx(9 * plank)
-    assert q.reflectance["tenth"].pixel_covariance == pytest.approx(0.01 * 9 * plank + 0.81 * 4 * asphalt)
-    f = detector_of(q)
-    for name in ("tenth", "full"):
-        assert q.scores[name, "cem"].sd ** 2 == pytest.approx(f.variance(q.reflectance[name].pixel_covariance))
-    mixture = mixture_covariance(
-        [0.7, 0.3],
-        [q.reflectance[n].mean for n in ("grass", "asphalt")],
-        [q.reflectance[n].pixel_covariance for n in ("grass", "asphalt")],
-    )
-    assert q.scores[background_of("full"), "cem"].sd ** 2 == pytest.approx(f.variance(mixture))
 
 
 def test_error_of_the_target_spectrum_moves_the_score_by_the_fill():

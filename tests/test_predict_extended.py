@@ -9,7 +9,7 @@ import pytest
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.model import Origins, darkest_level, detection_at, fill_distribution, predict
+from hyperval.model import Origins, detection_at, fill_distribution, predict
 from hyperval.scenario import load_scenario
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class, write_statistics_library
@@ -44,17 +44,6 @@ def test_a_shaded_target_is_darker_and_harder_to_find():
     at = [1e-6, 1e-4, 1e-2]
     found = [detection_at(p.roc["tenth", "cem", "pixel"], at) for p in (shaded, lit)]
     assert np.all(found[0] < found[1])
-
-
-@pytest.mark.parametrize("formulation", ["corrected", "thesis"])
-def test_shade_takes_from_the_score_in_proportion_to_the_fill(formulation):
-    """In the printed form up to the bend of 1 / (1 - S rho)."""
-    shaded = of(ATMOSPHERE + f"formulation: {formulation}\n", **SHADE)
-    lit = of(ATMOSPHERE + f"formulation: {formulation}\n")
-    lost = [lit.scores[n, "cem"].mean - shaded.scores[n, "cem"].mean for n in ("tenth", "full")]
-    assert lost[1] > 0.5
-    # S rho is at most 0.1 * 0.6 here.
-    assert 10 * lost[0] == pytest.approx(lost[1], rel=0.06 if formulation == "thesis" else 1e-9)
 
 
 def test_shade_needs_sky_light():
@@ -178,29 +167,6 @@ def test_channels_by_list_and_bad_list():
     assert "detectors use 3 of 10 bands" in p.notes
     with pytest.raises(UsageError, match=r"processing\.bands\.bad_channels: band 10 of 10"):
         of(use=engine, **{"bands: {drop_bad: false}": "bands: {bad_channels: [10]}"})
-
-
-def test_darkest_pixel_compensation():
-    p = of(use=engine, **{"processing: {": "processing: {elm: {darkest_pixel: 10000, panel: 0.6}, "})
-    q = run()
-    seen = [q.radiance[n] for n in ("grass", "asphalt")]
-    sds = [np.sqrt(np.diag(e.pixel_covariance)) for e in seen]
-    dark = darkest_level([0.7, 0.3], [e.mean for e in seen], sds, 10_000)
-    # The corrected form is a straight line in reflectance: two subjects give the radiance of the panel of 0.6.
-    low, high = (q.radiance[n].mean for n in ("asphalt", "full"))
-    rho_low, rho_high = (q.reflectance[n].mean for n in ("asphalt", "full"))
-    panel = low + (0.6 - rho_low) * (high - low) / (rho_high - rho_low)
-    assert p.reflectance["asphalt"].mean == pytest.approx(0.6 * (low - dark) / (panel - dark), rel=1e-6)
-    # With the reflectance of the darkest pixel stated right (a flat class without spread) the rest comes out right.
-    text = {
-        "{builtin: asphalt}": "{constant: 0.05}",
-        "processing: {": "processing: {elm: {darkest_pixel: 1, dark_reflectance: 0.05, panel: 0.6}, ",
-        "fraction: 0.7": "fraction: 0.0", "fraction: 0.3": "fraction: 1.0",
-    }  # fmt: skip
-    quiet = of(use=engine, **text)
-    assert quiet.reflectance["panel"].mean == pytest.approx(run().reflectance["panel"].mean, abs=2e-3)
-    with pytest.raises(UsageError, match="the panel is brighter"):
-        scenario(**{"processing: {": "processing: {elm: {darkest_pixel: 9, dark_reflectance: 0.7}, "})
 
 
 # bad states are refused by the name of their field

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,29 @@ Array = npt.NDArray[np.float64]
 LINEAR_DETECTORS = ("cem", "matched-filter", "smf", "cem-correlation")  # scores that are linear in the pixel
 NUMERICAL_DETECTORS = ("ace",)  # scores whose law has no closed form
 MOST_COMPONENTS = 64
+
+
+class Errors(NamedTuple):
+    """Errors of a spectrum that have one source, as independent directions.
+
+    Attributes
+    ----------
+    rows : (K, B) change by one standard uncertainty along each direction
+    dof : degrees of freedom behind them, where they were estimated from samples
+    """
+
+    rows: Array
+    dof: float = np.inf
+
+    @property
+    def covariance(self) -> Array:
+        """(B, B)."""
+        return np.asarray(self.rows.T @ self.rows)
+
+    @property
+    def budget(self) -> Array:
+        """(B,) standard uncertainty."""
+        return np.asarray(np.sqrt((self.rows**2).sum(axis=0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,6 @@ from hyperval.model import (
     Origins,
     predict,
     read,
-    with_values,
 )
 from hyperval.statistics_library import builtin_class
 
@@ -136,14 +135,3 @@ def test_ace_sees_the_same_pixels(dof, host):
         p = curve.pd[at]
         error = np.sqrt(p * (1.0 - p) * (1.0 / n + 1.0 / 4000))
         assert abs(float(np.mean(scores > curve.threshold[at])) - p) < 4.5 * error
-
-
-def test_texture_finer_than_the_pixel_goes_by_the_fill_and_not_its_square():
-    def variance(fill, fine=0.0):
-        world = read(scene(f"{{fixed: {fill}}}"), Origins(AXIS, {"field": of_region(None)}))
-        moved = with_values(world, {"surfaces.plank.fine_texture": np.array([fine])})
-        return Evaluation(moved).scores("tenth", "cem").sd[0] ** 2
-
-    full, empty = variance(1.0), variance(1e-12)
-    for fine, part in ((0.0, 0.09), (0.5, 0.195), (1.0, 0.3)):
-        assert variance(0.3, fine) == pytest.approx(part * full + 0.49 * empty, rel=1e-9)

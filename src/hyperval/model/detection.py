@@ -74,8 +74,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class Filters:
+class Filters(NamedTuple):
     """Linear detectors of U truths: score = weights . x - offset.
 
     ``weights`` (U, F), ``offset`` (U,); NaN where there is none.
@@ -979,10 +978,10 @@ def _add_linear(
     name: str, pfa: Array, object_curves: bool,
 ) -> None:  # fmt: skip
     scores = e.scores(population, name)
-    behind = e.once(("background", target, name), lambda: _BackgroundScores.of_scores(scores, pfa, points))
+    thresholds, behind = e.once(("background", target, name), lambda: _behind(scores, pfa, points))
     # Truths that move other things than this target's scores share what follows from them.
     first, which = scores.distinct() if not object_curves else 2 * (np.arange(len(e)),)
-    threshold = behind.threshold[first]
+    threshold = thresholds[first]
     pd = scores.rows(first).detection_above(threshold)
     by_unit = {"pixel": pd}
     if object_curves:
@@ -993,8 +992,8 @@ def _add_linear(
     some = scores.rows(first[wanted])
     distributions = _distributions(some.mean, some.sd, some.target_density)
     for into, point, row in zip(by_point, points, row_of.tolist(), strict=True):
-        background, preset = behind.of[int(scores.which[point])]
-        at, mine = behind.threshold[point], int(which[point])
+        background, preset = behind[int(scores.which[point])]
+        at, mine = thresholds[point], int(which[point])
         into.scores[population, name] = distributions[row]
         into.scores[background_of(population), name] = background
         for unit, curve in by_unit.items():
@@ -1003,31 +1002,23 @@ def _add_linear(
         into.curves.update({(population, name, unit): curve[which] for unit, curve in by_unit.items()})  # type: ignore[attr-defined]
 
 
-@dataclass(frozen=True)
-class _BackgroundScores:
+def _behind(
+    scores: RocScores, pfa: Array, points: Sequence[int]
+) -> tuple[Array, Mapping[int, tuple[ScoreDistribution, Array]]]:
     """What the background scores by one filter, which all populations of its target share.
 
-    Attributes
-    ----------
-    threshold : (n, K) of all truths
-    of : number of its laws -> distribution of their score and preset P_FA (K,), for the points that were asked for
+    Returns
+    -------
+    (n, K) thresholds of all truths, and by the number of its laws the distribution of their score and the preset P_FA
+    (K,), for the points that were asked for
     """
-
-    threshold: Array
-    of: Mapping[int, tuple[ScoreDistribution, Array]]
-
-    @staticmethod
-    def of_scores(scores: RocScores, pfa: Array, points: Sequence[int]) -> _BackgroundScores:
-        threshold, at = scores.thresholds(pfa[None]), np.array(points)
-        rows, first = np.unique(scores.which[at], return_index=True)
-        some, c = scores.rows(at[first]), scores.classes.rows(rows)
-        mean = (c.fraction * c.mean).sum(axis=1)
-        sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
-        distributions = _distributions(mean, sd, some.background_density)
-        presets = some.preset(threshold[at[first]])
-        return _BackgroundScores(
-            threshold, dict(zip(rows.tolist(), zip(distributions, presets, strict=True), strict=True))
-        )
+    threshold, at = scores.thresholds(pfa[None]), np.array(points)
+    rows, first = np.unique(scores.which[at], return_index=True)
+    some, c = scores.rows(at[first]), scores.classes.rows(rows)
+    mean = (c.fraction * c.mean).sum(axis=1)
+    sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
+    each = zip(_distributions(mean, sd, some.background_density), some.preset(threshold[at[first]]), strict=True)
+    return threshold, dict(zip(rows.tolist(), each, strict=True))
 
 
 def _add_numerical(

@@ -44,7 +44,7 @@ from hyperval.model.propagate import (
     with_law_limits,
     worlds_without,
 )
-from hyperval.model.spectra import Row, error_rows, interpolation_input, moved_by, spectral_products
+from hyperval.model.spectra import SpectralErrors, interpolation_input, moved_by, spectral_errors, spectral_products
 from hyperval.model.world import SHIFT, Origins, Stated, Truth, World, read, settled, under, with_truths
 from hyperval.products import PixelDistribution, PredictedProducts, RocCurve
 from hyperval.progress import track
@@ -193,8 +193,8 @@ def predict(
     world = World(replace(world.stated, before=None), world.moved)
     inputs, lit = inputs_of(world), scenario.atmosphere is not None
     linear = [i for i in inputs if lit or not i.of_light]
-    rows = error_rows(world, [*linear, *interpolation_input(world)])
-    products, changes = _prediction(world, rows, linear, objects, object_curves, source, truth or {})
+    of_spectra = spectral_errors(world, [*linear, *interpolation_input(world)])
+    products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
     drawn = inputs if truth is None else []
     u, made = scenario.uncertainty, None
     shifts = mean_shifts(products.roc, changes)
@@ -246,7 +246,7 @@ def _predictions(
     certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
     world = World(replace(world.stated, scenario=certain, kept={}), world.moved)
     waiting, errors = iter(truths), spectrum_errors(world)
-    rows = error_rows(world, spectrum_inputs(world))
+    of_spectra = spectral_errors(world, spectrum_inputs(world))
     while some := list(islice(waiting, _TOGETHER)):
         out: dict[int, PredictedProducts] = {}
         for index, e in evaluations(with_truths(world, some), errors):
@@ -256,12 +256,12 @@ def _predictions(
                 if objects and detection.roc:
                     draws = None if objects is True else objects
                     detection = replace(detection, object_scores=object_scores(e, np.array([u]), draws))
-                out[number] = _joined(e, u, rows, detection)
+                out[number] = _joined(e, u, of_spectra, detection)
         yield from (out[number] for number in range(len(some)))
 
 
 def _prediction(
-    world: World, rows: Mapping[tuple[str, str], Sequence[Row]], inputs: Sequence[UncertainInput],
+    world: World, of_spectra: SpectralErrors, inputs: Sequence[UncertainInput],
     objects: bool | int, object_curves: bool, origins: Origins, truth: Truth,
 ) -> tuple[PredictedProducts, dict[RocKey, Changes]]:  # fmt: skip
     """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
@@ -299,15 +299,13 @@ def _prediction(
             scores = object_scores(here, at, None if objects is True else objects)
             detection = replace(detection, object_scores=scores, expected_scores=expected_scores(here))
         detection = replace(detection, exceedance=with_law_errors(detection.exceedance, law_directions(e, known)))
-    return _joined(e, 0, rows, detection), {key: (z[up] - z[0], z[down] - z[0]) for key, z in curves.items()}
+    return _joined(e, 0, of_spectra, detection), {key: (z[up] - z[0], z[down] - z[0]) for key, z in curves.items()}
 
 
-def _joined(
-    e: Evaluation, u: int, rows: Mapping[tuple[str, str], Sequence[Row]], detection: PredictedDetection
-) -> PredictedProducts:
+def _joined(e: Evaluation, u: int, of_spectra: SpectralErrors, detection: PredictedDetection) -> PredictedProducts:
     """One truth of an evaluation as a prediction."""
     stated, scenario, axis = e.stated, e.scenario, e.axis
-    spectra = spectral_products(e, u, rows)
+    spectra = spectral_products(e, u, of_spectra)
     terms: AtmosphericTerms | None = None
     if scenario.atmosphere is not None:
         terms = e.light.row(int(e.which[u])).terms
@@ -317,24 +315,19 @@ def _joined(
         notes.append(f"detectors use {e.bands.size} of {len(axis)} bands")
     notes += detection.notes
     if stated.noise is not None and terms is not None:
-        notes += sensor_notes(stated) + saturation_notes(spectra.full_scale, axis)
+        notes += sensor_notes(stated) + saturation_notes(spectra["full_scale"], axis)
     world = e.world.rows(np.array([u]))
     return PredictedProducts(
         axis,
-        spectra.radiance,
-        spectra.snr,
-        spectra.reflectance,
-        detection.scores,
-        detection.roc,
+        scores=detection.scores,
+        roc=detection.roc,
         object_scores=detection.object_scores,
         exceedance=detection.exceedance,
         distribution={name: _distribution(world, m) for m, name in enumerate(stated.classes)},
         notes=tuple(notes),
         provenance=provenance_of(stated, terms),
-        noise=spectra.noise,
-        full_scale=spectra.full_scale,
         expected_scores=detection.expected_scores,
-        toa_reflectance=spectra.toa_reflectance,
+        **spectra,
     )
 
 

@@ -17,7 +17,7 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.terms import interpolated_terms
-from hyperval.data import LINEAR_DETECTORS
+from hyperval.data import LINEAR_DETECTORS, Errors
 from hyperval.model.detection import Evaluation, class_scores
 from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
@@ -41,29 +41,16 @@ _INNER = 3.0  # probits of P_D between which it is looked for
 
 
 def combined(
-    changes: Sequence[tuple[str, Array]], covariances: Mapping[str, Array], bands: int
+    errors: Mapping[str, Errors], covariances: Mapping[str, Array], bands: int
 ) -> tuple[Array, dict[str, Array]]:
-    """Error covariance (B, B) and budget from independent sources.
-
-    Parameters
-    ----------
-    changes : sources with their (B,) changes per standard uncertainty, fully correlated between bands; a source of
-        several directions stands once for each
-    covariances : source -> (B, B)
-    """
-    budget: dict[str, Array] = {}
-    if not changes and not covariances:
-        return _nothing(bands), budget
+    """Error covariance (B, B) and budget from independent sources, some of them as covariances (B, B)."""
+    if not errors and not covariances:
+        return _nothing(bands), {}
+    every = {source: known(c) for source, c in covariances.items()}
+    budget = {s: e.budget for s, e in errors.items()} | {s: np.sqrt(np.diag(c)) for s, c in every.items()}
     total = np.zeros((bands, bands))
-    if changes:
-        rows = np.nan_to_num(np.stack([change for _, change in changes]))
-        total += rows.T @ rows
-        for source, d in zip((name for name, _ in changes), rows, strict=True):
-            budget[source] = np.hypot(budget[source], d) if source in budget else np.abs(d)
-    for source, covariance in covariances.items():
-        c = known(covariance)
-        total += c
-        budget[source] = np.sqrt(np.diag(c))
+    for part in (*(e.covariance for e in errors.values()), *every.values()):
+        total += part
     return total, budget
 
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -796,8 +796,7 @@ class Background:
         return values
 
 
-@dataclass(frozen=True)
-class Seen:
+class Seen(NamedTuple):
     """The classes after the empirical line, on the detector's bands, (U or 1, ...) each.
 
     Attributes
@@ -818,7 +817,7 @@ class Seen:
 
     def rows(self, index: Index) -> Seen:
         """Of some truths."""
-        return Seen(*(at_rows(x, index) for x in vars(self).values()))
+        return Seen(*(at_rows(x, index) for x in self))
 
 
 def seen_classes(light: Light, background: Background) -> Seen:

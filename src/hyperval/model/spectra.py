@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import Errors
 from hyperval.model.detection import Evaluation
 from hyperval.model.fill import fill_distribution
 from hyperval.model.inputs import UncertainInput, number_input, spectral_directions
@@ -28,7 +30,7 @@ from hyperval.products import SpectralEstimate
 from hyperval.scenario import SpectralForm
 
 Array = npt.NDArray[np.float64]
-Row = tuple[str, Array]  # source, and (B,) change by one standard uncertainty along one of its directions
+SpectralErrors = Mapping[tuple[str, str], Mapping[str, Errors]]  # (product, subject) -> source -> its errors
 TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
 _TOGETHER = 32  # directions whose spectra are in memory at once
 _NOTHING = 1e-9  # of an error: what rounding leaves where nothing follows
@@ -38,18 +40,6 @@ _SEEN_BY_NO_SPECTRUM = ("dark", "bright", "line_gain", "line_offset", "spread", 
 def without_calibration_error(subject: str) -> str:
     """Name under which ``snr`` holds a subject with C_R left out of (3.20)."""
     return f"{subject} (no calibration error)"
-
-
-@dataclass
-class SpectralProducts:
-    """The spectral products while they are filled; the names are those of ``Prediction``."""
-
-    radiance: dict[str, SpectralEstimate] = field(default_factory=dict)
-    snr: dict[str, SpectralEstimate] = field(default_factory=dict)
-    reflectance: dict[str, SpectralEstimate] = field(default_factory=dict)
-    noise: dict[str, Mapping[str, Array]] = field(default_factory=dict)
-    full_scale: dict[str, Array] = field(default_factory=dict)
-    toa_reflectance: dict[str, SpectralEstimate] = field(default_factory=dict)
 
 
 def reflectances(world: World, light: Light) -> dict[str, tuple[Array, Array]]:
@@ -144,11 +134,11 @@ def interpolation_input(world: World) -> list[UncertainInput]:
     return [number_input(world, TABLE, "engine", "light.path_error", 0.0, rows=rows)]
 
 
-def error_rows(world: World, inputs: Iterable[UncertainInput]) -> dict[tuple[str, str], list[Row]]:
-    """(product, subject) -> changes of the mean spectra of one truth by one standard uncertainty, for each direction of
-    each input: half the difference of up and down, the rest held.
+def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralErrors:
+    """Errors of the mean spectra of one truth: half the difference of up and down along each direction of each input,
+    the rest held.
     """
-    out: dict[tuple[str, str], list[Row]] = {}
+    out: dict[tuple[str, str], dict[str, list[Array]]] = {}
     for item in inputs:
         if find(world.stated, item.path)[0].field in _SEEN_BY_NO_SPECTRUM:
             continue
@@ -163,8 +153,8 @@ def error_rows(world: World, inputs: Iterable[UncertainInput]) -> dict[tuple[str
                 if of_spectrum and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
                 name = "field spectrum" if of_spectrum else item.name
-                out.setdefault(key, []).extend((name, row) for row in rows)
-    return out
+                out.setdefault(key, {}).setdefault(name, []).append(np.nan_to_num(rows))
+    return {key: {name: Errors(np.concatenate(r)) for name, r in each.items()} for key, each in out.items()}
 
 
 def moved_by(world: World, truths: Sequence[Mapping[str, object]]) -> World:
@@ -182,14 +172,11 @@ def half_differences(world: World, size: int) -> dict[tuple[str, str], Array]:
     return {key: 0.5 * (values[:size] - values[size:]) for key, values in whole.items()}
 
 
-def spectral_products(e: Evaluation, u: int, rows: Mapping[tuple[str, str], Sequence[Row]]) -> SpectralProducts:
-    """All spectra of one truth with their errors.
-
-    Parameters
-    ----------
-    rows : changes by one standard uncertainty along each direction of each input
-    """
-    out, world = SpectralProducts(), e.world.rows(np.array([u]))
+def spectral_products(e: Evaluation, u: int, errors: SpectralErrors) -> dict[str, Any]:
+    """All spectra of one truth with their errors: product, by its name in ``Prediction``, -> subject -> what it is."""
+    world = e.world.rows(np.array([u]))
+    names = ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")
+    out: dict[str, Any] = {name: {} for name in names}
     light, v = e.light.row(int(e.which[u])), int(e.which[u])
     means = {key: of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
     each, bands = e.once("reflectances", lambda: reflectances(e.world, e.light.rows(e.which))), len(e.axis)
@@ -221,14 +208,14 @@ def spectral_products(e: Evaluation, u: int, rows: Mapping[tuple[str, str], Sequ
                     if light.radiant:
                         shapes = {s: retrieved_covariance(light.library_line, c) for s, c in shapes.items()}
                         pixel = known(retrieved_covariance(light.library_line, seen, of_reflectance))
-                total, budget = combined(rows.get((product, key), ()), shapes, bands)
+                total, budget = combined(errors.get((product, key), {}), shapes, bands)
                 estimate = SpectralEstimate(means[product, key], total, pixel, None, budget)
-                getattr(out, product)[key] = estimate
+                out[product][key] = estimate
         if light.radiant and light.noise is not None:
             if light.noise.full_scale is not None:
-                out.full_scale[name] = light.noise.full_scale_fraction(level)
+                out["full_scale"][name] = light.noise.full_scale_fraction(level)
             if name in pure:
-                out.noise[name] = asdict(light.noise.breakdown(level))
+                out["noise"][name] = asdict(light.noise.breakdown(level))
     return out
 
 
