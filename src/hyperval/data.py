@@ -41,6 +41,17 @@ class Errors(NamedTuple):
         return np.asarray(np.sqrt((self.rows**2).sum(axis=0)))
 
 
+def _check_covariances(matrices: Array, what: str) -> None:
+    """Refuse matrices (..., B, B) that are not symmetric or have eigenvalues below nought."""
+    scale, bands = float(np.abs(matrices).max()) or 1.0, matrices.shape[-1]
+    if float(np.abs(matrices - np.swapaxes(matrices, -1, -2)).max()) > 1e-9 * scale:
+        raise UsageError(f"{what} is not symmetric")
+    try:  # a Cholesky factor exists when no eigenvalue lies below -1e-9 scale bands: cheaper than they are
+        np.linalg.cholesky(matrices + 1e-9 * scale * bands * np.eye(bands))
+    except np.linalg.LinAlgError:
+        raise UsageError(f"{what} is not positive semi-definite") from None
+
+
 @dataclass(frozen=True, eq=False)
 class Components:
     """K laws that together make the pixels of one class.
@@ -79,13 +90,7 @@ class Components:
                 f"the weights {np.array2string(weights, precision=4)} are no parts of a class",
                 expected="positive numbers that sum to 1",
             )
-        scale = float(np.abs(covariances).max()) or 1.0
-        if float(np.abs(covariances - covariances.transpose(0, 2, 1)).max()) > 1e-9 * scale:
-            raise UsageError("the covariance of a component is not symmetric")
-        try:
-            np.linalg.cholesky(covariances + 1e-9 * scale * bands * np.eye(bands))
-        except np.linalg.LinAlgError:
-            raise UsageError("the covariance of a component is not positive semi-definite") from None
+        _check_covariances(covariances, "the covariance of a component")
         if not self.dof > 2:
             raise UsageError(f"degrees of freedom of components must exceed 2, got {self.dof:g}")
         for name, value in (("weights", weights), ("offsets", offsets), ("covariances", covariances)):
@@ -166,13 +171,7 @@ class ClassStatistics:
             )
         if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(cov))):
             raise UsageError(f"class {self.name!r}: mean and covariance must be finite")
-        scale = float(np.max(np.abs(cov))) or 1.0
-        if float(np.max(np.abs(cov - cov.T))) > 1e-9 * scale:
-            raise UsageError(f"class {self.name!r}: the covariance is not symmetric")
-        try:  # a Cholesky factor exists when no eigenvalue lies below -1e-9 scale bands: cheaper than they are
-            np.linalg.cholesky(cov + 1e-9 * scale * bands * np.eye(bands))
-        except np.linalg.LinAlgError:
-            raise UsageError(f"class {self.name!r}: the covariance is not positive semi-definite") from None
+        _check_covariances(cov, f"class {self.name!r}: the covariance")
         if self.tail_dof is not None and not self.tail_dof > 2:
             raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")
         if self.components is not None and self.components.offsets.shape[1] != bands:

@@ -962,7 +962,12 @@ def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] =
             number = e.targets.index(target)
             drawn = e.once(("ace", number, object_curves), lambda t=number: ace_curves(e, t, pfa, object_curves))  # type: ignore[misc]
             for population, curves in drawn.items():
-                _add_numerical(by_point, points, population, name, pfa, curves)
+                for into, point in zip(by_point, points, strict=True):
+                    one, key = curves[point], (population, name)
+                    into.scores[key], into.scores[background_of(population), name] = one.target, one.background
+                    for unit, pd in one.pd.items():
+                        into.roc[(*key, unit)] = RocCurve(pfa, pd, pd, pd, one.threshold, unit)  # type: ignore[arg-type]
+                        into.curves[(*key, unit)] = np.array([c.pd[unit] for c in curves])  # type: ignore[index]
             for note, point in zip(notes, points, strict=True):
                 worst = max(curves[point].error for curves in drawn.values())
                 alarms = 100 * drawn[populations[0]][point].alarm_error
@@ -1019,18 +1024,6 @@ def _behind(
     sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
     each = zip(_distributions(mean, sd, some.background_density), some.preset(threshold[at[first]]), strict=True)
     return threshold, dict(zip(rows.tolist(), each, strict=True))
-
-
-def _add_numerical(
-    by_point: Sequence[PredictedDetection], points: Sequence[int], population: str, name: str, pfa: Array,
-    curves: Sequence[AceCurve],
-) -> None:  # fmt: skip
-    for into, point in zip(by_point, points, strict=True):
-        one = curves[point]
-        into.scores[population, name], into.scores[background_of(population), name] = one.target, one.background
-        for unit, pd in one.pd.items():
-            into.roc[population, name, unit] = RocCurve(pfa, pd, pd, pd, one.threshold, unit)  # type: ignore[arg-type]
-            into.curves[population, name, unit] = np.array([c.pd[unit] for c in curves])  # type: ignore[index]
 
 
 def _distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:

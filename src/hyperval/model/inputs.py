@@ -298,16 +298,6 @@ def inputs_of(world: World, *, shapes: bool = True) -> list[UncertainInput]:
     return [*_of_light(world, shapes), *_of_scene(world, shapes), *_of_sensor(world)]
 
 
-def gas_depth(gas_transmittance: Array) -> Array:
-    """-ln T_gas, at most that of a transmittance of 1e-6 [1]."""
-    return np.asarray(-np.log(np.clip(gas_transmittance, 1e-6, 1.0)))
-
-
-def gas_transmittance(world: World) -> Array:
-    """(B,) of the atmosphere as stated."""
-    return np.asarray(world.stated.atmosphere({}, 1).gas_transmittance[0, 0])
-
-
 def field_spectrum_of(subject: str) -> str:
     """Name of the input that is the error of a subject's field spectrum."""
     return f"field spectrum of {subject}"
@@ -327,7 +317,8 @@ def spectrum_inputs(world: World) -> list[UncertainInput]:
         if subject not in number and surface.mean_error is not None:
             rows = covariance_directions(np.nan_to_num(surface.mean_error))
             words = "as between replicate spectra"
-            inputs.append(_mean_input(world, field_spectrum_of(subject), "surface", subject, rows, words))
+            path = f"surfaces.[{subject}].mean"
+            inputs.append(number_input(world, field_spectrum_of(subject), "surface", path, 0.0, words=words, rows=rows))
     return inputs
 
 
@@ -341,10 +332,6 @@ def spectrum_errors(world: World) -> dict[str, Array]:
     for item in spectrum_inputs(world):
         rows.setdefault(item.subject, []).append(item.rows)
     return {subject: np.concatenate(each) for subject, each in rows.items()}
-
-
-def _mean_input(world: World, name: str, kind: Kind, subject: str, rows: Array, words: str) -> UncertainInput:
-    return number_input(world, name, kind, f"surfaces.[{subject}].mean", 0.0, words=words, rows=rows)
 
 
 def _of_light(world: World, shapes: bool) -> list[UncertainInput]:
@@ -364,7 +351,8 @@ def _of_light(world: World, shapes: bool) -> list[UncertainInput]:
             continue
         sd = np.full(len(world.stated.axis), part.relative)
         if part.per_optical_depth > 0:  # greater where gases absorb
-            sd = sd + part.per_optical_depth * gas_depth(gas_transmittance(world))
+            gas = world.stated.atmosphere({}, 1).gas_transmittance[0, 0]
+            sd = sd - part.per_optical_depth * np.log(np.clip(gas, 1e-6, 1.0))
         inputs.append(spectral_input(world, name, "engine", "light.ground", sd, part))
     if u.engine.path_relative > 0:
         inputs.append(spectral_input(world, ENGINE_PATH, "engine", "light.path", u.engine.path_relative, u.engine))
@@ -429,7 +417,8 @@ def _sampled(item: SampledStatistics, world: World) -> list[UncertainInput]:
     if item.mean:
         rows = covariance_directions(covariance / n)
         if rows.shape[0]:
-            inputs.append(_mean_input(world, f"sampled mean of {subject}", "sampling", subject, rows, words))
+            name, path = f"sampled mean of {subject}", f"surfaces.[{subject}].mean"
+            inputs.append(number_input(world, name, "sampling", path, 0.0, words=words, rows=rows))
     # The variance of any one score: s^2 of n - 1 degrees of freedom, known by the logarithm of its root.
     path, rows = f"surfaces.[{subject}].spread", np.array([[np.sqrt(0.5 / (n - 1.0))]])
     spread = number_input(world, f"sampled covariance of {subject}", "sampling", path, 0.0, words=words, rows=rows)

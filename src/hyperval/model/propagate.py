@@ -18,12 +18,12 @@ from scipy.special import ndtr, ndtri
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.terms import interpolated_terms
 from hyperval.data import LINEAR_DETECTORS, Errors
-from hyperval.model.detection import Evaluation, class_scores
+from hyperval.model.detection import Evaluation, RocKey, class_scores
 from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.radiance import Background, light_of, seen_classes
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, false_alarm_grid, log_false_alarm
-from hyperval.model.world import Origins, Truth, World, read, settled, state_entries, state_value, with_truths
+from hyperval.model.world import Engine, Origins, Truth, World, read, settled, state_entries, state_value, with_truths
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
@@ -31,7 +31,6 @@ from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, ...]
-RocKey = tuple[str, str, str]
 Changes = tuple[Array, Array]  # (D, K) by one standard uncertainty up, and down, along each direction
 _CURVES = 2048  # drawn for the limits of a ROC curve
 DRAWN_SHIFT = 1.0  # standard deviations: beyond, even parts of directions moved alone do not add up to that of all
@@ -381,8 +380,6 @@ def agreement(key: Key, stated: Array, linear: Spread, drawn: Spread, samples: i
         ratio, widths = other.sd / one.sd, (other.upper - other.lower) / (one.upper - one.lower)
     return Agreement(key, at, *(float(np.median(x)) for x in (one.sd, other.sd, ratio, widths, gap)))
 
-
-Engine = Callable[[AtmosphericState], AtmosphericTerms]
 
 # Three nodes 0 and +-sqrt(3) standard deviations: those of Gauss and Hermite, exact for moments of a cubic.
 _NODE = float(np.sqrt(3.0))

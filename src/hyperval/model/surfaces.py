@@ -5,7 +5,7 @@ Several field spectra of one surface: their mean, their spread, and how well the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -72,14 +72,7 @@ def replicate_statistics(
     InputError : missing or corrupt files.
     UsageError : fewer than two spectra, records that no file has, or spectra that share no band.
     """
-    spectra = replicate_spectra(source, resolve)
-    return statistics_in_bands(spectra, axis, ", ".join(source.references), nominal)
-
-
-def statistics_in_bands(
-    spectra: Sequence[FieldSpectrum], axis: SpectralAxis, where: str, nominal: SpectralAxis | None = None
-) -> SurfaceStatistics:
-    """Statistics of spectra, each averaged over the bands first."""
+    spectra, where = replicate_spectra(source, resolve), ", ".join(source.references)
     if len(spectra) < 2:
         raise UsageError(
             "a single spectrum has no spread", where=where, expected="two or more replicates", mend="use file:"

@@ -30,8 +30,15 @@ from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST
 from hyperval.atmosphere.terms import AtmosphericTerms, InterpolatedTerms, interpolated_terms, stacked_values
 from hyperval.data import ClassStatistics
 from hyperval.errors import InputError, UsageError
-from hyperval.model.fill import Fills, fill_distribution, pixels_of_object, stacked_fills, whole_object_fills, with_mean
-from hyperval.model.fill import fills_of_population as pixel_fills
+from hyperval.model.fill import (
+    Fills,
+    fill_distribution,
+    fills_of_population,
+    pixels_of_object,
+    stacked_fills,
+    whole_object_fills,
+    with_mean,
+)
 from hyperval.model.surfaces import Read, Resolve, Sources, SurfaceStatistics, class_tail, without_gaps
 from hyperval.progress import track
 from hyperval.scenario import ElmPanels, Fill, Illumination, Scenario, Target, TargetSubject
@@ -278,21 +285,14 @@ def noise_model(
 
 def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
     """The scenario with the sensor's point spread function where a geometry states none."""
-    if sensor is None or sensor.specification.psf is None or not scenario.scene.targets:
-        return scenario
-    blur = sensor.specification.psf.fwhm
-
-    def with_blur(fill: Fill | None) -> Fill | None:
-        if fill is None or fill.geometry is None or fill.geometry.psf_fwhm_pixels is not None:
-            return fill
-        return fill.model_copy(update={"geometry": fill.geometry.model_copy(update={"psf_fwhm_pixels": blur})})
-
-    def target(t: Target) -> Target:
-        subjects = [s.model_copy(update={"fill": with_blur(s.fill)}) for s in t.subjects]
-        return t.model_copy(update={"fill": with_blur(t.fill), "subjects": subjects})
-
-    scene = scenario.scene.model_copy(update={"targets": [target(t) for t in scenario.scene.targets]})
-    return scenario.model_copy(update={"scene": scene})
+    psf, widths = sensor and sensor.specification.psf, {}
+    for t, target in enumerate(scenario.scene.targets if psf else ()):
+        for k, population in enumerate(target.populations):
+            geometry = population.fill.geometry
+            if psf and geometry is not None and geometry.psf_fwhm_pixels is None:
+                where = f"subjects.{k}." if target.subjects else ""
+                widths[f"scene.targets.{t}.{where}fill.geometry.psf_fwhm_pixels"] = psf.fwhm
+    return with_settings(scenario, widths) if widths else scenario
 
 
 def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> None:
@@ -973,7 +973,7 @@ class World:
 
     def _fill(self, number: int, values: Truth) -> Fill:
         stated, nominal = self.stated, self.stated.nominal
-        name, fill, change = stated.populations[number][2].name, stated.populations[number][2].fill, 0.0
+        fill, change = stated.populations[number][2].fill, 0.0
         entries = {
             ".".join(path_parts(p)[6 if path_parts(p)[3] == "subjects" else 4 :]): plain(v)
             for p, v in values.items()
@@ -984,7 +984,7 @@ class World:
             width = width[_blurred(stated)[number]] if width.size > 1 else width
             entries["geometry.psf_fwhm_pixels"] = float(width[0]) if width.size == 1 else width.tolist()
         if entries:
-            fill = _with_entries(fill, entries, name)
+            fill = with_settings(fill, entries)
         for path, value in values.items():
             if find(stated, path)[0].field == "fill":
                 filled, each = _filled(stated, path), np.atleast_1d(value)
@@ -1042,11 +1042,11 @@ class World:
         key = "fills", number, objects
         if not moved and not others:
             if key not in self.stated.kept:
-                self.stated.kept[key] = (whole_object_fills if objects else pixel_fills)(stated, thesis)
+                self.stated.kept[key] = (whole_object_fills if objects else fills_of_population)(stated, thesis)
             kept: Fills = self.stated.kept[key]
             return kept
         models, which = self.fill_models(number)
-        make = whole_object_fills if objects else pixel_fills
+        make = whole_object_fills if objects else fills_of_population
         return stacked_fills([make(fill, thesis) for fill in models], which)
 
     # ---- light and sensor ----------------------------------------------------------------------------------
@@ -1067,37 +1067,21 @@ def _touched(stated: Stated, path: str) -> Iterable[int]:
     return _blurred(stated) if path == "blur" else _filled(stated, path)
 
 
-def _with_entries(fill: Fill, entries: Truth, name: str) -> Fill:
-    data = fill.model_dump(exclude_unset=True)
-    for key, value in entries.items():
-        *parts, last = key.split(".")
-        at = data
-        for part in parts:
-            at = at.setdefault(part, {})
-        at[last] = value
-    try:
-        return Fill.model_validate(data)
-    except ValueError as error:
-        raise UsageError(f"fill of {name!r} with {dict(entries)}: {error}") from error
-
-
 def _noise(stated: Stated, moved: Truth) -> NoiseModel:
     """The noise with other numbers of the sensor or of how it is run."""
     scenario, sensor = stated.scenario, stated.sensor
-
-    def with_entries(stands: Any, kind: Any, room: str) -> Any:
-        entries = {p.partition(".")[2]: v for p, v in moved.items() if p.startswith(room)}
-        return (
-            kind.model_validate((stands.model_dump(exclude_unset=True) if stands else {}) | entries)
-            if entries
-            else stands
-        )
-
-    operation = with_entries(scenario.sensor_operation, SensorOperation, "sensor_operation.")
-    changes = with_entries(scenario.sensor_changes, SensorChanges, "sensor_changes.")
+    run, changes = scenario.sensor_operation, scenario.sensor_changes
+    rooms: dict[str, dict[str, Any]] = {"sensor_operation": {}, "sensor_changes": {}}
+    for path, value in moved.items():
+        room, _, entry = path.partition(".")
+        rooms[room][entry] = value
+    if rooms["sensor_operation"]:
+        run = with_settings(run or SensorOperation(), rooms["sensor_operation"])
+    if rooms["sensor_changes"]:
+        changes = with_settings(changes or SensorChanges(), rooms["sensor_changes"])
     assert sensor is not None  # noqa: S101 - asked for where there is noise
-    whole = operation is None or operation.spectral_binning == 1
-    return noise_model(sensor, stated.axis if whole else None, operation, changes, stated.kept)
+    whole = run is None or run.spectral_binning == 1
+    return noise_model(sensor, stated.axis if whole else None, run, changes, stated.kept)
 
 
 def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
