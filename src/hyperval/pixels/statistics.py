@@ -11,11 +11,10 @@ while they stay below 2^53.
 from __future__ import annotations
 
 import itertools
-from collections import deque
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from threading import local
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -44,7 +43,6 @@ MAX_THREADS = 4  # more only wait for memory
 _LINES_LABELLED = 256  # at a time
 # Pixels are taken about the mean of at least so many of the first block.
 CENTRED_ON = 64
-WAITING_PIXELS = 256  # of one label, that are summed at once
 
 
 class StoredBlock(NamedTuple):
@@ -62,19 +60,9 @@ class StoredBlock(NamedTuple):
     usable: Mask
 
 
-class _Workspace(local):
-    """Arrays of one thread, made when first asked for and used again."""
-
-    def __init__(self) -> None:
-        self._arrays: dict[str, npt.NDArray[Any]] = {}
-
-    def flat(self, name: str, size: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-        """A flat array of at least ``size``, cut to it."""
-        array = self._arrays.get(name)
-        if array is None or array.size < size or array.dtype != np.dtype(dtype):
-            least = HUGE_PAGES_FROM // np.dtype(dtype).itemsize
-            array = self._arrays[name] = np.empty(max(size, least), dtype)
-        return array[:size]
+def _memory(size: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """A flat array of at least ``size``."""
+    return np.empty(max(size, HUGE_PAGES_FROM // np.dtype(dtype).itemsize), dtype)
 
 
 def _runs(bands: Mask) -> list[tuple[slice, slice]]:
@@ -111,22 +99,13 @@ def by_segments(
         with cube.kept_open(), single_blas_thread() as alone:
             count = threads if threads is not None else min(available_cores(), MAX_THREADS) if alone else 1
             if count <= 1:
-                yield from ((segment, work(segment)) for segment in segments)
+                yield from zip(segments, map(work, segments), strict=True)
                 return
-            waiting: deque[tuple[range, Future[Result]]] = deque()
-            with ThreadPoolExecutor(count) as pool:
-                try:
-                    for segment in segments:
-                        waiting.append((segment, pool.submit(work, segment)))
-                        if len(waiting) > count:
-                            done, future = waiting.popleft()
-                            yield done, future.result()
-                    while waiting:
-                        done, future = waiting.popleft()
-                        yield done, future.result()
-                finally:
-                    for _, future in waiting:
-                        future.cancel()
+            pool = ThreadPoolExecutor(count)
+            try:
+                yield from zip(segments, pool.map(work, segments), strict=True)
+            finally:
+                pool.shutdown(cancel_futures=True)
 
     return (result for _, result in watch(results()))
 
@@ -150,27 +129,25 @@ def stream(
     threads, block_lines : None chooses them
     watch : wraps the iterator over the parts of the pass, for a progress bar
     """
-    step = block_lines or max(1, round(BLOCK_PIXELS / cube.samples))
+    step = min(block_lines or max(1, round(BLOCK_PIXELS / cube.samples)), cube.lines)
     stretches = _runs(np.ones(cube.bands, bool) if bands is None else bands)
-    count = stretches[-1][1].stop if stretches else 0
-    workspace = _Workspace()
+    count, most = stretches[-1][1].stop if stretches else 0, step * cube.samples
 
     def blocks(firsts: range) -> Iterator[StoredBlock]:
+        buffer, memory = _memory(cube.bands * most, cube.dtype), _memory(count * most, np.float64)
         for first in firsts:
-            lines = min(step, cube.lines - first)
-            pixels = lines * cube.samples
-            buffer = workspace.flat("stored", cube.bands * pixels, cube.dtype)
-            stored, usable = cube.read_stored(first, lines, needed, buffer)
-            flat = workspace.flat("numbers", count * pixels, np.float64)
+            shape = (min(step, cube.lines - first), cube.samples)
+            pixels = shape[0] * shape[1]
+            stored, usable = cube.read_stored(first, shape[0], needed, buffer[: cube.bands * pixels])
+            flat = memory[: count * pixels]
             # In the order of the file: by pixel where the bands of a pixel lie side by side.
             by_pixel = stored.strides[0] < stored.strides[2]
             numbers = flat.reshape(pixels, count).T if by_pixel else flat.reshape(count, pixels)
-            shape = (lines, cube.samples, count)
-            image = flat.reshape(shape).transpose(2, 0, 1) if by_pixel else flat.reshape(count, *shape[:2])
+            image = flat.reshape(*shape, count).transpose(2, 0, 1) if by_pixel else flat.reshape(count, *shape)
             for source, target in stretches:
                 np.copyto(image[target], stored[source], casting="same_kind")
             del stored  # a view of lines that a raster may hold: they would stay while it reads the next
-            yield StoredBlock(slice(first, first + lines), numbers, usable)
+            yield StoredBlock(slice(first, first + shape[0]), numbers, usable)
 
     return by_segments(cube, step, lambda firsts: work(blocks(firsts)), threads=threads, watch=watch)
 
@@ -336,86 +313,48 @@ def region_statistics(
     count = len(members[SCENE])
     wanted = np.asarray(np.any(list(members.values()), axis=0))
 
-    def segment(blocks: Iterator[StoredBlock]) -> _LabelSums:
-        part = _LabelSums(count, cube.bands, cube.dtype.kind in "iu")
-        for rows, stored, usable in blocks:
-            part.add(stored, number[rows].ravel(), usable.ravel(), wanted)
-        return part.finished()
+    whole = cube.dtype.kind in "iu"
+
+    def segment(blocks: Iterator[StoredBlock]) -> tuple[dict[int, Sums], Counts]:
+        """Sums by label, and how many pixels of each label (K,) hold no data."""
+        sums: defaultdict[int, Sums] = defaultdict(lambda: Sums(cube.bands))
+        left_out = np.zeros(count, np.int64)
+        for rows, pixels, usable in blocks:
+            label, known = number[rows].ravel(), usable.ravel()
+            if not known.all():
+                left_out += np.bincount(label[~known], minlength=count)
+                pixels, label = pixels[:, known], label[known]
+            present = np.flatnonzero(np.bincount(label, minlength=count) * wanted)
+            for key in present.tolist():
+                own = pixels if label.size == np.count_nonzero(label == key) else pixels[:, label == key]
+                sums[key].add(own, whole=whole)
+        return sums, left_out
 
     # One BLAS thread to the end: a second one, woken for the small products there, would spin into the next pass.
     with single_blas_thread():
-        total = _LabelSums(count, cube.bands, whole=False)
-        for part in stream(cube, segment, threads=threads, block_lines=block_lines, watch=watch):
-            total.merge(part)
-        out = {}
-        for name, own in members.items():
-            joined = Sums(cube.bands)
-            for key, value in total.sums.items():
-                if own[key]:
-                    joined.merge(value)
-            out[name] = _statistics(cube, name, joined, int(own @ total.left_out))
-        return out
+        total: defaultdict[int, Sums] = defaultdict(lambda: Sums(cube.bands))
+        left_out = np.zeros(count, np.int64)
+        for sums, missing in stream(cube, segment, threads=threads, block_lines=block_lines, watch=watch):
+            left_out += missing
+            while sums:  # taken from there: 2 MB for each label
+                key, value = sums.popitem()
+                total[key].merge(value)
+        return {name: _statistics(cube, name, own, total, left_out) for name, own in members.items()}
 
 
-class _LabelSums:
-    """Sums by label, and how many pixels of each label (K,) hold no data.
-
-    Few pixels of a label wait for more of it: products of few columns cost as much as of many.
-    """
-
-    def __init__(self, labels: int, bands: int, whole: bool) -> None:
-        self.sums: dict[int, Sums] = {}
-        self.left_out = np.zeros(labels, np.int64)
-        self._bands, self._whole = bands, whole
-        self._waiting: dict[int, list[Array]] = {}
-
-    def add(self, stored: Array, label: npt.NDArray[Any], usable: Mask, wanted: Mask) -> None:
-        """Add numbers (B, N) of pixels with labels (N,), those that hold data; ``wanted`` (K,) labels count."""
-        if not usable.all():
-            self.left_out += np.bincount(label[~usable], minlength=self.left_out.size)
-            stored, label = stored[:, usable], label[usable]
-        alike = label.size > 0 and label.min() == label.max()
-        for key in (label[:1] if alike else np.unique(label)).tolist():
-            if not wanted[key]:
-                continue
-            pixels = stored if alike else stored[:, label == key]
-            waiting = self._waiting.setdefault(key, [])
-            if sum(w.shape[1] for w in waiting) + pixels.shape[1] >= WAITING_PIXELS:
-                self._sum(key, pixels)
-            else:
-                waiting.append(pixels.copy() if alike else pixels)
-
-    def finished(self) -> _LabelSums:
-        """With those that waited."""
-        for key in list(self._waiting):
-            self._sum(key)
-        return self
-
-    def merge(self, other: _LabelSums) -> None:
-        """Add the sums of other pixels, and take them from there: 2 MB for each label."""
-        self.left_out += other.left_out
-        while other.sums:
-            key, value = other.sums.popitem()
-            if key in self.sums:
-                self.sums[key].merge(value)
-            else:
-                self.sums[key] = value
-
-    def _sum(self, key: int, *more: Array) -> None:
-        parts = [*self._waiting.pop(key), *more]
-        if parts:
-            pixels = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-            self.sums.setdefault(key, Sums(self._bands)).add(pixels, whole=self._whole)
-
-
-def _statistics(cube: Cube, name: str, sums: Sums, left_out: int) -> SampleStatistics:
-    """In the unit of the cube's values."""
-    if sums.n == 0:
-        raise UsageError(f"region {name!r} has no valid pixel ({left_out} left out as invalid)", expected="one or more")
-    mean, covariance = sums.mean_and_covariance()
+def _statistics(cube: Cube, name: str, own: Mask, sums: Mapping[int, Sums], left_out: Counts) -> SampleStatistics:
+    """Of the labels (K,) of a region, in the unit of the cube's values."""
+    joined = Sums(cube.bands)
+    for key in sorted(sums):
+        if own[key]:
+            joined.merge(sums[key])
+    missing = int(own @ left_out)
+    if joined.n == 0:
+        raise UsageError(f"region {name!r} has no valid pixel ({missing} left out as invalid)", expected="one or more")
+    mean, covariance = joined.mean_and_covariance()
     gain = cube.gain
     return SampleStatistics(
-        gain * mean + cube.offset, covariance * np.outer(gain, gain), sums.n, left_out, float("nan")
+        gain * mean + cube.offset, covariance * np.outer(gain, gain), joined.n, missing, float("nan")
     )
 
 
