@@ -51,5 +51,5 @@ def test_no_method_is_called_by_tests_alone():
         elif isinstance(node, ast.ClassDef):
             functions = (f for f in node.body if isinstance(f, ast.FunctionDef))
             methods |= {f.name for f in functions if not f.name.startswith("_")}
-    assert len(methods) > 100
-    assert sorted(name for name in methods - read if name not in pages) == []
+    assert len(methods) > 100  # PyYAML itself calls the one that is taken off
+    assert sorted(name for name in methods - read - {"ignore_aliases"} if name not in pages) == []
