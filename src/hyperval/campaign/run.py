@@ -24,7 +24,7 @@ from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
 from hyperval.campaign.schema import Outline
-from hyperval.campaign.sides import Collected, collected, header_notes, joined, truth_notes
+from hyperval.campaign.sides import Collected, collected, doubts, joined
 from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error
@@ -119,8 +119,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         *(["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []),
         *campaign.assumptions,
         *observed.observation.notes,
-        *header_notes(observed.place, scenarios),
-        *truth_notes(observed.place, campaign.detection, scenarios),
+        *doubts(observed.place, campaign.detection, scenarios),
         *(prediction.notes if prediction else ()),
     ]
     both = [observed.observation, *predicted]

@@ -12,9 +12,10 @@ The predictions of a campaign's scenarios as the one side of its comparison.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -108,13 +109,10 @@ def with_fills_of_truth(
     ------
     UsageError : a subject whose objects the truth does not know, or not by the fill of their pixels.
     """
-    if not any(_asks(item) for scenario in scenarios for item in scenario.scene.targets):
+    asked = (p for s in scenarios for item in s.scene.targets for p in item.populations)
+    if all(population.fill.truth is None for population in asked):
         return list(scenarios)
-    groups: dict[str, list[TargetObject]] = {}
-    if place is not None and detection is not None:
-        for target in detection.targets:
-            groups |= target_groups(place.targets, target, detection.group)
-    known = fills_of(groups)
+    known = fills_of(_members(place, detection))
 
     def fill(stated: Fill | None, subject: str) -> Fill | None:
         if stated is None or stated.truth is None:
@@ -138,8 +136,13 @@ def with_fills_of_truth(
     return out
 
 
-def _asks(item: Target) -> bool:
-    return any(population.fill.truth is not None for population in item.populations)
+def _members(place: Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
+    """The objects of the truth by the subject that they are counted with."""
+    groups: dict[str, list[TargetObject]] = {}
+    if place is not None and detection is not None:
+        for target in detection.targets:
+            groups |= target_groups(place.targets, target, detection.group)
+    return groups
 
 
 # A flight line is seldom longer; over this distance the sun's zenith angle changes by a tenth of a degree.
@@ -151,33 +154,33 @@ MAX_PIXEL_RATIO = 1.5
 MAX_LENGTH_RATIO = 1.05
 
 
-def header_notes(place: Place | None, scenarios: Sequence[Scenario]) -> list[str]:
-    """Warnings where the cube was taken at another time or place than a scenario says."""
+def doubts(place: Place | None, detection: Detection | None, scenarios: Sequence[Scenario]) -> Iterator[str]:
+    """Warnings where cube and truth say otherwise than a scenario: of time, place and sun, and of its targets.
+
+    A prediction of 12 pixels for each object, beside a truth that scores 3, is of another population: its P_D by
+    pixel is too low and that by object too high, and nothing else in the table would say why.
+    """
     if place is None:
-        return []
-    notes: list[str] = []
-    where = centre_of(place)
-    sun = sun_zenith_deg(place.cube.raster)
+        return
+    where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, detection)
     for scenario in scenarios:
-        state = scenario.atmosphere
-        if state is None:
-            continue
-        if state.time_utc is not None:
-            notes += time_notes(place.cube.extras, parse_utc(str(state.time_utc)), scenario.name)
-        latitude, longitude = state.latitude_deg, state.longitude_deg
-        if sun is not None and abs(sun[0] - state.sun[0]) > MAX_SUN_DEG:
-            notes.append(
-                f"warning: the sun stands at a zenith angle of {sun[0]:.2f} degrees in {sun[1]}, at "
-                f"{state.sun[0]:.2f} in scenario {scenario.name!r}"
-            )
+        named, state = f"scenario {scenario.name!r}", scenario.atmosphere
+        if state is not None and state.time_utc is not None:
+            yield from time_notes(place.cube.extras, parse_utc(str(state.time_utc)), scenario.name)
+        if state is not None and sun is not None and abs(sun[0] - state.sun[0]) > MAX_SUN_DEG:
+            at = f"at a zenith angle of {sun[0]:.2f} degrees in {sun[1]}, at {state.sun[0]:.2f} in {named}"
+            yield f"warning: the sun stands {at}"
+        latitude, longitude = (state.latitude_deg, state.longitude_deg) if state is not None else (None, None)
         if where is not None and latitude is not None and longitude is not None:
             km = distance_km(where, (latitude, longitude))
-            if km > MAX_KM:
-                notes.append(
-                    f"warning: the cube lies at latitude {where[0]:.3f}, longitude {where[1]:.3f}, {km:.0f} km "
-                    f"from the place of scenario {scenario.name!r} ({latitude:g}, {longitude:g})"
-                )
-    return list(dict.fromkeys(notes))
+            lies = f"at latitude {where[0]:.3f}, longitude {where[1]:.3f}, {km:.0f} km from the place of {named}"
+            yield from [f"warning: the cube lies {lies} ({latitude:g}, {longitude:g})"] if km > MAX_KM else []
+        for population in (p for item in scenario.scene.targets for p in item.populations):
+            own = members.get(population.name)
+            if population.fill.geometry is not None and own:
+                differences = ", ".join(_differences(place, population.fill, population.fill.geometry, own))
+                if differences:
+                    yield f"warning: {population.name!r} of {named}: {differences}"
 
 
 def centre_of(place: Place) -> tuple[float, float] | None:
@@ -203,37 +206,10 @@ def distance_km(a: tuple[float, float], b: tuple[float, float]) -> float:
     return _KM_PER_DEGREE * math.hypot(north, east)
 
 
-def truth_notes(place: Place | None, detection: Detection | None, scenarios: Sequence[Scenario]) -> list[str]:
-    """Warnings where a scenario's geometry counts other pixels, or states other lengths, than truth and image.
-
-    A prediction of 12 pixels for each object, beside a truth that scores 3, is of another population: its P_D by
-    pixel is too low and that by object too high, and nothing else in the table would say why.
-    """
-    if place is None or detection is None:
-        return []
-    groups: dict[str, list[TargetObject]] = {}
-    for target in detection.targets:
-        groups |= target_groups(place.targets, target, detection.group)
-    notes = []
-    for scenario in scenarios:
-        for item in scenario.scene.targets:
-            for population in item.populations:
-                geometry, members = population.fill.geometry, groups.get(population.name)
-                if geometry is not None and members:
-                    differences = ", ".join(_differences(place, geometry, _pixels(population.fill), members))
-                    if differences:
-                        notes.append(f"warning: {population.name!r} of scenario {scenario.name!r}: {differences}")
-    return list(dict.fromkeys(notes))
-
-
-def _pixels(fill: Fill) -> float:
-    """Pixels that the prediction counts for an object, on average over its places on the grid."""
-    if fill.geometry is not None and fill.geometry.pixels == "touched":
-        return float(np.mean(touched_counts(geometry_of(fill))))
-    return float(pixels_of_object(fill))
-
-
-def _differences(place: Place, geometry: Geometry, stated: float, members: Sequence[TargetObject]) -> Iterator[str]:
+def _differences(place: Place, fill: Fill, geometry: Geometry, members: Sequence[TargetObject]) -> Iterator[str]:
+    """How a scenario's objects differ from those of the truth, in pixels on average over their places on the grid."""
+    is_touched = geometry.pixels == "touched"
+    stated = float(np.mean(touched_counts(geometry_of(fill))) if is_touched else pixels_of_object(fill))
     counted = float(np.mean([np.count_nonzero(scored_pixels(o, place)[1]) for o in members]))
     if max(counted / stated, stated / counted) > MAX_PIXEL_RATIO:
         yield f"the prediction counts {stated:.3g} pixels for each object, the truth {counted:.3g}"
@@ -259,6 +235,7 @@ class Collected:
     scenarios: Sequence[Scenario]
     observed: Observed
     seed: int | None
+    read: Read = field(default_factory=dict)  # what scenarios read is kept here
 
     def origins(self, scenario: Scenario, show_progress: bool | None) -> Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
@@ -268,12 +245,8 @@ class Collected:
         return Origins(
             observed.observation.axis, self._laws.statistics(scenario),
             partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file
-            show_progress=show_progress, left_out=lambda: self._laws.left_out(scenario), read=self._read,
+            show_progress=show_progress, left_out=lambda: self._laws.left_out(scenario), read=self.read,
         )  # fmt: skip
-
-    @cached_property
-    def _read(self) -> Read:
-        return {}
 
     @cached_property
     def _laws(self) -> RegionLaws:
@@ -370,17 +343,14 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
     if not rest:
         return first
     parts: dict[str, Any] = {}
-    for field in fields(Products):
-        values = [getattr(p, field.name) for p in predictions]
-        if not isinstance(values[0], Mapping) or field.name == "provenance":
+    for name in (f.name for f in fields(Products) if f.name != "provenance"):
+        values = [getattr(p, name) for p in predictions]
+        if not isinstance(values[0], Mapping):
             continue
-        joined: dict[Any, Any] = {}
-        for value in values:
-            twice = sorted(str(k) for k in set(joined) & set(value))
-            if twice:
-                raise UsageError(f"two scenarios predict the {field.name} of {twice[0]}")
-            joined.update(value)
-        parts[field.name] = joined
+        counts = Counter(key for value in values for key in value)
+        if twice := sorted(str(key) for key, count in counts.items() if count > 1):
+            raise UsageError(f"two scenarios predict the {name} of {twice[0]}")
+        parts[name] = {key: item for value in values for key, item in value.items()}
     notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
     return PredictedProducts(
         axis=first.axis,
@@ -483,15 +453,11 @@ MOST_SUBJECTS = 6  # in each quantity; those with the most pixels
 def spread_curves(
     prediction: PredictedProducts, observation: ObservedProducts
 ) -> tuple[dict[tuple[str, str], EigenvalueSpectrum], dict[str, TailCurve]]:
-    """How the pixels of both sides spread: eigenvalues by (subject, quantity), tails by subject."""
-    return eigenvalue_spectra(prediction, observation), tail_curves(prediction, observation)
+    """How the pixels of both sides spread: eigenvalues by (subject, quantity), tails by subject.
 
-
-def eigenvalue_spectra(
-    prediction: PredictedProducts, observation: ObservedProducts
-) -> dict[tuple[str, str], EigenvalueSpectrum]:
-    """Eigenvalues of the classes that both sides hold, by (subject, quantity), with the band of chance alone."""
-    out = {}
+    Eigenvalues of the classes that both sides hold, with the band of chance alone; tails in the leading components.
+    """
+    eigenvalues = {}
     for quantity in SPREAD:
         left, right = getattr(prediction, quantity), getattr(observation, quantity)
         common = [s for s in right if s in left and right[s].n and right[s].pixel_covariance is not None]
@@ -500,19 +466,14 @@ def eigenvalue_spectra(
             if sample is None or isinstance(sample, str):
                 continue
             low, high = SamplingBand.limits(sample.band.eigenvalues)
-            out[subject, quantity] = EigenvalueSpectrum(
-                sample.measured.eigenvalues, sample.band.eigenvalues.mean(axis=0), low, high, sample.n
-            )
-    return out
-
-
-def tail_curves(prediction: PredictedProducts, observation: ObservedProducts) -> dict[str, TailCurve]:
-    """Tails in the leading components, by subject of the collection."""
-    return {
+            measured, mean = sample.measured.eigenvalues, sample.band.eigenvalues.mean(axis=0)
+            eigenvalues[subject, quantity] = EigenvalueSpectrum(measured, mean, low, high, sample.n)
+    tails = {
         subject: _curve(law, getattr(prediction.distribution.get(subject), "tail_dof", None))
         for subject, law in observation.distribution.items()
         if law.distance is not None and law.exceedance is not None and law.leading_dimension is not None
     }
+    return eigenvalues, tails
 
 
 def _curve(distribution: PixelDistribution, predicted_dof: float | None) -> TailCurve:
