@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import stat
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -86,6 +86,12 @@ def refuse(
     """Raise ``kind``, an InputError by default, where something is wrong."""
     if wrong:
         raise kind(what, where=str(where), expected=expected, mend=mend)
+
+
+def one_of(names: Iterable[str], otherwise: str = "a name") -> str:
+    """What was expected, in words: one of the names, or ``otherwise`` where there is none."""
+    listed = ", ".join(names)
+    return f"one of {listed}" if listed else otherwise
 
 
 def reader(function: Callable[P, R]) -> Callable[P, R]:

@@ -11,7 +11,7 @@ import product_shells as shells
 import pytest
 import xarray as xr
 
-from hyperval.collection_files import AbundanceTruth
+from hyperval.collection import AbundanceTruth
 from hyperval.errors import InputError
 from hyperval.imagery import open_cube, open_raster, read_regions, sun_zenith_deg, write_cube
 from hyperval.observe import abundance_targets

@@ -104,7 +104,7 @@ def gain_of_image(patch: Patch) -> None:
         cube = open_cube(*arguments, **named)
         return replace(cube, scaling=cube.scaling._replace(gain=1.02 * cube.scaling.gain))
 
-    patch.setattr("hyperval.observe.place.open_cube", scaled)
+    patch.setattr("hyperval.observe.open.open_cube", scaled)
 
 
 def bit_errors_without_factor(patch: Patch) -> None:
@@ -122,7 +122,7 @@ def band_order(patch: Patch) -> None:
         cube = open_cube(*arguments, **named)
         return replace(cube, stored_band=cube.stored_band[::-1].copy())
 
-    patch.setattr("hyperval.observe.place.open_cube", reversed_bands)
+    patch.setattr("hyperval.observe.open.open_cube", reversed_bands)
 
 
 def no_variance_of_fill(patch: Patch) -> None:

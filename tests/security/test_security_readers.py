@@ -16,7 +16,7 @@ import pytest
 
 import hyperval
 from hyperval import cli
-from hyperval.collection_files import BandTableFile
+from hyperval.collection import BandTableFile
 from hyperval.errors import HypervalError, InputError, reader
 
 PACKAGE = Path(hyperval.__file__).parent

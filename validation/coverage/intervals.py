@@ -18,7 +18,7 @@ from hyperval.collection import AreaCheck, Detection
 from hyperval.compare import judged_together
 from hyperval.imagery import TargetObject, all_pixels
 from hyperval.model import AREAS
-from hyperval.observe.detection import target_areas
+from hyperval.observe import target_areas
 from hyperval.pixels import (
     AlarmBlocks,
     EigenDirections,

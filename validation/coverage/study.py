@@ -33,7 +33,7 @@ import hyperval
 from hyperval.compare import compare_products, detection
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.model import Origins, predict
-from hyperval.observe.site_spectra import spectral_estimate
+from hyperval.observe import spectral_estimate
 from hyperval.pixels import (
     MeasuredPanel,
     components,

@@ -38,7 +38,7 @@ from contents import (
 from hyperval.atmosphere import read_channels, read_chn, read_modtran_json, read_table, read_tape7, terms_from_runs
 from hyperval.baseline import load_baseline
 from hyperval.campaign import read_jobs
-from hyperval.collection_files import AbundanceTruth, BandTableFile, RegionSource
+from hyperval.collection import AbundanceTruth, BandTableFile, RegionSource
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header
 from hyperval.imagery import Cube, open_cube, open_lookup_table, read_regions, read_targets

@@ -23,9 +23,7 @@ from hyperval.errors import HypervalError, InputError
 from hyperval.imagery import needs_header
 from hyperval.metrics import foreign
 from hyperval.model import Sources
-from hyperval.observe.detection import target_groups
-from hyperval.observe.place import IMAGE, SCENE, Place, check_line_for_detection, open_place
-from hyperval.observe.site_spectra import observe_radcalnet
+from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe_radcalnet, open_place, target_groups
 from hyperval.paths import matching
 from hyperval.products import SPECTRA
 from hyperval.scenario import Scenario, SpectrumSource, builtin_scenarios

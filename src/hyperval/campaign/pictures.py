@@ -16,9 +16,7 @@ from hyperval.collection import Detection
 from hyperval.figures.sides import ExpectedScores, Quicklook, ScoreMap
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.truth import all_pixels
-from hyperval.observe import Observed
-from hyperval.observe.detection import map_name, scored_pixels, target_groups
-from hyperval.observe.place import Place
+from hyperval.observe import Observed, Place, map_name, scored_pixels, target_groups
 
 Expected = Mapping[tuple[str, str, str], float]
 # A region's name, or for each target that is looked for the subject that an object is in.

@@ -483,7 +483,7 @@ def observe(
             )
 
         def cube(observed: Observed) -> None:
-            from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
+            from hyperval.observe import write_reflectance as reflectance_cube
 
             if observed.place is not None and write_reflectance:
                 written = reflectance_cube(

@@ -39,12 +39,8 @@ from hyperval.imagery.truth import TargetObject
 from hyperval.model import Truth, geometry_of, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
 from hyperval.model.intervals import clopper_pearson
-from hyperval.observe import Observed
+from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, scored_pixels, target_groups
 from hyperval.observe import observe as observe_collection
-from hyperval.observe.detection import scored_pixels, target_groups
-from hyperval.observe.place import Place
-from hyperval.observe.spread import RegionLaws, class_sets
-from hyperval.observe.truth_images import fills_of
 from hyperval.pixels import SamplingBand, average_roc, exceedance_of_distance
 from hyperval.products import (
     Abundance,

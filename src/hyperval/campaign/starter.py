@@ -24,7 +24,7 @@ from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.imagery import Raster, TargetObject, guard, objects, open_cube, open_raster, read_regions
-from hyperval.observe.place import Place, open_place
+from hyperval.observe import Place, open_place
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra import SpectralAxis, in_window, read_records

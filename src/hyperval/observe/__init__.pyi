@@ -1,37 +1,17 @@
 """The empirical pipeline: from a collection to its products."""
 
-from .detection import (
-    anomaly_note,
-    target_areas,
-    usable_bands,
-)
-from .pipeline import (
-    Observed,
-    observe,
-)
-from .place import (
-    Place,
-    open_place,
-)
-from .reflectance_cube import (
-    NO_DATA,
-    SCALE,
-    quantised,
-    write_reflectance,
-)
-from .site_spectra import (
+from .detect import map_name, scored_pixels, target_areas, target_groups
+from .laws import RegionLaws, class_sets
+from .measure import Observed, observe
+from .open import IMAGE, SCENE, Place, check_line_for_detection, open_place, open_source, read_band_table
+from .sites import (
     calibration_covariance,
     detector_covariance,
-    empirical_line,
     observe_radcalnet,
     path_estimate,
-    read_band_table,
     rounding_variance,
     spectral_estimate,
     wavelength_notes,
-)
-from .spread import (
-    RegionLaws,
 )
 from .truth_images import (
     FinerGrid,
@@ -42,34 +22,12 @@ from .truth_images import (
     registration_shifts,
     window_fills,
 )
+from .write import NO_DATA, SCALE, write_reflectance
 
 __all__ = [
-    "NO_DATA",
-    "SCALE",
-    "FinerGrid",
-    "Observed",
-    "Place",
-    "RegionLaws",
-    "abundance_targets",
-    "anomaly_note",
-    "calibration_covariance",
-    "detector_covariance",
-    "empirical_line",
-    "fills_of",
-    "material_regions",
-    "object_of_fills",
-    "observe",
-    "observe_radcalnet",
-    "open_place",
-    "path_estimate",
-    "quantised",
-    "read_band_table",
-    "registration_shifts",
-    "rounding_variance",
-    "spectral_estimate",
-    "target_areas",
-    "usable_bands",
-    "wavelength_notes",
-    "window_fills",
-    "write_reflectance",
-]
+    "IMAGE", "NO_DATA", "SCALE", "SCENE", "FinerGrid", "Observed", "Place", "RegionLaws", "abundance_targets",
+    "calibration_covariance", "check_line_for_detection", "class_sets", "detector_covariance", "fills_of", "map_name",
+    "material_regions", "object_of_fills", "observe", "observe_radcalnet", "open_place", "open_source",
+    "path_estimate", "read_band_table", "registration_shifts", "rounding_variance", "scored_pixels",
+    "spectral_estimate", "target_areas", "target_groups", "wavelength_notes", "window_fills", "write_reflectance",
+]  # fmt: skip

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from affine import Affine
 from scipy.special import ndtri
 
-from hyperval.collection_files import AbundanceTruth, BandRange, FinerTruth, RegionSource
+from hyperval.collection import AbundanceTruth, BandRange, FinerTruth, RegionSource
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import Cube, Raster, open_raster, raster_of_size
 from hyperval.imagery.drawing import outside_error

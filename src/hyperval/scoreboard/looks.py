@@ -21,8 +21,7 @@ from hyperval.collection import Detection
 from hyperval.compare.products import product_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.model import Sources
-from hyperval.observe import Observed
-from hyperval.observe.detection import scored_pixels, target_groups
+from hyperval.observe import Observed, scored_pixels, target_groups
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, AlarmBlocks, detector_names, object_scores, values_on
 from hyperval.progress import track
 from hyperval.results import Cause, Result

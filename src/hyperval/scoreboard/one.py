@@ -21,7 +21,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, measured_mark, row_names
-from hyperval.observe.place import open_place
+from hyperval.observe import open_place
 from hyperval.progress import step, track
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text

@@ -35,7 +35,7 @@ from hyperval.figures.spec import Figure, statement
 from hyperval.figures.spectra import spectra_figure
 from hyperval.imagery import open_raster
 from hyperval.model.roc import detection_at
-from hyperval.observe.place import open_source
+from hyperval.observe import open_source
 from hyperval.products import (
     ObservedProducts,
     PredictedProducts,

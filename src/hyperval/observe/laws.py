@@ -1,0 +1,418 @@
+"""How the pixels of a region are distributed: tails, how many of them are independent, the error of their mean.
+
+The laws of a region's pixels, for classes that take them: clusters, and how well the pixels know them.
+
+Measured error of a Gaussian maximum-likelihood classifier, trained on some lines and tried on others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.collection import Classification
+from hyperval.data import ClassStatistics, Components, SampleStatistics, statistics_of
+from hyperval.errors import UsageError
+from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
+from hyperval.observe.open import Place
+from hyperval.pixels import (
+    FEWEST_LEADING,
+    ClassMixture,
+    EigenDirections,
+    block_side,
+    class_mixture,
+    compact_parts,
+    components,
+    drawn_pixels,
+    factor_covariance,
+    fit_tail_dof,
+    independent_for_mean,
+    independent_for_variance,
+    independent_pixels,
+    lag_correlation,
+    leading_count,
+    leading_tail_dof,
+    left_out_distances,
+    mean_error_covariance,
+    moments_without_each,
+    neighbour_shares,
+    nth_pixels,
+    small_sample_factor,
+    squared_mahalanobis,
+)
+from hyperval.products import ClassificationError, EstimatedPart, PixelDistribution
+from hyperval.scenario import BackgroundClass, Scenario
+from hyperval.spectra import in_window
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
+
+MOST_PIXELS = 20_000  # of a region, drawn at random: what memory should hold
+MOST_NUMBERS = 8_000_000  # pixels times bands held at once
+FEWEST_PIXELS = 200
+PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
+COMPONENTS = 6  # leading ones whose correlation on the ground is measured
+WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
+QUANTILES = 160
+FEWEST_FOR_CORRELATION = 50  # below it a correlation on the ground is not told from chance
+# Fewer training pixels for each feature, and the classifier's own error is that of its training.
+PIXELS_PER_FEATURE = 3
+_TRIES = 16  # pixels drawn for each window
+_TAIL_SEED, _MEAN_SEED, _LAW_SEED = 31, 37, 41
+
+
+def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Callable[[], PixelDistribution] | None:
+    """What fits the tails of a region's pixels in the windows of the atmosphere; None with too few of them.
+
+    Pixels are drawn at random (the seed is fixed), at most 20,000; correlation on the ground is measured in windows
+    of the image, at lags of up to 24 pixels.  The fit itself is left to the end: it loads SciPy's optimisers, 13 MB.
+
+    Parameters
+    ----------
+    region : (lines, samples) the pixels that ``statistics`` were taken from, in the cube's values
+    """
+    n, axis = statistics.n, place.cube.axis
+    variance = np.diag(statistics.covariance)
+    bands = np.flatnonzero(in_window(axis.centre_nm) & axis.good & np.isfinite(variance) & (variance > 0))
+    if n < FEWEST_PIXELS or bands.size < FEWEST_LEADING:
+        return None
+    rng = np.random.default_rng(_TAIL_SEED)
+    mean, covariance = statistics.mean[bands], statistics.covariance[np.ix_(bands, bands)]
+    every = EigenDirections.of(covariance)
+    dimension = min(every.values.size, n // PIXELS_PER_BAND)
+    directions = EigenDirections(every.vectors[:, :dimension], every.values[:dimension])
+    leading = leading_count(directions.values, float(np.trace(covariance)))
+    independent, shares = _independence(place, region, n, bands, mean, directions, leading, rng)
+    lines, samples = drawn_pixels(region, max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS), rng)
+    order = np.lexsort((samples, lines))
+    parts = []
+    for pixels, _ in place.valid_pixels(lines[order], samples[order], bands):
+        in_some = [
+            squared_mahalanobis(pixels, mean, directions.vectors[:, :k], directions.values[:k])
+            for k in (dimension, leading)
+        ]
+        parts.append(in_some)
+    distances = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    if distances[0].size < FEWEST_PIXELS:
+        return None
+    columns = int(np.count_nonzero(region.any(axis=0)))
+
+    def distribution() -> PixelDistribution:
+        whole, lead = (
+            fit_tail_dof(d, k, estimated_on=n, independent=share * d.size)
+            for d, k, share in zip(distances, (dimension, leading), shares, strict=True)
+        )
+        distance, exceedance = _exceedance_curve(left_out_distances(distances[1], n))
+        return PixelDistribution(
+            whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
+            leading, whole.n, independent, distance, exceedance, columns,
+        )  # fmt: skip
+
+    return distribution
+
+
+def _exceedance_curve(values: Array) -> tuple[Array, Array]:
+    """At most 160 of the values, closest together in the upper tail, and the share of values beyond each."""
+    ordered = np.sort(values)[::-1]
+    rank = np.unique(np.round(np.geomspace(1, ordered.size, QUANTILES)).astype(int))
+    return ordered[rank - 1][::-1], (rank / (ordered.size + 1.0))[::-1]
+
+
+def _independence(
+    place: Place,
+    region: Mask,
+    n: int,
+    bands: Index,
+    mean: Array,
+    directions: EigenDirections,
+    leading: int,
+    rng: np.random.Generator,
+) -> tuple[Array, tuple[float, float]]:
+    """Independent pixels behind the variance of each leading component, and the share of independent distances."""
+    count = min(COMPONENTS, directions.values.size)
+
+    def project(pixels: Array) -> Array:
+        scores = (pixels - mean) @ directions.vectors
+        scores /= np.sqrt(directions.values)
+        # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
+        far = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
+        return np.concatenate([scores[:, :count].T, far])
+
+    def centred(values: Array) -> Array:
+        values[count:] -= values[count:].mean(axis=1, keepdims=True)
+        return values
+
+    windows = _projected_windows(place, region, bands, rng, project, centred)
+    correlation = lag_correlation(windows, REACH).significant()
+    shares = neighbour_shares(region, REACH, rng)
+    independent = np.array([independent_for_variance(n, rho, shares) for rho in correlation[:count]])
+    every, few = (independent_for_mean(n, rho, shares) / n for rho in correlation[count:])
+    return independent, (every, few)
+
+
+def _projected_windows(
+    place: Place,
+    region: Mask,
+    bands: npt.NDArray[Any],
+    rng: np.random.Generator,
+    project: Callable[[Array], Array],
+    of_window: Callable[[Array], Array] = lambda values: values,
+) -> Iterator[tuple[Array, Mask]]:
+    """(K, lines, samples) what ``project`` makes (K, n) of a region's valid pixels (n, b) in each window, and where.
+
+    It is 0 at the other pixels of the window.  A part of a window is in memory at a time: whole windows of all bands
+    would be half of what a run takes.
+    """
+    for row, column in correlation_windows(region, rng):
+        inside = region[row : row + WINDOW, column : column + WINDOW].copy()
+        lines, samples = np.nonzero(inside)
+        parts = [(project(pixels), valid) for pixels, valid in place.valid_pixels(lines + row, samples + column, bands)]
+        inside[inside] = np.concatenate([valid for _, valid in parts])
+        values = np.concatenate([values for values, _ in parts], axis=1)
+        out = np.zeros((len(values), *inside.shape))
+        out[:, inside] = of_window(values) if inside.any() else values
+        yield out, inside
+
+
+def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """Corners of windows that pixels of the region drawn at random lie in; windows of a grid, none over another.
+
+    Where windows lie over each other, pairs of pixels count several times, chance passes for correlation, and
+    independent pixels for fewer than they are.
+    """
+    count = int(np.count_nonzero(region))
+    lines, samples = nth_pixels(region, rng.choice(count, min(_TRIES * WINDOWS, count), replace=False))
+    corners = zip((lines // WINDOW * WINDOW).tolist(), (samples // WINDOW * WINDOW).tolist(), strict=True)
+    return list(dict.fromkeys(corners))[:WINDOWS]
+
+
+def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> EstimatedPart:
+    """Error covariance (B, B) of a region's mean, in the cube's values, and what it is known by.
+
+    Correlation on the ground is measured along the leading components, and the rest together, in windows of the
+    image, at lags of up to 24 pixels, and few independent pixels widen the error
+    (:func:`~hyperval.pixels.small_sample_factor`); regions of fewer than 50 pixels count as independent ones.
+    Pixels that are fewer than the bands have few common factors and independent bands
+    (:func:`~hyperval.pixels.factor_covariance`); the samples' own covariance stands beside it, and both without the
+    widening, which a test makes by its degrees of freedom.
+    """
+    n, covariance = statistics.n, statistics.covariance
+    variance = np.diag(covariance)
+    known = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    if known.size == 0:
+        return EstimatedPart(covariance / n, float(n - 1))
+    sample = covariance[np.ix_(known, known)]
+    inner, known_by = factor_covariance(sample, n) if n <= known.size else (sample, float(n - 1))
+
+    def full(part: Array) -> Array:
+        out = covariance / n
+        out[np.ix_(known, known)] = part
+        return out
+
+    if n < FEWEST_FOR_CORRELATION:
+        return EstimatedPart(full(inner / n), known_by, sample=covariance / n, sample_dof=float(n - 1))
+    mean, rng = statistics.mean[known], np.random.default_rng(_MEAN_SEED)
+    along = components(inner, rng)
+    windows = _projected_windows(place, region, known, rng, lambda pixels: along.scores(pixels - mean))
+    reach = min(REACH, max(*region.shape) - 1)
+    independent, of_variance = independent_pixels(windows, neighbour_shares(region, reach, rng), n, reach)
+    counted = float(np.median(of_variance)) - 1.0
+    widened, model, own = (
+        full(mean_error_covariance(c, along, by))
+        for c, by in (
+            (inner, independent / small_sample_factor(independent)), (inner, independent), (sample, independent)
+        )
+    )  # fmt: skip
+    return EstimatedPart(widened, counted * known_by / (n - 1), model, own, counted)
+
+
+Key = tuple[str, int | Literal["auto"], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class RegionPixels:
+    """Valid pixels of a region in reflectance, at most 20,000 of them drawn at random (seed fixed).
+
+    Attributes
+    ----------
+    values : (n, B); 0 in a band without a gain, as in the statistics of the class
+    lines, samples : (n,) where they are
+    lead : good bands in the windows of the atmosphere
+    """
+
+    values: Array
+    lines: Index
+    samples: Index
+    lead: Index
+
+    @classmethod
+    def of(cls, place: Place | None, region: str) -> RegionPixels:
+        """The pixels of a region that its laws are fitted to; raises UsageError without an image."""
+        if place is None:
+            raise UsageError("the collection has no image whose pixels could be fitted")
+        axis, rng = place.cube.axis, np.random.default_rng(_LAW_SEED)
+        most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
+        lines, samples = drawn_pixels(place.pixels_of(region), most, rng)
+        pixels, valid = place.pixels_at(lines, samples)
+        known = np.isfinite(pixels[valid]).any(axis=0)
+        pixels = np.where(known, pixels, 0.0)
+        valid &= np.isfinite(pixels).all(axis=1)
+        lead = np.flatnonzero(in_window(axis.centre_nm) & axis.good & known)
+        return cls(pixels[valid], lines[valid], samples[valid], lead)
+
+
+class RegionLaws:
+    """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
+
+    def __init__(self, place: Place | None, statistics: Mapping[str, ClassStatistics]):
+        self._place, self._statistics = place, statistics
+        self._made: dict[Key, tuple[ClassMixture, Components | None] | None] = {}
+        self._without: dict[tuple[str, Key | None, bool], list[ClassStatistics]] = {}
+
+    def statistics(self, scenario: Scenario) -> Mapping[str, ClassStatistics]:
+        """The collection's statistics with the components that the classes of a scenario ask for.
+
+        Raises
+        ------
+        UsageError : too few pixels or blocks of the image; two classes that ask one region for different ones.
+        """
+        out = dict(self._statistics)
+        for region, (c, key) in self._keys(scenario).items():
+            mixture = self._mixture(c.name, key)
+            if mixture is not None:
+                out[region] = replace(out[region], components=mixture[1])
+        return out
+
+    def left_out(self, scenario: Scenario) -> Iterator[tuple[str, list[ClassStatistics]]]:
+        """(region, its statistics without each of its parts), for the regions that the classes take their law from.
+
+        None of a region without pixels, or of fewer than two parts.
+        """
+        for region, (c, key) in self._keys(scenario).items() if self._place is not None else ():
+            asked = region, key, c.tail_dof == "measured"
+            if asked not in self._without:
+                self._without[asked] = list(self._parts(region, self._mixture(c.name, key), tails=asked[2]))
+            if self._without[asked]:
+                yield region, self._without[asked]
+
+    def _parts(
+        self, region: str, mixture: tuple[ClassMixture, Components | None] | None, *, tails: bool
+    ) -> Iterator[ClassStatistics]:
+        """The statistics of a region without each of its parts; ``tails``: with a tail of their own."""
+        pixels, stated = RegionPixels.of(self._place, region), self._statistics[region]
+        part, lead = compact_parts(pixels.lines, pixels.samples), pixels.lead
+        for number, (mean, covariance) in enumerate(moments_without_each(pixels.values, part)):
+            tail = stated.tail_dof
+            if tails and tail is not None:
+                rest = pixels.values[part != number][:, lead]
+                dof = leading_tail_dof(rest, mean[lead], covariance[np.ix_(lead, lead)])
+                tail = None if np.isinf(dof) else dof
+            own = None if mixture is None else mixture[0].components_without(pixels.values, part, number)
+            yield replace(stated, mean=mean, covariance=covariance, tail_dof=tail, components=own)
+
+    def _keys(self, scenario: Scenario) -> dict[str, tuple[BackgroundClass, Key | None]]:
+        """Region -> the first class that takes its law from there, and the mixture that the classes ask for."""
+        out: dict[str, tuple[BackgroundClass, Key | None]] = {}
+        for c in scenario.scene.classes:
+            region = c.spectrum.measured if c.covariance is None else c.covariance.measured
+            if region is None or region not in self._statistics:
+                continue
+            mixes = c.mixture is not None and c.has_mixture
+            key = (region, c.mixture, c.tail_dof is not None) if mixes and c.mixture is not None else None
+            first = out.setdefault(region, (c, key))[1]
+            if key is not None and first is None:
+                out[region] = (c, key)
+            elif key is not None and first != key:
+                raise UsageError(f"two classes ask for different components of region {region!r}")
+        return out
+
+    def _mixture(self, name: str, key: Key | None) -> tuple[ClassMixture, Components | None] | None:
+        """The mixture that a region's pixels are and its components; None where one law is all that they show.
+
+        Blocks of the image for the choice of their number are those of false alarms: the region fills about 64.
+        """
+        if key is None:
+            return None
+        if key not in self._made:
+            region, count, tails = key
+            try:
+                pixels = RegionPixels.of(self._place, region)
+                assert self._place is not None  # noqa: S101 - its pixels were read
+                side = block_side(int(np.count_nonzero(self._place.pixels_of(region))))
+                block = (pixels.lines // side) * (self._place.cube.samples // side + 1) + pixels.samples // side
+                made = class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
+                self._made[key] = None if made is None else (made, made.components(pixels.values))
+            except UsageError as error:
+                where = f"mixture of class {name!r}, region {region!r}"
+                raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
+        return self._made[key]
+
+
+def classification_errors(place: Place, task: Classification) -> dict[tuple[str, str], ClassificationError]:
+    """Errors by (classes, features); classes joined by " / ".
+
+    Blocks of whole lines are dealt out at random (the campaign's seed) to training and test.
+
+    Raises
+    ------
+    UsageError : a region that is none, or one with too few pixels in either half.
+    """
+    axis = place.cube.axis
+    usable = in_window(axis.centre_nm) & axis.good
+    halves = {name: _halves(place, name, task) for name in task.classes}
+    out = {}
+    for chosen in class_sets(task):
+        for choice in task.features:
+            bands = feature_bands(axis.centre_nm, usable, choice.bands_nm)
+            trained = [statistics_of(halves[name][0][0][:, bands]) for name in chosen]
+            laws = [ClassLaw(s.mean, s.covariance) for s in trained]
+            psi = class_features(laws, choice.pca)
+            for name, sample in zip(chosen, trained, strict=True):
+                if sample.n < PIXELS_PER_FEATURE * psi.shape[0]:
+                    raise UsageError(
+                        f"classification: {sample.n} training pixels of {name!r} for {psi.shape[0]} features",
+                        expected=f"{PIXELS_PER_FEATURE} for each",
+                        mend="use fewer bands, or pca",
+                    )
+            tested = [halves[name][1] for name in chosen]
+            out[" / ".join(chosen), choice.name] = measured_error(
+                [law.project(psi) for law in laws],
+                [pixels[:, bands] @ psi.T for pixels, _ in tested],
+                [blocks for _, blocks in tested],
+            )
+    return out
+
+
+def class_sets(task: Classification) -> list[tuple[str, ...]]:
+    """All classes together, and every pair of them where the campaign asks for pairs."""
+    pairs = combinations(task.classes, 2) if task.pairs and len(task.classes) > 2 else ()
+    return [tuple(task.classes), *pairs]
+
+
+def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, Index]]:
+    """Pixels (n, B) of a class that train, and those that test, each with the block of lines that it lies in."""
+    lines, samples = np.nonzero(place.pixels_of(name))
+    block = lines // task.block_lines
+    blocks = np.unique(block)
+    if blocks.size < 2:
+        raise UsageError(
+            f"classification: region {name!r} lies in one block of {task.block_lines} lines",
+            mend="make classification.block_lines smaller: training and test take whole blocks",
+        )
+    # Half of the blocks that hold the class train.
+    order = np.random.default_rng([task.seed, place.cube.lines]).permutation(-(-place.cube.lines // task.block_lines))
+    dealt = order[np.isin(order, blocks)]
+    trains, out = np.isin(block, dealt[: dealt.size // 2]), []
+    for own in (np.flatnonzero(trains), np.flatnonzero(~trains)):
+        some = own[:: max(-(-own.size // task.pixels), 1)]  # evenly thinned
+        pixels, valid = place.cube.marked_pixels((lines[some], samples[some]))
+        if np.count_nonzero(valid) < 2:
+            raise UsageError(f"classification: region {name!r} has fewer than two valid pixels in one of the halves")
+        out.append((pixels[valid], block[some][valid]))
+    return out

@@ -1,0 +1,519 @@
+"""The ground at a place: the empirical line through panels, spectra of single sites, a network's day.
+
+What is known of the error of collected spectra, and the empirical line of a collection with those of its panels.
+Spectra of sites where no cube is held, their reflectance by each other, or as a network computed it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.collection import (
+    CalibrationUncertainty,
+    CollectionSection,
+    EmpiricalLineSource,
+    PanelReference,
+    PathRadiance,
+    RadCalNetSource,
+)
+from hyperval.errors import InputError, UsageError, one_of
+from hyperval.imagery import Cube
+from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
+from hyperval.observe.open import Place, read_band_table
+from hyperval.pixels import (
+    EmpiricalLine,
+    Labels,
+    MeasuredPanel,
+    Shift,
+    darkest_pixel_panel,
+    darkest_values,
+    fit_elm,
+    wavelength_shifts,
+)
+from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
+from hyperval.scenario import SpectrumSource, Surface, Uncertainty, load_scenario
+from hyperval.sensor.specification import Sensor, load_sensor
+from hyperval.spectra import TOP, FieldSpectrum, SpectralAxis, band_average, read_radcalnet, read_spectrum
+from hyperval.units import RADIANCE_UNIT
+
+Array = npt.NDArray[np.float64]
+Resolve = Callable[[str], Path]
+
+BLACK = "black ground"
+WHERE = "collection.empirical_line"
+FEWEST_USABLE = 0.8  # of the good bands
+MOST_LEFT_OUT = 0.05  # reflectance that the other panels may be off by
+_PIXELS_AT_ONCE = 10_000
+SAME_BAND_NM = 0.5
+# Sites are what the scene has: the gain over its uncertainty decides, and this keeps equal sites from a line.
+LEAST_CONTRAST = 0.01
+DECIMALS = 4  # of the values in a network's file
+ROUNDING, NETWORK = "rounding", "as the network states"
+NOISE, CALIBRATION = "detector noise", "calibration"
+
+
+def spectral_estimate(
+    mean: npt.ArrayLike,
+    parts: Mapping[str, Array],
+    *,
+    pixel_covariance: Array | None = None,
+    n: int | None = None,
+    estimated: Sequence[EstimatedPart] = (),
+    circular: str = "",
+    rounding: Array | float = 0.0,
+) -> SpectralEstimate:
+    """Estimate whose error covariance is the sum of independent ``parts`` (B, B), each named in the budget.
+
+    ``estimated``: those of the parts that were estimated from samples; ``circular`` and ``rounding`` are those of
+    the estimate.
+    """
+    mean = np.asarray(mean, dtype=float)
+    total = sum(parts.values(), np.zeros((mean.size, mean.size)))
+    budget = {name: np.sqrt(np.clip(np.diag(part), 0.0, None)) for name, part in parts.items()}
+    return SpectralEstimate(
+        mean, total, pixel_covariance, n, budget, tuple(estimated), circular, rounding=rounding,
+        calibration=parts.get("calibration"),
+    )  # fmt: skip
+
+
+def calibration_covariance(
+    radiance: npt.ArrayLike, axis: SpectralAxis, calibration: CalibrationUncertainty, resolve: Resolve
+) -> Array:
+    """Error covariance (B, B) of a radiance (B,) whose calibration is known to a relative uncertainty."""
+    level = np.asarray(radiance, dtype=float)
+    relative = np.full(len(axis), calibration.relative or 0.0)
+    if calibration.file is not None:
+        table = read_spectrum(resolve(calibration.file), quantity="other", wavelength_unit="nm")
+        # The table is smooth; a band of the axis outside it takes the value at its end.
+        relative = np.interp(axis.centre_nm, table.wavelength_nm, table.values)
+    by_band = calibration.file is not None and calibration.correlation_nm is None
+    shape = np.eye(len(axis)) if by_band else correlation(axis, calibration.correlation_nm)
+    alone = np.diag(((calibration.uncorrelated or 0.0) * level) ** 2)
+    return np.asarray(np.outer(relative * level, relative * level) * shape + alone)
+
+
+def detector_covariance(radiance: npt.ArrayLike, axis: SpectralAxis, sensor: Sensor, pixels: int) -> Array:
+    """Error covariance (B, B) of a mean radiance (B,) over so many pixels, by the sensor's noise without C_R."""
+    level = np.clip(np.asarray(radiance, dtype=float), 0.0, None)
+    return np.diag(sensor.noise(axis).variance(level, calibration=False) / pixels)
+
+
+def rounding_variance(step: npt.ArrayLike, standard_deviation: npt.ArrayLike) -> Array:
+    """Variance of the error that storing whole steps leaves in a mean over any number of pixels.
+
+    Noise of a step smooths the rounding away, a panel without noise keeps all of it: normal values about x with
+    standard deviation s are off by sum_k (-1)^k step/(pi k) sin(2 pi k x/step) exp(-2 pi^2 k^2 s^2/step^2) on
+    average, whose mean square over x is step^2/(2 pi^2) sum_k exp(-4 pi^2 k^2 s^2/step^2)/k^2, step^2/12 without
+    noise.  Source: Widrow, Kollar & Liu, IEEE Trans. Instrum. Meas. 45, 353-361, 1996.
+
+    Parameters
+    ----------
+    step : of the stored values; standard_deviation : of the pixels, in the same unit
+    """
+    q, s = np.broadcast_arrays(np.asarray(step, dtype=float), np.asarray(standard_deviation, dtype=float))
+    k = np.arange(1, 200)[:, None]
+    with np.errstate(under="ignore"):
+        terms = np.exp(-4.0 * np.pi**2 * k**2 * (s.ravel() / np.where(q.ravel() > 0.0, q.ravel(), 1.0)) ** 2) / k**2
+    return np.asarray((q**2 / (2.0 * np.pi**2)) * terms.sum(axis=0).reshape(q.shape))
+
+
+def path_estimate(source: PathRadiance, axis: SpectralAxis, resolve: Resolve) -> SpectralEstimate:
+    """Path radiance of a scenario [uW cm-2 sr-1 nm-1] with its error by the scenario's ``uncertainty``.
+
+    L_P = L_a + B rho_ave / (1 - S rho_ave) of (3.7): what the scenario predicts for a site of reflectance 0.
+
+    Raises
+    ------
+    UsageError : a scenario without an atmosphere, or one that states no uncertainty.
+    """
+    path = resolve(source.scenario)
+    scenario = load_scenario(path)
+    if scenario.atmosphere is None or scenario.uncertainty == Uncertainty():
+        raise UsageError(
+            f"path_radiance: the scenario states no {'atmosphere' if scenario.atmosphere is None else 'uncertainty'}",
+            where=str(path),
+            expected="an atmosphere, and the uncertainty of what its path radiance depends on",
+        )
+    black = Surface(name=BLACK, spectrum=SpectrumSource(constant=0.0))
+    scene = scenario.scene.model_copy(update={"sites": [*scenario.scene.sites, black], "targets": []})
+
+    def beside(reference: str) -> Path:  # references of a scenario are relative to its own file
+        parent = PurePath(source.scenario).parent
+        return resolve(reference if ":" in reference else (parent / reference).as_posix())
+
+    return predict(scenario.model_copy(update={"scene": scene}), Origins(axis, resolve=beside)).radiance[BLACK]
+
+
+def field_reflectance(panel: PanelReference, axis: SpectralAxis, resolve: Resolve) -> tuple[Array, Array]:
+    """Reflectance (B,) of a panel as measured on the ground, and its error covariance (B, B).
+
+    What replicate spectra say, or the standard error that the file carries, and the stated relative uncertainty;
+    the latter two with the stated correlation length, common to all bands without one.  The file's standard error
+    holds between its own samples, of which a band may average several.
+    """
+    field = Sources(axis, {}, resolve).spectrum(panel.spectrum, panel.region)
+    stated = panel.relative_uncertainty * field.mean
+    covariance = np.outer(stated, stated) * correlation(axis, panel.correlation_nm)
+    n = 1 if panel.divisor == "spread" else field.n or 1
+    if field.mean_error is not None:
+        covariance = covariance + field.mean_error
+    elif field.sampled_deviation is not None and panel.correlation_nm is not None:
+        covariance = covariance + band_error_covariance(*field.sampled_deviation, panel.correlation_nm, axis) / n
+    elif field.standard_deviation is not None:
+        covariance = covariance + np.outer(field.standard_deviation, field.standard_deviation) / n
+    return field.mean, covariance
+
+
+def empirical_line(
+    source: EmpiricalLineSource | None, place: Place, sampling: Mapping[str, EstimatedPart], resolve: Resolve
+) -> EmpiricalLine | None:
+    """The line through the panels that a collection names; None without any.
+
+    Parameters
+    ----------
+    place : with the statistics of its regions
+    sampling : region -> error of its mean radiance
+
+    Raises
+    ------
+    UsageError : a panel that is no region, or panels that fix no line.
+    """
+    if source is None:
+        return None
+    cube, panels = place.cube, []
+    for panel in source.panels:
+        name = panel.region
+        if name not in place.statistics:
+            raise UsageError(f"empirical line: no region {name!r}", expected=one_of(place.statistics))
+        mean, covariance = field_reflectance(panel, cube.axis, resolve)
+        sample, part = place.statistics[name], sampling[name]
+        known_by = part if sample.n > 1 else None
+        panels.append(MeasuredPanel(name, mean, covariance, sample.mean, part.covariance, sample.n, known_by))
+    if (dark := source.darkest_pixel) is not None:
+        noise = np.full(len(cube.axis), dark.radiance_noise**2)
+        panels.append(darkest_pixel_panel(darkest_values(cube), noise, dark.reflectance, dark.uncertainty))
+    return fit_elm(panels, intercept=source.intercept)
+
+
+def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, cube: Cube) -> None:
+    """Raise UsageError for a panel with a pixel at which the detector, or the stored type, is full in a good band.
+
+    Parameters
+    ----------
+    masks : (lines, samples) pixels behind the mean of each region
+    """
+    if source is None:
+        return
+    most = np.full(cube.bands, np.nan)
+    if cube.dtype.kind in "iu":
+        most = np.broadcast_to(cube.gain * float(np.iinfo(cube.dtype).max) + cube.offset, most.shape)
+    for panel in source.panels:
+        lines, samples = np.nonzero(masks.get(panel.region, np.zeros((1, 1), bool)))
+        count, bands = 0, np.zeros(cube.bands, bool)
+        for some in range(0, lines.size, _PIXELS_AT_ONCE):
+            at = slice(some, some + _PIXELS_AT_ONCE)
+            values, valid = cube.marked_pixels((lines[at], samples[at]))
+            full = values == most
+            if source.saturation is not None:
+                full |= values >= source.saturation
+            full &= valid[:, None] & cube.axis.good
+            count += int(full.any(axis=1).sum())
+            bands |= full.any(axis=0)
+        if count:
+            first = int(np.argmax(bands))
+            raise UsageError(
+                f"panel {panel.region!r} is saturated in {count} of {lines.size} pixels "
+                f"(first: band {first + 1}, {cube.axis.centre_nm[first]:.4g} nm)",
+                where=WHERE,
+                mend="leave out the panel, those pixels of its region, or those bands (bad-band list)",
+            )
+
+
+def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
+    """What is to be said of a line: its panels, the bands it cannot be used in, how well its panels agree."""
+    notes = [f"empirical line through {', '.join(elm.names)}: usable in {int(elm.usable.sum())} bands"]
+    if not elm.usable.all():
+        lost = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
+        notes[0] += f"; no gain at {lost} nm"
+    if (elm.usable & axis.good).any() and (left_out := _left_out(elm, axis)):
+        parts = []
+        for name, known in left_out.items():
+            if known.size:
+                worst = known[np.abs(known).argmax()]
+                parts.append(f"{name} {np.median(known):+.2g} (median over bands, at most {worst:+.2g})")
+            else:
+                parts.append(f"{name} unknown, the others do not fix a line")
+        notes.append(
+            "leave-one-panel-out error of the empirical line, reflectance by the other panels less that measured "
+            "on the ground: " + "; ".join(parts)
+        )
+    chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2)]
+    if chi2.size:
+        notes.append(f"empirical line: reduced chi-square of its panels {np.median(chi2):.3g} (median over bands)")
+    return [*notes, *line_warnings(elm, axis)]
+
+
+def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
+    """Why a line is not to be relied on: bands lost, panels that do not lie on one line."""
+    out = []
+    good, usable = int(axis.good.sum()), int((elm.usable & axis.good).sum())
+    if usable < FEWEST_USABLE * good:
+        out.append(f"warning: the empirical line can be used in {usable} of {good} good bands only")
+    if (chi2 := elm.contradiction) > 1.0:
+        out.append(
+            "warning: the panels of the empirical line do not lie on one line within their stated errors: reduced "
+            f"chi-square {chi2:.3g} (median over bands), by which the line's variance is widened"
+        )
+    for name, known in _left_out(elm, axis).items():
+        if known.size and (off := np.median(np.abs(known))) > MOST_LEFT_OUT:
+            out.append(
+                f"warning: the other panels of the empirical line give {name} a reflectance that is off by {off:.2g} "
+                "(median over bands)"
+            )
+    return out
+
+
+def _left_out(elm: EmpiricalLine, axis: SpectralAxis) -> dict[str, Array]:
+    """Error of each panel's reflectance by the line through the others, where the line can be used and has one."""
+    if elm.leave_one_out is None:
+        return {}
+    errors = elm.leave_one_out[:, elm.usable & axis.good]
+    return {name: error[np.isfinite(error)] for name, error in zip(elm.names, errors, strict=True)}
+
+
+def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectance: bool) -> list[str]:
+    """How far features of spectra (B,) lie from their places, in words, with a warning for each that is certain.
+
+    The shift is the median over the spectra that show the feature.  Its uncertainty is that of where the feature
+    lies, which the spectra share: it is not divided by their number.  Where it differs between spectra it is the
+    median.
+    """
+    found: dict[str, list[Shift]] = {}
+    for spectrum in spectra:
+        for shift in wavelength_shifts(spectrum, axis, reflectance=reflectance):
+            found.setdefault(shift.feature, []).append(shift)
+    if not found:
+        feature = "an absorption of oxygen or water vapour"
+        if reflectance:
+            feature = "a red edge of plants or a rest of the oxygen band"
+        return [f"the wavelengths could not be checked: no spectrum shows {feature}"]
+    parts, warnings = [], []
+    for name, each in found.items():
+        s = Shift(name, *(float(np.median(x)) for x in zip(*((e.nm, e.uncertainty_nm) for e in each), strict=True)))
+        error = f"standard uncertainty {s.uncertainty_nm:.1f}"
+        parts.append(f"{name} {s.nm:+.1f} nm ({error}, {len(each)} spectra)")
+        if s.certain:
+            side = "above" if s.nm > 0 else "below"
+            warnings.append(
+                f"warning: the {name} lies {abs(s.nm):.1f} nm ({error}) {side} its place: the wavelengths of the "
+                "collection seem to be shifted"
+            )
+    return ["wavelengths as labelled less those of known features: " + "; ".join(parts), *warnings]
+
+
+@dataclass(frozen=True)
+class Site:
+    """A collected site.
+
+    Attributes
+    ----------
+    mean : (B,) radiance [uW cm-2 sr-1 nm-1]
+    own : (B, B) error covariance that no other site shares, its detector noise
+    relative : (B, B) relative error covariance that all sites of a flight line share, the calibration's
+    n : pixels averaged, None when unknown
+    line : flight line
+    """
+
+    mean: Array
+    own: Array
+    relative: Array
+    n: int | None
+    line: str | None
+
+
+def observe_spectra(collection: CollectionSection, resolve: Resolve) -> ObservedProducts:
+    """Radiance of every site with the uncertainty of its calibration and of its detector's noise.
+
+    With an empirical line also its reflectance, by the line through the other known sites of its flight line.
+
+    Raises
+    ------
+    InputError : files that are missing, malformed, or whose wavelengths are not those of the band table.
+    """
+    if collection.bands is None:
+        raise UsageError("collected spectra need a band table")
+    axis = read_band_table(resolve(collection.bands.path), collection.bands)
+    detector, zero = None, np.zeros((len(axis), len(axis)))
+    if (name := collection.detector) is not None:
+        detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
+    notes = []
+    if collection.bands.fwhm_column is None:
+        notes.append("the band table's widths are not named (fwhm_column): band widths are taken as the band spacing")
+    radiance: dict[str, SpectralEstimate] = {}
+    sites: dict[str, Site] = {}
+    for site in collection.spectra:
+        read = read_spectrum(
+            resolve(site.path), record=site.record, quantity="radiance", unit=site.unit,
+            unit_if_unstated=RADIANCE_UNIT, wavelength_unit=site.wavelength_unit,
+        )  # fmt: skip
+        mean, how = _in_bands(read, axis)
+        notes += [f"{site.subject}: {note}" for note in (*read.notes, *how)]
+        parts = {}
+        if collection.calibration is not None:
+            parts[CALIBRATION] = calibration_covariance(mean, axis, collection.calibration, resolve)
+        if detector is not None and site.pixels is not None:
+            parts[NOISE] = detector_covariance(mean, axis, detector, site.pixels)
+        radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
+        level = np.where(mean == 0.0, np.inf, mean)
+        relative = parts.get(CALIBRATION, zero) / np.outer(level, level)
+        sites[site.subject] = Site(mean, parts.get(NOISE, zero), relative, site.pixels, site.line)
+    notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
+    reflectance: dict[str, SpectralEstimate] = {}
+    if collection.empirical_line is not None:
+        reflectance, more = _site_reflectance(collection.empirical_line, sites, axis, resolve)
+        notes += more
+    told = {"quantity": "radiance"}
+    return ObservedProducts(axis=axis, radiance=radiance, reflectance=reflectance, notes=tuple(notes), provenance=told)
+
+
+def _in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
+    """(B,) radiance in the bands of the table, and what was done.
+
+    A spectrum at the bands' own centres is taken as it stands; one of a field spectrometer, which samples at most
+    half a band width apart, is averaged over the bands.
+    """
+    at, centre = read.wavelength_nm, axis.centre_nm
+    if at.size == len(axis) and np.all(np.abs(at - centre) <= SAME_BAND_NM):
+        return read.values, ()
+    inside = centre[(centre >= at[0]) & (centre <= at[-1])]
+    spacing = np.interp(centre, 0.5 * (at[1:] + at[:-1]), np.diff(at)) if at.size > 1 else np.inf
+    if inside.size < len(axis) or np.any(spacing > 0.5 * axis.fwhm_nm):
+        raise InputError(
+            f"{at.size} wavelengths that are not those of the band table ({len(axis)} bands)",
+            where=read.source,
+            expected=f"the same bands to {SAME_BAND_NM:g} nm, or samples at most half a band width apart",
+        )
+    mean = band_average(at, read.values, axis, outside="nan")
+    if (lost := centre[~np.isfinite(mean)]).size:
+        raise InputError(
+            f"the spectrum does not cover {lost.size} bands, first {lost[0]:g} nm",
+            where=read.source,
+            expected=f"samples beyond both ends of the bands ({centre[0]:g} to {centre[-1]:g} nm)",
+        )
+    return mean, (f"{at.size} samples averaged over the {len(axis)} bands",)
+
+
+def _site_reflectance(
+    source: EmpiricalLineSource, sites: Mapping[str, Site], axis: SpectralAxis, resolve: Resolve
+) -> tuple[dict[str, SpectralEstimate], list[str]]:
+    """Reflectance of every site by the line through the other panels of its flight line, and notes.
+
+    A site is never on its own line, so that each reflectance is a prediction of what the ground has.  Two or more
+    other panels make the line; a single one makes it with the path radiance that ``path_radiance`` states for the
+    flight line, and the note marks it as a one-point line.  Sites of one flight share their calibration, which
+    cancels, but for the part of it in which a stated path radiance has none.
+    """
+    lines = {site.line for site in sites.values()}
+    for entry in source.path_radiance:
+        if entry.line not in lines:
+            what, known = f"path_radiance: no site of flight line {entry.line!r}", sorted(repr(line) for line in lines)
+            raise UsageError(what, where=WHERE, expected=one_of(known))
+    panels: dict[str, MeasuredPanel] = {}
+    for panel in source.panels:
+        name = panel.region
+        if name not in sites:
+            raise UsageError(f"empirical line: no site {name!r}", where=WHERE, expected=one_of(sites))
+        site = sites[name]
+        panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), site.mean, site.own, site.n or 1)
+    paths = {entry.line: entry for entry in source.path_radiance}
+    out: dict[str, SpectralEstimate] = {}
+    notes: list[str] = []
+    for name, site in sites.items():
+        others = [p for n, p in panels.items() if n != name and sites[n].line == site.line]
+        how, lacks = "empirical line", "no other site is known"
+        if source.intercept and len(others) == 1:
+            lacks = "one other site makes a line only with its path_radiance"
+            if site.line in paths:
+                how = "one-point empirical line"
+                others.append(_black(paths[site.line], site, axis, resolve))
+        try:
+            if not others or (source.intercept and len(others) == 1):
+                raise UsageError(lacks)
+            out[name], words = _by_line(source.intercept, site, others, axis)
+        except UsageError as error:
+            notes.append(f"{name}: no reflectance by other sites of its flight line: {error.what}")
+            continue
+        notes += [f"{name}: {text}" for text in (f"reflectance by the {how} through {words[0]}", *words[1:])]
+    return out, notes
+
+
+def _black(stated: PathRadiance, site: Site, axis: SpectralAxis, resolve: Resolve) -> MeasuredPanel:
+    """The path radiance as a panel that reflects nothing."""
+    black, zero = path_estimate(stated, axis, resolve), np.zeros(len(axis))
+    # A common error of the calibration moves all sites and not the path: as if the path alone had moved.
+    error = black.error_covariance + site.relative * np.outer(black.mean, black.mean)
+    return MeasuredPanel("the path radiance of the engine", zero, zero, black.mean, error)
+
+
+def _by_line(
+    intercept: bool, site: Site, panels: Sequence[MeasuredPanel], axis: SpectralAxis
+) -> tuple[SpectralEstimate, list[str]]:
+    """Reflectance of a site by the line through panels, and notes, of which the first names the line.
+
+    Raises
+    ------
+    UsageError : panels that fix no line.
+    """
+    known = np.all([np.isfinite(p.reflectance) for p in panels], axis=0)
+    line = fit_elm([p.bands(known) for p in panels], intercept=intercept, minimum_contrast=LEAST_CONTRAST)
+    level, at = site.mean[known], np.ix_(known, known)
+    parts = {"empirical line": line.error_covariance(level)}
+    if np.any(site.own):
+        parts[NOISE] = site.own[at] / np.outer(line.gain, line.gain)
+    mean = np.full(known.size, np.nan)
+    mean[known] = line.reflectance(level)
+    whole = {name: np.full((known.size, known.size), np.nan) for name in parts}
+    for name, part in parts.items():
+        whole[name][at] = part
+    words = f"{' and '.join(line.names)}, usable in {int(line.usable.sum())} of {known.size} bands"
+    return spectral_estimate(mean, whole, n=site.n), [words, *line_warnings(line, axis.select(known))]
+
+
+def observe_radcalnet(source: RadCalNetSource, resolve: Resolve) -> ObservedProducts:
+    """The half hours of a day, each a subject.
+
+    The bands are those in which any of them has a value.
+
+    Raises
+    ------
+    InputError : a file that is missing or corrupt, of the surface, or without a value.
+    UsageError : a half hour without values.
+    """
+    day = read_radcalnet(resolve(source.path))
+    if day.quantity != TOP:
+        expected = "the day's file that ends in .output"
+        raise InputError("holds the reflectance of the surface", where=day.source, expected=expected)
+    times = tuple(source.times) or day.valid
+    if not times:
+        raise InputError("no half hour has a value", where=day.source, mend="take a day of better weather")
+    rows = [day.column(time) for time in times]
+    bands = np.isfinite(day.values[rows]).any(axis=0)
+    nm = day.wavelength_nm[bands]
+    axis = SpectralAxis(nm, np.full(nm.size, source.fwhm_nm))
+    out = {}
+    for time, row in zip(times, rows, strict=True):
+        stated = np.nan_to_num(day.uncertainty[row, bands])
+        errors = {ROUNDING: np.eye(nm.size) * 10.0 ** (-2 * DECIMALS) / 12.0}
+        if not source.shared_inputs:
+            errors[NETWORK] = np.outer(stated, stated) * correlation(axis, source.correlation_nm)
+        estimate = spectral_estimate(day.values[row, bands], errors)
+        out[source.subject.format(site=day.site, time=time)] = replace(estimate, stated=stated)
+    notes = [f"bands are taken as {source.fwhm_nm:g} nm wide: the network's file does not state their width"]
+    if source.shared_inputs:
+        notes.append("both sides start from the same surface and state: their errors are not in the difference")
+    return ObservedProducts(axis=axis, toa_reflectance=out, notes=tuple(notes), provenance={"quantity": TOP})
