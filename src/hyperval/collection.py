@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hyperval.config import Model, RadianceUnit, WavelengthUnit
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
-from hyperval.scenario import SpectrumSource
+from hyperval.scenario import SpectrumSource, exactly_one
 
 _SELF_DESCRIBING = (".nc", ".nc4", ".h5", ".hdf5", ".he5", ".hdf", ".zarr", ".xml", ".tif", ".tiff")
 Fwhm = Annotated[float, Field(ge=0, le=8)]
@@ -119,8 +119,7 @@ class Ring(Model):
 
     @model_validator(mode="after")
     def _one_unit(self) -> Ring:
-        if (self.outer_m is None) == (self.outer_pixels is None):
-            raise ValueError("give exactly one of outer_m, outer_pixels")
+        exactly_one(self, ("outer_m", "outer_pixels"))
         if self.inner_pixels if self.outer_pixels is None else self.inner_m:
             raise ValueError("inner and outer distance are in one unit: metres, or pixels")
         inner, outer = self.inner_pixels or self.inner_m, self.outer_pixels or self.outer_m
@@ -165,9 +164,7 @@ class RegionSource(VectorSource):
 
     @model_validator(mode="after")
     def _one_source(self) -> RegionSource:
-        sources = ("file", "rectangle", "normalized_difference", "whole_image", "half", "ring")
-        if sum(getattr(self, source) is not None for source in sources) != 1:
-            raise ValueError("give exactly one of " + ", ".join(sources))
+        exactly_one(self, ("file", "rectangle", "normalized_difference", "whole_image", "half", "ring"))
         if self.name is None and self.file is None:
             raise ValueError("a region that is not read from a file needs a name")
         if self.classes and (self.file is None or self.name is not None):
@@ -374,8 +371,7 @@ class CalibrationUncertainty(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> CalibrationUncertainty:
-        if (self.relative is None) == (self.file is None):
-            raise ValueError("give exactly one of relative, file")
+        exactly_one(self, ("relative", "file"))
         return self
 
 
