@@ -481,10 +481,12 @@ def _region_notes(regions: Iterable[Region], by_rule: frozenset[str]) -> list[st
 def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> list[str]:
     """Which regions hold pixels of targets or of their guard, and what becomes of these; likewise two targets."""
     notes: list[str] = []
+    if not targets:
+        return notes
     touched = np.zeros(near.shape, np.int32)
     for target in targets:
         touched[target.window] += target.part
-    for region in regions if targets else ():
+    for region in regions:
         inside, guarded = int(np.sum(region.mask & (touched > 0))), int(np.sum(region.mask & near))
         what = f"the region {region.name!r} holds {inside} pixels of targets and {guarded - inside} of their guard"
         if guarded == region.n:
