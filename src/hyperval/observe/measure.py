@@ -149,11 +149,13 @@ def observe(
         for name in track([n for n in place.regions if n not in known], "tails", show=show_progress)
         if not place.by_number
     }
+    snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
+    # Last, as the fits load what is in memory beside the pixels otherwise.
     distribution = {name: d for name, d in before.distribution.items() if name in known}
     distribution |= {name: fit() for name, fit in fits.items() if fit is not None}
     observation = ObservedProducts(
         axis=cube.axis,
-        snr={name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions},
+        snr=snr,
         distribution=distribution,
         classification=classification_errors(place, classification) if classification else {},
         notes=_notes(place, detection, detected, masks),
