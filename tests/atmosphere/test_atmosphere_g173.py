@@ -64,7 +64,7 @@ def test_windows_agree_to_two_percent(ratio, window):
 
 @pytest.mark.slow
 def test_water_bands_agree_too_though_the_ratio_came_from_another_program(ratio):
-    # 6S alone is 1.31 and 1.13 here; carbon dioxide at 2 um remains, told in docs/atmosphere.md.
+    # 6S alone is 1.31 and 1.13 here; carbon dioxide at 2 um remains, told in validation/atmosphere/README.md.
     for low, high in ((900, 990), (1105, 1150), (1300, 1340), (1480, 1510)):
         assert 0.98 < np.median(ratio[between(low, high)]) < 1.02
     assert 0.85 < np.median(ratio[between(2000, 2080)]) < 0.95

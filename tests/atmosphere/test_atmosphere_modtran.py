@@ -119,7 +119,7 @@ def test_single_black_runs_and_overlapping_spectrometers(data_dir, relative):
 
 @pytest.fixture(scope="module")
 def scripts():
-    """The scripts that made the numbers, their errors and the tables of docs/atmosphere.md."""
+    """The scripts that made the numbers, their errors and the tables of validation/atmosphere/README.md."""
     folder, modules = Path(__file__).parents[2] / "validation/atmosphere", []
     for name in ("modtran_cases", "compare_modtran", "engine_ratio", "fine_structure"):
         spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
@@ -194,7 +194,7 @@ def test_each_flight_is_predicted_from_the_other_and_the_budget_is_what_is_left(
 
 
 def test_the_document_holds_tables_that_the_script_writes():
-    text = (Path(__file__).parents[2] / "docs/atmosphere.md").read_text("utf-8")
+    text = (Path(__file__).parents[2] / "validation/atmosphere/README.md").read_text("utf-8")
     between = text.split("<!-- compare_modtran.py: begin -->")[1].split("<!-- compare_modtran.py: end -->")[0]
     assert "| criterion | limit | median |" in between
     assert between.count("| met |") == len(CRITERIA)

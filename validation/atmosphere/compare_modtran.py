@@ -1,6 +1,6 @@
 """How far the embedded engine is from MODTRAN 6, by window and by transmittance, under the same sun.
 
-    HYPERVAL_DATA=... python validation/atmosphere/compare_modtran.py [--write docs/atmosphere.md]
+    HYPERVAL_DATA=... python validation/atmosphere/compare_modtran.py [--write validation/atmosphere/README.md]
 
 Prints the tables in Markdown, and with ``--write`` puts them between the marks of that file.  Criteria:
 

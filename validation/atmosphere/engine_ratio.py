@@ -1,6 +1,6 @@
 """What MODTRAN 6 has over the embedded engine, as numbers that the package ships, and how well they predict.
 
-    HYPERVAL_DATA=... python validation/atmosphere/engine_ratio.py [--write] [--document docs/atmosphere.md]
+    HYPERVAL_DATA=... python validation/atmosphere/engine_ratio.py [--write] [--document FILE]
 
 ``--write`` puts the numbers into ``src/hyperval/atmosphere/engine_ratio.csv``.  Made from eleven airborne states
 of two flights, whose coefficient A (sun to ground to sensor) is divided by its own continuum, a line through the

@@ -1,6 +1,6 @@
 """The spectrum of TSIS-1 as numbers that the package ships, and how well bands see it through them.
 
-    HYPERVAL_DATA=... python validation/atmosphere/solar_table.py [--write] [--document docs/atmosphere.md]
+    HYPERVAL_DATA=... python validation/atmosphere/solar_table.py [--write] [--document validation/atmosphere/README.md]
 
 ``--write`` puts the numbers into ``src/hyperval/atmosphere/solar_tsis_1.csv``.  They are the corners of straight
 lines whose mean under the triangle around each corner is that of the source (the nearest such lines in the sense of

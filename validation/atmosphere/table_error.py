@@ -1,6 +1,6 @@
 """How far a table of the embedded engine is from the engine itself, between its nodes.
 
-    python validation/atmosphere/table_error.py [--write docs/atmosphere.md]
+    python validation/atmosphere/table_error.py [--write validation/atmosphere/README.md]
 
 One axis at a time, with the node counts that a study would take; the engine is run at states between the nodes.
 """

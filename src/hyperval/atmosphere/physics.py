@@ -18,7 +18,7 @@ with a the air on the light's way [atm, slanted] and u the water on it [g cm-2, 
 patterns belong to the rural aerosol: how much of it 6S sees in the path radiance, and its part in the spherical
 albedo, which the aerosol of the free troposphere does not share.
 The numbers (``engine_ratio.csv``) and their errors come from ``validation/atmosphere/engine_ratio.py``;
-docs/atmosphere.md tells how well they predict states that they were not made from.
+validation/atmosphere/README.md tells how well they predict states that they were not made from.
 """
 
 from __future__ import annotations

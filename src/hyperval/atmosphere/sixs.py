@@ -337,7 +337,7 @@ _INFRARED_NM = 1000.0
 _TABLES_NM = ((340.0, _INFRARED_NM), (_INFRARED_NM, 2247.5), (2252.5, 2600.0))
 _FEWEST_OF_A_TABLE = 5
 
-# 6S mistreats thin aerosol under an aircraft (see docs/atmosphere.md): below these depths at 550 nm it is
+# 6S mistreats thin aerosol under an aircraft (see validation/atmosphere/README.md): below these depths at 550 nm it is
 # run with this much, and the aerosol's part is scaled down: its path reflectance per depth changes by some 4 %
 # from 0.05 to 0.1, which in such air is below 1 % of the path radiance.
 _LEAST_DEPTH = 0.1

@@ -25,7 +25,8 @@ as a straight line: under an aircraft d is nearly nothing up to tau = 0.05 and g
     path                 straight over d                  (single scattering; its limit is the Rayleigh path)
     S, gas, diffuse      straight over tau
 
-At a sensor above the atmosphere d is tau.  docs/atmosphere.md has what was measured with the embedded engine.
+At a sensor above the atmosphere d is tau.  What was measured with the embedded engine:
+validation/atmosphere/README.md.
 """
 
 from __future__ import annotations
@@ -119,7 +120,8 @@ def path_error(nodes: Array, aot550: float, ground_km: float, sensor_km: float) 
     """Relative standard uncertainty of the path by this interpolation [1]; 0 at a node.
 
     2 sqrt(w (1 - w)) PATH_ERROR ln r / ln 4 with w the place between the nodes over d and r the ratio of their
-    depths: shape and size were fitted to what the embedded engine shows between its nodes (docs/atmosphere.md).
+    depths: shape and size were fitted to what the embedded engine shows between its nodes
+    (validation/atmosphere/README.md).
     """
     i = int(np.clip(np.searchsorted(nodes, aot550) - 1, 0, nodes.size - 2))
     low, here, high = depth_below([nodes[i], aot550, nodes[i + 1]], ground_km, sensor_km)
