@@ -4,150 +4,43 @@ from __future__ import annotations
 
 import gzip
 import json
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
-from affine import Affine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
+from region_files import (
+    SHAPE,
+    SQUARE,
+    TRANSFORM,
+    UTM18,
+    collection,
+    expected,
+    feature,
+    on_map,
+    polygon,
+    ring,
+    roi_ascii,
+    roi_binary,
+    written,
+    xml,
+)  # fmt: skip
 from scipy import ndimage
 
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.imagery import Region, guard, polygon_mask, read_regions, write_cube
+from hyperval.imagery import Region, guard, holes, polygon_mask, read_regions, write_cube
 
-SHAPE = (10, 12)  # lines, samples
-SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
-TRANSFORM = Affine(2.0, 0, 300000.0, 0, -2.0, 4700000.0)
-UTM18 = CRS.from_epsg(32618)
-
-
-def expected() -> np.ndarray:
-    mask = np.zeros(SHAPE, bool)
-    mask[3:8, 2:6] = True
-    return mask
+KINDS = (
+    "geojson-pixel geojson-map geojson-lonlat geojson-points xml-pixel xml-map txt gz csv-0 csv-1 csv-semicolon "
+    "roi-points roi-polygon img tif gpkg-map gpkg-lonlat gpkg-pixel shp-map shp-lonlat shp-pixel kml"
+)
 
 
-def on_map(points) -> list[list[float]]:
-    return [[300000.0 + 2 * x, 4700000.0 - 2 * y] for x, y in points]
-
-
-def feature(geometry: dict, **properties) -> dict:
-    return {"type": "Feature", "properties": properties, "geometry": geometry}
-
-
-def polygon(points) -> dict:
-    return {"type": "Polygon", "coordinates": [[*points, points[0]]]}
-
-
-def collection(*features) -> str:
-    return json.dumps({"type": "FeatureCollection", "features": list(features)})
-
-
-def xml(body: str, system: str = "none", name: str = "grass") -> str:
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<RegionsOfInterest version="1.1">'
-        f'<Region name="{name}" color="0,255,0">'
-        f"<GeometryDef><CoordSysStr>{system}</CoordSysStr>{body}</GeometryDef></Region></RegionsOfInterest>"
-    )
-
-
-def ring(points, kind: str = "Exterior") -> str:
-    text = " ".join(f"{x:.10g} {y:.10g}" for x, y in [*points, points[0]])
-    return f"<{kind}><LinearRing><Coordinates>{text}</Coordinates></LinearRing></{kind}>"
-
-
-def roi_ascii(mask: np.ndarray, name: str = "grass", dimension: str = "12 x 10") -> str:
-    rows, cols = np.nonzero(mask)
-    head = [
-        "; ENVI Output of ROIs (4.8) [x]", "; Number of ROIs: 1", f"; File Dimension: {dimension}", ";",
-        f"; ROI name: {name}", "; ROI rgb value: {0, 1, 2}", f"; ROI npts: {rows.size}", ";   ID    X    Y",
-    ]  # fmt: skip
-    return "\r\n".join([*head, *(f"{i + 1} {c + 1} {r + 1}" for i, (r, c) in enumerate(zip(rows, cols, strict=True)))])
-
-
-def roi_binary(name: str, *, points=(), polygons=(), size=(12, 10), count: int = 0) -> bytes:
-    table = [0] * 45
-    table[0], table[1], table[3] = size[0], size[1], len(points) or count
-    table[42], table[44] = len(polygons), int(bool(points))
-    padded = name.encode() + b"\0" * (-len(name) % 4)
-    out = b"JoeB" + struct.pack(">3i", 1, len(name), len(name)) + padded + struct.pack(">45i", *table)
-    if points:
-        out += struct.pack(f">{1 + len(points)}i", 3, *points)
-    for vertices in polygons:
-        x, y = zip(*vertices, strict=True)
-        out += struct.pack(f">2i{2 * len(x)}f", len(x), 4, *x, *y)
-    return out
-
-
-def written(tmp_path: Path, kind: str) -> tuple[Path, dict]:
-    """The square of ``expected`` in one of the formats, with the arguments that reading it needs."""
-    path = tmp_path / f"r.{kind.split('-')[0]}"
-    position = {"transform": TRANSFORM, "crs": UTM18}
-    rows, cols = np.nonzero(expected())
-    if kind == "geojson-pixel":
-        path.write_text(collection(feature(polygon(SQUARE), name="grass")))
-        return path, {"coordinates": "pixel"}
-    if kind == "geojson-map":
-        path.write_text(collection(feature(polygon(on_map(SQUARE)), name="grass")))
-        return path, {"coordinates": "map", **position}
-    if kind == "geojson-lonlat":
-        x, y = zip(*on_map(SQUARE), strict=True)
-        lonlat = list(zip(*reproject(UTM18, CRS.from_epsg(4326), x, y), strict=True))
-        path.write_text(collection(feature(polygon(lonlat), name="grass")))
-        return path, {"coordinates": "lonlat", **position}
-    if kind == "geojson-points":
-        centres = [[c + 0.5, r + 0.5] for r, c in zip(rows, cols, strict=True)]
-        path.write_text(collection(feature({"type": "MultiPoint", "coordinates": centres}, region="grass")))
-        return path, {"coordinates": "pixel"}
-    if kind == "xml-pixel":
-        path.write_text(xml(f"<Polygon>{ring(SQUARE)}</Polygon>"))
-        return path, {}
-    if kind == "xml-map":
-        path.write_text(xml(f"<Polygon>{ring(on_map(SQUARE))}</Polygon>", UTM18.to_wkt(version="WKT1_ESRI")))
-        return path, position
-    if kind == "txt":
-        path.write_bytes(roi_ascii(expected()).encode())
-        return path, {}
-    if kind == "gz":
-        path.write_bytes(gzip.compress(roi_ascii(expected()).encode()))
-        return path, {}
-    if kind == "csv-0":
-        path.write_text("region,row0,col0\n" + "".join(f"grass,{r},{c}\n" for r, c in zip(rows, cols, strict=True)))
-        return path, {}
-    if kind == "csv-1":
-        path.write_text(
-            "col1, row1, class\r\n" + "".join(f"{c + 1},{r + 1}, grass\r\n" for r, c in zip(rows, cols, strict=True))
-        )
-        return path, {}
-    if kind == "roi-points":
-        path.write_bytes(roi_binary("grass", points=(rows * 12 + cols).tolist()))
-        return path, {}
-    if kind == "roi-polygon":
-        path.write_bytes(roi_binary("grass", polygons=[SQUARE]))
-        return path, {}
-    if kind == "img":
-        extra = {"classes": "2", "class names": "{\n Unclassified, grass [Green] 20 points}"}
-        write_cube(path, expected().astype("u1")[:, :, None] * 1, data_type=1, interleave="bsq", extra=extra)
-        return path, {}
-    with rasterio.open(
-        path, "w", driver="GTiff", height=10, width=12, count=1, dtype="uint8", transform=TRANSFORM
-    ) as out:
-        out.write(expected().astype("u1") * 7, 1)
-    return path, {"names": {7: "grass"}}
-
-
-KINDS = [
-    "geojson-pixel", "geojson-map", "geojson-lonlat", "geojson-points", "xml-pixel", "xml-map", "txt", "gz",
-    "csv-0", "csv-1", "roi-points", "roi-polygon", "img", "tif",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", KINDS.split())
 def test_every_format_gives_the_same_region(tmp_path: Path, kind: str):
     path, options = written(tmp_path, kind)
     regions = read_regions(path, SHAPE, **options)
@@ -491,3 +384,22 @@ def test_what_a_file_states_beside_its_pixels(tmp_path: Path):
     ):
         with pytest.raises(InputError, match=message):
             read_regions(write_cube(tmp_path / "c.img", values), SHAPE)
+
+
+def test_holes_are_those_of_another_package():
+    rng = np.random.default_rng(4)
+    for _ in range(40):
+        mask = rng.random((15, 20)) < 0.7
+        empty = ndimage.binary_fill_holes(mask) & ~mask  # holes of 4 neighbours
+        assert holes(mask) == (ndimage.label(empty)[1], int(empty.sum()))
+    assert holes(np.zeros((3, 3), bool)) == (0, 0)
+    assert holes(np.ones((3, 3), bool)) == (0, 0)
+
+
+@pytest.mark.parametrize("shift", [(20.0, 0.0), (0.0, -30.0), (3e5, 4.7e6), (1e300, 0.0)])
+def test_nothing_left_inside_is_an_error(tmp_path, shift):
+    points = [(8 + shift[0], 2 + shift[1]), (16 + 2 * shift[0], 2 + shift[1]), (16 + shift[0], 6 + shift[1])]
+    (tmp_path / "r.geojson").write_text(collection(feature(polygon(points), name="r0")))
+    with pytest.raises(InputError, match=r"r0.*leaves the image: samples .*\n.*expected: samples 0 to 12") as caught:
+        read_regions(tmp_path / "r.geojson", SHAPE, coordinates="pixel")
+    assert "pixel, map or longitude/latitude" in str(caught.value)

@@ -4,84 +4,20 @@ from __future__ import annotations
 
 import struct
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from affine import Affine
-from rasterio.crs import CRS
-from rasterio.warp import transform as reproject
+from region_files import PLACED, SHAPE, SQUARE, expected, on_map, polygon_wkb, write_vector, written
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import read_regions
 
-SHAPE = (10, 12)
-SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
 HOLE = [(3.0, 4.0), (5.0, 4.0), (5.0, 6.0), (3.0, 6.0)]
-TRANSFORM = Affine(2.0, 0, 300000.0, 0, -2.0, 4700000.0)
-UTM18, WGS84 = CRS.from_epsg(32618), CRS.from_epsg(4326)
-PLACED = {"transform": TRANSFORM, "crs": UTM18}
-
-
-def on_map(points):
-    return [(300000.0 + 2 * x, 4700000.0 - 2 * y) for x, y in points]
-
-
-def lonlat(points):
-    x, y = zip(*on_map(points), strict=True)
-    return list(zip(*reproject(UTM18, WGS84, x, y), strict=True))
-
-
-def polygon(*rings) -> bytes:
-    """Well-known binary of a polygon, the rings closed."""
-    out = struct.pack("<BII", 1, 3, len(rings))
-    for ring in rings:
-        closed = [*ring, ring[0]]
-        out += struct.pack("<I", len(closed)) + b"".join(struct.pack("<2d", *p) for p in closed)
-    return out
-
-
-def write(path: Path, shapes, names=None, *, kind="Polygon", crs: str | None = "EPSG:32618", **options):
-    pyogrio = pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # no coordinate system: meant here
-        pyogrio.raw.write(
-            path,
-            np.array(shapes, dtype=object),
-            field_data=[] if names is None else [np.array(names, dtype=object)],
-            fields=[] if names is None else ["name"],
-            geometry_type=kind,
-            crs=crs,
-            **options,
-        )
-    return path
-
-
-def expected(hole: bool = False) -> np.ndarray:
-    mask = np.zeros(SHAPE, bool)
-    mask[3:8, 2:6] = True
-    if hole:
-        mask[4:6, 3:5] = False
-    return mask
-
-
-@pytest.mark.parametrize("end", ["gpkg", "shp"])
-@pytest.mark.parametrize("system", ["map", "stated map", "lonlat", "pixel"])
-def test_the_square_of_every_other_format(tmp_path, end, system):
-    points = {"lonlat": lonlat(SQUARE), "pixel": SQUARE}.get(system, on_map(SQUARE))
-    crs = {"map": "EPSG:32618", "lonlat": "EPSG:4326"}.get(system)
-    stated = {"stated map": "map", "pixel": "pixel"}.get(system)
-    path = write(tmp_path / f"r.{end}", [polygon(points)], ["grass"], crs=crs)
-    regions = read_regions(path, SHAPE, coordinates=stated, **PLACED)
-    assert list(regions) == ["grass"]
-    assert np.array_equal(regions["grass"].mask, expected())
 
 
 def test_every_layer_is_read_and_names_the_region(tmp_path):
-    path = write(tmp_path / "l.gpkg", [polygon(on_map(SQUARE))], layer="grass")
-    write(path, [polygon(on_map(HOLE))], layer="panel", append=True)
+    path = write_vector(tmp_path / "l.gpkg", [polygon_wkb(on_map(SQUARE))], layer="grass")
+    write_vector(path, [polygon_wkb(on_map(HOLE))], layer="panel", append=True)
     regions = read_regions(path, SHAPE, **PLACED)
     assert {name: r.n for name, r in regions.items()} == {"grass": 20, "panel": 4}
 
@@ -96,32 +32,16 @@ def test_every_layer_is_read_and_names_the_region(tmp_path):
     ],
 )
 def test_coordinates_that_nobody_states_or_that_contradict(tmp_path, crs, stated, error, message):
-    path = write(tmp_path / "c.shp", [polygon(on_map(SQUARE))], ["grass"], crs=crs)
+    path = write_vector(tmp_path / "c.shp", [polygon_wkb(on_map(SQUARE))], ["grass"], crs=crs)
     with pytest.raises(error, match=message):
         read_regions(path, SHAPE, coordinates=stated, **PLACED)
-
-
-def test_kml_is_read_as_the_other_vector_files_are(tmp_path):
-    pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
-    ring = " ".join(f"{x:.9f},{y:.9f},0" for x, y in lonlat([*SQUARE, SQUARE[0]]))
-    text = (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>'
-        "<name>grass</name><Polygon><outerBoundaryIs><LinearRing><coordinates>"
-        f"{ring}</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></Document></kml>"
-    )
-    path = tmp_path / "r.kml"
-    path.write_text(text)
-    assert np.array_equal(read_regions(path, SHAPE, **PLACED)["grass"].mask, expected())
-    path.write_text(text.replace("<kml", '<!DOCTYPE x [<!ENTITY a "b">]>\n<kml'))
-    with pytest.raises(InputError, match="DOCTYPE or ENTITY"):
-        read_regions(path, SHAPE, **PLACED)
 
 
 def test_which_attribute_names_the_regions_is_asked_where_none_is_known(tmp_path):
     pyogrio = pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
     pyogrio.raw.write(
         tmp_path / "r.gpkg",
-        np.array([polygon(on_map(SQUARE)), polygon(on_map(HOLE))], dtype=object),
+        np.array([polygon_wkb(on_map(SQUARE)), polygon_wkb(on_map(HOLE))], dtype=object),
         field_data=[np.array(["lawn", "panel"], dtype=object), np.array([3, 4])],
         fields=["plot", "number"],
         geometry_type="Polygon",
@@ -138,7 +58,7 @@ def test_which_attribute_names_the_regions_is_asked_where_none_is_known(tmp_path
 def test_a_companion_outside_the_root_is_refused(tmp_path):
     inside = tmp_path / "root"
     inside.mkdir()
-    path = write(inside / "s.shp", [polygon(on_map(SQUARE))], ["grass"])
+    path = write_vector(inside / "s.shp", [polygon_wkb(on_map(SQUARE))], ["grass"])
     path.with_suffix(".dbf").rename(tmp_path / "s.dbf")
     path.with_suffix(".dbf").symlink_to(tmp_path / "s.dbf")
     with pytest.raises(UsageError, match="outside the data root"):
@@ -169,19 +89,26 @@ def test_parts_and_holes_are_kept_and_lines_have_no_area(tmp_path, end):
         return struct.pack("<BII", 1, kind, len(members)) + b"".join(members)
 
     small = [(8.0, 1.0), (10.0, 1.0), (10.0, 2.0), (8.0, 2.0)]
-    whole = parts(6, polygon(on_map(SQUARE), on_map(HOLE)), polygon(on_map(small)))
-    path = write(tmp_path / f"r.{end}", [whole], ["grass"], kind="MultiPolygon")
+    whole = parts(6, polygon_wkb(on_map(SQUARE), on_map(HOLE)), polygon_wkb(on_map(small)))
+    path = write_vector(tmp_path / f"r.{end}", [whole], ["grass"], kind="MultiPolygon")
     want = expected(hole=True)
     want[1, 8:10] = True
     assert np.array_equal(read_regions(path, SHAPE, **PLACED)["grass"].mask, want)
     line = struct.pack("<BII4d", 1, 2, 2, *on_map([(1, 1)])[0], *on_map([(4, 4)])[0])
     with pytest.raises(InputError, match="geometry 'LineString'"):
-        read_regions(write(tmp_path / f"l.{end}", [line], ["road"], kind="LineString"), SHAPE, **PLACED)
+        read_regions(write_vector(tmp_path / f"l.{end}", [line], ["road"], kind="LineString"), SHAPE, **PLACED)
     points = [struct.pack("<BI2d", 1, 1, *p) for p in on_map([(0.5, 0.5), (1.5, 0.5), (7.9, 9.9)])]
-    path = write(tmp_path / f"p.{end}", points, ["a", "a", "b"], kind="Point")
+    path = write_vector(tmp_path / f"p.{end}", points, ["a", "a", "b"], kind="Point")
     found = {name: np.argwhere(r.mask).tolist() for name, r in read_regions(path, SHAPE, **PLACED).items()}
     assert found == {"a": [[0, 0], [0, 1]], "b": [[9, 7]]}
     if end == "shp":
         path.with_suffix(".dbf").unlink()
         with pytest.raises(InputError, match=r"the \.dbf file of the Shapefile is missing"):
             read_regions(path, SHAPE, **PLACED)
+
+
+def test_an_entity_in_a_kml_is_refused(tmp_path):
+    path, options = written(tmp_path, "kml")
+    path.write_text(path.read_text().replace("<kml", '<!DOCTYPE x [<!ENTITY a "b">]>\n<kml'))
+    with pytest.raises(InputError, match="DOCTYPE or ENTITY"):
+        read_regions(path, SHAPE, **options)
