@@ -105,7 +105,7 @@ class Store:
                 out = _page_array(shape, array.dtype)
                 array.read_direct(out, selection)
                 return out
-            except (OSError, KeyError, ValueError) as error:
+            except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
                 raise refusal("array.unreadable", self.path, name=name, why=error) from error
 
     def chunks(self, name: str) -> tuple[int, ...] | None:
