@@ -16,7 +16,7 @@ Tails of the pixels about their mean: degrees of freedom of a multivariate t, fr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -32,10 +32,8 @@ from hyperval.pixels.sample import EigenDirections
 
 Array = npt.NDArray[np.float64]
 
-LEAST_COMPONENT_DOF, MOST_DOF = (
-    2.05,
-    200.0,
-)  # of t laws: the covariance is finite; beyond, nobody tells it from the normal law
+LEAST_DOF = 2.05  # of a t law: the covariance is finite; a heavier tail is held just above it
+MOST_DOF = 200.0  # beyond, nobody tells it from the normal law
 STEPS = 100
 _TOLERANCE = 1e-4  # of the penalised log likelihood of one pixel
 _LLOYD = 10
@@ -217,9 +215,9 @@ def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
     def slope(v: float) -> float:
         return math.log(0.5 * v) - float(digamma(0.5 * v)) + 1.0 + known
 
-    if slope(LEAST_COMPONENT_DOF) <= 0.0:
-        return LEAST_COMPONENT_DOF
-    return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, LEAST_COMPONENT_DOF, MOST_DOF))
+    if slope(LEAST_DOF) <= 0.0:
+        return LEAST_DOF
+    return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, LEAST_DOF, MOST_DOF))
 
 
 def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array:
@@ -470,10 +468,8 @@ def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
 # second the covariance is no longer finite.
 _LEAST, _MOST = 1e-6, 0.499
 _HALF_DROP = 1.920729410347062  # half the 0.95 quantile of chi-square with one degree of freedom
-_SCALE_STEPS = 60
 LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
 FEWEST_LEADING, MOST_LEADING = 2, 6
-LEAST_DOF = 2.05  # only a very heavy tail has no covariance; such a fit is held just above it
 
 
 @dataclass(frozen=True)
@@ -518,17 +514,12 @@ def tail_log_likelihood(inverse_dof: float, squared_distances: Array, dimension:
 
 def _t_width(d: Array, p: int, nu: float) -> float:
     """The width w = s (nu - 2) of greatest likelihood: mean of (nu + p)/p d/(w + d) is 1."""
-    ratio = (nu + p) / p
+
+    def excess(log_width: float) -> float:
+        return (nu + p) / p * float(np.mean(d / (math.exp(log_width) + d))) - 1.0
+
     low, high = 1e-6 * float(np.median(d)) * nu / p, 1e6 * float(d.max()) * nu
-    for _ in range(_SCALE_STEPS):
-        middle = float(np.sqrt(low * high))
-        if ratio * float(np.mean(d / (middle + d))) > 1.0:
-            low = middle
-        else:
-            high = middle
-        if high < low * (1.0 + 1e-9):
-            break
-    return float(np.sqrt(low * high))
+    return math.exp(scipy.optimize.brentq(excess, math.log(low), math.log(high), xtol=1e-9))
 
 
 def left_out_distances(squared_distances: npt.ArrayLike, pixels: float) -> Array:
@@ -566,55 +557,36 @@ def fit_tail_dof(
     ------
     UsageError : fewer than ten distances, or no more pixels than bands.
     """
-    fit, at, top, end, d = _most_likely(squared_distances, dimension, estimated_on, independent)
-    normal = fit(0.0)
-
-    def drop(a: float) -> float:
-        return top - fit(a) - _HALF_DROP
-
-    high = end if drop(end) < 0 else float(scipy.optimize.brentq(drop, at, end))
-    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else float(scipy.optimize.brentq(drop, 0.0, at))
-    # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
-    # (Self & Liang 1987).
-    p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
-    return TailFit(_inverse(at), _inverse(high), _inverse(low), p_value, int(d.size), dimension)
-
-
-def dof_of_distances(squared_distances: npt.ArrayLike, dimension: int, *, estimated_on: int) -> float:
-    """The degrees of freedom of :func:`fit_tail_dof` without their limits; at least 2.05, where a covariance is."""
-    return max(_inverse(_most_likely(squared_distances, dimension, estimated_on, None)[1]), LEAST_DOF)
-
-
-def _most_likely(
-    squared_distances: npt.ArrayLike, dimension: int, estimated_on: int | None, independent: float | None
-) -> tuple[Callable[[float], float], float, float, float, Array]:
-    """Log likelihood of 1/nu, where it is greatest, how great, the end of its range, the distances that count."""
-    d = np.asarray(squared_distances, dtype=float)
+    d, offset = np.asarray(squared_distances, dtype=float), 0.0
     d = d[np.isfinite(d) & (d > 0)]
     if d.size < 10:
         raise UsageError(f"{d.size} distances say nothing of tails", expected="ten or more")
-    offset = 0.0
     if estimated_on is not None:
         if estimated_on <= dimension + 3:
             raise UsageError(f"{estimated_on} pixels for distances in {dimension} bands", expected="more pixels")
-        d = left_out_distances(d, estimated_on)
-        offset = 1.0 / (estimated_on - 1.0 - dimension)
+        d, offset = left_out_distances(d, estimated_on), 1.0 / (estimated_on - 1.0 - dimension)
     weight = 1.0 if independent is None else min(independent / d.size, 1.0)
 
     def fit(a: float) -> float:
         return weight * tail_log_likelihood(a + offset, d, dimension)
 
+    def drop(a: float) -> float:
+        return top - fit(a) - _HALF_DROP
+
+    end, normal = _MOST - offset, fit(0.0)
     best = scipy.optimize.minimize_scalar(
-        lambda a: -fit(a), bounds=(0.0, _MOST - offset), method="bounded", options={"xatol": 1e-9}
+        lambda a: -fit(a), bounds=(0.0, end), method="bounded", options={"xatol": 1e-9}
     )
-    at, top, normal = float(best.x), -float(best.fun), fit(0.0)
+    at, top = float(best.x), -float(best.fun)
     if at <= 2.0 * _LEAST or top <= normal:
         at, top = 0.0, max(normal, top)
-    return fit, at, top, _MOST - offset, d
-
-
-def _inverse(a: float) -> float:
-    return 1.0 / a if a > 0 else float("inf")
+    high = end if drop(end) < 0 else float(scipy.optimize.brentq(drop, at, end))
+    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else float(scipy.optimize.brentq(drop, 0.0, at))
+    # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
+    # (Self & Liang 1987).
+    p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
+    dof, lower, upper = (1.0 / a if a > 0 else math.inf for a in (at, high, low))
+    return TailFit(dof, lower, upper, p_value, int(d.size), dimension)
 
 
 def exceedance_of_distance(squared_distance: npt.ArrayLike, dimension: int, dof: float) -> Array:
@@ -681,8 +653,8 @@ def moments_without_each(pixels: Array, part: Index) -> Iterator[tuple[Array, Ar
 
 
 def leading_tail_dof(pixels: Array, mean: Array, covariance: Array) -> float:
-    """Degrees of freedom of the t that pixels (n, B) follow in the leading components of their covariance."""
+    """Degrees of freedom, 2.05 at least, of the t of pixels (n, B) in the leading components of their covariance."""
     directions = EigenDirections.of(covariance)
     count = leading_count(directions.values, float(np.trace(covariance)))
     distances = squared_mahalanobis(pixels, mean, directions.vectors[:, :count], directions.values[:count])
-    return dof_of_distances(distances, count, estimated_on=pixels.shape[0])
+    return max(fit_tail_dof(distances, count, estimated_on=pixels.shape[0]).dof, LEAST_DOF)

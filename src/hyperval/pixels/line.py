@@ -360,33 +360,23 @@ def fit_elm(
 def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], saturation: npt.ArrayLike | None, least: int) -> None:
     """Raise UsageError for fewer panels than ``least``, reflectances that are none, and saturated panels."""
     if len(panels) < least:
-        raise UsageError(
-            f"{len(panels)} panel for an empirical line", expected="two or more" if least == 2 else "one or more"
-        )
+        raise UsageError(f"{len(panels)} panel for an empirical line", expected=f"{least} or more")
     if len({p.reflectance.size for p in panels}) > 1:
         raise UsageError("the panels have different numbers of bands")
     for p in panels:
-        errors = variance_of(p.reflectance_error), variance_of(p.radiance_error)
-        if not all(np.all(np.isfinite(values)) for values in (p.reflectance, p.radiance, *errors)):
-            raise UsageError(f"panel {p.name!r} holds NaN or infinity", mend="leave those bands out")
-        if np.any(np.stack(errors) < 0):
-            raise UsageError(f"panel {p.name!r}: a variance is negative")
-        if p.n < 1:
-            raise UsageError(f"panel {p.name!r} has no pixels")
-        if np.any(p.reflectance > PERCENT_LIMIT):
-            raise UsageError(
-                f"panel {p.name!r} has a reflectance of {p.reflectance.max():.4g}",
-                expected="a fraction, 0 to 1",
-                mend="divide percent by 100",
-            )
-        if np.any(p.reflectance < -0.05):
-            raise UsageError(f"panel {p.name!r} has a reflectance of {p.reflectance.min():.3g}")
+        rho, errors = p.reflectance, np.stack([variance_of(p.reflectance_error), variance_of(p.radiance_error)])
         full = p.radiance >= (np.inf if saturation is None else np.asarray(saturation, dtype=float))
-        if np.any(full):
-            raise UsageError(
-                f"panel {p.name!r} is saturated in {int(full.sum())} bands (first: band {int(full.argmax()) + 1})",
-                mend="leave the panel or those bands out",
-            )
+        bands = f"{int(full.sum())} bands (first: band {int(full.argmax()) + 1})"
+        for wrong, words, mend in (
+            (~np.isfinite([rho, p.radiance, *errors]), " holds NaN or infinity", "leave those bands out"),
+            (errors < 0, ": a variance is negative", None),
+            (p.n < 1, " has no pixels", None),
+            (rho > PERCENT_LIMIT, f" has a reflectance of {rho.max():.4g}, not 0 to 1", "divide percent by 100"),
+            (rho < -0.05, f" has a reflectance of {rho.min():.3g}", None),
+            (full, f" is saturated in {bands}", "leave the panel or those bands out"),
+        ):
+            if np.any(wrong):
+                raise UsageError(f"panel {p.name!r}{words}", mend=mend)
 
 
 def darkest_pixel_panel(
