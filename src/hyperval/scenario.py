@@ -570,6 +570,11 @@ class Processing(Model):
                 raise ValueError(f"unknown detector {name!r}; one of {', '.join(MODEL_DETECTORS)}")
         return self
 
+    @property
+    def linear_detectors(self) -> list[str]:
+        """Those whose score is linear in the pixel."""
+        return [d for d in self.detectors if d in LINEAR_DETECTORS]
+
 
 class Scenario(Model):
     """One scenario."""

@@ -64,7 +64,7 @@ from .filters import (
     spectral_matched_filter,
     unpacked,
 )
-from .forward import engine_notes, predict, predictions, unstated_notes
+from .forward import engine_notes, predict, predictions, unstated_notes, without_calibration_error
 from .inputs import (
     UncertainInput,
     covariance_directions,
@@ -132,7 +132,6 @@ from .roc import (
     score_density,
     thresholds_at,
 )
-from .spectra import without_calibration_error
 from .surfaces import (
     Read,
     Sources,

@@ -551,8 +551,7 @@ class Evaluation:
 
     @cached_property
     def _designed(self) -> tuple[dict[tuple[str, str], tuple[Filters, Array, Array]], dict[int, UsageError]]:
-        linear = [d for d in self.scenario.processing.detectors if d in LINEAR_DETECTORS]
-        names = [(t.name, d) for t in self.targets for d in linear]
+        names = [(t.name, d) for t in self.targets for d in self.scenario.processing.linear_detectors]
         wanted = [(d, self.looked_for(t)) for t, d in names]
         filters, problems = self.designer.design(self.view, self.background, self.seen, self.first.size, wanted)
         return {n: (f, *class_scores(self.background, self.seen, f)) for n, f in zip(names, filters, strict=True)}, {
@@ -946,7 +945,7 @@ def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] =
     notes: list[list[str]] = [[] for _ in points]
     if not e.targets or not processing.detectors:
         return by_point
-    if any(d in LINEAR_DETECTORS for d in processing.detectors):
+    if processing.linear_detectors:
         e.filters  # noqa: B018 - designed here, refused below
     for error in e.problems.values():
         raise error

@@ -31,7 +31,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
-from hyperval.data import LINEAR_DETECTORS
 from hyperval.model.detection import Evaluation, Responses
 from hyperval.model.fill import (
     PHASES,
@@ -159,7 +158,7 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
     u, uncertainty = int(truths[0]), e.scenario.uncertainty
     drawn, targets = input_draws(e, u, uncertainty, (truths.size - 1) // 2), e.world.targets_at(u)
     certain, thesis, seed = drawn.rows == 1, e.scenario.formulation == "thesis", e.scenario.processing.seed
-    linear = [d for d in e.scenario.processing.detectors if d in LINEAR_DETECTORS]
+    linear = e.scenario.processing.linear_detectors
     names = [t.name for t in targets]
     out: dict[Key, ObjectScores] = {}
     for number, target in enumerate(targets):
@@ -297,7 +296,6 @@ def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tup
         fill = moments(population.fill, thesis) if thesis else fill_distribution(population.fill)
         alone = fill.values[:, None]
         return alone, np.zeros((*alone.shape, 0)), rng.choice(fill.values.size, shape, p=fill.weights)
-    n = pixels_of_object(population.fill)
     own, others, places, count = [], [], np.empty(shape, int), 0
     for width in np.unique(blur):
         rows = np.flatnonzero(blur == width)
@@ -306,17 +304,29 @@ def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tup
             fills = fills_of_objects(population.fill, change)
             beside_fills = np.zeros((*fills.shape, len(beside)))
         else:
-            placed = [placed_beside(population, subject, change) for subject in beside]
-            shifts = None
-            if objects.position_m is not None:
-                phases = PHASES if geometry.phase == "random" else 1
-                shifts = rng.normal(0.0, objects.position_m / geometry.gsd_m, (phases, len(placed), 2))
-            fills, beside_fills = shared_pixel_fills(geometry_of(population.fill, change), n, placed, shifts)
+            fills, beside_fills = _pixels_at_place(population, beside, objects.position_m, rng, change)
         places[rows] = count + rng.integers(len(fills), size=(rows.size, objects.columns))
         own.append(fills)
         others.append(beside_fills)
         count += len(fills)
     return np.concatenate(own), np.concatenate(others), places
+
+
+def _pixels_at_place(
+    population: TargetSubject, beside: Sequence[TargetSubject], position_m: float | None, rng: np.random.Generator,
+    change: float = 0.0,
+) -> tuple[Array, Array]:  # fmt: skip
+    """(K, n) fills of an object's pixels at its place, (K, n, J) those by its neighbours.
+
+    ``position_m`` : standard uncertainty of the neighbours' places;  ``change`` : added to the width of the blur
+    """
+    geometry = population.fill.geometry
+    assert geometry is not None  # noqa: S101 - what has a place has one
+    shifts, phases = None, 1 if geometry.phase == "centred" else PHASES
+    if position_m is not None:
+        shifts = rng.normal(0.0, position_m / geometry.gsd_m, (phases, len(beside), 2))
+    placed, n = [placed_beside(population, subject, change) for subject in beside], pixels_of_object(population.fill)
+    return shared_pixel_fills(geometry_of(population.fill, change), n, placed, shifts if placed else None)
 
 
 def placed_beside(population: TargetSubject, subject: TargetSubject, change: float = 0.0) -> Neighbour:
@@ -473,13 +483,8 @@ def shares_of(
     if geometry is None or population.position_m is None:
         return None
     beside = neighbours_of(target, population, targets)
-    placed = [placed_beside(population, subject) for _, subject in beside]
-    shifts = None
-    if position_m is not None and placed:
-        rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
-        count = 1 if geometry.phase == "centred" else PHASES
-        shifts = rng.normal(0.0, position_m / geometry.gsd_m, (count, len(placed), 2))
-    own, others = shared_pixel_fills(geometry_of(population.fill), pixels_of_object(population.fill), placed, shifts)
+    rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
+    own, others = _pixels_at_place(population, [subject for _, subject in beside], position_m, rng)
     each = np.concatenate([own.mean(axis=1)[:, None], others.mean(axis=1)], axis=1)  # (K, J)
     mean = each.mean(axis=0)
     away = each - mean

@@ -17,7 +17,6 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.terms import interpolated_terms
-from hyperval.data import LINEAR_DETECTORS, Errors
 from hyperval.model.detection import Evaluation, RocKey, class_scores
 from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
@@ -37,33 +36,6 @@ DRAWN_SHIFT = 1.0  # standard deviations: beyond, even parts of directions moved
 _SHIFT = 0.3  # of a standard deviation: 95 % intervals that are off by it hold 94 %, and ever fewer beyond
 _SEEN = 1e-6  # of a probit: below it a change is rounding
 _INNER = 3.0  # probits of P_D between which it is looked for
-
-
-def combined(
-    errors: Mapping[str, Errors], covariances: Mapping[str, Array], bands: int
-) -> tuple[Array, dict[str, Array]]:
-    """Error covariance (B, B) and budget from independent sources, some of them as covariances (B, B)."""
-    if not errors and not covariances:
-        return _nothing(bands), {}
-    every = {source: known(c) for source, c in covariances.items()}
-    budget = {s: e.budget for s, e in errors.items()} | {s: np.sqrt(np.diag(c)) for s, c in every.items()}
-    total = np.zeros((bands, bands))
-    for part in (*(e.covariance for e in errors.values()), *every.values()):
-        total += part
-    return total, budget
-
-
-def known(covariance: Array) -> Array:
-    """The matrix with 0 where nothing is known; unchanged, and not copied, where all is."""
-    return covariance if np.isfinite(np.sum(covariance)) else np.nan_to_num(covariance)
-
-
-@lru_cache(maxsize=8)
-def _nothing(bands: int) -> Array:
-    """Zeros (B, B) that all estimates without an error share; not to be written to."""
-    zero = np.zeros((bands, bands))
-    zero.setflags(write=False)
-    return zero
 
 
 def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, RocCurve]:
@@ -160,7 +132,7 @@ Filter = tuple[str, str]
 
 def worlds_without(scenario: Scenario, origins: Origins, truth: Truth) -> Iterable[Sequence[World]]:
     """For each region whose law is known from its pixels, the scenario as it truly is without each part of them."""
-    if origins.left_out is None or not scenario.scene.targets or not _linear(scenario):
+    if origins.left_out is None or not scenario.scene.targets or not scenario.processing.linear_detectors:
         return
     # A part may leave a mixture with fewer components than the class asks for.
     classes = [c.model_copy(update={"mixture": "auto"}) if c.has_mixture else c for c in scenario.scene.classes]
@@ -183,7 +155,7 @@ def law_directions(e: Evaluation, regions: Iterable[Sequence[World]]) -> dict[Fi
     """
     grid = e.scenario.processing.false_alarm_grid
     pfa = false_alarm_grid(grid.lowest, grid.per_decade)
-    names = [(t, d) for t in e.targets for d in _linear(e.scenario)]
+    names = [(t, d) for t in e.targets for d in e.scenario.processing.linear_detectors]
     thresholds = {(t.name, d): e.scores(t.populations[0].name, d).thresholds(pfa[None])[0] for t, d in names}
     directions: dict[Filter, list[Array]] = {key: [] for key in thresholds}
     for region in regions:
@@ -240,10 +212,6 @@ def _read(at: Array, x: Array, z: Array) -> Array:
     below, above = (z[1] - z[0]) / (at[1] - at[0]), (z[-1] - z[-2]) / (at[-1] - at[-2])
     inside = np.interp(at, x, z)
     return np.asarray(inside + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
-
-
-def _linear(scenario: Scenario) -> list[str]:
-    return [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
 
 
 FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
