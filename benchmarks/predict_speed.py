@@ -24,7 +24,7 @@ from hyperval.config import parse_yaml, validate
 from hyperval.model import false_alarm_grid, predict
 from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 from hyperval.statistics_library import builtin_class
 
 TEXT = """

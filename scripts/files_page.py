@@ -19,7 +19,7 @@ from pydantic_core import PydanticUndefined
 
 from hyperval.campaign import Campaign
 from hyperval.scenario import Scenario
-from hyperval.sensor.specification import SensorSpecification
+from hyperval.sensor import SensorSpecification
 from hyperval.simulate.schema import SceneFile
 from hyperval.study import StudyFile
 

@@ -133,7 +133,7 @@ def test_saturation_is_said():
 
 def test_blur_of_the_sensor_serves_where_a_geometry_states_none(tmp_path):
     from hyperval.model import with_sensor_blur
-    from hyperval.sensor.specification import load_sensor
+    from hyperval.sensor import load_sensor
 
     fill = "fill: {geometry: {side_m: 1, gsd_m: 1%s}}}"
     s = scenario(**{"fill: {fixed: 0.1}}": fill % ""})

@@ -15,7 +15,7 @@ from hyperval import cli
 from hyperval.baseline import accept, check
 from hyperval.results import Outcome
 from hyperval.run import read_rows
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 from small_campaign import SmallCampaign, sensor_data, stand_in_atmosphere, write_yaml
 
 

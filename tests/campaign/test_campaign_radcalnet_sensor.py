@@ -20,7 +20,7 @@ from hyperval.imagery import write_cube
 from hyperval.model import Origins, predict
 from hyperval.results import Cause
 from hyperval.run import Run, read_rows
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "radcalnet-sensor"
 VALUES = {

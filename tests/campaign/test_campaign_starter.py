@@ -14,7 +14,7 @@ import yaml
 from hyperval import cli
 from hyperval.campaign import WRONG, dry_run, job_of, summary
 from hyperval.config import FILL_IN
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 from hyperval.statistics_library import builtin_class
 
 UNIT = "uW cm-2 sr-1 nm-1"

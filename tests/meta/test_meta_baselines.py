@@ -27,7 +27,7 @@ from hyperval.baseline import (
 from hyperval.campaign import job_of, run_campaign
 from hyperval.model import FILTERS, LinearFilter, fixed_fill, matched_filter_weights, solved_filter
 from hyperval.results import Outcome, Result
-from hyperval.sensor.specification import library_names, load_sensor
+from hyperval.sensor import library_names, load_sensor
 from small_campaign import SmallCampaign, stand_in_atmosphere
 
 ROOT = Path(__file__).parents[2]
@@ -88,7 +88,7 @@ def width_as_sigma(patch: Patch) -> None:
 
 def gain_of_electrons(patch: Patch) -> None:
     """G of (3.13) 2 % too large."""
-    from hyperval.sensor.response import electrons_per_radiance
+    from hyperval.sensor import electrons_per_radiance
 
     patch.setattr(
         "hyperval.sensor.specification.electrons_per_radiance",
@@ -109,7 +109,7 @@ def gain_of_image(patch: Patch) -> None:
 
 def bit_errors_without_factor(patch: Patch) -> None:
     """(3.19) without its 1/3."""
-    from hyperval.sensor.noise import bit_error_variance
+    from hyperval.sensor import bit_error_variance
 
     patch.setattr("hyperval.sensor.noise.bit_error_variance", lambda *a: 3.0 * bit_error_variance(*a))
 
@@ -134,7 +134,7 @@ def no_variance_of_fill(patch: Patch) -> None:
 
 def deviation_for_variance(patch: Patch) -> None:
     """(3.16) with a standard deviation where the variance belongs."""
-    from hyperval.sensor.noise import detector_radiance_variance
+    from hyperval.sensor import detector_radiance_variance
 
     patch.setattr(
         "hyperval.sensor.noise.detector_radiance_variance", lambda *a: np.sqrt(detector_radiance_variance(*a))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hyperval.results import Outcome
-from hyperval.sensor.specification import library_names, load_sensor
+from hyperval.sensor import library_names, load_sensor
 from hyperval.sensor_check import Number, check_sensor, numbers
 from small_campaign import stand_in_atmosphere
 

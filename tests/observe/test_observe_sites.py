@@ -20,7 +20,7 @@ from hyperval.model import Origins, predict
 from hyperval.observe import detector_covariance, observe, observe_radcalnet
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import Scenario
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 from hyperval.spectra import SpectralAxis
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 
-from hyperval.attribute.ranking import assumed_inputs
+from hyperval.attribute import assumed_inputs
 from hyperval.errors import UsageError
 from hyperval.model import (
     Origins,

@@ -41,22 +41,6 @@ def test_a_library_sensor_is_complete(name):
     assert np.all(noise.snr(level, calibration=False) > snr)
 
 
-def test_prospectir_has_its_header_bands():
-    axis = load_sensor("prospectir-vs").axis
-    assert (len(axis), int(axis.good.sum())) == (360, 254)
-    assert axis.centre_nm[[0, 116, 117, -1]] == pytest.approx([395.27, 935.78, 942.33, 2469.96])
-    bad = np.flatnonzero(~axis.good) + 1
-    expected = [*range(114, 124), *range(143, 154), *range(182, 198), *range(253, 281), *range(320, 361)]
-    assert bad.tolist() == expected
-
-
-def test_aviris_ng_fixed_noise_is_flat():
-    # The rows of the file were chosen within 3 % of the median of all published bands, 111.8 electrons.
-    noise = load_sensor("aviris-ng").noise()
-    assert np.median(noise.fixed_noise) == pytest.approx(111.8, rel=0.01)
-    assert noise.fixed_noise == pytest.approx(np.full(425, 111.8), rel=0.03)
-
-
 @pytest.mark.data
 def test_aviris_ng_against_the_published_coefficients(data_dir):
     rows = np.loadtxt(data_dir("sensors/avirisng_noise.txt"))

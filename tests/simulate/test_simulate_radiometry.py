@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_scene import BANDS, numbers
 
-from hyperval.sensor.specification import library_names, load_sensor
+from hyperval.sensor import library_names, load_sensor
 from hyperval.simulate import Detector, SimulationInputs, detector, sensor_numbers
 
 N = 40_000

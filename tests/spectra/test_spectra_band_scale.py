@@ -7,7 +7,7 @@ import pytest
 
 from hyperval.collection import CalibrationUncertainty
 from hyperval.observe import calibration_covariance, detector_covariance
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.arange(400.0, 2400.0, 5.0), np.full(400, 5.5))

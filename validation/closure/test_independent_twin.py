@@ -15,7 +15,7 @@ from solver_nodes import run_solver_at
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms, distance_on_day, extraterrestrial_irradiance
 from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario, load_scenario
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 from hyperval.spectra import SpectralAxis, band_average
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "share2012-independent"

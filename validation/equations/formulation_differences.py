@@ -15,8 +15,7 @@ from hyperval.model import (
     radiance_covariance,
     target_pixel_covariance,
 )
-from hyperval.sensor.noise import bit_error_variance
-from hyperval.sensor.response import solid_angle
+from hyperval.sensor import bit_error_variance, solid_angle
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 

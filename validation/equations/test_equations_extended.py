@@ -36,7 +36,7 @@ from hyperval.model import (
     target_pixel_reflectance,
     two_panel_line,
 )
-from hyperval.sensor.noise import calibration_variance, measured_noise_variance
+from hyperval.sensor import calibration_variance, measured_noise_variance
 
 TERMS = AtmosphericTerms(
     wavelength_nm=np.array([550.0, 860.0]),

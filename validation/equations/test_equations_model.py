@@ -18,7 +18,7 @@ from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_val
 from hyperval.model.detection import FILL_NODES, class_scores, noise_of, target_pixels, target_scores
 from hyperval.model.surfaces import SurfaceStatistics
 from hyperval.scenario import Scenario
-from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor import NoiseModel
 from hyperval.spectra import SpectralAxis
 
 B = 4

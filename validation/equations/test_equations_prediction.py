@@ -16,7 +16,7 @@ from hyperval.config import parse_yaml, validate
 from hyperval.model import Origins, predict
 from hyperval.products import background_of
 from hyperval.scenario import Scenario
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 

@@ -5,25 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.sensor.noise import (
+from hyperval.sensor import (
+    ELECTRONS_PER_UNIT,
     NoiseModel,
+    aperture_throughput,
     bit_error_variance,
     calibration_variance,
     detector_radiance_variance,
     detector_variance,
+    electrons_per_radiance,
+    f_number_throughput,
     measured_noise_variance,
     quantisation_variance,
     recorded_noise,
     shot_variance,
     signal_to_noise,
-    with_signal,
-)
-from hyperval.sensor.response import (
-    ELECTRONS_PER_UNIT,
-    aperture_throughput,
-    electrons_per_radiance,
-    f_number_throughput,
     solid_angle,
+    with_signal,
 )
 
 

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from hyperval.model import TargetGeometry, pixel_fills
-from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.response import modulation_transfer, mtf_at_nyquist, psf_fwhm_from_mtf
-from hyperval.sensor.specification import (
+from hyperval.sensor import (
+    NoiseModel,
     SensorChanges,
     SensorOperation,
     averaged_noise,
     binned_axis,
     binned_noise,
     changed_noise,
+    modulation_transfer,
+    mtf_at_nyquist,
+    psf_fwhm_from_mtf,
 )
 from hyperval.spectra import SpectralAxis
 

@@ -46,7 +46,7 @@ from hyperval.observe import abundance_targets, material_regions, read_band_tabl
 from hyperval.results import Result
 from hyperval.run import read_pair, read_rows, results_json
 from hyperval.scenario import load_scenario
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor import load_sensor
 from hyperval.simulate.schema import load_scene
 from hyperval.spectra import read_records, read_spectrum
 from hyperval.statistics_library import read_statistics_library

@@ -22,7 +22,6 @@ from hyperval.model.roc import detection_at
 from hyperval.products import (
     ObjectScores,
     Products,
-    RocCurve,
     ScoreDistribution,
     SpectralEstimate,
     background_of,
@@ -341,12 +340,8 @@ def _false_alarms(predicted: Products, observed: Products) -> Iterator[ResidualB
             variance = np.maximum(1.0 / (rates * n) + RATE_FLOOR**2, clustered)
             yield ResidualBlock(
                 "roc", background_of(subject), detector, np.log(rates), np.diag(variance),
-                partial(_log_rate, key, thresholds),
+                partial(log_false_alarm_rate, key, thresholds),
             )  # fmt: skip
-
-
-def _log_rate(key: tuple[str, str, str], threshold: Array, p: Products) -> Array:
-    return log_false_alarm_rate(p.roc[key], threshold)
 
 
 def _clustered_variance(observed: Products, subject: str, detector: str, threshold: Array) -> Array | float:
@@ -361,7 +356,8 @@ def _clustered_variance(observed: Products, subject: str, detector: str, thresho
     return 0.0
 
 
-def log_false_alarm_rate(curve: RocCurve, threshold: Array) -> Array:
-    """ln P_FA at scores (K,), interpolated on the curve; held at its ends."""
+def log_false_alarm_rate(key: tuple[str, str, str], threshold: Array, p: Products) -> Array:
+    """ln P_FA of a curve of a prediction at scores (K,), interpolated; held at its ends."""
+    curve = p.roc[key]
     rising = np.argsort(curve.threshold)
     return np.asarray(np.interp(threshold, curve.threshold[rising], np.log(curve.pfa)[rising]))

@@ -120,7 +120,7 @@ def attribute(
     reasons = _reasons(stated, assumed if options.unbudgeted else [() for _ in stated])
 
     def evaluate(truths: Sequence[Truths], title: str) -> list[tuple[Array, Array]]:
-        predictions = track(model.products_of(truths), title, len(truths), show=show_progress)
+        predictions = track(model.predict(model.scenarios, truths), title, len(truths), show=show_progress)
         return [(stack.predicted(p), np.array([q.read(p) for q in numbers])) for p in predictions]
 
     steps = [reason.at(d, z) for reason in reasons for d in range(reason.size) for z in (1.0, -1.0)]

@@ -44,10 +44,6 @@ class ScenarioModel:
     predict: Callable[[Sequence[Scenario], Sequence[Truths]], Iterator[Products]]
     observe: Observe | None = None
 
-    def products_of(self, truths: Sequence[Truths]) -> Iterator[Products]:
-        """Products of the scenarios as they stand when the truth is another one."""
-        return self.predict(self.scenarios, truths)
-
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
         return next(self.predict(scenarios, [[{} for _ in scenarios]]))

@@ -21,6 +21,7 @@ from scipy import constants
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
+from hyperval.compare import regions
 from hyperval.errors import HypervalError, UsageError
 from hyperval.model import Origins, predict
 from hyperval.model.radiance import mean_radiance
@@ -159,12 +160,8 @@ def published_radiance(axis: SpectralAxis, item: PublishedSnr, engine: Engine | 
 
 def summary_regions(axis: SpectralAxis) -> dict[str, Mask]:
     """Masks (B,) of the good bands in the windows of each spectral region the sensor sees."""
-    keep = axis.good & in_window(axis.centre_nm)
-    masks = {
-        name: keep & (axis.centre_nm >= low) & (axis.centre_nm < high)
-        for name, (low, high) in SPECTRAL_REGIONS_NM.items()
-    }
-    return {name: mask for name, mask in masks.items() if mask.any()}
+    seen = {name: mask & axis.good for name, mask in regions(axis).items()}
+    return {name: seen[name.lower()] for name in SPECTRAL_REGIONS_NM if seen[name.lower()].any()}
 
 
 def neighbour_ratio(axis: SpectralAxis) -> Array:
@@ -438,6 +435,7 @@ class Check:
     open: bool = False
     unit: str = "1"
     reason: str = "{}"
+    absent: str = ""
     remarks: bool = False
     needed: bool = False
 
@@ -451,10 +449,12 @@ class Check:
 
     def rows(self, check: SensorCheck) -> Iterator[Result]:
         """Its rows of one sensor; what fails as the file says that it does informs."""
-        for found in MEASURES[self.measure](check, *([self.of] if self.of else [])):
+        measured = list(MEASURES[self.measure](check, *([self.of] if self.of else [])))
+        for found in measured or ([Found(outcome=Outcome.NONE)] if self.absent else []):
             outcome = self.outcome(found.value) if found.outcome is None else found.outcome
             informs, broken = outcome is Outcome.NONE, outcome is Outcome.ERROR
-            role, reason = Role.INFORM if informs else Role.GATE, self.reason.format(found.words)
+            role = Role.INFORM if informs else Role.GATE
+            reason = self.reason.format(found.words) if measured else self.absent
             if outcome is Outcome.AGREES and not self.remarks:
                 reason = ""
             names = (f"{self.product}/{self.metric}/{found.subject}", f"{self.product}/{self.metric}")
@@ -661,10 +661,7 @@ def photon_transfer(check: SensorCheck) -> Values:
     # A measured fit with c != 0 is not linear in the radiance: it says nothing of the gain.
     linear = axis.good if noise.measured is None else axis.good & (noise.measured[2] == 0.0)
     if linear.any():
-        words = "noise grows with the signal as if the gain were another: is detector_gain meant?"
-        yield Found(float(np.median(off[linear])), words=words, n=int(linear.sum()))
-    else:
-        yield Found(words="no band has a fit that is linear in the signal", outcome=Outcome.NONE)
+        yield Found(float(np.median(off[linear])), n=int(linear.sum()))
 
 
 def sum_of_terms(check: SensorCheck) -> Values:
@@ -690,23 +687,15 @@ def lowest_snr(check: SensorCheck) -> Values:
 
 def quantisation(check: SensorCheck) -> Values:
     """Noise of the digital word over all other."""
-    if check.noise.measured is not None:
-        words = "the measured noise holds the quantisation: it is not stated apart"
-        yield Found(words=words, outcome=Outcome.NONE)
-        return
-    parts = check.noise.breakdown(sunlit_radiance(check.axis, DARK))
-    ratio = np.where(check.axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
-    worst = _worst(check, ratio, f"reflectance {DARK:g}")
-    words = f"the step of the digital word passes the noise at {worst.words}: too few bits"
-    yield worst._replace(words=words)
+    if check.noise.measured is None:
+        parts = check.noise.breakdown(sunlit_radiance(check.axis, DARK))
+        ratio = np.where(check.axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
+        yield _worst(check, ratio, f"reflectance {DARK:g}")
 
 
 def saturation(check: SensorCheck) -> Values:
     """Greatest part of full scale: of bright ground judged, of white ground shown."""
-    if check.noise.full_scale is None:
-        yield Found(words="the file does not say where full scale is", outcome=Outcome.NONE)
-        return
-    for level, outcome in ((BRIGHT, None), (1.0, Outcome.NONE)):
+    for level, outcome in ((BRIGHT, None), (1.0, Outcome.NONE)) if check.noise.full_scale is not None else ():
         part = check.noise.full_scale_fraction(sunlit_radiance(check.axis, level))
         part = np.where(check.axis.good, part, 0.0)
         worst = _worst(check, part, f"reflectance {level:g}")
