@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from hyperval.collection import Detection, DetectionTarget, Unmixing
 from hyperval.data import SampleStatistics, statistics_of
-from hyperval.errors import InputError, UsageError, one_of
+from hyperval.errors import InputError, UsageError, one_of, refusal
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
@@ -97,9 +97,11 @@ def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form
             words = {"name": item.name, "material": item.material, **item.attributes, "target": target.name}
             out.setdefault(_subject(form, words), []).append(item)
     if not out:
-        raise UsageError(
-            f"target {target.name!r}: the truth has no object of material {target.material!r}",
-            expected=one_of(sorted({o.material for o in objects}), "a truth with targets"),
+        raise refusal(
+            "detection.material",
+            name=target.name,
+            material=target.material,
+            known=one_of(sorted({o.material for o in objects}), "a truth with targets"),
         )
     return out
 
@@ -111,9 +113,8 @@ _BRACES = re.compile(r"\{([^{}]*)\}")
 def _subject(form: str, words: Mapping[str, str]) -> str:
     unknown = [word for word in _BRACES.findall(form) if word not in words]
     if unknown:
-        raise UsageError(
-            f"detection.group {form!r} does not fit the truth: no {unknown[0]!r}",
-            expected="names in braces out of " + ", ".join(sorted(words)),
+        raise refusal(
+            "detection.group", form=form, word=unknown[0], known="names in braces out of " + ", ".join(sorted(words))
         )
     return _BRACES.sub(lambda match: words[match[1]], form)
 
@@ -293,10 +294,7 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
             ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
             parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)")
     if not left.any():
-        raise UsageError(
-            f"no band is left for the detectors: {'; '.join(parts)}",
-            mend="look at the bad-band list, the target spectra and detection.least_snr",
-        )
+        raise refusal("detection.bands", rules="; ".join(parts))
     notes = [f"detectors use {int(left.sum())} of {len(axis)} bands"]
     return left, [*notes, f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else notes
 
@@ -352,11 +350,7 @@ class _Curves:
         background = replace(_moments(noise.scores), mean_error=error, mean_bias=bias)
         for subject, members in groups.items():
             if (subject, detector) in found:
-                raise UsageError(
-                    f"two targets give the subject {subject!r}",
-                    where="detection.group",
-                    mend="let the group hold {target}, the name of the detection target",
-                )
+                raise refusal("detection.subject", "detection.group", subject=subject)
             found[background_of(subject), detector] = background
             self._add_subject(subject, detector, members, scores, noise, thresholds)
 
@@ -444,11 +438,7 @@ class _Curves:
             shape = footprint(part, halo)
             shapes[shape.shape, shape.tobytes()] = shape
             if any(np.greater(shape.shape, scores.shape)):
-                raise UsageError(
-                    f"the object {name!r} with a halo of {halo} pixels is larger than the image, {scores.shape}",
-                    where=where,
-                    expected="a halo that leaves background around the object",
-                )
+                raise refusal("detection.halo", where, name=name, halo=halo, shape=scores.shape)
         parts = [footprint_maxima(scores, shape, ~self.alarms) for shape in shapes.values()]
         looked_at = sum(part[0].size * shape.size for part, shape in zip(parts, shapes.values(), strict=True))
         maxima, lines, samples = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -645,11 +635,7 @@ def unmix(
         for (subject, members), population in zip(groups.items(), populations, strict=True):
             nominal = float(np.mean([o.area_m2 for o in members]))
             if not np.isfinite(nominal):
-                raise UsageError(
-                    f"the truth does not say how large the targets of {subject!r} are, which unmixing is compared with",
-                    where="detection.unmixing",
-                    mend="state side_m in collection.targets, or leave unmixing out",
-                )
+                raise refusal("unmixing.size", "detection.unmixing", subject=subject)
             for o in members:
                 if o.name not in surroundings:
                     surroundings[o.name] = _surroundings(place, o, region, task, bands, rng)
@@ -696,10 +682,7 @@ def _surroundings(
     read = list(_valid_reflectance(place, parts, bands))
     (own_pixels, own_ring), *others = zip(read[::2], read[1::2], strict=True)
     if not len(own_ring):
-        raise InputError(
-            f"target {target.name!r} has no pixel of {task.background!r} within {task.ring_pixels} pixels",
-            expected="background around every target",
-        )
+        raise refusal("unmixing.ring", name=target.name, background=task.background, ring_pixels=task.ring_pixels)
     whole = [(own_pixels, own_ring), *((x, r) for x, r in others if len(r) and len(x) == lines.size)]
     of = np.repeat(np.arange(len(whole)), [len(x) for x, _ in whole])
     means = np.array([r.mean(axis=0) for _, r in whole])

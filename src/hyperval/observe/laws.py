@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from hyperval.collection import Classification
 from hyperval.data import ClassStatistics, Components, SampleStatistics, statistics_of
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal
 from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe.open import Place
 from hyperval.pixels import (
@@ -375,11 +375,7 @@ def classification_errors(place: Place, task: Classification) -> dict[tuple[str,
             psi = class_features(laws, choice.pca)
             for name, sample in zip(chosen, trained, strict=True):
                 if sample.n < PIXELS_PER_FEATURE * psi.shape[0]:
-                    raise UsageError(
-                        f"classification: {sample.n} training pixels of {name!r} for {psi.shape[0]} features",
-                        expected=f"{PIXELS_PER_FEATURE} for each",
-                        mend="use fewer bands, or pca",
-                    )
+                    raise refusal("classes.few", n=sample.n, name=name, features=psi.shape[0], least=PIXELS_PER_FEATURE)
             tested = [halves[name][1] for name in chosen]
             out[" / ".join(chosen), choice.name] = measured_error(
                 [law.project(psi) for law in laws],
@@ -401,10 +397,7 @@ def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, 
     block = lines // task.block_lines
     blocks = np.unique(block)
     if blocks.size < 2:
-        raise UsageError(
-            f"classification: region {name!r} lies in one block of {task.block_lines} lines",
-            mend="make classification.block_lines smaller: training and test take whole blocks",
-        )
+        raise refusal("classes.block", name=name, block_lines=task.block_lines)
     # Half of the blocks that hold the class train.
     order = np.random.default_rng([task.seed, place.cube.lines]).permutation(-(-place.cube.lines // task.block_lines))
     dealt = order[np.isin(order, blocks)]

@@ -31,7 +31,7 @@ from hyperval.collection import (
     VectorSource,
 )
 from hyperval.data import SampleStatistics
-from hyperval.errors import InputError, UsageError, one_of, reader
+from hyperval.errors import InputError, UsageError, one_of, reader, refusal
 from hyperval.imagery import (
     Cube,
     LookupTable,
@@ -254,9 +254,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
 def check_line_for_detection(place: Place, collection: CollectionSection) -> None:
     """Raise UsageError where targets are looked for in radiance and no empirical line tells their reflectance."""
     if place.cube.quantity == "radiance" and collection.empirical_line is None:
-        raise UsageError(
-            "detection on radiance needs an empirical line", mend="add collection.empirical_line with two panels"
-        )
+        raise refusal("place.line")
 
 
 def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | None = None) -> Cube:
@@ -313,11 +311,7 @@ def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[Loo
     if source.glt is None:
         return table_of(cube.raster)
     if cube.transform is not None:
-        raise UsageError(
-            "the cube has a map position, and 'cube.glt' is stated",
-            where=source.path,
-            mend="take glt out, or name the cube in scanner geometry",
-        )
+        raise refusal("place.glt", source.path)
     raster = open_raster(resolve(source.glt))
     if raster.dtype.kind == "f" and raster.transform is None:
         return location_table(raster, cube.shape), ()
@@ -377,11 +371,7 @@ class _Site:
         if ring.outer_m is None:
             return ring_region(name, around, ring.inner_pixels, float(ring.outer_pixels or 0.0))
         if self.area_m2 is None:
-            raise UsageError(
-                "the ground size of a pixel is not known",
-                where=f"region {name!r}",
-                mend="give inner_pixels and outer_pixels in place of metres",
-            )
+            raise refusal("place.metres", f"region {name!r}")
         return ring_region(name, around, ring.inner_m, ring.outer_m, pixel_sides_m(self.cube.transform, self.area_m2))
 
     def _normalized_difference(self, rule: NormalizedDifference) -> Mask:
@@ -458,10 +448,8 @@ class _Site:
 def _above(name: str, what: str, of: str, regions: Mapping[str, Region]) -> Region:
     """The region that another one is made of."""
     if of not in regions:
-        raise UsageError(
-            f"{name!r} is {what} {of!r}, which is no region above it",
-            where="collection.regions",
-            expected=one_of(regions, "a region above it"),
+        raise refusal(
+            "place.above", "collection.regions", name=name, what=what, of=of, known=one_of(regions, "a region above it")
         )
     return regions[of]
 

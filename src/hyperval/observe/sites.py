@@ -21,7 +21,7 @@ from hyperval.collection import (
     PathRadiance,
     RadCalNetSource,
 )
-from hyperval.errors import InputError, UsageError, one_of
+from hyperval.errors import InputError, UsageError, one_of, refusal
 from hyperval.imagery import Cube
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.observe.open import Place, read_band_table
@@ -134,11 +134,7 @@ def path_estimate(source: PathRadiance, axis: SpectralAxis, resolve: Resolve) ->
     path = resolve(source.scenario)
     scenario = load_scenario(path)
     if scenario.atmosphere is None or scenario.uncertainty == Uncertainty():
-        raise UsageError(
-            f"path_radiance: the scenario states no {'atmosphere' if scenario.atmosphere is None else 'uncertainty'}",
-            where=str(path),
-            expected="an atmosphere, and the uncertainty of what its path radiance depends on",
-        )
+        raise refusal("path.states", str(path), lacking="atmosphere" if scenario.atmosphere is None else "uncertainty")
     black = Surface(name=BLACK, spectrum=SpectrumSource(constant=0.0))
     scene = scenario.scene.model_copy(update={"sites": [*scenario.scene.sites, black], "targets": []})
 
@@ -226,11 +222,14 @@ def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, cube: Cu
             bands |= full.any(axis=0)
         if count:
             first = int(np.argmax(bands))
-            raise UsageError(
-                f"panel {panel.region!r} is saturated in {count} of {lines.size} pixels "
-                f"(first: band {first + 1}, {cube.axis.centre_nm[first]:.4g} nm)",
-                where=WHERE,
-                mend="leave out the panel, those pixels of its region, or those bands (bad-band list)",
+            raise refusal(
+                "panel.saturated",
+                WHERE,
+                region=panel.region,
+                count=count,
+                size=lines.size,
+                band=first + 1,
+                centre_nm=cube.axis.centre_nm[first],
             )
 
 
@@ -393,18 +392,10 @@ def _in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str
     inside = centre[(centre >= at[0]) & (centre <= at[-1])]
     spacing = np.interp(centre, 0.5 * (at[1:] + at[:-1]), np.diff(at)) if at.size > 1 else np.inf
     if inside.size < len(axis) or np.any(spacing > 0.5 * axis.fwhm_nm):
-        raise InputError(
-            f"{at.size} wavelengths that are not those of the band table ({len(axis)} bands)",
-            where=read.source,
-            expected=f"the same bands to {SAME_BAND_NM:g} nm, or samples at most half a band width apart",
-        )
+        raise refusal("site.bands", read.source, size=at.size, count=len(axis), step=SAME_BAND_NM)
     mean = band_average(at, read.values, axis, outside="nan")
     if (lost := centre[~np.isfinite(mean)]).size:
-        raise InputError(
-            f"the spectrum does not cover {lost.size} bands, first {lost[0]:g} nm",
-            where=read.source,
-            expected=f"samples beyond both ends of the bands ({centre[0]:g} to {centre[-1]:g} nm)",
-        )
+        raise refusal("site.cover", read.source, size=lost.size, first=lost[0], low=centre[0], high=centre[-1])
     return mean, (f"{at.size} samples averaged over the {len(axis)} bands",)
 
 

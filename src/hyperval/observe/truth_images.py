@@ -21,7 +21,7 @@ from affine import Affine
 from scipy.special import ndtri
 
 from hyperval.collection import AbundanceTruth, BandRange, FinerTruth, RegionSource
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, refusal
 from hyperval.imagery import Cube, Raster, open_raster, raster_of_size
 from hyperval.imagery.drawing import outside_error
 from hyperval.imagery.regions import Region, patches
@@ -116,9 +116,7 @@ def finer_targets(
     error = truth.registration_pixels or 0.0
     if truth.registration_m is not None:
         if pixel_m is None:
-            raise UsageError(
-                "the ground size of a pixel is not known", where=str(path), mend="state targets.pixel_size_m"
-            )
+            raise refusal("finer.size", str(path))
         error = truth.registration_m / pixel_m
     shifts = registration_shifts(error)
     blur = truth.psf_fwhm_pixels
@@ -127,10 +125,7 @@ def finer_targets(
     for material, mask in _class_masks(truth, raster, str(path)):
         listed = list(islice(patches(mask, material, whole=truth.objects == "classes"), MAX_OBJECTS + 1))
         if len(listed) > MAX_OBJECTS:
-            raise InputError(
-                f"more than {MAX_OBJECTS} patches of {material!r}", where=str(path),
-                mend="filter single cells out of the finer map, or state objects: classes",
-            )  # fmt: skip
+            raise refusal("finer.patches", str(path), most=MAX_OBJECTS, material=material)
         for name, (rows, columns), inside in listed:
             there = FinerGrid(
                 grid.line + grid.line_step * rows.start, grid.sample + grid.sample_step * columns.start,
@@ -156,32 +151,16 @@ def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGri
         grid = FinerGrid(*truth.corner, step, step)
     else:
         if raster.transform is None or cube.transform is None:
-            raise UsageError(
-                "the finer image and the cube are not both on a map",
-                where=where,
-                mend="state corner: (line, sample of the cube where it begins) and times_finer:",
-            )
+            raise refusal("finer.map", where)
         if raster.crs is not None and cube.crs is not None and raster.crs != cube.crs:
-            raise InputError(
-                f"the finer image is in {raster.crs.to_string()[:60]}, the cube in {cube.crs.to_string()[:60]}",
-                where=where,
-                mend="warp it to the cube's system",
-            )
+            raise refusal("finer.crs", where, own=raster.crs.to_string()[:60], other=cube.crs.to_string()[:60])
         to_pixels: Affine = ~cube.transform @ raster.transform
         aslant = max(abs(to_pixels.b) * raster.lines, abs(to_pixels.d) * raster.samples)
         if aslant > _SQUARE_OFF or to_pixels.a <= 0 or to_pixels.e <= 0:
-            raise InputError(
-                "the finer image does not run along the lines and samples of the cube",
-                where=where,
-                mend="warp it to the cube's grid, some times finer (gdalwarp)",
-            )
+            raise refusal("finer.aslant", where)
         grid = FinerGrid(to_pixels.f, to_pixels.c, to_pixels.e, to_pixels.a)
     if max(grid.line_step, grid.sample_step) > 0.5:
-        raise InputError(
-            f"its cells are {grid.line_step:.3g} x {grid.sample_step:.3g} pixels of the cube",
-            where=where,
-            expected="at most half a pixel",
-        )
+        raise refusal("finer.cells", where, line_step=grid.line_step, sample_step=grid.sample_step)
     return grid
 
 
@@ -233,11 +212,7 @@ def object_of_fills(
     """A target by the fills (K, h, w) of a window: its pixels are those of which the mean reaches ``least``."""
     mask = fills.mean(axis=0) >= least
     if not mask.any():
-        raise InputError(
-            f"no pixel of {name!r} is filled by {least:g}",
-            where=where,
-            mend="state a lower least_fill, or take the target out",
-        )
+        raise refusal("truth.fill", where, name=name, least=least)
     (line, sample), part = cut_out(mask)
     kept = fills[:, line : line + part.shape[0], sample : sample + part.shape[1]].copy()
     attributes = {"material": material, "region": name}
@@ -306,12 +281,7 @@ def abundance_targets(
         band = _band(raster, wanted, path)
         fill = _values(raster, band)
         if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
-            raise InputError(
-                f"band {band + 1} holds {np.nanmin(fill):g} to {np.nanmax(fill):g}",
-                where=str(path),
-                expected="the part of each pixel that the material fills, 0 to 1",
-                mend="name a band of abundances; a band of material numbers makes regions (band, classes)",
-            )
+            raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
         fill = np.clip(fill, 0.0, 1.0)
         mask = fill >= truth.least_fill
         if not mask.any():

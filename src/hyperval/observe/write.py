@@ -15,7 +15,7 @@ import rasterio.shutil
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
-from hyperval.errors import UsageError
+from hyperval.errors import refusal
 from hyperval.imagery import Cube, EnviRaster, envi_writer
 from hyperval.pixels import EmpiricalLine
 from hyperval.progress import watch_lines
@@ -63,10 +63,7 @@ def write_reflectance(
     UsageError : no empirical line, or a cube that is no radiance.
     """
     if elm is None or cube.quantity != "radiance":
-        raise UsageError(
-            "a reflectance cube needs radiance and an empirical line",
-            mend="add collection.empirical_line with two panels",
-        )
+        raise refusal("reflectance.line")
     axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & elm.usable)
     what = f"reflectance by the empirical line through {', '.join(elm.names)}; stored value = {SCALE} x reflectance"
     path = folder / f"{name}.{'img' if form == 'envi' else 'tif'}"

@@ -22,7 +22,7 @@ from affine import Affine
 from rasterio import features
 from rasterio.crs import CRS
 
-from hyperval.errors import UsageError
+from hyperval.errors import refusal
 from hyperval.executors import in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
@@ -394,11 +394,7 @@ def _write_cube(
         radiance = chain.radiance(renderer.lit_reflectance(line))
         values, clipped = chain.stored(chain.measured(radiance, rng))
         if clipped:
-            raise UsageError(
-                f"{clipped} radiances of line {line} do not fit 16-bit integers",
-                where=scene.name,
-                mend="lower counts_per_radiance",
-            )
+            raise refusal("scene.radiance", scene.name, clipped=clipped, line=line)
         return values, chain.saturated(radiance)
 
     axis = inputs.sensor.axis
@@ -471,10 +467,14 @@ def _crs(scene: SceneFile) -> CRS:
 def _check_size(scene: SceneFile, bands: int) -> None:
     pixels = scene.lines * scene.samples
     if pixels > MAX_MAP_PIXELS or 2 * pixels * bands > MAX_CUBE_BYTES:
-        raise UsageError(
-            f"{scene.lines} lines x {scene.samples} samples x {bands} bands is too large",
-            where=scene.name,
-            expected=f"at most {MAX_MAP_PIXELS} pixels and {MAX_CUBE_BYTES >> 30} GiB",
+        raise refusal(
+            "scene.large",
+            scene.name,
+            lines=scene.lines,
+            samples=scene.samples,
+            bands=bands,
+            most=MAX_MAP_PIXELS,
+            gib=MAX_CUBE_BYTES >> 30,
         )
 
 

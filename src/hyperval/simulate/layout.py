@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal
 from hyperval.simulate import schema
 from hyperval.simulate.schema import SceneFile, TargetGroup
 
@@ -199,11 +199,7 @@ def lay_out(scene: SceneFile) -> GroundLayout:
         on_panel[slice(*area.lines), slice(*area.samples)] = True
     if np.any(class_map == bare):
         line, sample = (int(i) for i in np.argwhere(class_map == bare)[0])
-        raise UsageError(
-            f"line {line}, sample {sample} is covered by no class",
-            where=scene.name,
-            mend="let the first entry of 'layout' cover the whole image",
-        )
+        raise refusal("scene.bare", scene.name, line=line, sample=sample)
     planks = tuple(plank for number, group in enumerate(scene.targets) for plank in _place(scene, number, group))
     fill = np.zeros(class_map.shape, np.float32)
     for plank in planks:
@@ -219,11 +215,7 @@ def _place(scene: SceneFile, number: int, group: TargetGroup) -> list[Plank]:
     side = group.side_m / scene.gsd_m if group.side_m else side_for_fill(group.fill or 0.0, psf)
     step = group.spacing_pixels
     if side > 0.6 * step:
-        raise UsageError(
-            f"planks of {side * scene.gsd_m:.2f} m on a grid of {step} pixels see each other",
-            where=f"{scene.name}: target group {group.name}",
-            mend="raise spacing_pixels",
-        )
+        raise refusal("scene.planks", f"{scene.name}: target group {group.name}", side=side * scene.gsd_m, step=step)
     rows = np.arange(group.area.lines[0], group.area.lines[1] - step + 1, step) + step // 2
     columns = np.arange(group.area.samples[0], group.area.samples[1] - step + 1, step) + step // 2
     places = np.array([(r, c) for r in rows for c in columns])
@@ -256,10 +248,12 @@ def _add_fill(plank: Plank, host: int, class_map: npt.NDArray[np.uint8], total: 
     lines, samples, fill = touched(plank)
     inside = (lines >= 0) & (samples >= 0) & (lines < total.shape[0]) & (samples < total.shape[1])
     if not inside.all() or np.any(class_map[lines, samples] != host):
-        raise UsageError(
-            f"plank {plank.name} at line {plank.centre_line:.1f}, sample {plank.centre_sample:.1f} "
-            f"reaches beyond its host {plank.group.host!r}",
-            mend="move the area of the target group inside the class",
+        raise refusal(
+            "scene.host",
+            name=plank.name,
+            centre_line=plank.centre_line,
+            centre_sample=plank.centre_sample,
+            host=plank.group.host,
         )
     total[lines, samples] += fill.astype(np.float32)
 
