@@ -36,11 +36,11 @@ def stored(found) -> np.ndarray:
     return np.fromfile(found.cube, "<i2").reshape(60, 12, 48).transpose(0, 2, 1)
 
 
-def test_the_same_seed_gives_the_same_bytes_whatever_the_blocks(scene, inputs, tmp_path, monkeypatch):
+def test_the_same_seed_gives_the_same_bytes_whatever_the_workers(scene, inputs, tmp_path, monkeypatch):
     first = simulate(scene, tmp_path / "a", inputs=inputs)
-    again = simulate(scene, tmp_path / "b", inputs=inputs, lines_per_block=7)
+    again = simulate(scene, tmp_path / "b", inputs=inputs)
     monkeypatch.setattr("hyperval.simulate.collection.WORKERS", 1)
-    alone = simulate(scene, tmp_path / "c", inputs=inputs, lines_per_block=1000)
+    alone = simulate(scene, tmp_path / "c", inputs=inputs)
     for path in sorted(first.folder.iterdir()):
         for other in (again, alone):
             assert sha256_of(path) == sha256_of(other.folder / path.name), path.name

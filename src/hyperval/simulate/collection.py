@@ -189,29 +189,16 @@ def target_rows(scene: SceneFile, ground: GroundLayout) -> list[dict[str, Any]]:
     """
     rows = []
     for plank in ground.planks:
-        group = plank.group
+        group, side = plank.group, plank.side_pixels * scene.gsd_m
         lines, samples, fill = touched(plank)
         best = int(np.argmax(fill))
-        side = plank.side_pixels * scene.gsd_m
-        rows.append(
-            {
-                "name": plank.name,
-                "group": group.name,
-                "material": group.material,
-                "host": group.host,
-                "nominal_fill": "" if group.fill is None else group.fill,
-                "side_m": round(side, 6),
-                "area_m2": round(side**2, 6),
-                "line": round(plank.centre_line, 4),
-                "sample": round(plank.centre_sample, 4),
-                "phase": group.phase,
-                "heading_deg": round(plank.heading_deg, 3),
-                "best_line": int(lines[best]),
-                "best_sample": int(samples[best]),
-                "best_fill": round(float(fill[best]), 6),
-                "pixels": int(fill.size),
-            }
-        )
+        values = (
+            plank.name, group.name, group.material, group.host, "" if group.fill is None else group.fill,
+            round(side, 6), round(side**2, 6), round(plank.centre_line, 4), round(plank.centre_sample, 4), group.phase,
+            round(plank.heading_deg, 3), int(lines[best]), int(samples[best]), round(float(fill[best]), 6),
+            int(fill.size),
+        )  # fmt: skip
+        rows.append(dict(zip(TARGET_COLUMNS, values, strict=True)))
     return rows
 
 
@@ -256,7 +243,6 @@ def write_panel_spectra(path: Path, scene: SceneFile) -> None:
 Array = npt.NDArray[np.float64]
 T = TypeVar("T")
 
-LINES_PER_BLOCK = 16
 WORKERS = 2
 MAX_CUBE_BYTES = 64 << 30
 MAX_MAP_PIXELS = 1 << 26  # each pixel of the maps held in memory takes up to 40 bytes
@@ -303,12 +289,11 @@ def simulate(
     folder: Path,
     *,
     inputs: SimulationInputs | None = None,
-    lines_per_block: int = LINES_PER_BLOCK,
     show_progress: bool | None = None,
 ) -> SimulatedCollection:
     """Simulate a scene, or the scene file of that name, into an existing or new ``folder``.
 
-    The same scene gives the same bytes whatever the block size: every line has its own random streams.
+    The same scene gives the same bytes in whatever order lines are drawn: each has its own random streams.
 
     Raises
     ------
@@ -338,7 +323,7 @@ def simulate(
     }
     ends = {"cube": "rad", "class_map": "class", "fill_map": "fill"}
     files |= {part: folder / f"{scene.name}_{end}.img" for part, end in ends.items()}
-    saturated = _write_cube(files["cube"], scene, inputs, renderer, chain, lines_per_block, show_progress)
+    saturated = _write_cube(files["cube"], scene, inputs, renderer, chain, show_progress)
     write_regions(files["regions"], scene, masks)
     write_table(files["targets"], TARGET_COLUMNS, target_rows(scene, ground))
     write_panel_spectra(files["panel_spectra"], scene)
@@ -384,7 +369,6 @@ def _write_cube(
     inputs: SimulationInputs,
     renderer: SurfaceRenderer,
     chain: Detector,
-    lines_per_block: int,
     show: bool | None,
 ) -> float:
     """Write the cube; returns the share of samples beyond the detector's full scale."""
@@ -425,9 +409,9 @@ def _write_cube(
     ) as writer:
         lines = track(_in_order(stored, range(scene.lines)), "cube", scene.lines, show=show)
         saturated = 0
-        for block in _blocks(lines, lines_per_block):
-            writer.write(np.stack([values for values, _ in block]))
-            saturated += sum(count for _, count in block)
+        for values, count in lines:
+            writer.write(values[None])
+            saturated += count
     return saturated / (scene.lines * scene.samples * len(axis))
 
 
@@ -482,14 +466,3 @@ def _in_order(work: Callable[[int], T], items: Iterable[int]) -> Iterator[T]:
     """Results of ``work`` in the order of ``items``, a few ahead at a time so that memory stays bounded."""
     with single_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:  # the limit belongs to the process
         yield from in_order(pool, work, items, ahead=4 * WORKERS)
-
-
-def _blocks(items: Iterable[T], size: int) -> Iterator[list[T]]:
-    block: list[T] = []
-    for item in items:
-        block.append(item)
-        if len(block) == size:
-            yield block
-            block = []
-    if block:
-        yield block

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -82,75 +82,67 @@ _SMALLEST_VARIANCE = 1e-10  # of the mean variance of a band
 
 
 @dataclass(frozen=True)
-class MixtureSampler:
-    """Draws spectra of a class of clusters: each pixel from one of the ``parts``, by their ``weights`` (K,)."""
+class Sampler:
+    """Draws spectra of a class: of each pixel one of its laws, mean + z factor, z standard normal.
+
+    Attributes
+    ----------
+    weights : (K,) of the laws
+    mean : (K, B); factor : (K, R, B) with factor^T factor = covariance
+    dof : None, or draws are from multivariate t laws of the same means and covariances
+    """
 
     weights: npt.NDArray[np.float64]
-    parts: Sequence[Sampler]
-
-    @property
-    def mean(self) -> Array:
-        """(B,) of all together."""
-        return np.asarray(self.weights @ np.array([p.mean for p in self.parts]), np.float32)
-
-    def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """(count, B) spectra."""
-        which = rng.choice(self.weights.size, size=count, p=self.weights / self.weights.sum())
-        spectra = np.empty((count, self.parts[0].mean.size), np.float32)
-        for k, part in enumerate(self.parts):
-            here = which == k
-            spectra[here] = part.draw(int(np.count_nonzero(here)), rng)
-        return spectra
-
-
-@dataclass(frozen=True)
-class Sampler:
-    """Draws spectra mean + z ``factor``, z standard normal; ``factor`` (R, B) with factor^T factor = covariance."""
-
     mean: Array
     factor: Array
     dof: float | None = None
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """(count, B) spectra; with ``dof`` from a multivariate t of the same mean and covariance."""
-        z = rng.standard_normal((count, self.factor.shape[0]), dtype=np.float32)
+        """(count, B) spectra."""
+        if self.weights.size == 1:
+            return self._of_law(0, count, rng)
+        which = rng.choice(self.weights.size, size=count, p=self.weights / self.weights.sum())
+        spectra = np.empty((count, self.mean.shape[1]), np.float32)
+        for k in range(self.weights.size):
+            spectra[which == k] = self._of_law(k, int(np.count_nonzero(which == k)), rng)
+        return spectra
+
+    def _of_law(self, k: int, count: int, rng: np.random.Generator) -> Array:
+        z = rng.standard_normal((count, self.factor.shape[1]), dtype=np.float32)
         if self.dof is not None:
             # A t vector is a normal one over sqrt(chi2/nu); its covariance is nu/(nu - 2) times larger.
-            chi2 = rng.chisquare(self.dof, count)
-            z *= np.sqrt((self.dof - 2.0) / chi2)[:, None].astype(np.float32)
-        spectra: Array = z @ self.factor
-        spectra += self.mean
+            z *= np.sqrt((self.dof - 2.0) / rng.chisquare(self.dof, count))[:, None].astype(np.float32)
+        spectra: Array = z @ self.factor[k]
+        spectra += self.mean[k]
         return spectra
 
 
-def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler | MixtureSampler:
+def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler:
     """Sampler of a class, from the Cholesky factor of its covariance, or of those of its components.
 
     The factor is unique, so that the draws do not depend on the linear algebra library as eigenvectors of
     near-equal eigenvalues would.
     """
     parts = statistics.components
-    if parts is not None:
-        tails = dof if dof is not None else None if np.isinf(parts.dof) else parts.dof
-        own = [
-            replace(statistics, mean=statistics.mean + offset, covariance=c, tail_dof=tails, components=None)
-            for offset, c in zip(parts.offsets, parts.covariances, strict=True)
-        ]
-        return MixtureSampler(parts.weights, [_law_sampler(s, s.tail_dof) for s in own])
-    return _law_sampler(statistics, dof if dof is not None else statistics.tail_dof)
+    if parts is None:
+        weights, means, covariances = np.ones(1), statistics.mean[None], statistics.covariance[None]
+        tails = statistics.tail_dof
+    else:
+        weights, means, covariances = parts.weights, statistics.mean + parts.offsets, parts.covariances
+        tails = None if np.isinf(parts.dof) else parts.dof
+    factors = np.array([_factor(c) for c in covariances], np.float32)
+    return Sampler(weights, means.astype(np.float32), factors, tails if dof is None else dof)
 
 
-def _law_sampler(statistics: ClassStatistics, tails: float | None) -> Sampler:
-    covariance = statistics.covariance
+def _factor(covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(R, B) with factor^T factor = covariance (B, B)."""
     variance = float(np.trace(covariance)) / covariance.shape[0]
     try:
         # A covariance of less than full rank gains a spread that float32 draws hardly resolve.
-        lower = np.linalg.cholesky(covariance + _SMALLEST_VARIANCE * variance * np.eye(covariance.shape[0]))
-        factor = lower.T
+        return np.linalg.cholesky(covariance + _SMALLEST_VARIANCE * variance * np.eye(covariance.shape[0])).T
     except np.linalg.LinAlgError:  # semi-definite up to rounding
         values, vectors = np.linalg.eigh(covariance)
-        factor = np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T
-    return Sampler(statistics.mean.astype(np.float32), factor.astype(np.float32), tails)
+        return np.asarray(np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T)
 
 
 class SurfaceRenderer:
@@ -173,14 +165,14 @@ class SurfaceRenderer:
             sampler(classes[name], tails.dof if tails and name in (tails.surfaces or open_ground) else None)
             for name in covering
         ]
-        self.bands = int(self._samplers[0].mean.size)
+        self.bands = int(self._samplers[0].mean.shape[1])
         self._texture = texture_factor(scene)
         self._light = illumination(scene, ndimage.binary_dilation(ground.on_panel, iterations=3))
         self._shares = [admixture_share(scene, a, i) for i, a in enumerate(scene.broken.admixtures)]
         self.target_spectra = self._draw_targets({n: sampler(classes[n]) for n in {g.material for g in scene.targets}})
         self._seen_by = self._index_planks()
 
-    def _draw_targets(self, materials: Mapping[str, Sampler | MixtureSampler]) -> Array:
+    def _draw_targets(self, materials: Mapping[str, Sampler]) -> Array:
         spectra = np.zeros((len(self.ground.planks), self.bands), np.float32)
         at = 0
         for number, group in enumerate(self.scene.targets):
