@@ -11,8 +11,16 @@ from hyperval import cli
 from hyperval.attribute import InjectedError, injected_errors
 from hyperval.campaign import jobs_of, power_table, run_campaign
 from hyperval.errors import UsageError
-from hyperval.report.html import report_page
-from hyperval.report.run import Injected, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
+from hyperval.report import (
+    Injected,
+    PowerTable,
+    Sight,
+    accepted_table,
+    gate_values,
+    own_files,
+    report_page,
+    write_power_table,
+)
 from hyperval.results import Outcome, Result, Role
 
 BRIGHT, QUIET, TAILS = "sunlight x 1.05", "noise x 1.5", "tails left out"

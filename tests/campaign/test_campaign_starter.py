@@ -10,11 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from affine import Affine
+from rasterio.crs import CRS
 
 from hyperval import cli
 from hyperval.campaign import WRONG, dry_run, job_of, summary
 from hyperval.config import FILL_IN
+from hyperval.imagery import write_cube
 from hyperval.sensor import load_sensor
+from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 
 UNIT = "uW cm-2 sr-1 nm-1"
@@ -46,9 +50,7 @@ def test_a_radiance_collection_becomes_a_campaign_that_a_dry_run_calls_ready(sma
     assert summary(items) == ["new-one: ready"]
     campaign = job_of(folder / "campaign.yaml").campaign
     line = campaign.collection.empirical_line
-    assert line is not None
     assert [p.region for p in line.panels] == ["white-panel", "black-panel", "grey-panel-35"]
-    assert campaign.detection is not None
     assert campaign.detection.targets[0].material == "yellow-paint-plank"
     scene = campaign.scenarios[0].scene
     assert [(c.name, c.spectrum.measured) for c in scene.classes] == [("field", None), ("court", "court")]
@@ -84,9 +86,23 @@ def test_a_reflectance_image_with_scaled_integers_gets_its_scale(tmp_path, write
     assert cli.run(["init", "--cube", str(cube), "--spectra", str(tmp_path / "spectra"),
                     "--targets", str(tmp_path / "felt.csv"), "-o", str(tmp_path / "felt")]) == 0  # fmt: skip
     campaign = job_of(tmp_path / "felt" / "campaign.yaml").campaign
-    assert campaign.collection.cube is not None
     assert campaign.collection.cube.scale == 0.0001
     assert summary(dry_run([tmp_path / "felt" / "campaign.yaml"])) == ["felt: ready"]
+
+
+W = np.arange(450.0, 900.0, 10.0)
+
+
+def written(path: Path, stored: np.ndarray, *entries: str, bands: np.ndarray | None = W) -> Path:
+    """An ENVI image of stored numbers on a map, with further entries in its header."""
+    axis = None if bands is None else SpectralAxis(bands, np.full(bands.size, 10.0))
+    place = {"transform": Affine(1, 0, 275400, 0, -1, 4753700), "crs": CRS.from_epsg(32618)}
+    write_cube(path, stored, data_type=1 if bands is None else 2, axis=axis, **place)
+    header = path.with_suffix(".hdr")
+    own = ("data gain values", *(entry.partition(" =")[0] for entry in entries))
+    kept = [row for row in header.read_text().splitlines() if not row.startswith(own)]
+    header.write_text("\n".join([*kept, *entries]) + "\n")
+    return path
 
 
 @pytest.fixture
@@ -94,19 +110,10 @@ def write_reflectance():
     """Writes 20 x 20 pixels of reflectance times 10000, a felt spectrum and a list of one target."""
 
     def write(path: Path) -> Path:
-        rng = np.random.default_rng(3)
-        wavelengths = np.arange(450.0, 900.0, 10.0)
-        stored = rng.normal(3000.0, 200.0, (20, wavelengths.size, 20)).astype("<i2")
-        path.write_bytes(stored.tobytes())
-        path.with_suffix(".hdr").write_text(
-            "ENVI\nsamples = 20\nlines = 20\nbands = 45\nheader offset = 0\ndata type = 2\ninterleave = bil\n"
-            "byte order = 0\nwavelength units = nm\n"
-            "map info = {UTM, 1, 1, 275400, 4753700, 1, 1, 18, North, WGS-84}\n"
-            f"wavelength = {{{', '.join(map(str, wavelengths))}}}\n"
-        )
+        written(path, np.random.default_rng(3).normal(3000.0, 200.0, (20, 20, W.size)).round())
         (path.parent / "spectra").mkdir()
-        rows = "\n".join(f"{w} 0.5" for w in wavelengths)
-        (path.parent / "spectra" / "felt.txt").write_text(f"wavelength_nm reflectance\n{rows}\n")
+        np.savetxt(path.parent / "spectra" / "felt.txt", np.column_stack([W, 0 * W + 0.5]),
+                   header="wavelength_nm reflectance", comments="")  # fmt: skip
         (path.parent / "felt.csv").write_text("material,line,sample,side_m\nfelt,10.5,10.5,2\n")
         return path
 
@@ -116,7 +123,7 @@ def write_reflectance():
 @pytest.fixture
 def delivery(tmp_path):
     """A radiance line as others write it: lawn, court, flat panels, felts of two sizes where no class is drawn."""
-    rng, w = np.random.default_rng(5), np.arange(450.0, 900.0, 10.0)
+    rng, w = np.random.default_rng(5), W
     lawn, court, felt = 0.05 + 0.4 * (w > 700.0), 0.1 + 0.0002 * (w - 450.0), np.where(w < 600.0, 0.1, 0.6)
     image = np.where(np.arange(40)[None, :, None] < 20, lawn, court) * rng.normal(1.0, 0.05, (40, 40, 1))
     names = {
@@ -129,23 +136,13 @@ def delivery(tmp_path):
     felts = [(8, 5, 1.0), (14, 10, 0.5), (20, 5, 1.0), (26, 10, 0.5)]
     for line, sample, side in felts:
         image[line, sample] += side**2 * (felt - image[line, sample])
-    stored = np.round(1000.0 * (image * 10.0 + 1.0 + rng.normal(0.0, 0.02, image.shape))).astype("<i2")
-    (tmp_path / "line.img").write_bytes(stored.transpose(0, 2, 1).tobytes())
-    (tmp_path / "line.hdr").write_text(
-        "ENVI\nsamples = 40\nlines = 40\nbands = 45\nheader offset = 0\ndata type = 2\ninterleave = bil\n"
-        "byte order = 0\nwavelength units = nm\nreflectance scale factor = 1000\ndata units = microW/cm^2/nm/sr\n"
-        "map info = {UTM, 1, 1, 275400, 4753700, 1, 1, 18, North, WGS-84}\n"
-        f"wavelength = {{{', '.join(map(str, w))}}}\n"
-    )
-    classes = np.zeros((40, 40), np.uint8)
+    stored = np.round(1000.0 * (image * 10.0 + 1.0 + rng.normal(0.0, 0.02, image.shape)))
+    written(tmp_path / "line.img", stored, "reflectance scale factor = 1000", "data units = microW/cm^2/nm/sr")
+    classes = np.zeros((40, 40, 1), np.uint8)
     for number, part in enumerate(names.values(), 1):
         classes[part] = number
-    (tmp_path / "map.img").write_bytes(classes.tobytes())
-    (tmp_path / "map.hdr").write_text(
-        "ENVI\nsamples = 40\nlines = 40\nbands = 1\nheader offset = 0\nfile type = ENVI Classification\n"
-        "data type = 1\ninterleave = bsq\nbyte order = 0\nclasses = 5\n"
-        f"class names = {{none, {', '.join(names)}}}\n"
-    )
+    kinds = "file type = ENVI Classification", "classes = 5", f"class names = {{none, {', '.join(names)}}}"
+    written(tmp_path / "map.img", classes, *kinds, bands=None)
     table = np.column_stack([w, lawn, court, felt, 0.04 + 0 * w, 0.6 + 0 * w])
     head = "wavelength_nm,lawn,court,felt,black,white"
     np.savetxt(tmp_path / "field.csv", table, delimiter=",", header=head, comments="")
@@ -164,9 +161,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     assert [i for i in items if i.state == WRONG] == []
     campaign = job_of(tmp_path / "new" / "campaign.yaml").campaign
     cube, line, scene = campaign.collection.cube, campaign.collection.empirical_line, campaign.scenarios[0].scene
-    assert cube is not None
     assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
-    assert line is not None
     assert [p.region for p in line.panels] == ["black", "white"]  # by their flat spectra: no name says panel
     assert scene.targets[0].host == "lawn"  # no class is drawn around them: what is seen there is like the lawn
     subjects = {s.name: s.fill.geometry.side_m for s in scene.targets[0].subjects}
@@ -229,8 +224,7 @@ def test_spectra_go_with_names_only_where_one_alone_fits(tmp_path, write_reflect
     shape = {"type": "Polygon", "coordinates": [[[0, 0], [9, 0], [9, 9], [0, 9], [0, 0]]]}
     features = [{"type": "Feature", "properties": {"name": region}, "geometry": shape}]
     (tmp_path / "regions.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-    w = np.arange(450.0, 900.0, 10.0)
-    table = np.column_stack([w, *(0.2 + 0.0002 * w * (1 + i) for i in range(len(records)))])
+    table = np.column_stack([W, *(0.2 + 0.0002 * W * (1 + i) for i in range(len(records)))])
     head = ",".join(["wavelength_nm", *(f'"{name}"' for name in records)])
     np.savetxt(tmp_path / "field.csv", table, delimiter=",", header=head, comments="")
     assert cli.run(["init", "--cube", str(cube), "--regions", str(tmp_path / "regions.geojson"), "--spectra",

@@ -2,7 +2,16 @@
 
 from .html import MAX_BYTES, index_page, report_page, run_drawings
 from .outputs import write_index, write_outputs
-from .run import Injected, PowerTable, RunReport
+from .run import (
+    Injected,
+    PowerTable,
+    RunReport,
+    Sight,
+    accepted_table,
+    gate_values,
+    own_files,
+    write_power_table,
+)
 from .side_by_side import compare_runs
 from .verdict import first_screen, last_line, number_text
 
@@ -11,13 +20,18 @@ __all__ = [
     "Injected",
     "PowerTable",
     "RunReport",
+    "Sight",
+    "accepted_table",
     "compare_runs",
     "first_screen",
+    "gate_values",
     "index_page",
     "last_line",
     "number_text",
+    "own_files",
     "report_page",
     "run_drawings",
     "write_index",
     "write_outputs",
+    "write_power_table",
 ]
