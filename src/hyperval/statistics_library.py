@@ -31,7 +31,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from hyperval.data import MOST_COMPONENTS, ClassStatistics, Components
+from hyperval.data import MOST_COMPONENTS, ClassStatistics, Components, statistics_of
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
@@ -72,10 +72,8 @@ def statistics_of_samples(
     x = np.asarray(samples, dtype=float)
     if x.ndim != 2 or x.shape[0] < 2 or x.shape[1] != len(axis):
         raise UsageError(f"class {name!r}: samples of shape {x.shape}", expected=f"(2 or more, {len(axis)})")
-    mean = x.mean(axis=0)
-    centred = x - mean
-    covariance = centred.T @ centred / (x.shape[0] - 1)
-    return ClassStatistics(name, axis, mean, covariance, x.shape[0], source, tail_dof, components)
+    sample = statistics_of(x)
+    return ClassStatistics(name, axis, sample.mean, sample.covariance, sample.n, source, tail_dof, components)
 
 
 def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> None:

@@ -79,15 +79,6 @@ def test_error_of_the_spectrum_moves_a_whole_row():
     assert np.std(same.mean(axis=1)) < 1.5 * np.std(same) / np.sqrt(same.shape[1])
 
 
-def test_error_of_the_collected_reflectance_is_common_to_all_targets():
-    p = run("uncertainty: {collected_reflectance: {relative: 0.1}}\n", text=SCENE.replace("fixed: 0.1", "fixed: 1"))
-    one = p.object_scores["tenth", "cem"].values.mean(axis=1)
-    two = p.object_scores["beside", "cem"].values.mean(axis=1)
-    assert abs(np.corrcoef(one, two)[0, 1]) > 0.9
-    w, rho = filter_of(), builtin_class("yellow-paint-plank", AXIS).mean
-    assert one.std() == pytest.approx(0.1 * abs(float(w.weights @ rho)), rel=0.12)
-
-
 def test_a_neighbour_adds_its_part_of_the_pixels():
     alone = run(place="position_m: [0, 0],")
     apart = run(place="position_m: [0, 0],", there="position_m: [0, 40],")

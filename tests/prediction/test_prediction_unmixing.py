@@ -63,14 +63,6 @@ def test_a_truth_with_another_fill_or_material_is_unmixed_with_the_endmembers_as
     assert greener.area_m2 == pytest.approx(0.9 * 1.6, abs=0.01)
 
 
-def test_an_empty_pixel_is_biased_upwards():
-    # Half of the errors are cut off at 0: mean sd/sqrt(2 pi), 4 % known from 4000 draws.
-    area = predicted({"fixed": 0.0})
-    gain = DIRECTION / (DIRECTION @ DIRECTION)  # of the fill, as least squares between two spectra give it
-    sd = 4.0 * np.sqrt(gain @ SPREAD @ gain)
-    assert area.area_m2 == pytest.approx(sd / np.sqrt(2 * np.pi), rel=0.12)
-
-
 def test_an_empty_pixel_of_clusters_is_biased_by_each_of_them():
     # Two clusters along the target's direction, their mean that of the class: E[max(0, X)] of each, in closed form.
     ends, parts = np.array([-0.05, 0.45]), np.array([0.9, 0.1])

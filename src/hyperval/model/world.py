@@ -306,10 +306,8 @@ def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], a
     UsageError : with the field of the scenario.
     """
     scene = scenario.scene
-    for key, group in (
-        ("classes", scene.classes), ("panels", scene.panels), ("sites", scene.sites), ("targets", scene.targets)
-    ):  # fmt: skip
-        for i, surface in enumerate(group):
+    for key in ("classes", "panels", "sites", "targets"):
+        for i, surface in enumerate(getattr(scene, key)):
             if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed":
                 continue
             known = np.flatnonzero(np.isfinite(surfaces[surface.name].mean))
@@ -333,14 +331,7 @@ def surfaces_of(
     scene = scenario.scene
     surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
     refuse_gaps(scenario, surfaces, sources.axis)
-    signatures = {}
-    for t in scene.targets:
-        if t.filter_spectrum is not None:
-            signatures[t.name] = labelled.spectrum(t.filter_spectrum, t.name).mean
-        elif sources.axis is labelled.axis:
-            signatures[t.name] = surfaces[t.name].mean
-        else:
-            signatures[t.name] = labelled.spectrum(t.spectrum, t.name).mean
+    signatures = {t.name: labelled.spectrum(t.filter_spectrum or t.spectrum, t.name).mean for t in scene.targets}
     return surfaces, signatures
 
 
