@@ -65,33 +65,24 @@ def script() -> str:
 
 
 @functools.cache
-def script_hashes() -> str:
-    """The scripts of a page with figures as sources of its policy: these texts, and no other, may run."""
-    return " ".join(map(source_of, (*map(library, LIBRARY), script())))
-
-
-def source_of(text: str) -> str:
-    """A script as a source of a content security policy."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
-
-
-@functools.cache
 def page_script() -> str:
     """The script of every page: sorting and filtering of tables, links to evidence."""
     return (resources.files("hyperval.report") / "templates" / "page.js").read_text("utf-8")
 
 
 @functools.cache
-def page_script_hash() -> str:
-    """The script of every page as a source of its policy."""
-    return source_of(page_script())
+def page_hashes(figures: bool = True) -> str:
+    """The scripts of a page, with figures or without, as sources of its policy: these texts, and no other, may run."""
+    texts = (*map(library, LIBRARY), script(), page_script()) if figures else (page_script(),)
+    return " ".join(
+        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'" for text in texts
+    )
 
 
 LETTERS = {
     Outcome.AGREES: "M", Outcome.DISAGREES: "N", Outcome.ERROR: "E", Outcome.UNDECIDED: "I", Outcome.SKIPPED: "S",
     Outcome.NONE: "",
 }  # fmt: skip
-_MOST_OPEN_LINES = 6  # lines before the rest is folded
 
 
 @dataclass(frozen=True)
@@ -114,20 +105,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Lines of cells; ``open`` of them stand on the first screen."""
+    """Lines of cells: the name of each, where it links to, and a cell for each column."""
 
     columns: Sequence[str]
     lines: Sequence[tuple[str, str, Sequence[Cell]]]
-
-    @property
-    def shown(self) -> Sequence[tuple[str, str, Sequence[Cell]]]:
-        """Lines of the first screen."""
-        return self.lines[:_MOST_OPEN_LINES]
-
-    @property
-    def folded(self) -> Sequence[tuple[str, str, Sequence[Cell]]]:
-        """The other lines."""
-        return self.lines[_MOST_OPEN_LINES:]
 
 
 def anchor(row: Result) -> str:
@@ -153,24 +134,20 @@ def matrix_of(
     planned = [row for row in rows if row.planned]
     if not planned:
         return None
-    columns = [p for p in titles if any(row.product == p for row in planned)]
-    columns += [p for p in dict.fromkeys(row.product for row in planned) if p not in titles]
+    every = dict.fromkeys(row.product for row in planned)
+    columns = [*(p for p in titles if p in every), *(p for p in every if p not in titles)]
     groups: dict[str, list[Result]] = {}
     for row in planned:
         groups.setdefault(line_of(row), []).append(row)
 
     def rank(item: tuple[str, list[Result]]) -> tuple[bool, int]:
         gates = [row for row in item[1] if row.gates]
-        order = list(LETTERS).index(worst(gates or item[1]))
-        return not gates, {1: 0, 2: 0, 3: 1, 4: 2, 0: 3}.get(order, 4)
+        return not gates, WORST_FIRST.index(worst(gates or item[1]))
 
     lines = []
     for name, own in sorted(groups.items(), key=rank):
-        cells = []
-        for product in columns:
-            here = [row for row in own if row.product == product]
-            cells.append(_cell(here, link_of(name, here)))
-        lines.append((name, link_of(name, []), cells))
+        here = ([row for row in own if row.product == product] for product in columns)
+        lines.append((name, link_of(name, []), [_cell(rows, link_of(name, rows)) for rows in here]))
     return Matrix([titles.get(p, p) for p in columns], lines)
 
 
@@ -283,7 +260,6 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     embedded = _embedded(drawings, statements)
     shown = same_background_once(rows)
     sections = _sections(run, drawings, folded, embedded, shown)
-    tone, words = v.verdict(rows)
     compared = [row for row in shown if row.product not in _REASONS]
     matrices = []
     for title, kinds in _NUMBERS if run.sentence else _MATRICES:
@@ -297,8 +273,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         screen=screen,
         forest=forest,
         worst=worst,
-        tone=tone,
-        verdict=run.sentence or words,
+        verdict=run.sentence or screen.words,
         compares=bool(planned),
         power=run.power,
         gated=any(row.gates for row in rows),
@@ -357,7 +332,7 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
         own = [run for run in runs if not run.remedy and (run.simulated, run.computed) == kind]
         if not own:
             continue
-        rows = [row for run in own for row in run.table if row.product not in ("attribution", "what-if", "sensitivity")]
+        rows = [row for run in own for row in run.table if row.product not in _REASONS]
 
         def link(name: str, cell: Sequence[Result]) -> str:
             page = f"{folders[name]}/report.html"
@@ -367,12 +342,12 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
             (kind_title, matrix_of([r for r in rows if r.evidence in kinds], lambda r: r.campaign, link, _COMPARED))
             for kind_title, kinds in (_NUMBERS if own[0].sentence else _MATRICES)
         ]
-        entries = [(run, v.verdict(run.table), f"{folders[run.campaign]}/report.html") for run in own]
+        entries = [(run, v.first_screen(list(run.table)), f"{folders[run.campaign]}/report.html") for run in own]
         together = [row for run in own for row in run.table]
-        tone, words = v.verdict(together)
+        screen, sentence = v.first_screen(together), ""
         if own[0].sentence:
-            words = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
-        groups.append((heading, tone, words, [m for m in matrices if m[1] is not None], entries))
+            sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
+        groups.append((heading, screen, sentence, [m for m in matrices if m[1] is not None], entries))
     remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
     absent = [
         (remedy, [(run, f"{folders[run.campaign]}/report.html") for run in runs if run.remedy == remedy])
@@ -413,11 +388,6 @@ def environment() -> jinja2.Environment:
     return environment
 
 
-def page_hashes() -> str:
-    """The scripts of a page with figures as sources of its policy: these texts, and no other, may run."""
-    return f"{script_hashes()} {page_script_hash()}"
-
-
 def equivalence_margin(provenance: Mapping[str, Any]) -> float | None:
     """The margin that the campaign of a run states, as its provenance records it."""
     campaign = (provenance.get("configuration") or {}).get("campaign") or {}
@@ -433,7 +403,7 @@ def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **w
     statements = dict(drawn) if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn}
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
-        starter=script() if statements else "", script_hashes=page_hashes() if statements else page_script_hash(),
+        starter=script() if statements else "", script_hashes=page_hashes(bool(statements)),
         version=hyperval.__version__, generated=_generated(), most_listed=_MOST_LISTED, most_rows=_MOST_ROWS,
         page_script=page_script(),
     )  # fmt: skip
@@ -571,22 +541,21 @@ def _input(item: Mapping[str, Any]) -> dict[str, str]:
 
 def _facts(run: RunReport) -> list[tuple[str, str]]:
     """Everything in the provenance but the inputs, nested keys joined by dots."""
-    facts: list[tuple[str, str]] = []
-
-    def walk(prefix: str, value: Any) -> None:
-        if isinstance(value, Mapping):
-            for key, item in value.items():
-                walk(f"{prefix}.{key}" if prefix else str(key), item)
-        elif isinstance(value, list | tuple):
-            facts.append((prefix, ", ".join(str(item) for item in value)))
-        else:
-            facts.append((prefix, str(value)))
-
-    walk("", {key: value for key, value in run.provenance.items() if key != "inputs"})
+    facts = flat({key: value for key, value in run.provenance.items() if key != "inputs"})
     for name, side in (("predicted", run.prediction), ("observed", run.observation)):
-        if side is not None:
-            walk(name, side.provenance)
-    return facts
+        facts |= flat(side.provenance, name) if side is not None else {}
+    return list(facts.items())
+
+
+def flat(value: Any, at: str = "") -> dict[str, str]:
+    """What a record says as text, nested keys joined by dots; lists of records by their references."""
+    if isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
+        value = {
+            str(item.get("reference", n) if isinstance(item, Mapping) else n): item for n, item in enumerate(value)
+        }
+    if isinstance(value, Mapping):
+        return {k: text for key, item in value.items() for k, text in flat(item, f"{at}.{key}".strip(".")).items()}
+    return {at: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}
 
 
 def _all_notes(run: RunReport) -> list[str]:

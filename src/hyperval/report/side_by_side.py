@@ -15,7 +15,7 @@ from hyperval.figures.catalogue import first_figures
 from hyperval.figures.spec import Figure
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
-from hyperval.report.html import page
+from hyperval.report.html import flat, page
 from hyperval.results import WORST_FIRST, Cause, Outcome, Pair, Result, ResultTable, paired
 from hyperval.run import Run
 from hyperval.storage import whole_folder
@@ -108,18 +108,9 @@ def _names(a: Path, b: Path) -> tuple[str, str]:
 
 def provenance_differences(a: Run, b: Run) -> list[tuple[str, str, str]]:
     """Entries of the provenance that differ: key, in A, in B."""
-    left, right = _flat("", a.provenance), _flat("", b.provenance)
+    left, right = flat(a.provenance), flat(b.provenance)
     keys = dict.fromkeys([*left, *right])
     return [(k, left.get(k, "–"), right.get(k, "–")) for k in keys if left.get(k) != right.get(k)]
-
-
-def _flat(prefix: str, value: Any) -> dict[str, str]:
-    if isinstance(value, dict):
-        return {k: x for name, item in value.items() for k, x in _flat(f"{prefix}.{name}".strip("."), item).items()}
-    if isinstance(value, list):
-        named = [(str(i.get("reference", n)) if isinstance(i, dict) else str(n), i) for n, i in enumerate(value)]
-        return {k: x for name, item in named for k, x in _flat(f"{prefix}[{name}]", item).items()}
-    return {prefix: str(value)}
 
 
 def _charts(a: Run, b: Run) -> list[Figure]:

@@ -41,53 +41,21 @@ _VERBS = (
 
 
 def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
-    """What the criteria conclude together, and a few sentences: what is met, what is not, what is inconclusive.
-
-    Criteria that the model moves are counted apart from checks of the pipeline.  Informational comparisons that are
-    not met are named too, and turn nothing.  Where criteria are met and a full test or the
-    attribution rejects, a sentence says which to believe.
-    """
-    rows = list(rows)
-    gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
-    telling = [row for row in rows if disagrees_without_gating(row)]
-    overall = worst(gates)
-    model = [row for row in gates if row.evidence is Evidence.MODEL]
-    decided = any(row.outcome in (Outcome.AGREES, Outcome.DISAGREES) for row in gates)
-    if overall in (Outcome.ERROR, Outcome.DISAGREES):
-        words = ["Not met."]
-    elif not gates:
-        words = ["This campaign has no acceptance criteria."]
-        overall = Outcome.NONE
-    elif all(row.outcome is Outcome.SKIPPED for row in gates):
-        words, overall = ["Not run: no acceptance criterion was evaluated."], Outcome.SKIPPED
-    elif not decided:
-        words = ["Inconclusive."]
-        overall = Outcome.UNDECIDED
-    elif not any(row.outcome is Outcome.AGREES for row in model):
-        words, overall = ["Inconclusive: no criterion of the model was decided."], Outcome.UNDECIDED
-    elif overall is Outcome.AGREES:
-        words = ["Met."]
-    else:
-        words, overall = ["Met in part."], Outcome.UNDECIDED
-    words += [_counted([row for row in gates if row.evidence is kind], kind) for kind in _KINDS]
-    words.append(_never_met(gates))
-    if telling:
-        noun = "comparison is" if len(telling) == 1 else "comparisons are"
-        words.append(f"Besides, {len(telling)} informational {noun} not met ({_named(telling)}).")
-    words.append(_which_to_believe(rows))
-    unsure = sum(not row.gates and row.outcome is Outcome.UNDECIDED for row in rows)
-    if unsure:
-        words.append(f"{unsure} informational comparison{' is' if unsure == 1 else 's are'} inconclusive.")
-    return overall, " ".join(part for part in words if part)
+    """What the criteria conclude together, and a few sentences: what is met, what is not, what is inconclusive."""
+    screen = first_screen(list(rows))
+    return screen.outcome, screen.words
 
 
 @dataclass(frozen=True)
 class FirstScreen:
-    """What a page says first.
+    """What a page, a line of an index and the terminal say of a run.
 
     Attributes
     ----------
     outcome, head, lead : status in one word and in a sentence or two
+    words : all of it in sentences: criteria that the model moves apart from checks of the pipeline, each by what it
+        is about; informational comparisons that are not met are named too, and turn nothing; where criteria are met
+        and a full test or the attribution rejects, which to believe
     asides : what else a reader has to know before the figures
     products : what each is called, number of criteria by outcome, the same in words
     worst : the criterion that stands first, None without any
@@ -98,6 +66,7 @@ class FirstScreen:
     outcome: Outcome
     head: str
     lead: str
+    words: str
     asides: list[str]
     products: list[tuple[str, list[tuple[Outcome, int]], str]]
     worst: Result | None
@@ -105,50 +74,78 @@ class FirstScreen:
     steps: list[str]
 
 
+def status(gates: Sequence[Result]) -> tuple[Outcome, str, str]:
+    """The outcome of criteria and errors together, its word, and the sentence that begins with it."""
+    overall, made = worst(gates), {row.outcome for row in gates}
+    if overall in (Outcome.ERROR, Outcome.DISAGREES):
+        return overall, "Not met", "Not met."
+    if not gates:
+        return Outcome.NONE, "No acceptance criteria", "This campaign has no acceptance criteria."
+    if made == {Outcome.SKIPPED}:
+        return Outcome.SKIPPED, "Not run", "Not run: no acceptance criterion was evaluated."
+    if not any(row.outcome is Outcome.AGREES and row.evidence is Evidence.MODEL for row in gates):
+        apart = ": no criterion of the model was decided" if Outcome.AGREES in made else ""
+        return Outcome.UNDECIDED, "Inconclusive", f"Inconclusive{apart}."
+    return (overall, "Met", "Met.") if overall is Outcome.AGREES else (Outcome.UNDECIDED, "Met in part", "Met in part.")
+
+
 def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
-    """Status, worst criterion, reason and next steps of a run; ``power`` : what it could have found, in words."""
+    """What is said of the rows of a run; ``power`` : what its criteria could have found, in words."""
+    gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     model = [row for row in rows if row.gates and row.evidence is Evidence.MODEL]
+    checks = [row for row in rows if row.gates and row.evidence is Evidence.PIPELINE]
     told = ranked(criteria_of(rows))
     told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
-    worst = told[0] if told else None
-    outcome, _ = verdict(rows)
-    counts = Counter(row.outcome for row in model)
-    n, noun = len(model), "acceptance criterion" if len(model) == 1 else "acceptance criteria"
-    first = f"{product_words(worst.product)}, {row_label(worst)}, {effect_text(worst)}" if worst is not None else ""
-    failed = counts[Outcome.DISAGREES] + counts[Outcome.ERROR]
-    broken = [row for row in rows if row.outcome is Outcome.ERROR]
-    if failed or broken or outcome is Outcome.DISAGREES:
-        head, lead = (
-            "Not met",
-            f"{failed} of {n} {noun} {'is' if failed == 1 else 'are'} not met" + _others(counts) + ".",
-        )
-        if not failed:
-            pipeline = [row for row in rows if gate_fails(row)]
-            lead = f"{outcome_words(pipeline)}: {_named(pipeline)}. {n} {noun} of the model: {outcome_words(model)}."
-        lead += f" Worst: {first}." if failed and first else ""
-    elif not any(row.gates for row in rows):
-        outside = sum(row.outcome is Outcome.DISAGREES for row in rows)
-        head = "No acceptance criteria"
-        lead = f"Nothing here can pass or fail. {outside} informational comparisons are outside their range."
-    elif outcome is Outcome.SKIPPED or (n and counts[Outcome.SKIPPED] == n):
-        head, lead = "Not run", f"None of {n} {noun} was evaluated."
-    elif outcome is Outcome.AGREES:
-        head, lead = "Met", ("The acceptance criterion is met." if n == 1 else f"All {n} acceptance criteria are met.")
-        lead += f" Closest to its limit: {first}." if first else ""
-    else:
-        head = "Met in part" if counts[Outcome.AGREES] else "Inconclusive"
-        lead = f"{counts[Outcome.AGREES]} of {n} {noun} are met{_others(counts, Outcome.AGREES)}."
-        lead += f" Least certain: {first}." if first else ""
-    checks = [row for row in rows if row.gates and row.evidence is Evidence.PIPELINE]
-    asides = [power] if power else []
-    asides += [_never_met(model)] if any(row.never_met for row in model) else []
-    asides += [_which_to_believe(rows)]
+    first = told[0] if told else None
+    outcome, head, opening = status(gates)
+    asides = [power, _never_met(model), _which_to_believe(rows)]
     asides += [f"Checks of the processing alone: {outcome_words(checks)}."] if checks else []
     kinds = dict.fromkeys(row.product for row in told if row.gates)
     products = [_product(kind, [row for row in model if row.product == kind]) for kind in kinds]
-    reason = _reason(rows, worst.subject if worst else "all")
-    return FirstScreen(outcome, head, lead, [a for a in asides if a], products, worst, reason,
-                       _steps(rows, told, reason))  # fmt: skip
+    reason = _reason(rows, first.subject if first else "all")
+    return FirstScreen(
+        outcome, head, _lead(head, rows, model, first), _words(opening, gates, rows), list(filter(None, asides)),
+        products, first, reason, _steps(rows, told, reason),
+    )  # fmt: skip
+
+
+def _lead(head: str, rows: Sequence[Result], model: Sequence[Result], first: Result | None) -> str:
+    """ "2 of 17 acceptance criteria are not met; 5 inconclusive and 10 met. Worst: ..." """
+    counts, n, noun = Counter(row.outcome for row in model), len(model), _KINDS[Evidence.MODEL][len(model) != 1]
+    about = f"{product_words(first.product)}, {row_label(first)}, {effect_text(first)}" if first is not None else ""
+    failed = counts[Outcome.DISAGREES] + counts[Outcome.ERROR]
+    if head == "Not met" and not failed:
+        broken = [row for row in rows if gate_fails(row)]
+        return f"{outcome_words(broken)}: {_named(broken)}. {n} {noun} of the model: {outcome_words(model)}."
+    if head == "No acceptance criteria":
+        outside = sum(row.outcome is Outcome.DISAGREES for row in rows)
+        return f"Nothing here can pass or fail. {outside} informational comparisons are outside their range."
+    if head == "Not run" or (n and counts[Outcome.SKIPPED] == n):
+        return f"None of {n} {noun} was evaluated."
+    if head == "Met":
+        lead, ahead = "The acceptance criterion is met" if n == 1 else f"All {n} {noun} are met", "Closest to its limit"
+    elif failed:
+        lead, ahead = f"{failed} of {n} {noun} {'is' if failed == 1 else 'are'} not met{_others(counts)}", "Worst"
+    else:
+        lead, ahead = (
+            f"{counts[Outcome.AGREES]} of {n} {noun} are met{_others(counts, Outcome.AGREES)}",
+            "Least certain",
+        )
+    return f"{lead}. {ahead}: {about}." if about else f"{lead}."
+
+
+def _words(opening: str, gates: Sequence[Result], rows: Sequence[Result]) -> str:
+    telling = [row for row in rows if disagrees_without_gating(row)]
+    unsure = sum(not row.gates and row.outcome is Outcome.UNDECIDED for row in rows)
+    words = [opening, *(_counted([row for row in gates if row.evidence is kind], kind) for kind in _KINDS)]
+    words.append(_never_met(gates))
+    if telling:
+        noun = "comparison is" if len(telling) == 1 else "comparisons are"
+        words.append(f"Besides, {len(telling)} informational {noun} not met ({_named(telling)}).")
+    words.append(_which_to_believe(rows))
+    if unsure:
+        words.append(f"{unsure} informational comparison{' is' if unsure == 1 else 's are'} inconclusive.")
+    return " ".join(part for part in words if part)
 
 
 def _others(counts: Mapping[Outcome, int], but: Outcome = Outcome.DISAGREES) -> str:
