@@ -13,8 +13,7 @@ import pytest
 from hyperval import cli
 from hyperval.figures import campaigns_figure, criteria_figure
 from hyperval.metrics import Evidence, plain_words
-from hyperval.report import first_screen, last_line, number_text
-from hyperval.report.verdict import interval_text, limits_text, value_text, verdict
+from hyperval.report import first_screen, interval_text, last_line, limits_text, number_text, value_text
 from hyperval.results import Outcome, Result, Role
 
 A, D, U, S, E, N = (
@@ -25,6 +24,11 @@ WHAT = "mean level of the radiance"
 
 def row(outcome, subject="grass", role=Role.GATE, **more):
     return Result("c", "radiance", subject, "6S", "bias_ratio", 0.01, outcome=outcome, role=role, **more)
+
+
+def verdict(rows):
+    screen = first_screen(rows)
+    return screen.outcome, screen.words
 
 
 def informing(outcome, subject="grass"):
@@ -41,9 +45,9 @@ def informing(outcome, subject="grass"):
 )  # fmt: skip
 def test_status_and_words_follow_the_outcomes(outcomes, tone, head):
     rows = [row(o) for o in outcomes] + [informing(D)]
-    found, words = verdict(rows)
     screen = first_screen(rows)
-    assert (found, screen.outcome, screen.head) == (tone, tone, head)
+    words = screen.words
+    assert (screen.outcome, screen.head) == (tone, head)
     assert words.startswith(f"{head}." if head not in ("Not run", "No acceptance criteria") else (
         "Not run:", "This campaign has no acceptance criteria"))  # fmt: skip
     assert screen.steps

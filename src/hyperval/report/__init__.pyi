@@ -13,7 +13,7 @@ from .run import (
     write_power_table,
 )
 from .side_by_side import compare_runs
-from .verdict import first_screen, last_line, number_text
+from .verdict import first_screen, interval_text, last_line, limits_text, number_text, value_text
 
 __all__ = [
     "MAX_BYTES",
@@ -26,11 +26,14 @@ __all__ = [
     "first_screen",
     "gate_values",
     "index_page",
+    "interval_text",
     "last_line",
+    "limits_text",
     "number_text",
     "own_files",
     "report_page",
     "run_drawings",
+    "value_text",
     "write_index",
     "write_outputs",
     "write_power_table",
