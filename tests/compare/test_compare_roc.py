@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -208,35 +210,26 @@ def test_sd_ratio_interval_covers():
 
 def test_every_subject_of_either_side_has_rows():
     axis = SpectralAxis(np.arange(450.0, 900.0, 10.0), 10.0)
-    one = SpectralEstimate(np.ones(len(axis)), 1e-4 * np.eye(len(axis)))
+    one, model, measured = SpectralEstimate(np.ones(45), 1e-4 * np.eye(45)), model_curve(3.0), measured_curve(3.0)
     predicted = PredictedProducts(
         axis,
         radiance={"grass": one, "only model": one},
         reflectance={"grass": one},
-        roc={("t", "cem", "object"): model_curve(3.0)},
-        scores={("t", "cem"): ScoreDistribution(1, 0.1)},
-        abundance={("t", "cem"): Abundance(1.0, 0.1)},
+        roc={("t", "cem", "object"): model},
     )
     observed = ObservedProducts(
-        axis,
-        radiance={"grass": one, "only data": one},
-        snr={"grass": one},
-        roc={("t", "cem", "object"): measured_curve(3.0), ("t", "ace", "object"): measured_curve(3.0)},
-        scores={("t", "cem"): ScoreDistribution(1, 0.1, 20)},
-        abundance={("t", "cem"): Abundance(1.0, 0.1)},
-    )
+        axis, radiance={"grass": one, "only data": one}, snr={"grass": one},
+        roc={("t", "cem", "object"): measured, ("t", "ace", "object"): measured},
+    )  # fmt: skip
     rows = compare_products(predicted, observed)
-    skipped = {
-        (r.product, r.subject, r.method) for r in rows if r.outcome is Outcome.SKIPPED and r.metric == "comparison"
-    }
-    assert skipped == {
+    assert {(r.product, r.subject, r.method) for r in rows if r.metric == "comparison"} == {
         ("radiance", "only model", "model"),
         ("radiance", "only data", "model"),
         ("snr", "grass", "model"),
         ("reflectance", "grass", "model"),
         ("roc", "t", "ace/object"),
     }
-    assert {r.product for r in rows} == {"radiance", "snr", "reflectance", "scores", "roc", "abundance"}
+    assert {r.product for r in rows if r.outcome is Outcome.NONE} == {"radiance", "roc"}
     other = ObservedProducts(SpectralAxis(np.arange(451.0, 901.0, 10.0), 10.0))
     with pytest.raises(UsageError, match="not on the same spectral axis"):
         compare_products(predicted, other)
@@ -514,3 +507,8 @@ def test_the_area_of_a_curve_without_a_band_is_a_point():
     value, interval = predicted_area(bare, AREAS["partial_auc@0..1e-1"])
     assert interval == (value, value)
     assert 0.0 < value < 1.0
+
+
+def test_a_comparison_shows_both_sides_and_what_names_them():
+    shown = list(inspect.signature(compare_roc).parameters)
+    assert shown == ["predicted", "observed", "subject", "method", "pfa", "equivalence_margin"]

@@ -24,7 +24,7 @@ from hyperval.pixels import (
     sampling_band,
     statistics_of_covariance,
 )
-from hyperval.products import PixelDistribution, PredictedProducts, Products, SpectralEstimate
+from hyperval.products import PixelDistribution, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Result
 from hyperval.spectra.axis import SpectralAxis, in_window
 
@@ -90,8 +90,7 @@ def compare_covariance(predicted: Products, observed: Products, *, subject: str,
         return []
     rows = [*_eigenvalue_rows(make, sample), *_space_rows(make, sample)]
     law = observed.distribution.get(subject)
-    told = isinstance(predicted, PredictedProducts) and method == "radiance"
-    noise = predicted.noise.get(subject) if isinstance(predicted, PredictedProducts) and told else None
+    noise = getattr(predicted, "noise", {}).get(subject) if method == "radiance" else None  # a prediction's alone
     if noise and law is not None and (law.samples or 0) > 1:
         rows += _noise_rows(make, sample, noise, law.samples or 0)
     return [*rows, *_distance_rows(make, sample)]

@@ -190,9 +190,8 @@ def transforms_of_draws(draws: npt.ArrayLike) -> Array:
     middle = np.median(ordered)
     out = np.empty((1 + len(WIDTHS), ordered.size))
     for row, factor in zip(out, (1.0, *WIDTHS), strict=True):
-        row[order] = probability_integral_transform(
-            ordered if factor == 1.0 else middle + factor * (ordered - middle), ordered
-        )
+        moved = ordered if factor == 1.0 else middle + factor * (ordered - middle)
+        row[order] = probability_integral_transform(moved, ordered)
     return out.reshape(-1, *values.shape)
 
 
@@ -448,10 +447,8 @@ def _together_rows(
         if isinstance(found, Effect):
             yield make.row(metric, found.value, (found.lower, found.upper), n=n, reason=reason)
         elif found is not None:
-            detectable = found.detectable
-            yield make.row(
-                metric, found.p_value, n=n, detectable=detectable, reason=f"{reason}{lost}", about=found.effect
-            )
+            why = f"{reason}{lost}"
+            yield make.row(metric, found.p_value, n=n, detectable=found.detectable, reason=why, about=found.effect)
         elif metric == JOINT:
             why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
             yield from make.skipped(Cause.FEW_PIXELS, why, JOINT)

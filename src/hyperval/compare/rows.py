@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -100,10 +101,10 @@ class RowMaker:
         if isinstance(predicted, Valued) and isinstance(measured, Valued):
             interval = difference_interval(*predicted, *measured)
             return [*rows, self.row(names[2], predicted.value - measured.value, interval, n=n)]
-        lack = measured if isinstance(measured, Lack) else predicted
-        return rows + (
-            self.skipped(*lack, names[2]) if isinstance(lack, Lack) and None not in (predicted, measured) else []
-        )
+        if predicted is None or measured is None:
+            return rows
+        lack = next(side for side in (measured, predicted) if isinstance(side, Lack))
+        return rows + self.skipped(*lack, names[2])
 
 
 def comparison(product: str) -> Callable[[Callable[..., Iterator[Result]]], Callable[..., list[Result]]]:
@@ -125,6 +126,12 @@ def comparison(product: str) -> Callable[[Callable[..., Iterator[Result]]], Call
             cause = Cause.NO_PREDICTION if predicted is None else Cause.NO_OBSERVATION
             return make.skipped(cause, f"no {product} of {subject} in the {' and in the '.join(missing)}")
 
+        # What help shows: the two sides, then names; the maker of rows is made here.
+        own = inspect.signature(compare, follow_wrapped=False)
+        _, *sides = inspect.signature(rows).parameters.values()
+        options = [p.replace(kind=p.KEYWORD_ONLY) for p in sides[2:]]
+        shown = [*sides[:2], own.parameters["subject"], own.parameters["method"], *options]
+        setattr(compare, "__signature__", own.replace(parameters=shown))  # noqa: B010
         return compare
 
     return of

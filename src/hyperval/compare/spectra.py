@@ -688,7 +688,7 @@ def _consistency(
             *([known] if math.isfinite(full.covariance_dof) else []),
             *filter(None, [leading_source(predicted, observed, window)]),
         ))  # fmt: skip
-        for name, found, tilt, why in (
+        for name, test, tilt, why in (
             ("diagonal", chi_square_diagonal(r, cov), math.nan, ""),
             ("full", full, tilts[0], kept),
             ("shape", chi_square_shape(r, o, tested), tilts[1], ""),
@@ -697,10 +697,8 @@ def _consistency(
                 ratio, covariance = difference_ratio(p, o), difference_ratio_covariance(predicted, observed)[here]
                 bias, sd = _mean_ratio(ratio, covariance)
                 yield make.row("bias_ratio", bias, half=Z95 * sd, n=full.dof)
-            yield make.row(f"chi2_reduced_{name}", found.reduced, n=found.dof, reason=why)
-            yield make.row(
-                f"p_value_{name}", found.p_value, n=found.dof, detectable=tilt, reason=why, about=found.effect
-            )
+            yield make.row(f"chi2_reduced_{name}", test.reduced, n=test.dof, reason=why)
+            yield make.row(f"p_value_{name}", test.p_value, n=test.dof, detectable=tilt, reason=why, about=test.effect)
         inside, limits = share_inside(r, cov)
         yield make.row("fraction_inside_95", inside, limits, n=count)
     yield make.row("spectral_angle", spectral_angle_degrees(p, o), n=count)
