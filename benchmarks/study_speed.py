@@ -25,7 +25,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from predict_speed import TEXT
 
-from hyperval.atmosphere.terms import spaced
+from hyperval.atmosphere.between import spaced
 from hyperval.config import parse_yaml, validate
 from hyperval.executors import Parcel, in_order, parcel, workers
 from hyperval.model import Origins, evaluations, false_alarm_grid, predict, read, with_values

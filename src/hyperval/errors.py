@@ -80,12 +80,12 @@ def _refusals() -> dict[str, dict[str, Any]]:
 
 
 def refuse(
-    wrong: object, what: str, where: object, expected: str | None = None, mend: str | None = None,
+    wrong: object, what: str, where: object = None, expected: str | None = None, mend: str | None = None,
     kind: type[HypervalError] = InputError,
 ) -> None:  # fmt: skip
     """Raise ``kind``, an InputError by default, where something is wrong."""
     if wrong:
-        raise kind(what, where=str(where), expected=expected, mend=mend)
+        raise kind(what, where=None if where is None else str(where), expected=expected, mend=mend)
 
 
 def one_of(names: Iterable[str], otherwise: str = "a name") -> str:

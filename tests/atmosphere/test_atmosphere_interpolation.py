@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericTerms, interpolated_terms
-from hyperval.atmosphere.terms import smooth_rule, spaced
+from hyperval.atmosphere.between import smooth_rule, spaced
 from hyperval.errors import UsageError
 
 NM = np.array([500.0, 600.0, 700.0])

@@ -19,12 +19,12 @@ from hyperval.atmosphere import (
     AtmosphericTable,
     aot550_from_range,
     atmospheric_terms,
+    between,
     build_table,
     extraterrestrial_irradiance,
     fraction_below,
     read_channels,
     read_table,
-    table,
     terms_from_runs,
     write_table,
 )
@@ -118,7 +118,7 @@ TILT = np.linspace(0.5, 1.5, 7)  # of extinction over wavelength
 def single_scattering(tau, sensor=SENSOR):
     """Beer's law both ways, light scattered into the view, path in proportion to the haze below the sensor."""
     tau = np.asarray(tau, dtype=float)
-    d = table.depth_below(tau, GROUND, sensor)[..., None] * TILT
+    d = between.depth_below(tau, GROUND, sensor)[..., None] * TILT
     tau = tau[..., None] * TILT
     ground = 0.9 * np.exp(-0.3 * tau)
     direct = ground * 0.85 * np.exp(-1.1 * d)
@@ -131,11 +131,11 @@ def single_scattering(tau, sensor=SENSOR):
 @pytest.mark.parametrize("tau", [0.05, 0.07, 0.15, 0.6])
 @pytest.mark.parametrize("sensor", [1.0, SENSOR, 705.0])
 def test_single_scattering_is_met_exactly_between_two_amounts_of_aerosol(tau, sensor):
-    got = table.between_aerosols(NODES, single_scattering(NODES, sensor), tau, GROUND, sensor)
+    got = between.between_aerosols(NODES, single_scattering(NODES, sensor), tau, GROUND, sensor)
     for name, value in single_scattering(tau, sensor).items():
         np.testing.assert_allclose(got[name], value, rtol=1e-12, err_msg=name)
     dark = {name: v * (np.arange(7) != 3) for name, v in single_scattering(NODES, sensor).items()}
-    for value in table.between_aerosols(NODES, dark, tau, GROUND, sensor).values():  # bands without light stay dark
+    for value in between.between_aerosols(NODES, dark, tau, GROUND, sensor).values():  # bands without light stay dark
         assert value[3] == 0.0
         assert np.all(np.isfinite(value))
 
@@ -144,11 +144,11 @@ def test_depth_below_is_that_of_the_profile_and_the_whole_from_space():
     ranges = np.array([60.0, 23.0, 10.0])
     tau = [aot550_from_range(v, GROUND) for v in ranges]
     below = [aot550_from_range(v, GROUND, SENSOR) for v in ranges]
-    np.testing.assert_allclose(table.depth_below(tau, GROUND, SENSOR), below, rtol=1e-6)
-    np.testing.assert_allclose(table.depth_below(tau, GROUND, 705.0), tau, rtol=1e-9)
-    assert table.depth_below([0.0], GROUND, SENSOR) == 0.0
+    np.testing.assert_allclose(between.depth_below(tau, GROUND, SENSOR), below, rtol=1e-6)
+    np.testing.assert_allclose(between.depth_below(tau, GROUND, 705.0), tau, rtol=1e-9)
+    assert between.depth_below([0.0], GROUND, SENSOR) == 0.0
     # Clear air: nearly nothing below an aircraft, which a straight line over the whole depth does not know.
-    assert table.depth_below([0.05], GROUND, SENSOR)[0] < 0.2 * 0.05
+    assert between.depth_below([0.05], GROUND, SENSOR)[0] < 0.2 * 0.05
 
 
 @pytest.mark.parametrize(
@@ -161,9 +161,9 @@ def test_depth_below_is_that_of_the_profile_and_the_whole_from_space():
 )  # fmt: skip
 def test_error_of_the_path_is_none_at_nodes_and_grows_with_their_ratio(low, high, sensor, parts):
     nodes = np.array([low, high])
-    error = [table.path_error(nodes, t, GROUND, sensor) for t in np.linspace(low, high, 81)]
+    error = [between.path_error(nodes, t, GROUND, sensor) for t in np.linspace(low, high, 81)]
     assert error[0] == error[-1] == pytest.approx(0.0, abs=1e-12)
-    assert max(error) == pytest.approx(parts * table.PATH_ERROR, rel=1e-3)
+    assert max(error) == pytest.approx(parts * between.PATH_ERROR, rel=1e-3)
 
 
 def test_the_sun_of_the_state_lights_the_table():
@@ -330,7 +330,7 @@ def test_a_scenario_names_its_table_and_has_its_error_in_the_budget(tmp_path):
     np.testing.assert_allclose(found.radiance["grey"].mean, want, rtol=1e-12)
     # The state lies between two nodes, so that the path has an error by interpolation.
     part = found.provenance["atmosphere"]["interpolation_path_relative"]
-    assert 0.0 < part <= table.PATH_ERROR
+    assert 0.0 < part <= between.PATH_ERROR
     budget = found.radiance["grey"].budget["interpolation of the table"]
     np.testing.assert_allclose(budget, part * terms.path_radiance, rtol=1e-9)
     # A table that changes is read again.

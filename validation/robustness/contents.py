@@ -18,7 +18,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.atmosphere import RADIANCE_COLUMNS, AtmosphericTable, write_table
-from hyperval.atmosphere.table import QUANTITIES
+from hyperval.atmosphere.between import QUANTITIES
 from hyperval.imagery import write_cube
 from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.run import write_products

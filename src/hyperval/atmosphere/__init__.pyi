@@ -1,5 +1,6 @@
 """From the state of the atmosphere to the terms of equation 3.7."""
 
+from .between import AtmosphericTable, interpolated_terms
 from .engine import ENGINES, atmospheric_terms
 from .modtran import (
     RADIANCE_COLUMNS,
@@ -30,8 +31,8 @@ from .state import (
     range_from_aot550,
     standard_profile,
 )
-from .table import AtmosphericTable, build_table, read_table, write_table
-from .terms import AtmosphericTerms, interpolated_terms
+from .table import build_table, read_table, write_table
+from .terms import AtmosphericTerms
 
 __all__ = [
     "ENGINES", "RADIANCE_COLUMNS", "AerosolMix", "AtmosphericState", "AtmosphericTable", "AtmosphericTerms",

@@ -91,32 +91,18 @@ def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable
     An entry that cannot be read, belongs to other inputs or holds other content than was written counts as none.
     A cache that cannot be written (a read-only home) is no error: the result is computed every time.
     """
-    path = folder / kind / f"{cache_key(inputs)[:40]}.npz"
-    stored = _load(path, inputs)
-    if stored is not None:
-        return stored
-    arrays = compute()
-    try:
-        with whole_file(path) as temporary, open(temporary, "wb") as stream:
-            about = json.dumps(inputs, sort_keys=True)
-            np.savez(stream, inputs=np.array(about), content=np.array(content_digest(arrays)), **arrays)  # type: ignore[arg-type]
-    except OSError:
-        pass
-    return arrays
-
-
-def _load(path: Path, inputs: Mapping[str, Any]) -> Arrays | None:
+    path, about = folder / kind / f"{cache_key(inputs)[:40]}.npz", json.dumps(inputs, sort_keys=True)
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as entry:
-            if str(entry["inputs"]) != json.dumps(inputs, sort_keys=True):
-                return None
-            names = [name for name in entry.files if name not in ("inputs", "content")]
-            arrays = {name: np.asarray(entry[name], dtype=float) for name in names}
-            whole = str(entry["content"]) == content_digest(arrays)
-    except Exception:  # whatever a damaged archive raises: what it holds is computed again
-        return None
-    if not whole or not all(np.all(np.isfinite(a)) for a in arrays.values()):
-        return None
+            stored = {n: np.asarray(entry[n], dtype=float) for n in entry.files if n not in ("inputs", "content")}
+            whole = str(entry["inputs"]) == about and str(entry["content"]) == content_digest(stored)
+            if whole and all(np.all(np.isfinite(a)) for a in stored.values()):
+                return stored
+    except Exception:  # noqa: S110 - whatever a damaged archive raises: what it holds is computed again
+        pass
+    arrays = compute()
+    with contextlib.suppress(OSError), whole_file(path) as temporary, open(temporary, "wb") as written:
+        np.savez(written, inputs=np.array(about), content=np.array(content_digest(arrays)), **arrays)  # type: ignore[arg-type]
     return arrays
 
 

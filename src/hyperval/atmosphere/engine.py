@@ -11,26 +11,7 @@ from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.table import read_table
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import InputError
-
-Resolve = Callable[[str], Path]
-
-
-def _table_terms(state: AtmosphericState, resolve: Resolve) -> AtmosphericTerms:
-    assert state.table is not None  # noqa: S101 - the state's own check
-    try:
-        path = resolve(state.table)
-    except InputError as error:
-        if "a folder" not in error.what:
-            raise
-        raise InputError(
-            "is a folder",
-            where=state.table,
-            expected="a NetCDF file, or the run template of a folder of channel files",
-            mend=f"name the template: {state.table.rstrip('/')}/NAME.json",
-        ) from error
-    return read_table(path).terms(state)
-
+from hyperval.errors import InputError, refuse
 
 # State, cache folder and whether to draw progress: what computes the terms when they are asked for.
 ENGINES: dict[str, Callable[[AtmosphericState, Path, bool | None], AtmosphericTerms]] = {
@@ -44,7 +25,7 @@ def atmospheric_terms(
     *,
     cache_dir: Path | None = None,
     show_progress: bool | None = None,
-    resolve: Resolve | None = None,
+    resolve: Callable[[str], Path] | None = None,
 ) -> AtmosphericTerms:
     """The terms of equation 3.7 for one state, from the engine that the state names.
 
@@ -68,5 +49,10 @@ def atmospheric_terms(
     UsageError : a state outside the table, or that the engine cannot be told.
     """
     if state.engine == "table":
-        return _table_terms(state, resolve or Path)
+        try:
+            return read_table((resolve or Path)(str(state.table))).terms(state)
+        except InputError as error:
+            name, expected = str(state.table).rstrip("/"), "a NetCDF file, or the run template of channel files"
+            refuse("a folder" in error.what, "is a folder", name, expected, f"name the template: {name}/NAME.json")
+            raise
     return ENGINES[state.engine](state, cache_folder(cache_dir), show_progress)

@@ -34,7 +34,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
@@ -47,7 +47,7 @@ from hyperval.atmosphere import solar
 from hyperval.atmosphere.cache import Arrays, cached, run_program
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState, range_from_aot550
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import EngineError, InputError, UsageError, reader
+from hyperval.errors import EngineError, InputError, UsageError, reader, refuse
 from hyperval.paths import read_text
 from hyperval.progress import track
 from hyperval.storage import last_line, scratch_folder, sha256_of
@@ -149,34 +149,28 @@ def _tables(path: Path, layout: _Layout) -> list[_Table]:
         if not ends and not re.match(layout.heading, line):
             head.append(line)
         elif not ends:
-            if not layout.fits(line.split()):
-                names = " ".join(line.split()[:6])
-                raise InputError(f"unknown columns: {names} ...", where=where, expected=layout.what)
+            names = " ".join(line.split()[:6])
+            refuse(not layout.fits(line.split()), f"unknown columns: {names} ...", where, layout.what)
             # A name ends where its column ends, so that the widths of another release show in the heading.
             ends, heading = [m.end() for m in re.finditer(r"\S+", line)][: len(layout.names)], number
         elif not re.match(layout.end, line):
             rows.append(_row(line, ends, where, layout.blank))
-        elif not rows:
-            raise InputError("a table without rows", where=f"{path}:{heading}", expected=layout.what)
         else:
+            refuse(not rows, "a table without rows", f"{path}:{heading}", layout.what)
             tables.append(_Table(path, heading, head, dict(zip(layout.names, np.array(rows).T, strict=True))))
             ends, head, rows = [], [], []
-    if ends:
-        raise InputError("the table has no end", where=f"{path}:{heading}", expected="a last line -9999.")
-    if not tables:
-        raise InputError("no table", where=str(path), expected=layout.what)
-    if any(line.strip() for line in head):
-        where = f"{path}:{number - len(head) + 1}"
-        raise InputError("a case without a table", where=where, expected="a whole file", mend=_DAMAGED)
+    refuse(ends, "the table has no end", f"{path}:{heading}", "a last line -9999.")
+    refuse(not tables, "no table", path, layout.what)
+    left = any(line.strip() for line in head)
+    refuse(left, "a case without a table", f"{path}:{number - len(head) + 1}", "a whole file", _DAMAGED)
     return tables
 
 
 def _row(line: str, ends: list[int], where: str, blank: float | None) -> list[float]:
     """The numbers of one row, cut at the given column ends."""
-    if blank is None and len(line) < ends[-1]:
-        raise InputError(f"a line of {len(line)} characters", where=where, expected=f"{ends[-1]} or more")
-    if blank is not None and line[ends[-1] :].strip():
-        raise InputError(f"text beyond column {ends[-1]}", where=where, expected=f"{len(ends)} columns")
+    short, beyond = blank is None and len(line) < ends[-1], blank is not None and line[ends[-1] :].strip()
+    refuse(short, f"a line of {len(line)} characters", where, f"{ends[-1]} or more")
+    refuse(beyond, f"text beyond column {ends[-1]}", where, f"{len(ends)} columns")
     values = []
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
         text, place = line[start:end].strip(), f"in columns {start + 1}-{end}"
@@ -184,8 +178,7 @@ def _row(line: str, ends: list[int], where: str, blank: float | None) -> list[fl
             value = blank if blank is not None and not text else float(text)
         except ValueError as error:
             raise InputError(f"{text!r} {place}", where=where, expected="a number") from error
-        if text and not np.isfinite(value):
-            raise InputError(f"a value that is not finite {place}", where=where)
+        refuse(text and not np.isfinite(value), f"a value that is not finite {place}", where)
         values.append(value)
     return values
 
@@ -276,20 +269,15 @@ def read_channels(path: Path) -> list[ModtranRun]:
     tables = _tables(Path(path), _CHANNELS)
     sizes = [table.columns["channel"].size for table in tables]
     for table, size in zip(tables, sizes, strict=True):
-        if size != sizes[0]:
-            where, expected = f"{path}:{table.line + size}", f"{sizes[0]}, as in the first table"
-            raise InputError(f"a table of {size} channels", where=where, expected=expected, mend=_DAMAGED)
+        where, expected = f"{path}:{table.line + size}", f"{sizes[0]}, as in the first table"
+        refuse(size != sizes[0], f"a table of {size} channels", where, expected, _DAMAGED)
     return [_channel_run(table) for table in tables]
 
 
 def _channel_run(table: _Table) -> ModtranRun:
     t = table.columns
-    width, number, total, following = (
-        t["width in nm"],
-        t["channel"],
-        t["channel radiance"],
-        np.arange(1.0, t["A"].size + 1),
-    )
+    width, number, total = t["width in nm"], t["channel"], t["channel radiance"]
+    following = np.arange(1.0, number.size + 1)
     table.refuse(width <= 0.0, "equivalent width {:g} nm", width, expected="a positive width")
     table.refuse(number != following, "channel {:g}", number, following, expected="channel {1:g}, the next one")
     product = t["radiance per nm"] * width
@@ -339,14 +327,11 @@ def solve_coefficients(
     """
     rho, seen, scattered = list(albedos), np.asarray(ground, dtype=float), np.asarray(path, dtype=float)
     positive = {a for a in rho if a > 0.0}
-    if len(rho) != len(seen):
-        raise UsageError(f"{len(rho)} albedos for {len(seen)} runs")
-    if rho.count(0.0) != 1 or len(positive) < 2 or len(positive) != len(rho) - 1 or max(rho) > 1.0:
-        raise UsageError(
-            f"albedos {rho}",
-            expected="one run over black ground and two or more over different brighter ground, 0-1",
-            mend="hand in the albedos where the runs do not state them (nan)",
-        )
+    refuse(len(rho) != len(seen), f"{len(rho)} albedos for {len(seen)} runs", kind=UsageError)
+    few = rho.count(0.0) != 1 or len(positive) < 2 or len(positive) != len(rho) - 1 or max(rho) > 1.0
+    expected = "one run over black ground and two or more over different brighter ground, 0-1"
+    mend = "hand in the albedos where the runs do not state them (nan)"
+    refuse(few, f"albedos {rho}", None, expected, mend, UsageError)
     black, low, high = (rho.index(r) for r in (0.0, min(positive), max(rho)))
     lit = (seen[low] > 0.0) & (seen[high] > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -382,8 +367,8 @@ def terms_from_runs(runs: Sequence[ModtranRun], albedos: Sequence[float] | None 
     InputError : runs of different wavelengths.
     """
     for run in runs:
-        if not np.array_equal(run.wavelength_nm, runs[0].wavelength_nm):
-            raise InputError("other wavelengths than the first run", where=run.where)
+        unlike = not np.array_equal(run.wavelength_nm, runs[0].wavelength_nm)
+        refuse(unlike, "other wavelengths than the first run", run.where)
     stated = [round(run.albedo, 2) if run.printed else run.albedo for run in runs] if albedos is None else albedos
     rho, printed = [float(a) for a in stated], runs[0].printed
     found = solve_coefficients(
@@ -429,8 +414,7 @@ def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = N
     ------
     InputError, UsageError : as :func:`read_tape7`, :func:`read_channels` and :func:`terms_from_runs`.
     """
-    if not paths:
-        raise UsageError("no MODTRAN output named", expected="a .chn file, or one or more tape7 files")
+    refuse(not paths, "no MODTRAN output named", None, "a .chn file, or one or more tape7 files", kind=UsageError)
     read = [read_channels if Path(p).name.removesuffix(".gz").endswith(".chn") else read_tape7 for p in paths]
     return terms_from_runs([run for runs, path in zip(read, paths, strict=True) for run in runs(path)], albedos)
 
@@ -503,8 +487,8 @@ HAZES = {
 def _haze(state: AtmosphericState) -> tuple[int, str]:
     """IHAZE of the card and of the JSON input: none where there is no aerosol, since a range of 0 is a default."""
     kind = "a mix" if isinstance(state.aerosol, AerosolMix) else state.aerosol
-    if kind not in HAZES:
-        raise UsageError(f"aerosol: MODTRAN has no {kind}", expected="one of " + ", ".join(HAZES))
+    known = "one of " + ", ".join(HAZES)
+    refuse(kind not in HAZES, f"aerosol: MODTRAN has no {kind}", None, known, kind=UsageError)
     return HAZES[kind if state.aerosol_optical_depth > 0.0 else "none"]
 
 
@@ -544,8 +528,7 @@ def tape5(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, version: 
     ------
     UsageError : no run, an unknown version, or a state that MODTRAN cannot be told.
     """
-    if version not in (4, 5):
-        raise UsageError(f"no cards of MODTRAN {version}", expected="version 4 or 5")
+    refuse(version not in (4, 5), f"no cards of MODTRAN {version}", None, "version 4 or 5", kind=UsageError)
     lines: list[str] = []
     for number, albedo in enumerate(_checked(albedos), 1):
         lines += _cards(state, albedo, version)
@@ -554,8 +537,8 @@ def tape5(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, version: 
 
 
 def _checked(albedos: Sequence[float]) -> Sequence[float]:
-    if not albedos or not all(0.0 <= a <= 1.0 for a in albedos):
-        raise UsageError(f"runs over ground of {list(albedos)}", expected="one or more, of reflectance 0 to 1")
+    absurd, what = not albedos or not all(0.0 <= a <= 1.0 for a in albedos), f"runs over ground of {list(albedos)}"
+    refuse(absurd, what, None, "one or more, of reflectance 0 to 1", kind=UsageError)
     return albedos
 
 
@@ -634,8 +617,6 @@ def _json_case(state: AtmosphericState, albedo: float, number: int, name: str) -
 
 _WHAT = "MODTRAN 6 JSON input"
 _MAX_BYTES = 16 << 20
-_MODELS = {name: state for state, (_, name) in MODELS.items()}
-_HAZES = {name: state for state, (_, name) in HAZES.items()}
 _NADIR_DEG = 0.5  # a line of sight this close to the vertical is one
 _COMMON_YEAR = 2018  # the input has a day of the year and no year
 
@@ -654,12 +635,11 @@ def read_modtran_json(path: Path) -> list[dict[str, Any]]:
         raise InputError(f"not JSON: {error.msg}", where=f"{path}:{error.lineno}") from error
     except RecursionError as error:
         raise InputError("not JSON: nested too deeply", where=str(path)) from error
-    cases = document.get("MODTRAN") if isinstance(document, dict) else None
-    if not isinstance(cases, list) or not cases:
-        raise InputError("no list MODTRAN", where=str(path), expected=_WHAT)
+    cases: Any = document.get("MODTRAN") if isinstance(document, dict) else None
+    refuse(not isinstance(cases, list) or not cases, "no list MODTRAN", path, _WHAT)
     for number, case in enumerate(cases):
-        if not isinstance(case, dict) or not isinstance(case.get("MODTRANINPUT"), dict):
-            raise InputError("no MODTRANINPUT", where=f"{path}, case {number}", expected=_WHAT)
+        stated = isinstance(case, dict) and isinstance(case.get("MODTRANINPUT"), dict)
+        refuse(not stated, "no MODTRANINPUT", f"{path}, case {number}", _WHAT)
     return [case["MODTRANINPUT"] for case in cases]
 
 
@@ -674,24 +654,25 @@ def stated_fields(inputs: dict[str, Any], where: str) -> dict[str, Any]:
     InputError : a value of the wrong kind.
     """
     try:
-        sections = [inputs.get(name, {}) for name in ("ATMOSPHERE", "AEROSOLS", "GEOMETRY", "SURFACE")]
-        atmosphere, aerosols, geometry, surface = sections
+        atmosphere, aerosols, geometry, surface = (
+            inputs.get(name, {}) for name in ("ATMOSPHERE", "AEROSOLS", "GEOMETRY", "SURFACE")
+        )
         fields: dict[str, Any] = _sun(geometry)
-        if atmosphere.get("MODEL") in _MODELS:
-            fields["model"] = _MODELS[atmosphere["MODEL"]]
-        if str(atmosphere.get("H2OUNIT", "")).lower() == "g":
-            fields["water_vapour_g_cm2"] = float(atmosphere["H2OSTR"])
-        if str(atmosphere.get("O3UNIT", "")).lower() == "a":
-            fields["ozone_atm_cm"] = float(atmosphere["O3STR"])
-        if aerosols.get("IHAZE") in _HAZES:
-            fields["aerosol"] = _HAZES[aerosols["IHAZE"]]
+        for name, section, key, words in (
+            ("model", atmosphere, "MODEL", MODELS), ("aerosol", aerosols, "IHAZE", HAZES),
+        ):  # fmt: skip
+            known = {word: state for state, (_, word) in words.items()}
+            if section.get(key) in known:
+                fields[name] = known[section[key]]
+        for name, section, key, unit in (
+            ("water_vapour_g_cm2", atmosphere, "H2OSTR", "g"), ("ozone_atm_cm", atmosphere, "O3STR", "a"),
+            ("ground_altitude_km", surface, "GNDALT", ""), ("sensor_altitude_km", geometry, "H1ALT", ""),
+        ):  # fmt: skip
+            if str(section.get(key.replace("STR", "UNIT"), "")).lower() == unit if unit else key in section:
+                fields[name] = float(section[key])
         amount = float(aerosols.get("VIS", 0.0))
         if amount != 0.0 and fields.get("aerosol") != "none":
             fields |= {"aot550": -amount} if amount < 0.0 else {"meteorological_range_km": amount}
-        if "GNDALT" in surface:
-            fields["ground_altitude_km"] = float(surface["GNDALT"])
-        if "H1ALT" in geometry:
-            fields["sensor_altitude_km"] = float(geometry["H1ALT"])
         if 90.0 - abs(float(geometry.get("OBSZEN", 180.0)) - 90.0) <= _NADIR_DEG:
             fields["view_zenith_deg"] = 0.0
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -726,7 +707,6 @@ def _sun(geometry: dict[str, Any]) -> dict[str, Any]:
 EXECUTABLE, VERSION, DATA = "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
 TIMEOUT_S = 3600.0
 _NAME = "hyperval"
-_NAMES = [f.name for f in fields(AtmosphericTerms) if f.name not in ("provenance", "solar_lines")]
 _HOW = f"set {EXECUTABLE} to your MODTRAN executable (and {VERSION} to 4, 5 or 6), or choose engine: sixs or table"
 _SCHEME = 1  # raise when the numbers in the cache change their meaning
 
@@ -747,20 +727,16 @@ def configured_modtran() -> Modtran:
     ------
     EngineError : none is named, it cannot be executed, or the version is unknown; the message says how to mend it.
     """
-    named = os.environ.get(EXECUTABLE, "").strip()
-    if not named:
-        raise EngineError("no MODTRAN is configured", expected=f"{EXECUTABLE} in the environment", mend=_HOW)
-    program = shutil.which(named)
-    if program is None:
-        raise EngineError("not an executable file", where=f"{EXECUTABLE}={named}", mend=_HOW)
-    version = os.environ.get(VERSION, "6").strip()
-    if version not in ("4", "5", "6"):
-        raise EngineError(f"{VERSION}={version}", expected="4, 5 or 6", mend=_HOW)
-    executable = Path(program).resolve()
+    named, version = os.environ.get(EXECUTABLE, "").strip(), os.environ.get(VERSION, "6").strip()
     data = os.environ.get(DATA, "").strip()
+    refuse(not named, "no MODTRAN is configured", None, f"{EXECUTABLE} in the environment", _HOW, EngineError)
+    program = shutil.which(named)
+    refuse(program is None, "not an executable file", f"{EXECUTABLE}={named}", mend=_HOW, kind=EngineError)
+    refuse(version not in ("4", "5", "6"), f"{VERSION}={version}", None, "4, 5 or 6", _HOW, EngineError)
+    executable = Path(str(program)).resolve()
     folder = Path(data) if data else executable.parent / "DATA"
-    if data and not folder.is_dir():
-        raise EngineError("not a folder", where=f"{DATA}={data}", expected="the DATA folder of MODTRAN")
+    absent, expected = data and not folder.is_dir(), "the DATA folder of MODTRAN"
+    refuse(absent, "not a folder", f"{DATA}={data}", expected, kind=EngineError)
     return Modtran(executable, int(version), folder.resolve() if folder.is_dir() else None)
 
 
@@ -781,14 +757,12 @@ def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TI
     (folder / "".join(arguments or ["tape5"])).write_text(deck, encoding="ascii")
     done = run_program([where, *arguments], "MODTRAN", _HOW, timeout_s=timeout_s, folder=folder)
     said = last_line(done.stderr or done.stdout)
-    if done.returncode != 0:
-        what, mend = f"ended with code {done.returncode}", "run it by itself to see that licence and data are in place"
-        raise EngineError(f"MODTRAN {what}: {said}", where=where, mend=mend)
-    for name in candidates:
-        if (folder / name).is_file():
-            return folder / name
+    mend, code = "run it by itself to see that licence and data are in place", done.returncode
+    refuse(code != 0, f"MODTRAN ended with code {code}: {said}", where, mend=mend, kind=EngineError)
+    left = [folder / name for name in candidates if (folder / name).is_file()]
     mend = f"check that {VERSION} is right (now {modtran.version}) and that MODTRAN runs by itself"
-    raise EngineError(f"MODTRAN left none of {', '.join(candidates)}: {said}", where=where, mend=mend)
+    refuse(not left, f"MODTRAN left none of {', '.join(candidates)}: {said}", where, mend=mend, kind=EngineError)
+    return left[0]
 
 
 def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | None = None) -> AtmosphericTerms:
@@ -811,23 +785,17 @@ def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | N
             for _ in track([0], f"MODTRAN {modtran.version}", total=1, show=show_progress):
                 output = run_modtran(deck, modtran, Path(scratch))
             terms = read_modtran_runs([output], ALBEDOS)
-        values = {name: getattr(terms, name) for name in _NAMES if getattr(terms, name) is not None}
+        values = {"wavelength_nm": terms.wavelength_nm, **terms.spectra()}
+        values |= {} if terms.fwhm_nm is None else {"fwhm_nm": terms.fwhm_nm}
         # The cache takes no NaN: irradiance that cannot be told is stored as -1.
         return {name: np.nan_to_num(array, nan=-1.0) for name, array in values.items()}
 
     values: dict[str, Any] = dict(cached(folder, "modtran", inputs, compute))
     irradiance = values.pop("ground_irradiance")
-    return AtmosphericTerms(
-        **values,
-        ground_irradiance=np.where(irradiance < 0.0, np.nan, irradiance),
-        provenance={
-            "engine": f"MODTRAN {modtran.version}",
-            "executable_sha256": binary,
-            "albedos": list(ALBEDOS),
-            **_OF_THE_RUNS,
-            "state": state.model_dump(mode="json"),
-        },
-    )
+    of_it = {"engine": f"MODTRAN {modtran.version}", "executable_sha256": binary, "albedos": list(ALBEDOS)}
+    provenance = {**of_it, **_OF_THE_RUNS, "state": state.model_dump(mode="json")}
+    irradiance = np.where(irradiance < 0.0, np.nan, irradiance)
+    return AtmosphericTerms(**values, ground_irradiance=irradiance, provenance=provenance)
 
 
 @lru_cache(maxsize=4)

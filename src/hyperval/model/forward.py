@@ -199,7 +199,7 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
 def interpolation_input(world: World) -> list[UncertainInput]:
     """Error of the path radiance by interpolation between the nodes of a table; none without one.
 
-    Its size is :func:`hyperval.atmosphere.table.path_error`; it is smooth over wavelength.
+    Its size is :func:`hyperval.atmosphere.between.path_error`; it is smooth over wavelength.
     """
     if world.stated.scenario.atmosphere is None:
         return []

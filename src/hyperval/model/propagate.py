@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.atmosphere.terms import interpolated_terms
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, interpolated_terms
 from hyperval.model.detection import Evaluation, RocKey, class_scores
 from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions

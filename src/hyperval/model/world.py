@@ -26,8 +26,9 @@ import numpy.typing as npt
 
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
+from hyperval.atmosphere.between import InterpolatedTerms, interpolated_terms, stacked_values
 from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST_KM
-from hyperval.atmosphere.terms import AtmosphericTerms, InterpolatedTerms, interpolated_terms, stacked_values
+from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import ClassStatistics
 from hyperval.errors import InputError, UsageError
 from hyperval.model.fill import (

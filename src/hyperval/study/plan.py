@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize.elementwise import find_root
 
-from hyperval.atmosphere.terms import spaced
+from hyperval.atmosphere.between import spaced
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.model import Origins, World, read, reads_again

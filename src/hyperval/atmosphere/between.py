@@ -1,0 +1,513 @@
+"""Between states: the one place where anything of the atmosphere is interpolated.
+
+Tables, studies, Monte Carlo and the transport of a coarse table differ in where their nodes stand and in how a
+quantity runs along an input; what they have in common is here.  A :class:`Rule` says how it runs, on which scale of
+the input and of the quantity it is nearly a polynomial:
+
+    optical depth goes like 1/range, absorption like the root of the column (square-root regime of a band model),
+    the way of the sun's light like the secant of its zenith angle; terms that are transmittances or have them as
+    factors are taken as logarithms (Beer), the spherical albedo and the share of sky light as they are.
+
+Linear rules and splines are linear in the values at the nodes, so that many states are one product of matrices:
+``value(x) = sum_k w_k(x) value_k`` with weights that sum to 1.
+
+A table holds what does not depend on the strength of the sun, at the resolution of its engine; F = mu0 E0 / pi:
+
+    path = L_a / F, direct = A / F, adjacency = B / F, S, ground = E_ground / (pi F), gas: two-way
+    transmittance, and diffuse: the sky's part of E_ground, where the engine tells it
+
+Interpolated are these products, before any band is averaged: altitudes by monotone cubic; angles by cubic
+spline; water logarithms of the transmittances, linear in the square root of the column; ozone likewise, linear in
+the column; aerosol (a range as depth) along two optical depths, since the sun comes through all of it, tau, and the
+view passes what lies below the sensor, d.  The rule of MODTRAN's profile (:mod:`hyperval.atmosphere.state`) ties d to
+tau, and not as a straight line: under an aircraft d is nearly nothing up to tau = 0.05 and grows with tau above it.  So
+
+    ground G             straight in ln G over tau        (Beer's law for the way of the sun)
+    direct A             straight in ln(A/G) over d       (Beer's law for the view)
+    both, A + B          straight in (A + B)/G over d     (scattering moves light from A to B, loses little)
+    path                 straight over d                  (single scattering; its limit is the Rayleigh path)
+    S, gas, diffuse      straight over tau
+
+At a sensor above the atmosphere d is tau.  What was measured with the embedded engine:
+validation/atmosphere/README.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.atmosphere import solar
+from hyperval.atmosphere.state import (
+    OZONE_G_CM2_PER_ATM_CM,
+    SPACE_KM,
+    AtmosphericState,
+    column_g_cm2,
+    fraction_below,
+    standard_profile,
+)
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.errors import UsageError, refuse
+from hyperval.units import PLAUSIBLE_NM
+
+Array = npt.NDArray[np.float64]
+
+Columns = Mapping[str, npt.NDArray[Any]]
+# Terms that are no transmittances.
+AS_THEY_ARE = ("spherical_albedo", "diffuse_fraction", "diffuse", "path_uncertainty")
+_AT_MOST_ONE = ("gas_transmittance", "diffuse_fraction")
+_LEAST = 1e-30  # below it a logarithm says nothing
+
+
+def _same(x: Array) -> Array:
+    return x
+
+
+def _secant(degrees: Array) -> Array:
+    return np.asarray(1.0 / np.cos(np.deg2rad(degrees)))
+
+
+def _of_secant(secant: Array) -> Array:
+    return np.asarray(np.rad2deg(np.arccos(1.0 / secant)))
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How a quantity runs along an input.
+
+    Attributes
+    ----------
+    method : linear between the two nodes beside, a cubic spline (a parabola through three nodes), or monotone cubic
+        (Fritsch & Carlson, SIAM J. Numer. Anal. 17, 1980)
+    scale : of the input, monotone
+    back : from the scale to the input
+    logarithm : whether the logarithm of the quantity is interpolated
+    """
+
+    method: Literal["linear", "cubic", "monotone"]
+    scale: Callable[[Array], Array] = _same
+    back: Callable[[Array], Array] = _same
+    logarithm: bool = False
+
+
+# Cubic rules by field of the state, on its scale; any other field is its own scale.
+_SCALES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
+    "meteorological_range_km": (np.reciprocal, np.reciprocal),
+    "water_vapour_g_cm2": (np.sqrt, np.square),
+    "sensor_altitude_km": (np.log, np.exp),
+    "solar_zenith_deg": (_secant, _of_secant),
+}
+
+
+def smooth_rule(name: str) -> Rule:
+    """The rule of a field of the state that is run at a few nodes, for terms on bands."""
+    return Rule("cubic", *_SCALES.get(name, (_same, _same)))
+
+
+def spaced(name: str, low: float, high: float, count: int) -> Array:
+    """``count`` nodes from ``low`` to ``high``, evenly in the scale in which the input is interpolated."""
+    if name == "solar_zenith_deg":  # the secant runs away at a low sun: even angles leave fewer of them there
+        return np.linspace(low, high, count)
+    rule = smooth_rule(name)
+    ends = rule.scale(np.array([low, high]))
+    nodes = np.asarray(rule.back(np.linspace(ends[0], ends[1], count)))
+    nodes[[0, -1]] = low, high
+    return nodes
+
+
+def node_weights(nodes: Array, x: npt.ArrayLike, rule: Rule) -> Array:
+    """Weight (n, K) of each node (K,) at the points ``x`` (n,) by a rule that is linear in the values.
+
+    They sum to 1 at each point.  Beyond the nodes the outermost piece goes on.
+    """
+    at, points = rule.scale(np.asarray(nodes, float)), rule.scale(np.atleast_1d(np.asarray(x, float)))
+    order = np.argsort(at)
+    weights = np.zeros((points.size, at.size))
+    if rule.method == "linear":
+        i = np.clip(np.searchsorted(at[order], points) - 1, 0, at.size - 2)
+        low, high = order[i], order[i + 1]
+        w = (points - at[low]) / (at[high] - at[low])
+        rows = np.arange(points.size)
+        weights[rows, low], weights[rows, high] = 1.0 - w, w
+    elif rule.method == "cubic":
+        from scipy.interpolate import CubicSpline  # a quarter of a second, which terms of one state do not need
+
+        weights[:, order] = CubicSpline(at[order], np.eye(at.size))(points)
+    else:
+        raise ValueError(f"a {rule.method} rule has no weights")
+    return weights
+
+
+def along(nodes: Array, values: Array, x: float, rule: Rule) -> Array:
+    """Values (K, ...) of one quantity at ``x`` along their first dimension."""
+    ordinates = np.log(np.maximum(values, _LEAST)) if rule.logarithm else values
+    if rule.method == "monotone":
+        from scipy.interpolate import PchipInterpolator
+
+        between = np.asarray(PchipInterpolator(rule.scale(nodes), ordinates, axis=0)(rule.scale(np.asarray(x))))
+    else:
+        between = np.tensordot(node_weights(nodes, x, rule)[0], ordinates, axes=1)
+    return _lit(np.exp(between)) if rule.logarithm else between
+
+
+def _lit(values: Array) -> Array:
+    """0 where the logarithm was that of nothing."""
+    return np.where(values > 2.0 * _LEAST, values, 0.0)
+
+
+def inside(name: str, nodes: Array, x: npt.ArrayLike) -> Array:
+    """The points (n,), moved onto the ends where they miss them by rounding.
+
+    Raises
+    ------
+    UsageError : one of them lies outside: a table is never extrapolated.
+    """
+    points = np.asarray(x, dtype=float)
+    low, high = float(np.min(nodes)), float(np.max(nodes))
+    slack = 1e-6 * max(abs(high), 1e-6)
+    within = np.all((points >= low - slack) & (points <= high + slack))
+    span = f"{points.min():g}" if points.size == 1 else f"{points.min():g} to {points.max():g}"
+    mend = "change the state, or compute a larger table: a table is never extrapolated"
+    refuse(not within, f"{name} {span} lies outside the table", None, f"{low:g} to {high:g}", mend, UsageError)
+    return np.asarray(np.clip(points, low, high))
+
+
+@dataclass(frozen=True)
+class InterpolatedTerms:
+    """Atmospheric terms on bands between runs of an engine.
+
+    Attributes
+    ----------
+    axes : input -> nodes.  On a grid they are all combined, the last input fastest; on a star each input moves
+        alone from its first node, and changes of several inputs add up
+    values : term -> (runs, B), of transmittances the logarithm; on a star the run at all first nodes, then the other
+        nodes input by input
+    pattern : gives what is not interpolated
+    star : whether the runs are a star
+    bounded : whether a state outside the nodes is refused
+    """
+
+    axes: Mapping[str, Array]
+    values: Mapping[str, Array]
+    pattern: AtmosphericTerms
+    star: bool = False
+    bounded: bool = True
+
+    def __call__(self, columns: Columns) -> AtmosphericTerms:
+        """Terms (n, B) at the values (n,) of each input.
+
+        Raises
+        ------
+        UsageError : a value outside the nodes of a bounded table.
+        """
+        parts = []
+        for name, nodes in self.axes.items():
+            x = np.atleast_1d(np.asarray(columns[name], dtype=float))
+            x = inside(f"atmosphere.{name}", nodes, x) if self.bounded else x
+            parts.append(node_weights(nodes, x, smooth_rule(name)))
+        joint = _star(parts) if self.star else reduce(_crossed, parts)
+        terms: dict[str, Any] = {name: joint @ values for name, values in self.values.items()}
+        terms |= {name: _lit(np.exp(x)) for name, x in terms.items() if name not in AS_THEY_ARE}
+        return replace(self.pattern, **terms | {n: np.minimum(terms[n], 1.0) for n in _AT_MOST_ONE if n in terms})
+
+
+def _crossed(a: Array, b: Array) -> Array:
+    return (a[:, :, None] * b[:, None, :]).reshape(a.shape[0], -1)
+
+
+def _star(parts: Sequence[Array]) -> Array:
+    """Weights of the runs of a star: the middle has what the others leave of 1."""
+    rest = [w[:, 1:] for w in parts]
+    middle = 1.0 - np.sum([w.sum(axis=1) for w in rest], axis=0)
+    return np.concatenate([middle[:, None], *rest], axis=1)
+
+
+def interpolated_terms(
+    axes: Mapping[str, Array], runs: Sequence[AtmosphericTerms], *, star: bool = False, bounded: bool = True
+) -> InterpolatedTerms:
+    """Interpolation between ``runs`` of an engine at the nodes of a grid or a star (see :class:`InterpolatedTerms`)."""
+    values = stacked_values(runs)
+    values |= {name: np.log(np.maximum(v, _LEAST)) for name, v in values.items() if name not in AS_THEY_ARE}
+    return InterpolatedTerms(axes, values, runs[0], star, bounded)
+
+
+def stacked_values(runs: Sequence[AtmosphericTerms]) -> dict[str, Array]:
+    """Term -> (runs, B), for every term that the engine gives."""
+    return {name: np.stack([getattr(t, name) for t in runs]) for name in runs[0].spectra()}
+
+
+_LEAST_TERM = 1e-12  # of a term of which a logarithm or a ratio is taken [1]
+# rms error of the path [1] halfway between two nodes a factor of four apart; it grows with the logarithm of it.
+PATH_ERROR, AT_RATIO = 0.02, 4.0
+
+
+def depth_below(aot550: npt.ArrayLike, ground_km: float, sensor_km: float) -> Array:
+    """Aerosol optical depth at 550 nm between ground and sensor, for depths of the whole atmosphere (k,)."""
+    depths = np.asarray(aot550, dtype=float)
+    shares = [fraction_below(float(t), ground_km, min(sensor_km, 100.0)) if t > 0 else 0.0 for t in depths.ravel()]
+    return np.asarray(depths * np.reshape(shares, depths.shape))
+
+
+def between_aerosols(
+    nodes: Array, values: Mapping[str, Array], aot550: float, ground_km: float, sensor_km: float
+) -> dict[str, Array]:
+    """All quantities of a table (k, ...) at one aerosol depth between its nodes (k,), by the rules above.
+
+    Where there is no light at the ground, direct and adjacency are straight over tau.
+    """
+    i = int(np.clip(np.searchsorted(nodes, aot550) - 1, 0, nodes.size - 2))
+    tau = nodes[i : i + 2]
+    below = depth_below([tau[0], aot550, tau[1]], ground_km, sensor_km)
+    v = float((aot550 - tau[0]) / (tau[1] - tau[0]))
+    w = float((below[1] - below[0]) / (below[2] - below[0])) if below[2] > below[0] else v
+    low, high = ({name: array[i + k] for name, array in values.items()} for k in (0, 1))
+    between = {name: _straight(low[name], high[name], v) for name in values}
+    between["path"] = _straight(low["path"], high["path"], w)
+    lit = (low["ground"] > _LEAST_TERM) & (high["ground"] > _LEAST_TERM)
+    lit &= (low["direct"] > _LEAST_TERM) & (high["direct"] > _LEAST_TERM)
+    g = [np.where(lit, part["ground"], 1.0) for part in (low, high)]
+    a = [np.where(lit, part["direct"], 1.0) / x for part, x in zip((low, high), g, strict=True)]
+    both = [(p["direct"] + p["adjacency"]) / x for p, x in zip((low, high), g, strict=True)]
+    ground = np.exp(_straight(np.log(g[0]), np.log(g[1]), v))
+    direct = ground * np.exp(_straight(np.log(a[0]), np.log(a[1]), w))
+    adjacency = np.maximum(ground * _straight(both[0], both[1], w) - direct, 0.0)
+    for name, value in (("ground", ground), ("direct", direct), ("adjacency", adjacency)):
+        between[name] = np.where(lit, value, between[name])
+    return between
+
+
+def path_error(nodes: Array, aot550: float, ground_km: float, sensor_km: float) -> float:
+    """Relative standard uncertainty of the path by this interpolation [1]; 0 at a node.
+
+    2 sqrt(w (1 - w)) PATH_ERROR ln r / ln 4 with w the place between the nodes over d and r the ratio of their
+    depths: shape and size were fitted to what the embedded engine shows between its nodes
+    (validation/atmosphere/README.md).
+    """
+    i = int(np.clip(np.searchsorted(nodes, aot550) - 1, 0, nodes.size - 2))
+    low, here, high = depth_below([nodes[i], aot550, nodes[i + 1]], ground_km, sensor_km)
+    if not high > low:
+        return 0.0
+    w = float(np.clip((here - low) / (high - low), 0.0, 1.0))
+    ratio = float(nodes[i + 1] / max(nodes[i], 0.01))  # less haze than 0.01 is none
+    return float(2.0 * np.sqrt(w * (1.0 - w)) * PATH_ERROR * np.log(ratio) / np.log(AT_RATIO))
+
+
+def _straight(a: Array, b: Array, w: float) -> Array:
+    return np.asarray(a + w * (b - a))
+
+
+QUANTITIES = ("path", "direct", "adjacency", "spherical_albedo", "ground", "gas")
+OPTIONAL = ("diffuse",)
+AEROSOL_RULE = None  # all quantities together
+_MONOTONE, _CUBIC, _STRAIGHT = Rule("monotone"), Rule("cubic"), Rule("linear")
+# Rule of each axis, and by how much a state may miss a value that the table holds only once.
+AXES: dict[str, tuple[Rule | None, float]] = {
+    "aot550": (AEROSOL_RULE, 1e-3),
+    "water_vapour_g_cm2": (Rule("linear", np.sqrt, np.square, logarithm=True), 5e-3),
+    "ozone_atm_cm": (Rule("linear", logarithm=True), 2e-3),
+    "ground_altitude_km": (_MONOTONE, 0.02),
+    "sensor_altitude_km": (_MONOTONE, 0.02),
+    "solar_zenith_deg": (_CUBIC, 0.3),
+    "view_zenith_deg": (_CUBIC, 0.5),
+    "relative_azimuth_deg": (_CUBIC, 5.0),
+}
+# Values that a table can be computed for only as a whole.
+NAMED = ("model", "aerosol")
+_LEAST_WIDTH_NM = 1e-3
+_SUN = (1e-9, 1e3)  # [uW cm-2 nm-1] at 1 au: its lines reach 250, and 1e-7 is left at 0.1 mm
+_RHO = 0.3  # ground over which the error is stated
+_LEAST_GAS = 0.1  # and the two-way gas transmittance above which
+
+
+@dataclass(frozen=True)
+class AtmosphericTable:
+    """Atmospheric terms over a grid of states.
+
+    Attributes
+    ----------
+    wavelength_nm : (n,) [nm]
+    axes : name -> nodes, increasing; their order is that of the leading dimensions
+    fixed : fields of the state that all nodes share
+    quantities : path, direct, adjacency, spherical_albedo, ground, gas and perhaps diffuse: (*nodes, n) each [1]
+    solar_irradiance : (n,) at 1 au [uW cm-2 nm-1]; None: the state chooses the solar spectrum
+    fwhm_nm : (n,) widths of the channels that the values are averages over; None: samples
+    source : engine and version, files
+    errors : axis -> worst and rms error of the total radiance when a node is left out [1]; None: not estimated yet
+    """
+
+    wavelength_nm: Array
+    axes: dict[str, Array]
+    fixed: dict[str, Any]
+    quantities: dict[str, Array]
+    solar_irradiance: Array | None = None
+    fwhm_nm: Array | None = None
+    source: dict[str, Any] = field(default_factory=dict)
+    errors: dict[str, dict[str, float] | None] | None = None
+
+    def __post_init__(self) -> None:
+        nm, shape = self.wavelength_nm, (*(nodes.size for nodes in self.axes.values()), self.wavelength_nm.size)
+        for name, nodes in self.axes.items():
+            _wrong(name not in AXES, f"no axis {name!r}", "one of " + ", ".join(AXES))
+            rising = nodes.ndim == 1 and nodes.size > 1 and np.all(np.diff(nodes) > 0) and np.all(np.isfinite(nodes))
+            _wrong(not rising, f"the nodes of {name} are {nodes.tolist()}", "two or more, increasing")
+        falling = nm.size < 2 or np.any(np.diff(nm) <= 0)
+        _wrong(falling, "the wavelengths do not increase", "increasing wavelengths [nm]")
+        for name in (*QUANTITIES, *(n for n in OPTIONAL if n in self.quantities)):
+            _wrong(name not in self.quantities, f"{name} is missing", f"shape {shape}")
+            values = self.quantities[name]
+            _wrong(values.shape != shape, f"{name} is of shape {values.shape}", f"shape {shape}")
+            absurd = not np.all(np.isfinite(values)) or np.any(values < 0.0)
+            _wrong(absurd, f"{name} has values that are negative or not finite", "finite values from 0")
+        _wrong(np.any(self.quantities["spherical_albedo"] >= 1.0), "spherical_albedo reaches 1", "below 1")
+        limits: dict[str, tuple[float, Any]] = {
+            "wavelength_nm": PLAUSIBLE_NM,
+            "fwhm_nm": (_LEAST_WIDTH_NM, nm),
+            "solar_irradiance": _SUN,
+        }
+        for name, (least, most) in limits.items():
+            values = getattr(self, name)
+            if values is not None:
+                _wrong(values.shape != nm.shape, f"{name} is of shape {values.shape}", f"shape {nm.shape}")
+                beyond, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
+                at = int(np.argmax(beyond))
+                what, expected = f"{name} is {values[at]:g} at {nm[at]:g} nm", f"{least:g} to {high[at]:g}"
+                _wrong(beyond.any(), what, expected)
+
+    def terms(self, state: AtmosphericState) -> AtmosphericTerms:
+        """The terms of a state inside the table.
+
+        Raises
+        ------
+        UsageError : a value outside the axes, or other than the one the table was computed for.
+        """
+        at = coordinates(state)
+        self._check_fixed(state, at)
+        values, left = dict(self.quantities), list(self.axes)
+        # Aerosol last: its rule needs the altitudes, which may be axes themselves.
+        for name in sorted(self.axes, key="aot550".__eq__):
+            x, number = float(inside(name, self.axes[name], at[name])), left.index(name)
+            values = _along(self.axes[name], {q: np.moveaxis(v, number, 0) for q, v in values.items()}, x, name, at)
+            left.remove(name)
+        path_relative = 0.0
+        if "aot550" in self.axes:
+            places = at["ground_altitude_km"], at["sensor_altitude_km"]
+            path_relative = path_error(self.axes["aot550"], at["aot550"], *places)
+        irradiance = self.solar_irradiance
+        if irradiance is None:
+            irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, self.wavelength_nm, 1.0)
+        unit = np.cos(np.deg2rad(state.sun[0])) * irradiance / state.distance_au**2 / np.pi
+        lines = None
+        if self.solar_irradiance is None and self.fwhm_nm is None:
+            lines = solar.lines_between(state.solar_spectrum, self.wavelength_nm)
+        return AtmosphericTerms(
+            wavelength_nm=self.wavelength_nm.copy(),
+            path_radiance=unit * values["path"],
+            direct=unit * values["direct"],
+            adjacency=unit * values["adjacency"],
+            spherical_albedo=values["spherical_albedo"],
+            ground_irradiance=np.where(values["ground"] > 0.0, np.pi * unit * values["ground"], np.nan),
+            gas_transmittance=values["gas"],
+            provenance={
+                "engine": "table",
+                "source": self.source,
+                "solar_spectrum": "of the table" if self.solar_irradiance is not None else state.solar_spectrum,
+                "axes": {name: [float(v) for v in nodes] for name, nodes in self.axes.items()},
+                "interpolation_path_relative": path_relative,
+                "leave_one_out_error": self.errors if self.errors is not None else leave_one_out(self),
+                "state": state.model_dump(mode="json"),
+            },
+            fwhm_nm=self.fwhm_nm,
+            diffuse_fraction=values.get("diffuse"),
+            diffuser_radiance=unit,
+            solar_lines=lines,
+            path_uncertainty=path_relative * unit * values["path"],
+        )
+
+    def _check_fixed(self, state: AtmosphericState, at: Mapping[str, float]) -> None:
+        stated = state.model_dump(mode="json")
+        for name, value in self.fixed.items():
+            if name in NAMED:
+                given = stated[name]
+                wrong = given != value and not (name == "aerosol" and at["aot550"] == 0.0)
+            else:  # at nadir every azimuth is the same
+                given = at.get(name)
+                free = given is None or (name == "relative_azimuth_deg" and at["view_zenith_deg"] == 0.0)
+                wrong = not free and abs(float(value) - at[name]) > AXES[name][1]
+            what, mend = f"{name} is {given!r}, and the table was computed for {value!r}", "compute a table for it"
+            refuse(wrong, what, None, f"{name}: {value!r}", f"change the state, or {mend}", UsageError)
+
+
+def coordinates(state: AtmosphericState) -> dict[str, float]:
+    """Where a state lies on every axis that a table can have."""
+    profile = standard_profile(state.model)
+    water, ozone = state.water_vapour_g_cm2, state.ozone_atm_cm
+    if water is None:
+        water = column_g_cm2(profile, profile.water_g_m3, state.ground_altitude_km)
+    if ozone is None:
+        ozone = column_g_cm2(profile, profile.ozone_g_m3, state.ground_altitude_km) / OZONE_G_CM2_PER_ATM_CM
+    zenith, azimuth = state.sun
+    return {
+        "aot550": state.aerosol_optical_depth,
+        "water_vapour_g_cm2": water,
+        "ozone_atm_cm": ozone,
+        "ground_altitude_km": state.ground_altitude_km,
+        "sensor_altitude_km": min(state.sensor_altitude_km, SPACE_KM),
+        "solar_zenith_deg": zenith,
+        "view_zenith_deg": state.view_zenith_deg,
+        "relative_azimuth_deg": abs((azimuth - state.view_azimuth_deg + 180.0) % 360.0 - 180.0),
+    }
+
+
+def _along(nodes: Array, values: Mapping[str, Array], x: float, axis: str, at: Mapping[str, float]) -> dict[str, Array]:
+    """All quantities (k, ...) at ``x`` along their first dimension."""
+    rule = AXES[axis][0]
+    if rule is AEROSOL_RULE:
+        return between_aerosols(nodes, values, x, at["ground_altitude_km"], at["sensor_altitude_km"])
+    # What is no transmittance is straight where those are straight in their logarithm.
+    rules = {q: _STRAIGHT if rule.logarithm and q in AS_THEY_ARE else rule for q in values}
+    return {q: along(nodes, v, x, rules[q]) for q, v in values.items()}
+
+
+def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]:
+    """Relative error of the total radiance over ground of 0.3 at nodes predicted from the others, axis by axis.
+
+    Where the two-way gas transmittance is above 0.1.  Without the node the step is twice as wide, so this is an
+    upper estimate: the error inside the table is about a quarter of it for a linear rule, less for a cubic.
+    None for an axis of two nodes.
+    """
+    misses: dict[str, dict[str, float] | None] = {}
+    for name, nodes in table.axes.items():
+        quantities, axes, at, errors = dict(table.quantities), list(table.axes), dict[str, float](), list[Array]()
+        for level, usual in (("ground_altitude_km", 0.0), ("sensor_altitude_km", SPACE_KM)):
+            at[level] = table.fixed.get(level, usual)
+            if level in axes and name == "aot550":  # the haze below the sensor is asked for at the middle altitude
+                middle, number = table.axes[level].size // 2, axes.index(level)
+                at[level] = float(table.axes[level][middle])
+                quantities = {q: np.take(v, middle, axis=number) for q, v in quantities.items()}
+                axes.remove(level)
+        moved = {q: np.moveaxis(v, axes.index(name), 0) for q, v in quantities.items()}
+        for i in range(1, nodes.size - 1):
+            keep = np.delete(np.arange(nodes.size), i)
+            predicted = _along(nodes[keep], {q: v[keep] for q, v in moved.items()}, float(nodes[i]), name, at)
+            exact = {q: v[i] for q, v in moved.items()}
+            seen = exact["gas"] > _LEAST_GAS
+            errors.append((_total(predicted)[seen] / np.maximum(_total(exact)[seen], _LEAST)) - 1.0)
+        every = np.concatenate([*errors, np.zeros(0)])
+        worst, rms = np.max(np.abs(every), initial=0.0), np.sqrt(np.mean(every**2)) if every.size else 0.0
+        misses[name] = {"worst": round(float(worst), 6), "rms": round(float(rms), 6)} if errors else None
+    return misses
+
+
+def _total(values: Mapping[str, Array]) -> Array:
+    """Radiance over uniform ground by 3.7, in units of F."""
+    ground = values["direct"] + values["adjacency"]
+    return np.asarray(values["path"] + ground * _RHO / (1.0 - values["spherical_albedo"] * _RHO))
+
+
+def _wrong(wrong: object, what: str, expected: str) -> None:
+    refuse(wrong, what, None, expected, kind=UsageError)
