@@ -237,13 +237,12 @@ class Checked:
     run : its numbers
     rows : one for each number of either side, or one that says why there are none
     is_compared : whether there was a run, and a baseline
-    baseline, candidate : the file it was compared with, and the one that was left where there is none
+    baseline : the file it was compared with
     """
 
     run: RunNumbers
     rows: ResultTable
     baseline: Path
-    candidate: Path | None = None
     is_compared: bool = False
 
 
@@ -303,7 +302,7 @@ def check(
 
 
 def _against(run: RunNumbers, folder: Path) -> Checked:
-    path, candidate = baseline_path(folder, run.kind, run.name), None
+    path = baseline_path(folder, run.kind, run.name)
     outcome, words = Outcome.DISAGREES, ""
     if run.skipped is not None:
         outcome, words = Outcome.SKIPPED, run.skipped
@@ -319,7 +318,7 @@ def _against(run: RunNumbers, folder: Path) -> Checked:
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.NONE
     names = (run.owner, "baseline", run.name, run.kind, "baseline")
     row = Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=words)
-    return Checked(run, ResultTable([row]), path, candidate)
+    return Checked(run, ResultTable([row]), path)
 
 
 def _write(outcome: Checks, folder: Path) -> None:

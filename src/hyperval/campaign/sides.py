@@ -168,7 +168,8 @@ def doubts(place: Place | None, detection: Detection | None, scenarios: Sequence
             yield f"warning: the sun stands {at}"
         latitude, longitude = (state.latitude_deg, state.longitude_deg) if state is not None else (None, None)
         if where is not None and latitude is not None and longitude is not None:
-            km = distance_km(where, (latitude, longitude))
+            north, east = where[0] - latitude, (where[1] - longitude + 180.0) % 360.0 - 180.0  # on a sphere
+            km = _KM_PER_DEGREE * math.hypot(north, east * math.cos(math.radians(0.5 * (where[0] + latitude))))
             lies = f"at latitude {where[0]:.3f}, longitude {where[1]:.3f}, {km:.0f} km from the place of {named}"
             yield from [f"warning: the cube lies {lies} ({latitude:g}, {longitude:g})"] if km > MAX_KM else []
         for population in (p for item in scenario.scene.targets for p in item.populations):
@@ -193,13 +194,6 @@ def centre_of(place: Place) -> tuple[float, float] | None:
         x, y = raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
     longitude, latitude = reproject(crs, CRS.from_epsg(4326), [x], [y])[:2]
     return (latitude[0], longitude[0]) if math.isfinite(latitude[0]) and math.isfinite(longitude[0]) else None
-
-
-def distance_km(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Distance of two near places (latitude, longitude) in degrees, on a sphere."""
-    north = a[0] - b[0]
-    east = ((a[1] - b[1] + 180.0) % 360.0 - 180.0) * math.cos(math.radians(0.5 * (a[0] + b[0])))
-    return _KM_PER_DEGREE * math.hypot(north, east)
 
 
 def _differences(place: Place, fill: Fill, geometry: Geometry, members: Sequence[TargetObject]) -> Iterator[str]:
