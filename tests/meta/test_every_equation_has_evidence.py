@@ -34,7 +34,7 @@ BESIDE = {
     "light_of", "load_sensor", "log10_false_alarm_at", "measured_error", "moments", "near_singular",
     "new_sensor_file", "of_truth", "on_bands", "own_mean_sampling", "packed", "pixels_of_object", "predicted_areas",
     "predicted_classification", "predicted_error", "read_statistics_library", "seen_classes", "solved", "spread",
-    "stacked", "stacked_fills", "stacked_noise", "statistics_of_samples", "unpacked", "whitened",
+    "stacked", "stacked_fills", "statistics_of_samples", "unpacked", "whitened",
     "whole_object_fills", "wide", "with_distances", "with_mean", "write_statistics_library",
 }  # fmt: skip
 SOURCE = Path(__file__).parents[2] / "src" / "hyperval"

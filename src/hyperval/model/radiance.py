@@ -39,7 +39,7 @@ from hyperval.model.filters import add_products, packed
 from hyperval.model.surfaces import cut, without_gaps
 from hyperval.model.world import Law, World
 from hyperval.scenario import DarkestPixel, ElmPanels
-from hyperval.sensor.noise import NoiseModel, RecordedNoise, recorded_noise
+from hyperval.sensor.noise import NoiseModel, recorded_noise
 
 Array = npt.NDArray[np.float64]
 
@@ -425,13 +425,6 @@ def stacked(items: Sequence[T], bands: int) -> T:
     return result
 
 
-def stacked_noise(models: Sequence[NoiseModel], bands: int) -> NoiseModel:
-    """Noise models of U settings as one, those of recorded radiance (:class:`RecordedNoise`) among them."""
-    if any(isinstance(m, RecordedNoise) for m in models):
-        models = [m if isinstance(m, RecordedNoise) else RecordedNoise(**vars(m)) for m in models]
-    return stacked(models, bands)
-
-
 def _joined(values: list[Any], bands: int) -> Any:
     first = values[0]
     if all(v is first for v in values) or (np.ndim(first) == 0 and all(np.ndim(v) == 0 and v == first for v in values)):
@@ -641,7 +634,7 @@ def light_of(world: World) -> Light:
     if models:
         noise = models[0]
         if len(models) > 1:
-            noise = _on_arrays(stacked_noise(models, bands), lambda x: x[which] if x.ndim == 3 else x)
+            noise = _on_arrays(stacked(models, bands), lambda x: x[which] if x.ndim == 3 else x)
         noise = recorded_noise(noise, gain=g, offset=offset, factor=factor("noise"), signal_factor=factor("electrons"))
     panels, retrieval = (factor("dark"), factor("bright")), (factor("line_gain"), factor("line_offset"))
     elm = None if processing.elm == "none" else processing.elm
