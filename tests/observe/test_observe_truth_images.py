@@ -95,14 +95,18 @@ def envi(path: Path, values: np.ndarray, entries: str) -> None:
 WAVES = "wavelength units = Micrometers\nwavelength = {0.45, 0.55, 0.65, 0.80, 1.00}\n"
 
 
+def write_finer(folder: Path, classes: np.ndarray) -> None:
+    with rasterio.open(
+        folder / "finer.tif", "w", driver="GTiff", width=100, height=120, count=1, dtype=classes.dtype,
+        crs="EPSG:32618", transform=Affine(0.2, 0, 300_000, 0, -0.2, 4_500_000),
+    ) as dataset:  # fmt: skip
+        dataset.write(classes, 1)
+
+
 @pytest.fixture
 def finer(tmp_path: Path):
     """Open a cube of 12 x 10 pixels on the map with two planks, by its finer map of classes as stated."""
-    with rasterio.open(
-        tmp_path / "finer.tif", "w", driver="GTiff", width=100, height=120, count=1, dtype="uint8",
-        crs="EPSG:32618", transform=Affine(0.2, 0, 300_000, 0, -0.2, 4_500_000),
-    ) as dataset:  # fmt: skip
-        dataset.write(scene_of_a_tenth(), 1)
+    write_finer(tmp_path, scene_of_a_tenth())
     position = "map info = {UTM, 1, 1, 300000, 4500000, 2, 2, 18, North, WGS-84, units=Meters}\n"
     noise = np.random.default_rng(4).standard_normal((12, 10, 5))
     envi(tmp_path / "cube.img", 0.2 + 0.01 * noise, WAVES + position)
@@ -117,7 +121,7 @@ def finer(tmp_path: Path):
     return opened
 
 
-def test_targets_of_a_finer_map_have_area_pixels_and_fills(finer):
+def test_targets_of_a_finer_map_have_area_pixels_and_fills(finer, tmp_path):
     place = finer(registration_m=0.4)
     plank, panel = place.targets
     assert (plank.material, panel.material) == ("plank", "panel")
@@ -131,6 +135,11 @@ def test_targets_of_a_finer_map_have_area_pixels_and_fills(finer):
     picture = finer(classes={"panel": {"band": 1, "above": 1.5}}).targets
     np.testing.assert_array_equal(picture[0].part, still[1].part)
     assert len(finer(objects="classes").targets) == 2
+    # Cells without a value are none of the class, and take no other cells with them.
+    cells = scene_of_a_tenth().astype(np.float32)
+    cells[:2] = np.nan
+    write_finer(tmp_path, cells)
+    np.testing.assert_array_equal(finer(classes={"panel": {"above": 1.5}}).targets[0].part, still[1].part)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
@@ -36,6 +36,7 @@ MAX_OBJECTS = 10_000
 SHIFTS = 32  # drawn places of the finer image, where its registration has an error
 _SQUARE_OFF = 0.02  # pixels that a side of the finer image may run aslant over its whole length
 _REACH_SD = 5.0
+_LINES = 64  # read at once
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,11 @@ class FinerGrid:
     sample: float
     line_step: float
     sample_step: float
+
+    def beginning(self, row: int, column: int) -> FinerGrid:
+        """The part of the grid from a cell on."""
+        line, sample = self.line + self.line_step * row, self.sample + self.sample_step * column
+        return replace(self, line=line, sample=sample)
 
 
 def window_fills(
@@ -112,12 +118,11 @@ def finer_targets(
     if raster.lines * raster.samples > MAX_CELLS:
         raise InputError(f"{raster.lines} x {raster.samples} cells", where=str(path), expected=f"at most {MAX_CELLS}")
     grid = _grid(truth, raster, cube, str(path))
-    pixel_m = None if pixel_area_m2 is None else math.sqrt(pixel_area_m2)
     error = truth.registration_pixels or 0.0
     if truth.registration_m is not None:
-        if pixel_m is None:
+        if pixel_area_m2 is None:
             raise refusal("finer.size", str(path))
-        error = truth.registration_m / pixel_m
+        error = truth.registration_m / math.sqrt(pixel_area_m2)
     shifts = registration_shifts(error)
     blur = truth.psf_fwhm_pixels
     both = blur if isinstance(blur, tuple) else (blur, blur)
@@ -127,13 +132,10 @@ def finer_targets(
         if len(listed) > MAX_OBJECTS:
             raise refusal("finer.patches", str(path), most=MAX_OBJECTS, material=material)
         for name, (rows, columns), inside in listed:
-            there = FinerGrid(
-                grid.line + grid.line_step * rows.start, grid.sample + grid.sample_step * columns.start,
-                grid.line_step, grid.sample_step,
-            )  # fmt: skip
-            area = np.nan
+            there, cells = grid.beginning(rows.start, columns.start), float(inside.sum())
+            area = math.nan
             if pixel_area_m2 is not None:
-                area = float(inside.sum()) * grid.line_step * grid.sample_step * pixel_area_m2
+                area = cells * grid.line_step * grid.sample_step * pixel_area_m2
             out.append(_object(name, material, inside, there, cube, both, shifts, area, truth, str(path)))
     fills = np.concatenate([o.fills.mean(axis=0)[o.part] for o in out if o.fills is not None])
     spread = np.concatenate([o.fills.std(axis=0)[o.part] for o in out if o.fills is not None])
@@ -170,12 +172,10 @@ def _class_masks(truth: FinerTruth, raster: Raster, where: str) -> Iterator[tupl
         one = chosen if isinstance(chosen, BandRange) else BandRange(band=1, above=chosen, below=chosen)
         if one.band > raster.bands:
             raise InputError(f"no band {one.band}", where=where, expected=f"1 to {raster.bands}")
+        low, high = -np.inf if one.above is None else one.above, np.inf if one.below is None else one.below
         mask = np.empty((raster.lines, raster.samples), bool)
-        for first in range(0, raster.lines, 256):
-            count = min(256, raster.lines - first)
-            values = raster.read_bands(first, count)[one.band - 1]
-            low, high = values.min() if one.above is None else one.above, one.below
-            mask[first : first + count] = (values >= low) & (values <= (values.max() if high is None else high))
+        for rows, values in _rows(raster, one.band - 1):
+            mask[rows] = (values >= low) & (values <= high)
         if not mask.any():
             raise InputError(f"no cell of {material!r}", where=where, expected="a value that the image holds")
         yield material, mask
@@ -323,11 +323,14 @@ def _band(raster: Raster, wanted: int | str, path: Path) -> int:
     return fits[0]
 
 
-def _values(raster: Raster, band: int) -> Array:
-    """(lines, samples) of one band, read by blocks of lines."""
-    out = np.empty((raster.lines, raster.samples))
+def _rows(raster: Raster, band: int) -> Iterator[tuple[slice, Array]]:
+    """Blocks of lines of one band, and which they are."""
     with raster.kept_open():
-        for first in range(0, raster.lines, 64):
-            count = min(64, raster.lines - first)
-            out[first : first + count] = raster.read_bands(first, count)[band]
-    return out
+        for first in range(0, raster.lines, _LINES):
+            rows = slice(first, min(first + _LINES, raster.lines))
+            yield rows, raster.read_bands(first, rows.stop - first)[band]
+
+
+def _values(raster: Raster, band: int) -> Array:
+    """(lines, samples) of one band."""
+    return np.concatenate([values for _, values in _rows(raster, band)]).astype(float)

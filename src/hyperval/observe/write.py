@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -35,11 +35,7 @@ _TILE = 128
 _CACHE_MB = 64
 
 
-class _Writer(Protocol):
-    """Takes blocks of lines in order."""
-
-    def write(self, block: Stored) -> None:
-        """Append (lines, samples, B)."""
+Write = Callable[[Stored], None]  # appends lines (lines, samples, B) in order
 
 
 def write_reflectance(
@@ -69,9 +65,9 @@ def write_reflectance(
     path = folder / f"{name}.{'img' if form == 'envi' else 'tif'}"
     watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines, show=show_progress)
     outside = 0
-    with _envi(path, cube, axis, what) if form == "envi" else _cog(path, cube, axis, what) as writer:
+    with _envi(path, cube, axis, what) if form == "envi" else _cog(path, cube, axis, what) as write:
         for _, (block, misfits) in watch(_blocks(cube, elm, axis.good)):
-            writer.write(block)
+            write(block)
             outside += misfits
     note = f"{path.name}: {what}; no data is {NO_DATA}; {int((~elm.usable).sum())} bands without a gain"
     if outside:
@@ -99,7 +95,7 @@ def _blocks(cube: Cube, elm: EmpiricalLine, good: npt.NDArray[np.bool_]) -> Iter
 
 
 @contextmanager
-def _envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[_Writer]:
+def _envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Write]:
     # The scale is written, not applied: blocks come as stored numbers.
     extra = {"reflectance scale factor": repr(float(SCALE)), "z plot titles": "{Wavelength [nm], Reflectance [1]}"}
     place: dict[str, Any] = {"transform": cube.transform, "crs": cube.crs}
@@ -114,25 +110,11 @@ def _envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[_Wr
         path, lines=cube.lines, samples=cube.samples, bands=cube.bands, data_type=_INT16, interleave="bil",
         axis=axis, description=what, ignore_value=NO_DATA, extra=extra, **place,
     ) as writer:  # fmt: skip
-        yield writer
-
-
-class _Strips:
-    """Lines of an open GeoTIFF."""
-
-    def __init__(self, dataset: Any):
-        self._dataset, self._line = dataset, 0
-
-    def write(self, block: Stored) -> None:
-        """Append (lines, samples, B)."""
-        lines, samples = block.shape[:2]
-        by_band = np.ascontiguousarray(block.transpose(2, 0, 1))
-        self._dataset.write(by_band, window=Window(0, self._line, samples, lines))
-        self._line += lines
+        yield writer.write
 
 
 @contextmanager
-def _cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[_Writer]:
+def _cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Write]:
     """Strips into a plain GeoTIFF, which is then copied tile by tile: the format wants its index first."""
     profile = {
         "driver": "GTiff", "height": cube.lines, "width": cube.samples, "count": cube.bands, "dtype": "int16",
@@ -160,7 +142,15 @@ def _cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[_Wri
                             i + 1, ns="IMAGERY", CENTRAL_WAVELENGTH_UM=repr(centre / 1e3), FWHM_UM=repr(width / 1e3)
                         )
                         dataset.update_tags(i + 1, GOOD_BAND=str(int(axis.good[i])))
-                    yield _Strips(dataset)
+                    line = 0
+
+                    def write(block: Stored) -> None:
+                        nonlocal line
+                        window = Window(0, line, cube.samples, len(block))
+                        dataset.write(np.ascontiguousarray(block.transpose(2, 0, 1)), window=window)
+                        line += len(block)
+
+                    yield write
                 rasterio.shutil.copy(
                     strips, temporary, driver="COG", compress="DEFLATE", predictor="YES", blocksize=_TILE,
                     bigtiff="IF_SAFER", overviews="NONE",
