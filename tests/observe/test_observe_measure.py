@@ -59,13 +59,6 @@ def test_a_region_keeps_clear_of_targets_unless_nothing_is_left(world):
     assert reflectance["inside"].mean[0] == pytest.approx(world.values[10, 9:12, 0].mean())
 
 
-def test_without_detection_there_are_only_spectra(world):
-    world.detection = None
-    seen = world.observe()
-    assert (seen.detected, seen.observation.roc, set(seen.observation.reflectance)) == (None, {}, {"corner"})
-    assert seen.observation.provenance["quantity"] == "reflectance"
-
-
 def test_a_table_of_bands_stands_for_a_header_without_wavelengths(world):
     world.detection = None
     header = world.folder / "cube.hdr"

@@ -8,11 +8,8 @@ from affine import Affine
 from rasterio.crs import CRS
 from small_world import AXIS, GRID, LINES, PLANTED, SAMPLES, near_targets
 
-from hyperval import api, datasets
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
-
-HYSU = "campaigns/hysu-2018/campaign.yaml"
 
 
 def mask_file(world, name: str, classes: np.ndarray) -> str:
@@ -209,21 +206,6 @@ def test_targets_that_touch_the_same_pixel_are_counted(world):
     assert "1 pixels may hold parts of more than one target" in world.place().notes
     world.text("targets.csv", rows.replace("b,paint", "b,cloth"))
     assert "1 pixels may hold parts of more than one target: 1 of 'paint' and 'cloth'" in world.place().notes
-
-
-@pytest.mark.data
-def test_hysu_materials_overlap(data_dir):
-    """The masks of neighbouring materials share pixels; the note says which."""
-    from hyperval.observe import open_place
-
-    data_dir("hysu/README.md")
-    place = open_place(api.load_campaign(HYSU).campaign.collection, datasets.resolve, show_progress=False)
-    (said,) = [n for n in place.notes if "more than one target" in n]
-    red, green = (
-        np.any([t.mask for t in place.targets if t.material == name], axis=0) for name in ("red_fabric", "green_fabric")
-    )
-    assert f"{np.sum(red & green)} of 'red_fabric' and 'green_fabric'" in said
-    assert np.sum(red & green) > 0
 
 
 def test_a_cube_without_a_map_takes_the_stated_pixel_size(world):
