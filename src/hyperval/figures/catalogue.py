@@ -8,27 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.figures.detection import (
-    abundance_figure,
-    exceedance_figure,
-    object_score_figure,
-    roc_difference_figure,
-    roc_figure,
-    score_figure,
-    transform_figure,
-    unmixing_figure,
-)
+from hyperval.figures import detection, spectra
 from hyperval.figures.sides import EigenvalueSpectrum, Sides, TailCurve
 from hyperval.figures.spec import BETTER, SIDES, WORSE, Axis, ColourScale, Figure, Mark, Panels, Part, row_names
-from hyperval.figures.spectra import (
-    SPECTRA,
-    budget_figure,
-    class_error_figure,
-    eigenvalue_figure,
-    sampled_eigenvalue_figures,
-    spectra_figure,
-    tail_figure,
-)
 from hyperval.results import Result, ResultTable
 
 
@@ -38,7 +20,10 @@ def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[s
     ``names`` : what the two sides are, where they are no prediction and collection
     """
     rows = list(table) if table is not None else []
-    made = [*(spectra_figure(sides, product, rows, names) for product in SPECTRA), roc_figure(sides, names)]
+    made = [
+        *(spectra.spectra_figure(sides, product, rows, names) for product in spectra.SPECTRA),
+        detection.roc_figure(sides, names),
+    ]
     return [figure for figure in made if figure is not None]
 
 
@@ -51,17 +36,17 @@ def further_figures(
 ) -> list[Figure]:
     """What else the products, the rows and the spread of pixels of a run give, with its margin of P_D [1]."""
     made = [
-        budget_figure(sides),
-        *(sampled_eigenvalue_figures(eigenvalues) if eigenvalues else [eigenvalue_figure(sides)]),
-        tail_figure(tails),
-        class_error_figure(sides),
-        score_figure(sides),
-        object_score_figure(sides),
-        transform_figure(sides),
-        exceedance_figure(sides),
-        roc_difference_figure(sides, margin),
-        abundance_figure(sides),
-        unmixing_figure(sides, list(table.where(product="abundance"))),
+        spectra.budget_figure(sides),
+        *(spectra.sampled_eigenvalue_figures(eigenvalues) if eigenvalues else [spectra.eigenvalue_figure(sides)]),
+        spectra.tail_figure(tails),
+        spectra.class_error_figure(sides),
+        detection.score_figure(sides),
+        detection.object_score_figure(sides),
+        detection.transform_figure(sides),
+        detection.exceedance_figure(sides),
+        detection.roc_difference_figure(sides, margin),
+        detection.abundance_figure(sides),
+        detection.unmixing_figure(sides, list(table.where(product="abundance"))),
         *reason_figures(table),
     ]
     return [figure for figure in made if figure is not None]

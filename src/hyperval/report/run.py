@@ -57,10 +57,10 @@ class Injected(Model):
         """How far it is seen, with numbers."""
         if self.not_applicable is not None:
             return Sight.NOT_APPLICABLE
-        rows = _counted(sum(self.informing.values()), "other row") if self.informing else ""
-        if self.gates:
-            return ", ".join(part for part in (_counted(len(self.gates), "gate"), rows) if part)
-        return f"unseen by gates; {rows}" if rows else Sight.UNSEEN
+        rows, criteria = sum(self.informing.values()), len(self.gates)
+        parts = [f"{criteria} {'criterion' if criteria == 1 else 'criteria'}"] if criteria else []
+        parts += [f"{rows} informational comparison{'' if rows == 1 else 's'}"] if rows else []
+        return ", ".join(parts) or "undetected"
 
     @property
     def which(self) -> str:
@@ -172,10 +172,6 @@ def write_power_table(path: Path, table: PowerTable) -> None:
     head = f"# What the campaign {table.campaign} can tell: errors injected into its model, and the gates that turn.\n"
     head += "# `hyperval power --accept` renews it.\n"
     write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))
-
-
-def _counted(n: int, noun: str) -> str:
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 WARNING = "warning: "  # what a note that warns begins with
