@@ -229,6 +229,8 @@ def products_of_imagers(folder: Path) -> dict[str, dict[str, bytes]]:
         "prisma l2b": lambda path: product_shells.prisma(path, "L2B"),
         "prisma l2d": lambda path: product_shells.prisma(path, "L2D"),
         "tanager": product_shells.tanager,
+        "hypso": product_shells.hypso,
+        "oci": product_shells.oci,
     }
     out = {}
     for name, make in makers.items():

@@ -243,7 +243,7 @@ def samples(folder: Path) -> list[Sample]:
     for kind, content in products_of_imagers(folder).items():
         image = next(name for name in content if not name.endswith(".XML"))
         share = 0.3 if kind == "enmap metadata" else 0.03
-        holds = "reflectance" if kind in ("neon reflectance", "prisma l2d") else "radiance"
+        holds = "reflectance" if kind in ("neon reflectance", "prisma l2d", "oci") else "radiance"
         out.append(Sample(f"product: {kind}", content, lambda f, n=image, q=holds: _cube(f / n, q), share))
     beside = with_text_beside(folder)
     many = libraries(folder)
