@@ -55,10 +55,7 @@ SCENARIO = datetime(2012, 9, 20, 16, 31, tzinfo=UTC)
     [
         ({"gps start time": "16:31:02.5", "gps stop time": "16:33:40.0"}, []),
         ({"acquisition time": "2012-09-20T16:31:00Z"}, []),
-        (
-            {"gps start time": "12:31:02"},
-            ["240 minutes before the time of scenario 'line', 16:31:00 UTC"],
-        ),
+        ({"gps start time": "12:31:02"}, ["240 minutes before the time of scenario 'line', 16:31:00 UTC"]),
         ({"gps start time": "16:42:00"}, ["11 minutes after"]),
         ({"acquisition date": "2012/09/21"}, ["is not the day of scenario 'line', 2012-09-20"]),
         ({"acquisition date": "20/09/2012", "gps start time": "unknown", "start time": "99:99"}, []),

@@ -130,10 +130,7 @@ def test_places_that_are_none(tmp_path: Path, axis, line_values):
 
 @pytest.mark.parametrize(
     ("names", "want"),
-    [
-        ("Path length (m), To-sun zenith (0 to 90 degrees from zenith)", 41.5),
-        ("Path length, To-sensor zenith", None),
-    ],
+    [("Path length (m), To-sun zenith (0 to 90 degrees from zenith)", 41.5), ("Path length, To-sensor zenith", None)],
 )
 def test_the_angle_of_the_sun_in_an_observation_file(tmp_path: Path, axis, line_values, names: str, want):
     cube = write_cube(tmp_path / "f01_rdn_v2n1_img", line_values, data_type=4, axis=axis)

@@ -137,11 +137,7 @@ def test_a_place_off_the_line_is_named(table):
     [
         (lambda s: s[..., :1], SHAPE, "1 bands of int32"),
         (lambda s: s * 0, SHAPE, "names no pixel"),
-        (
-            lambda s: s,
-            (LINES, SAMPLES - 1),
-            r"goes to line 240, sample 80 .from 1.\n.*240 lines and 79 samples",
-        ),
+        (lambda s: s, (LINES, SAMPLES - 1), r"goes to line 240, sample 80 .from 1.\n.*240 lines and 79 samples"),
         (lambda s: np.abs(s) * (1, -1), SHAPE, "one of sample and line is 0 or negative"),
         (lambda s: s * (1, 0), SHAPE, "one of sample and line is 0 or negative"),
     ],

@@ -272,10 +272,7 @@ def test_values_in_other_files_are_refused(tmp_path: Path):
     ("change", "message"),
     [
         (lambda f: f.__delitem__("sensor_band_parameters/wavelengths"), "no array of the file has a wavelength"),
-        (
-            lambda f: f["sensor_band_parameters/wavelengths"].__setitem__(slice(None), 0.0),
-            "no band has a wavelength",
-        ),
+        (lambda f: f["sensor_band_parameters/wavelengths"].__setitem__(slice(None), 0.0), "no band has a wavelength"),
         (lambda f: f["sensor_band_parameters/wavelengths"].__setitem__(slice(None), 5e6), "cannot be in nm"),
         (lambda f: f["sensor_band_parameters/fwhm"].__setitem__(slice(None), -1.0), "not positive"),
         (lambda f: f["sensor_band_parameters/good_wavelengths"].__setitem__(slice(None), 0.0), "every band as bad"),
@@ -331,11 +328,7 @@ def test_an_hdf5_tree_without_dimensions_is_a_cube_where_wavelengths_lie_beside(
     ("product", "image", "angles"),
     [
         ("aviris", "AV320250814t180211_005_L1B_RDN_RDN.nc", "AV320250814t180211_005_L1B_RDN_OBS.nc"),
-        (
-            "emit",
-            "EMIT_L1B_RAD_001_20240501T191103.nc",
-            "EMIT_L1B_OBS_001_20240501T191103.nc",
-        ),
+        ("emit", "EMIT_L1B_RAD_001_20240501T191103.nc", "EMIT_L1B_OBS_001_20240501T191103.nc"),
     ],
 )
 def test_the_sun_of_an_observation_file_beside_a_product(tmp_path: Path, product: str, image: str, angles: str):
@@ -482,6 +475,19 @@ def test_radiance_in_scanner_geometry_with_what_places_it(tmp_path: Path, produc
     back = open_cube(cube.to_spy(), quantity="radiance", unit="uW cm-2 sr-1 nm-1")  # loaded: no ENVI file of one scale
     assert back.axis.matches(cube.axis)
     assert np.allclose(back.read(2, 3).values, cube.read(2, 3).values, rtol=1e-6, equal_nan=True)
+
+
+def test_bands_in_a_group_of_their_own(tmp_path: Path):
+    """As in other products of EMIT and OCI, whose images no layout names."""
+    values = shells.radiances(4)
+    with shells.netcdf.Dataset(tmp_path / "a.nc", "w") as file:
+        file.createDimension("bands", 4)
+        shells.put(file.createGroup("geophysical_data"), "Lt", ("lines", "pixels", "bands"), values, units="W/m2/sr/um")
+        shells.put(file.createGroup("parameters"), "wavelengths", ("bands",), [400.0, 500.0, 600.0, 700.0], units="nm")
+        shells.put(file["parameters"], "fwhm", ("bands",), [8.5] * 4, units="nm")
+    cube = open_cube(tmp_path / "a.nc", quantity="radiance")
+    assert np.allclose(values_of(cube), 0.1 * values, rtol=1e-6)
+    assert (cube.axis.centre_nm.tolist(), cube.axis.fwhm_nm.tolist()) == ([400, 500, 600, 700], [8.5] * 4)
 
 
 @pytest.mark.parametrize(("product", "quantity", "factor"), [("hypso", "radiance", 0.1), ("oci", "reflectance", 1.0)])

@@ -10,13 +10,7 @@ import pytest
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery import (
-    Region,
-    guard,
-    intersected_objects,
-    read_targets,
-    region_objects,
-)
+from hyperval.imagery import Region, guard, intersected_objects, read_targets, region_objects
 
 SHAPE = (20, 30)
 TRANSFORM = Affine(2.0, 0, 1000.0, 0, -2.0, 5000.0)
@@ -29,8 +23,7 @@ def targets(tmp_path: Path, text: str, **options):
 
 
 @pytest.mark.parametrize(
-    "place",
-    ["row0,col0\n{},7,11", "row1,col1\n{},8,12", "line,sample\n{},7.5,11.5", "easting,northing\n{},1023,4985"],
+    "place", ["row0,col0\n{},7,11", "row1,col1\n{},8,12", "line,sample\n{},7.5,11.5", "easting,northing\n{},1023,4985"]
 )
 def test_one_place_in_every_coordinate_system(tmp_path: Path, place: str):
     head, row = place.split("\n")

@@ -141,10 +141,7 @@ def test_a_gain_file_that_is_none(tmp_path: Path, text: str, words: str):
     [
         ("band names = {Band 1 (0.400000), Band 2 (0.500000), Band 3 (0.600000)}\n", "names of its bands"),
         ("band names = {400.0 nm, 500.0 nm, 600.0 nm}\n", "names of its bands"),
-        (
-            "band names = {B 1 : 400.0 +/- 2.4 nm, B 2 : 500.0 +/- 2.4 nm, B 3 : 600.0 ± 2.4 nm}\n",
-            "names of its bands",
-        ),
+        ("band names = {B 1 : 400.0 +/- 2.4 nm, B 2 : 500.0 +/- 2.4 nm, B 3 : 600.0 ± 2.4 nm}\n", "names of its bands"),
         ("wavelength =\n{\n400,\n500,\n600\n}\n", "can only be nm"),
         ("wavelength = {400 500\n600}\n", "can only be nm"),
         ('wavelength = {0.4, 0.5, 0.6}\nwavelength units = "Micrometers"\n', "no fwhm"),

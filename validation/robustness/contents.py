@@ -220,17 +220,11 @@ def run_products(folder: Path) -> dict[str, bytes]:
 
 def products_of_imagers(folder: Path) -> dict[str, dict[str, bytes]]:
     """Small images in the layouts of their providers; the file that is damaged comes first."""
-    makers = {
-        "aviris": product_shells.aviris,
-        "emit": product_shells.emit,
-        "neon reflectance": product_shells.neon_reflectance,
-        "neon radiance": product_shells.neon_radiance,
+    plain = ("aviris", "emit", "neon reflectance", "neon radiance", "tanager", "hypso", "oci")
+    makers = {name: getattr(product_shells, name.replace(" ", "_")) for name in plain} | {
         "prisma l1": product_shells.prisma,
         "prisma l2b": lambda path: product_shells.prisma(path, "L2B"),
         "prisma l2d": lambda path: product_shells.prisma(path, "L2D"),
-        "tanager": product_shells.tanager,
-        "hypso": product_shells.hypso,
-        "oci": product_shells.oci,
     }
     out = {}
     for name, make in makers.items():

@@ -30,15 +30,7 @@ from .regions import (
     rectangle_region,
     ring_region,
 )
-from .truth import (
-    TargetMasks,
-    TargetObject,
-    all_pixels,
-    cut_out,
-    intersected_objects,
-    read_targets,
-    region_objects,
-)
+from .truth import TargetMasks, TargetObject, all_pixels, cut_out, intersected_objects, read_targets, region_objects
 from .write import envi_writer, write_cube
 
 __all__ = [

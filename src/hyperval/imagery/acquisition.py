@@ -80,8 +80,8 @@ def _frames(entries: Mapping[str, str], lines: int | None) -> list[str]:
                 f"warning: header: {key} {_first(text):g} is longer than a frame at {rate:g} frames per second "
                 f"({frame_ms:.4g} ms): it is not in ms, or one of them is wrong"
             )
-    ends = [_clock(t) for end in ("start", "stop|end") for _, t in _matching(entries, rf"^gps ({end}) time$")[:1]]
-    clock = [seconds for seconds in ends if seconds is not None]
+    ends = [t for end in ("start", "stop|end") for _, t in _matching(entries, rf"^gps ({end}) time$")[:1]]
+    clock = [seconds for text in ends if (seconds := _clock(text)) is not None]
     if len(clock) == 2 and lines is not None:
         seconds = (clock[1] - clock[0]) % 86400.0
         if seconds > 0 and abs(lines / rate / seconds - 1.0) > 0.1:
@@ -105,20 +105,16 @@ def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[s
     utc = when.astimezone(UTC)
     notes = []
     for key, text in _matching(entries, _TIMES):
-        day, seconds = _day(text), _clock(text)
+        day, seconds, stated = _day(text), _clock(text), f"warning: header: '{key} = {_short(text)}' is"
         if day is not None and day != utc.date():
-            notes.append(
-                f"warning: header: '{key} = {_short(text)}' is not the day of scenario {name!r}, {utc:%Y-%m-%d}"
-            )
+            notes.append(f"{stated} not the day of scenario {name!r}, {utc:%Y-%m-%d}")
         elif seconds is not None:
             of_day = utc.hour * 3600.0 + utc.minute * 60.0 + utc.second
             apart = (seconds - of_day + 43200.0) % 86400.0 - 43200.0
             if abs(apart) > 60.0 * MINUTES_APART:
-                notes.append(
-                    f"warning: header: '{key} = {_short(text)}' is {abs(apart) / 60:.0f} minutes "
-                    f"{'after' if apart > 0 else 'before'} the time of scenario {name!r}, {utc:%H:%M:%S} UTC: "
-                    "local time, or the sun stands elsewhere"
-                )
+                side = f"{abs(apart) / 60:.0f} minutes {'after' if apart > 0 else 'before'}"
+                scenario = f"the time of scenario {name!r}, {utc:%H:%M:%S} UTC"
+                notes.append(f"{stated} {side} {scenario}: local time, or the sun stands elsewhere")
     return tuple(notes)
 
 

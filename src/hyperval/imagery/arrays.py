@@ -55,6 +55,7 @@ MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "N
 _WAVE = re.compile(r"wave|wvl|lambda|band_?cent", re.IGNORECASE)
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
+_NO_CENTRE = re.compile(f"{_WIDTH.pattern}|{_GOOD.pattern}", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
 _FRACTIONS = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}
@@ -502,7 +503,9 @@ def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
         return bool(v.attrs.get("standard_name") == "radiation_wavelength")
 
     listed = {n: v for n, v in data.variables.items() if v.ndim == 1 and v.dims[0] in array.dims}
-    listed = {n: v for n, v in listed.items() if v.dtype.kind in "iuf" and (standard(v) or not _WIDTH.search(str(n)))}
+    listed = {
+        n: v for n, v in listed.items() if v.dtype.kind in "iuf" and (standard(v) or not _NO_CENTRE.search(str(n)))
+    }
     named = [n for n, v in listed.items() if standard(v) or _WAVE.search(str(n))]
     in_unit = [n for n, v in listed.items() if in_nm(str(v.attrs.get("units", ""))) is not None]
     return next((data[fits[0]] for fits in (named, in_unit) if len(fits) == 1), None)
@@ -517,6 +520,8 @@ def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: P
         if array.ndim == 3 and array.dtype.kind in "iuf" and 0 not in array.shape
     ]
     listed = "; ".join(c.label for c in candidates)
+    if all(c.wave is None for c in candidates):
+        candidates = [_with_bands(c, groups) for c in candidates]
     if variable is not None:
         named = [c for c in candidates if variable.strip("/") in (c.array.name, c.path)]
         if len(named) != 1:
@@ -530,6 +535,17 @@ def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: P
     if len(cubes) > 1:
         raise refusal("array.several", where, count=len(cubes), labels="; ".join(c.label for c in cubes))
     return cubes[0]
+
+
+def _with_bands(candidate: LabelledArray, groups: list[tuple[str, xr.Dataset]]) -> LabelledArray:
+    """An array with the bands of another group that has wavelengths along one of its axes, where there is one."""
+    for _, other in groups:
+        wave = _wavelengths(candidate.array, other)
+        if wave is not None and wave.size == candidate.array.sizes[wave.dims[0]]:
+            beside = {str(n): (v.dims, v.values, v.attrs) for n, v in other.variables.items() if v.dims == wave.dims}
+            data = candidate.data.assign(beside)
+            return candidate._replace(data=data, wave=data[wave.name])
+    return candidate
 
 
 def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:

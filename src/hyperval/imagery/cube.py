@@ -293,12 +293,7 @@ _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
 _MARKS = (
     dict.fromkeys(TIFF_MARKS, _TIFF)
     | MATRICES
-    | {
-        b"\x89HDF\r\n\x1a\n": _HDF5,
-        b"CDF\x01": _NETCDF3,
-        b"CDF\x02": _NETCDF3,
-        b"\x0e\x03\x13\x01": "HDF4",
-    }
+    | {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3, b"\x0e\x03\x13\x01": "HDF4"}
 )
 _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
 

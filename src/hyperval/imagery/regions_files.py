@@ -244,12 +244,7 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
 
 
 def raster_masks(
-    path: Path,
-    shape: tuple[int, int],
-    *,
-    by_value: bool = False,
-    root: Path | None = None,
-    variable: str | None = None,
+    path: Path, shape: tuple[int, int], *, by_value: bool = False, root: Path | None = None, variable: str | None = None
 ) -> dict[str | int, Mask]:
     """Masks of the classes of a raster of one band, or of the bands of a raster of several.
 
