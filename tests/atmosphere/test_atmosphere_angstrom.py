@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hyperval.atmosphere import AerosolMix, AtmosphericState, sixs, sixs_terms
-from hyperval.atmosphere.sixs import NODES_NM, aerosol_extinction
+from hyperval.atmosphere import NODES_NM, AerosolMix, AtmosphericState, aerosol_extinction, sixs, sixs_terms
 
 STATE = {
     "aot550": 0.3, "sensor_altitude_km": 1000.0, "solar_zenith_deg": 30.0, "solar_azimuth_deg": 0.0,

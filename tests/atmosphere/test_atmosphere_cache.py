@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from hyperval.atmosphere.cache import cache_folder, cached
+from hyperval.atmosphere import cache_folder, cached
 
 INPUTS = {"depth": 0.1, "card": "4\n"}
 

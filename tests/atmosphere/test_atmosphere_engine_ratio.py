@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState, EngineRatio, molecular_albedo, sixs, ways
-from hyperval.atmosphere.physics import GREATEST_WATER_G_CM2, low_share
+from hyperval.atmosphere import (
+    GREATEST_WATER_G_CM2,
+    AtmosphericState,
+    EngineRatio,
+    low_share,
+    molecular_albedo,
+    sixs,
+    ways,
+)
 
 STATE = AtmosphericState(
     water_vapour_g_cm2=2.0, ozone_atm_cm=0.3, aot550=0.1, ground_altitude_km=0.4, sensor_altitude_km=2.3,

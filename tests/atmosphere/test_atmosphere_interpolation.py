@@ -7,8 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericTerms, interpolated_terms
-from hyperval.atmosphere.between import smooth_rule, spaced
+from hyperval.atmosphere import AtmosphericTerms, interpolated_terms, smooth_rule, spaced
 from hyperval.errors import UsageError
 
 NM = np.array([500.0, 600.0, 700.0])

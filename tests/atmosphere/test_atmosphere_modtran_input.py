@@ -8,8 +8,15 @@ import json
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState, distance_on_day, modtran6_json, read_modtran_json, tape5
-from hyperval.atmosphere.modtran import stated_albedo, stated_fields
+from hyperval.atmosphere import (
+    AtmosphericState,
+    distance_on_day,
+    modtran6_json,
+    read_modtran_json,
+    stated_albedo,
+    stated_fields,
+    tape5,
+)
 from hyperval.errors import InputError, UsageError
 
 # Lines of a case of versions 4 and 5 and their columns, from the lists of cards in the user's manuals: name, first

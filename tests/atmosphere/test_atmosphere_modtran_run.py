@@ -13,12 +13,14 @@ from processes import awaited, is_at_work
 
 from hyperval.atmosphere import (
     AtmosphericState,
+    Modtran,
     atmospheric_terms,
+    configured_modtran,
     modtran6_json,
     read_channels,
+    run_modtran,
     terms_from_runs,
 )
-from hyperval.atmosphere.modtran import Modtran, configured_modtran, run_modtran
 from hyperval.errors import EngineError, InputError
 
 STATE = {

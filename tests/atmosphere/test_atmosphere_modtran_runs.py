@@ -12,9 +12,9 @@ from hyperval.atmosphere import (
     read_chn,
     read_modtran_runs,
     read_tape7,
+    solve_coefficients,
     terms_from_runs,
 )
-from hyperval.atmosphere.modtran import solve_coefficients
 from hyperval.errors import InputError, UsageError
 from hyperval.spectra import SpectralAxis
 from hyperval.units import radiance_per_wavelength

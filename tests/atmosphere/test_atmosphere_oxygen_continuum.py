@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from hyperval.atmosphere import AtmosphericState, pressure_at, sixs_terms, standard_profile
-from hyperval.atmosphere.physics import OXYGEN, binary_coefficient, collision_column
+from hyperval.atmosphere import (
+    OXYGEN,
+    AtmosphericState,
+    binary_coefficient,
+    collision_column,
+    pressure_at,
+    sixs_terms,
+    standard_profile,
+)
 
 NITROGEN = 0.7808
 US = standard_profile("us-standard-1962")

@@ -8,8 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState, atmospheric_terms, molecular_albedo, sixs, solar
-from hyperval.atmosphere.sixs import run_sixs
+from hyperval.atmosphere import AtmosphericState, atmospheric_terms, molecular_albedo, run_sixs, sixs, solar
 from hyperval.spectra import in_window
 
 AIRBORNE = {  # 2.65 km above the ground

@@ -7,8 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import sixs, state
-from hyperval.atmosphere.sixs import run_sixs
+from hyperval.atmosphere import run_sixs, sixs, state
 from hyperval.errors import EngineError
 
 SUN = sixs.SunAndView(40.0, 0.0, 0.0)

@@ -1,6 +1,6 @@
 """From the state of the atmosphere to the terms of equation 3.7."""
 
-from .between import AtmosphericTable, interpolated_terms
+from .between import AtmosphericTable, interpolated_terms, smooth_rule, spaced
 from .engine import ENGINES, atmospheric_terms
 from .modtran import (
     RADIANCE_COLUMNS,
@@ -38,7 +38,7 @@ __all__ = [
     "ENGINES", "RADIANCE_COLUMNS", "AerosolMix", "AtmosphericState", "AtmosphericTable", "AtmosphericTerms",
     "EngineRatio", "aot550_from_range", "atmospheric_terms", "build_table", "distance_on_day",
     "earth_sun_distance_au", "engine_ratio", "extraterrestrial_irradiance", "fraction_below", "interpolated_terms",
-    "modtran6_json", "molecular_albedo", "parse_utc", "pressure_at", "range_from_aot550", "read_channels", "read_chn",
-    "read_modtran_json", "read_modtran_runs", "read_table", "read_tape7", "sixs_terms", "solar_position",
-    "standard_profile", "tape5", "terms_from_runs", "ways", "write_table",
+    "modtran6_json", "molecular_albedo", "parse_utc", "pressure_at", "range_from_aot550", "read_channels",
+    "read_chn", "read_modtran_json", "read_modtran_runs", "read_table", "read_tape7", "sixs_terms", "smooth_rule",
+    "solar_position", "spaced", "standard_profile", "tape5", "terms_from_runs", "ways", "write_table",
 ]  # fmt: skip

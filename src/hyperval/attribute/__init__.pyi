@@ -22,6 +22,6 @@ __all__ = [
     "COMMON", "DIFFERENT", "AlarmRatio", "AttributionOptions", "Candidate", "ComparedQuantity", "InjectedError",
     "NotInjectable", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf", "Whitened", "alarm_ratios",
     "assumed_inputs", "attribute", "budget_covariance", "changed_scenarios", "common_and_own", "explanation",
-    "few_objects", "gaps_of", "injected_errors", "injected_prediction", "quantities", "ranking",
-    "rankings", "reason_for", "sampled_covariance", "sensitivity_indices", "stacked",
+    "few_objects", "gaps_of", "injected_errors", "injected_prediction", "quantities", "ranking", "rankings",
+    "reason_for", "sampled_covariance", "sensitivity_indices", "stacked",
 ]  # fmt: skip
