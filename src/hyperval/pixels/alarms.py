@@ -208,6 +208,10 @@ class AlarmBlocks:
         k, effect = self._design_effects(np.append(self.ascending[n - 1 - ranks[ranks < n]], -np.inf))
         return np.log1p(k), effect
 
+    def design_effect(self, alarms: npt.ArrayLike) -> Array:
+        """How many times as large the variance of a number of alarms is as that of independent pixels."""
+        return np.interp(np.log1p(alarms), *self._effects)
+
     def rank_limits(self, pfa: Array) -> tuple[Counts, Counts]:
         """Ranks r, s (K,) of the order statistics between which the threshold lies that truly gives ``pfa`` (K,).
 
@@ -221,7 +225,7 @@ class AlarmBlocks:
             low, high = np.zeros(pfa.size, np.int64), np.full(pfa.size, n + 1)
             while np.any(low < high):
                 middle = (low + high) // 2
-                effect = np.interp(np.log1p(middle), *self._effects)
+                effect = self.design_effect(middle)
                 below, above = beyond_jeffreys_limits(middle / effect, n / effect, pfa)
                 there = ~above if limit else below
                 open_ = low < high

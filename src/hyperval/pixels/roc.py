@@ -140,7 +140,8 @@ def alarms_at_detection(
     ``pd`` is known only through the targets: the number of them above it is binomial, so it lies between two of
     their order statistics.  The alarms at these, with the outer limits of Clopper & Pearson, bound the true P_FA;
     both statements at level sqrt(``level``), so that together they hold at ``level`` or more whatever the
-    distributions.
+    distributions.  Of a background whose places are known, alarms that come in clusters count as fewer: they and the
+    pixels are divided by the design effect (:meth:`~hyperval.pixels.alarms.AlarmBlocks.design_effect`).
 
     Raises
     ------
@@ -153,17 +154,21 @@ def alarms_at_detection(
         """Background scores that reach, or (``right``) exceed, the ``rank``-th greatest target."""
         return n - int(np.searchsorted(b, t[m - rank], side))
 
+    def limits(count: int, confidence: float) -> list[float]:
+        effect = float(background_scores.design_effect(count)) if isinstance(background_scores, AlarmBlocks) else 1.0
+        return [float(x) for x in clopper_pearson(count / effect, n / effect, confidence)]
+
     out = []
     for q in pd:
         if not 0.0 < q <= 1.0:
             raise UsageError(f"a detection probability of {q:g}", expected="above 0, at most 1")
         rank = int(np.ceil(q * m / _ROUNDING))
-        fixed = [float(x) for x in clopper_pearson(alarms(rank), n, level)]
+        fixed = limits(alarms(rank), level)
         r, s = (int(x) for x in _ranks(m, q, each))
-        low = float(clopper_pearson(alarms(r, "right"), n, each)[0]) if r >= 1 else 0.0
-        high = float(clopper_pearson(alarms(s), n, each)[1]) if s <= m else 1.0
-        limits = min(low, fixed[0]), max(high, fixed[1])
-        out.append(AlarmsAtDetection(q, float(t[m - rank]), alarms(rank), alarms(rank) / n, *limits, *fixed))
+        low = limits(alarms(r, "right"), each)[0] if r >= 1 else 0.0
+        high = limits(alarms(s), each)[1] if s <= m else 1.0
+        outer = min(low, fixed[0]), max(high, fixed[1])
+        out.append(AlarmsAtDetection(q, float(t[m - rank]), alarms(rank), alarms(rank) / n, *outer, *fixed))
     return tuple(out)
 
 
