@@ -16,7 +16,6 @@ from hyperval.model import (
     jeffreys_limits,
     joint_region,
     mid_p_limits,
-    zero_count_upper_limit,
 )
 from hyperval.pixels import (
     AlarmBlocks,
@@ -42,10 +41,6 @@ def test_limits_solve_the_binomial_tails(case):
         assert stats.binom.cdf(k, n, high) == pytest.approx(0.025, rel=1e-7)
     else:
         assert high == 1.0
-
-
-def test_no_alarm_in_12203_pixels():
-    assert zero_count_upper_limit(12203) == pytest.approx(float(clopper_pearson(0, 12203, 0.9)[1]), rel=1e-9)
 
 
 def test_joint_region_covers_both_at_once():

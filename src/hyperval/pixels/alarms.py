@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from hyperval.errors import UsageError
+from hyperval.errors import refusal
 from hyperval.model.intervals import Z95, beyond_jeffreys_limits, jeffreys_limits
 from hyperval.products import ExceedanceCurve
 
@@ -309,10 +309,7 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     """
     n = background.scores.size
     if n < FEWEST_FOR_A_CURVE:
-        raise UsageError(
-            f"{n} background pixels are too few for a curve of false alarms",
-            expected=f"{FEWEST_FOR_A_CURVE} or more",
-        )
+        raise refusal("alarms.few", n=n, least=FEWEST_FOR_A_CURVE)
     decades = np.log10(n / _LEAST_ALARMS)
     level = 10.0 ** -(np.arange(int(decades * _PER_DECADE), -1, -1) / _PER_DECADE)
     level = level[level <= 0.5]

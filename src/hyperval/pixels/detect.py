@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import LINEAR_DETECTORS
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal
 from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
 from hyperval.pixels.line import EmpiricalLine
 from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
@@ -332,12 +332,7 @@ def _kept_whole(cube: Cube, detectors: Mapping[str, PixelDetector]) -> dict[str,
     rows = {name: len(d.weights) + (d.quadratic is not None) for name, d in whole.items()}
     values = sum(rows.values()) * cube.lines * cube.samples
     if values > MOST_VALUES:
-        raise UsageError(
-            f"the detectors {', '.join(rows)} see the image at once, {values:.2g} values",
-            expected=f"at most {MOST_VALUES:.2g} (lines x samples x rows of weights)",
-            mend="give PixelDetector(..., by_pixel=True) where a pixel's score follows from that pixel alone, or "
-            "fewer rows of weights, or cut the image",
-        )
+        raise refusal("detector.whole", names=", ".join(rows), values=values, most=MOST_VALUES)
     return {name: np.full((k, cube.lines, cube.samples), np.nan) for name, k in rows.items()}
 
 
@@ -354,10 +349,7 @@ def _spectra_of(
     if k.shape != used.shape:
         raise UsageError(f"an empirical line of {k.size} bands for a cube of {used.size}")
     if not np.all(np.isfinite(k[used])):
-        raise UsageError(
-            f"the empirical line has no gain in {int(np.sum(~np.isfinite(k[used])))} of the detectors' bands",
-            mend="leave out the bands where EmpiricalLine.usable is False",
-        )
+        raise refusal("detector.no_gain", count=int(np.sum(~np.isfinite(k[used]))))
     return used, must, gain / k[used], (offset - b[used]) / k[used]
 
 

@@ -27,7 +27,7 @@ import scipy
 from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
 
 from hyperval.data import Components
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal
 from hyperval.pixels.sample import EigenDirections
 
 Array = npt.NDArray[np.float64]
@@ -305,11 +305,7 @@ def _folds(
     at = np.unique(np.asarray(block), return_inverse=True)[1].reshape(-1)
     blocks = int(at.max(initial=-1)) + 1
     if blocks < 2:
-        raise UsageError(
-            "the pixels lie in one block of the image: the number of components can not be chosen by leaving "
-            "blocks out",
-            mend="state it, such as mixture: 3",
-        )
+        raise refusal("mixture.one_block")
     return np.asarray((rng.permutation(blocks) % min(folds, blocks))[at]), at
 
 

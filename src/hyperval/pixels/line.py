@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal
 from hyperval.products import EstimatedPart
 
 Array = npt.NDArray[np.float64]
@@ -65,10 +65,7 @@ def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, interc
     exact = (x_variance == 0) & (y_variance == 0)
     none = exact.all(axis=0)
     if np.any(exact.any(axis=0) & ~none):
-        raise UsageError(
-            "some panels have an error and others have none",
-            mend="give every panel an uncertainty in reflectance or radiance, or none of them",
-        )
+        raise refusal("line.errors")
     # Error-free bands: unit weights make the same iteration ordinary least squares.
     vx, vy = np.where(none, 0.0, x_variance), np.where(none, 1.0, y_variance)
 
@@ -326,19 +323,11 @@ def fit_elm(
     every = np.ones(len(panels), bool)
     flat = contrast(every) < minimum_contrast
     if np.mean(flat) > 0.5:
-        raise UsageError(
-            f"the panels {', '.join(p.name for p in panels)} differ by {np.median(contrast(every)):.3g} in reflectance "
-            "(median over bands)",
-            expected=f"at least {minimum_contrast:g}",
-            mend="add a darker or brighter panel",
-        )
+        names, differ = ", ".join(p.name for p in panels), np.median(contrast(every))
+        raise refusal("line.contrast", names=names, differ=differ, least=minimum_contrast)
     fit, noisy = fitted(every, ~flat)
     if np.mean(noisy) > 0.5:
-        raise UsageError(
-            f"the gain is below {minimum_gain_snr:g} times its uncertainty in {int(noisy.sum())} of {noisy.size} bands",
-            expected="panels whose radiances differ clearly, the brighter one being the more reflective",
-            mend="use larger regions, check which panel is which, or give the panel errors as they are",
-        )
+        raise refusal("line.noisy", least=minimum_gain_snr, count=int(noisy.sum()), bands=noisy.size)
     usable = ~flat
     usable[usable] = ~noisy
     left_out = np.full(points[0].shape, np.nan)
@@ -395,9 +384,6 @@ def darkest_pixel_panel(
     least, noise = np.asarray(darkest, dtype=float), np.asarray(noise_variance, dtype=float)
     lost = ~(least >= -3.0 * np.sqrt(noise)) | ~np.isfinite(least)
     if np.any(lost):
-        raise UsageError(
-            f"the darkest radiance of the scene is negative or unknown in {int(np.sum(lost))} bands",
-            mend="state the ignore value of the cube, or leave those bands out",
-        )
+        raise refusal("line.darkest", count=int(np.sum(lost)))
     each = np.ones(least.size)
     return MeasuredPanel("darkest pixel", reflectance * each, reflectance_sd**2 * np.outer(each, each), least, noise)

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import SampleStatistics
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal
 from hyperval.executors import available_cores, single_blas_thread
 from hyperval.pixels.sample import SCENE
 
@@ -192,10 +192,8 @@ class Labels(Mapping[str, Mask]):
         count = len(next(iter(members.values()))) if members else int(number.max(initial=0)) + 1
         for name, mask in masks:
             if np.shape(mask) != number.shape or np.asarray(mask).dtype != bool:
-                raise UsageError(
-                    f"the mask of {name!r} has shape {np.shape(mask)} of {np.asarray(mask).dtype}",
-                    expected=f"{number.shape} of bool",
-                )
+                kind = np.asarray(mask).dtype
+                raise refusal("mask.shape", name=name, shape=np.shape(mask), kind=kind, expected=number.shape)
             some = [slice(i, i + _LINES_LABELLED) for i in range(0, len(number), _LINES_LABELLED)]
             used = np.zeros(2 * count, bool)
             for rows in some:
