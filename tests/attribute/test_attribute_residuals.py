@@ -91,7 +91,6 @@ def test_the_errors_of_a_measured_snr_and_of_scores_have_their_floors():
     assert np.diag(score.covariance) == pytest.approx([0.2**2 / 5 + 0.005**2, 0.5 / 4 + 0.02**2])
 
 
-AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 P = np.geomspace(0.5, 1e-5, 200)
 
 
