@@ -10,7 +10,19 @@ import numpy as np
 
 from hyperval.figures import detection, spectra
 from hyperval.figures.sides import EigenvalueSpectrum, Sides, TailCurve
-from hyperval.figures.spec import BETTER, SIDES, WORSE, Axis, ColourScale, Figure, Mark, Panels, Part, row_names
+from hyperval.figures.spec import (
+    BETTER,
+    SIDES,
+    WORSE,
+    Axis,
+    ColourScale,
+    Figure,
+    Mark,
+    Panels,
+    Part,
+    left_out,
+    row_names,
+)
 from hyperval.results import Result, ResultTable
 
 
@@ -113,48 +125,34 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
     by = {(r.subject, r.method): r.value for r in rows}
     # A gain below 1 explains nothing; subjects without any greater one have nothing to explain.
-    telling = {r.subject for r in rows if r.value >= 1.0}
-    every = [s for s in dict.fromkeys(r.subject for r in rows) if s in telling]
+    telling, asked = {r.subject for r in rows if r.value >= 1.0}, list(dict.fromkeys(r.subject for r in rows))
+    every = [s for s in asked if s in telling]
     if not every:
         return None
     subjects = every[:_MOST_GROUPS]
-    best: dict[str, float] = {}
-    for r in rows:
-        best[r.method] = max(best.get(r.method, 0.0), r.value)
-    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS] or list(best)[:1]
-    dots: dict[bool, list[tuple[float, float, float, str]]] = {False: [], True: []}
-    for i, subject in enumerate(subjects):
-        top = max((by.get((subject, n), 0.0) for n in inputs), default=0.0)
-        for j, name in enumerate(inputs):
-            gain = by.get((subject, name), 0.0)
-            if gain > 0.0 and top > 0.0:
-                size = 14.0 * math.sqrt(gain / top)
-                dots[gain >= 0.999 * top].append((j, i, size, _short(gain)))
+    best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
+    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
+    gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
+    part = gains / np.maximum(gains.max(axis=1, keepdims=True), 1e-300)
     marks = []
-    for first, label, colour in (
-        (False, "part of it", _OTHER),
-        (True, "greatest gain of a subject, 2 Δ ln L", _BEST),
-    ):
-        if dots[first]:
-            x, y, sizes, words = zip(*dots[first], strict=True)
-            columns = {"x": np.array(x, float), "y": np.array(y, float), "size": np.array(sizes)}
-            side: Any = "right" if first else ""
-            marks.append(Mark("dots", columns, label, colour, marker="circle", words=words, beside=side))
-    tops = {s: max(inputs, key=lambda n: by.get((s, n), 0.0)) for s in subjects}
+    for first, label, colour in ((False, "part of it", _OTHER), (True, "greatest gain of a subject, 2 Δ ln L", _BEST)):
+        own = (gains > 0.0) & ((part >= 0.999) == first)
+        if own.any():
+            y, x = np.nonzero(own)
+            columns = {"x": x.astype(float), "y": y.astype(float), "size": 14.0 * np.sqrt(part[own])}
+            words = tuple(_short(gain) for gain in gains[own])
+            beside: Any = "right" if first else ""
+            marks.append(Mark("dots", columns, label, colour, marker="circle", words=words, beside=beside))
     legend = "the area of a dot is the gain as a part of the greatest of its subject"
-    quiet = len({r.subject for r in rows}) - len(every)
-    if quiet:
-        legend += f"; {quiet} subjects have nothing to explain"
-    if len(every) > len(subjects):
-        legend += f"; {len(subjects)} of {len(every)} are drawn, all are in results.csv"
+    quiet = len(asked) - len(every)
+    legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
+    legend += left_out(len(subjects), len(every), "results.csv")
+    tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
     return Figure(
-        "attribution-subjects",
-        "attribution",
-        "The same for each subject by itself",
-        "For each subject the input that gains most: " + "; ".join(f"{s}: {n}" for s, n in tops.items()) + ".",
-        (Panels(row_names(inputs, _LONGEST), (Part(row_names(subjects, _LONGEST), tuple(marks)),)),),
-        legend,
-    )
+        "attribution-subjects", "attribution", "The same for each subject by itself",
+        f"For each subject the input that gains most: {tops}.",
+        (Panels(row_names(inputs, _LONGEST), (Part(row_names(subjects, _LONGEST), tuple(marks)),)),), legend,
+    )  # fmt: skip
 
 
 def _effects(rows: Sequence[Result]) -> Figure:

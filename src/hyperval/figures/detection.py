@@ -167,7 +167,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
     predicted, measured = (of_side(side, "exceedance") for side in sides)
 
     def view(key: tuple[str, str]) -> tuple[Panels, str]:
-        law, found, floor, span, words = predicted[key], measured.get(key), 1e-6, None, ""
+        law, found, floor, span, words = predicted[key], measured.get(key), 1e-6, None, " ".join(key)
         columns = {"x": law.threshold, "y": law.probability, "low": law.lower, "high": law.upper}
         marks = [predicted_mark("line", _thinned(columns))]
         if found is not None:
@@ -179,7 +179,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
             floor, span = 0.3 * float(p.min()), (1.05 * x[0] - 0.05 * x[-1], 1.35 * x[-1] - 0.35 * x[0])
             at = int(np.argmin(np.abs(np.log(p) - math.log(1e-2))))
             model = float(np.exp(np.interp(x[at], law.threshold, np.log(law.probability))))
-            words = f"{' '.join(key)}: at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}"
+            words += f": at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}"
         y = Axis("part of the background above", "log", ends=(floor, 1.0))
         return Panels(Axis("score", ends=span), (Part(y, tuple(marks)),), ", ".join(key)), words
 
