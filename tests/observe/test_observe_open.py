@@ -157,7 +157,6 @@ def test_a_file_of_the_whole_site_serves_a_line_that_holds_some(world):
         ({"targets": {"regions": []}}, ValueError, "give exactly one of regions, rasters, csv"),
         ({"targets": {"regions": [{"material": "a", "file": "f"}], "csv": "t.csv"}}, ValueError, "exactly one of reg"),
         ({"targets": {"regions": [{"material": "a", "file": "f"}], "pixels": "centre"}}, ValueError, "only a list"),
-        ({"empirical_line": {"panels": []}}, ValueError, "at least 1 item"),
         ({"calibration": {}}, ValueError, "give exactly one of relative, file"),
         ({"cube": {"path": "c.img", "quantity": "radiance"}}, ValueError, "unit of the radiance is not stated"),
         ({"cube": {"path": "c.img", "quantity": "reflectance", "by_number": True, "sort_bands": True}}, ValueError,

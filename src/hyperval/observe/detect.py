@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -179,7 +179,7 @@ def detect(place: Place, detection: Detection, resolve: Resolve, *, show_progres
     bank = _filter_bank(place, detection, _target_spectra(place, detection, resolve))
     maps, notes = _score_maps(place, detection, bank, show_progress)
     curves, outlined = _Curves(place, detection, bank), dict[str, dict[str, TargetObject]]()
-    for target in track(detection.targets, "curves", show=show_progress):
+    for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
             key = map_name(target.name, detector)
@@ -580,7 +580,6 @@ class Unmixed:
     bands: Mask
     covariances: Mapping[str, Array | None]
     pixel_area_m2: float
-    notes: tuple[str, ...] = field(default=())
 
 
 @dataclass(frozen=True, eq=False)
