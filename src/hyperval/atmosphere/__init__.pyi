@@ -1,20 +1,36 @@
 """From the state of the atmosphere to the terms of equation 3.7."""
 
 from .between import AtmosphericTable, interpolated_terms, smooth_rule, spaced
+from .cache import cache_folder, cached
 from .engine import ENGINES, atmospheric_terms
 from .modtran import (
     RADIANCE_COLUMNS,
+    Modtran,
+    configured_modtran,
     modtran6_json,
     read_channels,
     read_chn,
     read_modtran_json,
     read_modtran_runs,
     read_tape7,
+    run_modtran,
+    solve_coefficients,
+    stated_albedo,
+    stated_fields,
     tape5,
     terms_from_runs,
 )
-from .physics import EngineRatio, engine_ratio, molecular_albedo, ways
-from .sixs import sixs_terms
+from .physics import (
+    OXYGEN,
+    EngineRatio,
+    binary_coefficient,
+    collision_column,
+    engine_ratio,
+    low_share,
+    molecular_albedo,
+    ways,
+)
+from .sixs import NODES_NM, aerosol_extinction, run_sixs, sixs_terms
 from .solar import (
     distance_on_day,
     earth_sun_distance_au,
@@ -35,10 +51,13 @@ from .table import build_table, read_table, write_table
 from .terms import AtmosphericTerms
 
 __all__ = [
-    "ENGINES", "RADIANCE_COLUMNS", "AerosolMix", "AtmosphericState", "AtmosphericTable", "AtmosphericTerms",
-    "EngineRatio", "aot550_from_range", "atmospheric_terms", "build_table", "distance_on_day",
-    "earth_sun_distance_au", "engine_ratio", "extraterrestrial_irradiance", "fraction_below", "interpolated_terms",
-    "modtran6_json", "molecular_albedo", "parse_utc", "pressure_at", "range_from_aot550", "read_channels",
-    "read_chn", "read_modtran_json", "read_modtran_runs", "read_table", "read_tape7", "sixs_terms", "smooth_rule",
-    "solar_position", "spaced", "standard_profile", "tape5", "terms_from_runs", "ways", "write_table",
+    "ENGINES", "NODES_NM", "OXYGEN", "RADIANCE_COLUMNS", "AerosolMix", "AtmosphericState", "AtmosphericTable",
+    "AtmosphericTerms", "EngineRatio", "Modtran", "aerosol_extinction", "aot550_from_range", "atmospheric_terms",
+    "binary_coefficient", "build_table", "cache_folder", "cached", "collision_column", "configured_modtran",
+    "distance_on_day", "earth_sun_distance_au", "engine_ratio", "extraterrestrial_irradiance", "fraction_below",
+    "interpolated_terms", "low_share", "modtran6_json", "molecular_albedo", "parse_utc", "pressure_at",
+    "range_from_aot550", "read_channels", "read_chn", "read_modtran_json", "read_modtran_runs", "read_table",
+    "read_tape7", "run_modtran", "run_sixs", "sixs_terms", "smooth_rule", "solar_position", "solve_coefficients",
+    "spaced", "standard_profile", "stated_albedo", "stated_fields", "tape5", "terms_from_runs", "ways",
+    "write_table",
 ]  # fmt: skip
