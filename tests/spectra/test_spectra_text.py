@@ -222,6 +222,11 @@ def test_one_spectrum_a_row_with_metadata_before_it(tmp_path):
     assert read(tmp_path, text, "r.csv", record="elm").values.tolist() == [0.2, 0.4, 0.5]
     assert [s.name for s in read_records(tmp_path / "r.csv")] == ["oak", "elm"]
     assert read_records(tmp_path / "r.csv")[1].wavelength_nm.tolist() == [400, 600, 700]
+    detectors = [*range(400, 700, 10), *range(655, 1000, 10)]  # whose ranges overlap, as in libraries of EMIT
+    table = f"Class,{','.join(map(str, detectors))}\nSoil,{','.join(['0.3'] * len(detectors))}\n"
+    found = read(tmp_path, table, "e.csv")
+    assert "overlapping detectors joined at 672.5 nm" in found.notes
+    assert found.wavelength_nm[[0, -1]].tolist() == [400.0, 995.0]
 
 
 def test_an_envi_plot_names_its_columns(tmp_path):

@@ -18,13 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import InputError, UsageError, refuse
-from hyperval.spectra.record import MAX_ROWS, Record
+from hyperval.spectra.record import MAX_JOINS, MAX_ROWS, Record
 from hyperval.units import only_wavelength_unit
 
 Array = npt.NDArray[np.float64]
-MAX_HEADER_LINES = 1000
-MAX_COLUMNS = 2000
-MAX_TITLE = 1000
+MAX_HEADER_LINES, MAX_COLUMNS, MAX_TITLE = 1000, 2000, 1000
 _CUT = "copy the file again: it is damaged or cut short"
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
@@ -315,7 +313,7 @@ def _column(wanted: str | int, titles: list[str], where: str) -> int:
     return titles.index(wanted)
 
 
-FEWEST_BANDS = 4
+FEWEST_BANDS, FEWEST_BANDS_OF_A_DETECTOR = 4, 25
 MAX_CELLS = 2_000_000
 _BEFORE = r"(?:(?:x|r|wl|wvl|wave|wavelength|lambda|refl|reflectance|nm)[_. ]?)?"  # no b: that counts bands
 _WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?(nm|um)?$", re.IGNORECASE)
@@ -399,7 +397,10 @@ def _wavelengths(titles: list[str]) -> Array:
 
 
 def _first_band(titles: list[str]) -> int | None:
-    """Where the titles become wavelengths that increase or fall to the end; None where they do not."""
+    """Where the titles become wavelengths that increase or fall to the end; None where they do not.
+
+    They may begin anew with each of a few detectors that overlap.
+    """
     titles = _without_end(titles)
     first = len(titles)
     while first and _WAVELENGTH.match(titles[first - 1].strip()):
@@ -408,7 +409,8 @@ def _first_band(titles: list[str]) -> int | None:
     if numbers.size < FEWEST_BANDS or only_wavelength_unit(numbers) is None:
         return None
     step = np.diff(numbers)
-    return first if np.all(step > 0) or np.all(step < 0) else None
+    detectors = min(MAX_JOINS, numbers.size // FEWEST_BANDS_OF_A_DETECTOR)
+    return first if np.sum(step <= 0) <= detectors or np.all(step < 0) else None
 
 
 def _without_end(cells: list[str], least: int = 0) -> list[str]:
