@@ -20,7 +20,7 @@ from .modtran import (
     tape5,
     terms_from_runs,
 )
-from .physics import (
+from .physics import GREATEST_WATER_G_CM2, (
     OXYGEN,
     EngineRatio,
     binary_coefficient,
@@ -51,6 +51,7 @@ from .table import build_table, read_table, write_table
 from .terms import AtmosphericTerms
 
 __all__ = [
+    "GREATEST_WATER_G_CM2",
     "ENGINES", "NODES_NM", "OXYGEN", "RADIANCE_COLUMNS", "AerosolMix", "AtmosphericState", "AtmosphericTable",
     "AtmosphericTerms", "EngineRatio", "Modtran", "aerosol_extinction", "aot550_from_range", "atmospheric_terms",
     "binary_coefficient", "build_table", "cache_folder", "cached", "collision_column", "configured_modtran",
