@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericTerms, earth_sun_distance_au, solar, solar_position
-from hyperval.atmosphere.solar import _spectrum
 from hyperval.errors import InputError, MissingDataError, UsageError
 from hyperval.spectra import SpectralAxis
 
@@ -121,7 +120,7 @@ def test_sun_and_spectrum_are_those_of_the_package_that_is_not_imported_for_them
         distance = solarposition.nrel_earthsun_distance(index).iloc[0]
         assert earth_sun_distance_au(when) == distance
     table = spectrum.get_reference_spectra(standard="ASTM G173-03")["extraterrestrial"]
-    np.testing.assert_array_equal(_spectrum("astm-g173", ())[1], table.to_numpy() * 100.0)
+    np.testing.assert_array_equal(solar._spectrum("astm-g173", ())[1], table.to_numpy() * 100.0)
 
 
 def test_what_is_not_at_hand_not_covered_or_damaged_is_said(monkeypatch, tmp_path):

@@ -12,8 +12,8 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
+from hyperval.figures import ScoreMap
 from hyperval.imagery import open_cube, write_cube
-from hyperval.report.run import ScoreMap
 from hyperval.spectra import library_to_spy, library_to_xarray, read_records
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hyperval.attribute import injected_errors
-from hyperval.report.run import PowerTable, accepted_table
+from hyperval.report import PowerTable, accepted_table
 
 ROOT = Path(__file__).parents[2]
 TABLES = sorted((ROOT / "validation" / "power").glob("*.yaml"))

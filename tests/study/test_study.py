@@ -57,6 +57,15 @@ def quick(monkeypatch):
     monkeypatch.setattr("hyperval.study.run._SMALLEST", 32)
 
 
+def test_a_bend_is_looked_for_beside_an_input_that_is_drawn(make_study, tmp_path):
+    drawn = "inputs: [{name: haze, path: atmosphere.aot550, random: {uniform: [0.1, 0.4]}},\n"
+    drawn += f" {{name: fill, path: {FILL}, values: [0.02, 0.05, 0.1, 0.2]}}]\ndesign: {{count: 8, seed: 1}}\n"
+    text = f"{drawn}{OUT}knees: [{{output: pd, along: fill}}]\n"
+    rows = api.study(make_study(text), output=tmp_path / "out", show_progress=False).results.to_dataframe()
+    assert "median" in set(rows["metric"])
+    assert (rows["metric"] == "knee").sum() == 8  # one for each draw
+
+
 def tables(folder) -> dict[str, bytes]:
     return {n: (folder / n).read_bytes() for n in ("table.csv", "table.nc", "results.csv")}
 
