@@ -183,6 +183,15 @@ def test_lacking_data_are_skipped(small, place, tmp_path, monkeypatch, capsys):
     assert cli.run(["baseline", "accept", path, "--reason", "First"]) == 5
 
 
+def test_a_finished_run_of_a_campaign_that_waits_for_its_collection_is_read(tmp_path, monkeypatch, capsys):
+    """Its values are still to be filled in, and its file holds several runs."""
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
+    template = str(Path(__file__).parents[2] / "campaigns" / "radcalnet-sensor" / "campaign.yaml")
+    assert cli.run(["-q", "validate", template, "-o", str(tmp_path / "out")]) == 5
+    assert cli.run(["check", template, "--from", str(tmp_path / "out")]) == 5
+    assert "skipped: radcalnet-sensor is not on this machine" in capsys.readouterr().err
+
+
 def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere):
     data = sensor_data()
     file = str(write_yaml(tmp_path / "mine.yaml", data))

@@ -177,14 +177,6 @@ def test_wrong_value_is_told_at_its_field_and_nothing_runs(client, server):
     assert len(client.get(f"{server.address}/api/v1/runs").json()) == before
 
 
-def test_rows_are_added_and_removed(client, server):
-    fields = dict(Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent)
-    more = Fields(client.post(f"{server.address}/predict", data={**fields, "action": "add:scene.classes"}).text)
-    assert dict(more.sent)["scene.classes#"] == "4"
-    fewer = Fields(client.post(f"{server.address}/predict", data={**fields, "action": "remove:scene.classes.1"}).text)
-    assert dict(fewer.sent)["scene.classes.1.name"] == "soil"
-
-
 @pytest.mark.slow
 def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, server, tmp_path):
     order = {**EASY, "settings": {"atmosphere.meteorological_range_km": 31.5, "title": "1e5"}}

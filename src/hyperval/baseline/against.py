@@ -216,7 +216,7 @@ def _stale(job: Job, provenance: Mapping[str, Any]) -> str | None:
         return f"was made by commit {str(then.get('commit'))[:12]}, the source is at {now['commit'][:12]}"
     several = bool(job.words)  # runs in one file, of which another may have changed
     said = (provenance.get("configuration") or {}).get("campaign")
-    if several and said != json_value(job.campaign.model_dump(mode="json", by_alias=True)):
+    if several and job.waits is None and said != json_value(job.campaign.model_dump(mode="json", by_alias=True)):
         return f"was made with another {job.path.name}"
     for item in provenance.get("inputs", ()):
         reference = str(item.get("reference"))
