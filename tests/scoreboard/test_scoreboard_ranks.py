@@ -26,18 +26,6 @@ def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 200
     return BlockCounts(names, over, tie, np.bincount(block), np.arange(objects), {})
 
 
-def test_detectors_far_apart_have_one_rank_each_and_equal_ones_share_all():
-    rng = np.random.default_rng(0)
-    noise = rng.normal(scale=0.01, size=(3, 2000))
-    values = np.array([0.9, 0.5, 0.1])
-    low, high = rank_sets(values, values[:, None] + noise, 1000)
-    assert low.tolist() == high.tolist() == [1, 2, 3]
-    same = np.full(3, 0.5)
-    low, high = rank_sets(same, np.tile(noise[:1], (3, 1)), 1000)  # the same in every draw
-    assert low.tolist() == [1, 1, 1]
-    assert high.tolist() == [3, 3, 3]
-
-
 def test_two_detectors_by_the_normal_law():
     """Of two, c is the normal 97.5 % point of the difference: told apart from 1.96 standard deviations on."""
     rng = np.random.default_rng(1)

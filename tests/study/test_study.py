@@ -66,6 +66,16 @@ def test_a_bend_is_looked_for_beside_an_input_that_is_drawn(make_study, tmp_path
     assert (rows["metric"] == "knee").sum() == 8  # one for each draw
 
 
+def test_paths_of_the_model_are_moved_within_their_limits(make_study, table_of):
+    text = "inputs: [{{name: gain, path: sensor.gain, values: [1.0, 1.1]}}, {{name: haze, path: light.path,\n"
+    text += " values: [0.5, {}]}}]\noutputs: [{{name: seen, kind: radiance, subject: grass, band_nm: 550}}]\n"
+    seen = table_of(text.format(1.0))["seen"].to_numpy().reshape(2, 2)
+    assert seen[1] == pytest.approx(1.1 * seen[0], rel=1e-12)
+    assert seen[0, 0] < seen[0, 1]
+    with pytest.raises(UsageError, match=r"light\.path at -1\.0"):
+        table_of(text.format(-1.0))
+
+
 def tables(folder) -> dict[str, bytes]:
     return {n: (folder / n).read_bytes() for n in ("table.csv", "table.nc", "results.csv")}
 

@@ -176,6 +176,12 @@ def fits(pattern: str, path: str) -> bool:
     return len(of) == len(parts) and all(a in ("*", b) for a, b in zip(of, parts, strict=True))
 
 
+def in_file(path: str) -> bool:
+    """Whether a path is an entry of the scenario's file; others lead to an array of the world alone."""
+    root = next(p for p in PATHS if fits(p, path)).partition(".")[0]
+    return root in ("atmosphere", "sensor_changes", "sensor_operation", "scene", "**")
+
+
 def column_of(values: Sequence[Any]) -> Values:
     """Values as a column: numbers as floats, anything else as objects."""
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):

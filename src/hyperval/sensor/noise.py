@@ -241,9 +241,6 @@ def recorded_noise(
         noise = with_signal(noise, np.asarray(signal_factor, dtype=float))
     if all(np.all(np.asarray(x) == y) for x, y in ((gain, 1.0), (offset, 0.0), (factor, 1.0))):
         return noise
-    if isinstance(noise, RecordedNoise):  # recorded a second time
-        offset = np.asarray(gain) * noise.offset + offset
-        gain, factor = np.asarray(gain) * noise.gain, np.asarray(factor) * noise.factor
     inner = {f.name: getattr(noise, f.name) for f in fields(NoiseModel)}
     return RecordedNoise(**inner, gain=gain, offset=offset, factor=factor)
 

@@ -18,7 +18,7 @@ from scipy.optimize.elementwise import find_root
 from hyperval.atmosphere.between import spaced
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
-from hyperval.model import Origins, World, read, reads_again
+from hyperval.model import Origins, World, find, in_file, read, reads_again
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.world import column_of, plain
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -73,6 +73,7 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     try_values(study, scenario)
     states, nodes = _states(study, scenario)
     world = read(scenario, Origins(show_progress=False), nodes=nodes)
+    try_moves(study, world)
     world.stated.atmosphere.prepare(states, show_progress)
     check_outputs(study.outputs, scenario, world.stated.axis)
     for reference in _references(scenario):
@@ -98,7 +99,7 @@ def try_values(study: StudyFile, scenario: Scenario) -> None:
     for item in study.moving:
         for value in _values_to_try(item):
             point = moved({item.name: item}, {item.name: column_of([value])})
-            changes = {p: plain(c[0]) for p, c in point.items()}
+            changes = {p: plain(c[0]) for p, c in point.items() if in_file(p)}
             at = changes.pop(PFA, None)
             if at is not None and not 0.0 < at < 1.0:
                 raise UsageError(f"input {item.name!r}: a false-alarm probability of {at:g}", expected="0 to 1")
@@ -107,6 +108,19 @@ def try_values(study: StudyFile, scenario: Scenario) -> None:
                     with_settings(scenario, changes)
             except UsageError as error:
                 raise UsageError(f"input {item.name!r} at {value!r}: {error}") from error
+
+
+def try_moves(study: StudyFile, world: World) -> None:
+    """Refuse what leads to no array of the world, and values beyond its limits (``PATHS``)."""
+    for item in study.moving:
+        for value in _values_to_try(item):
+            for path, column in moved({item.name: item}, {item.name: column_of([value])}).items():
+                if in_file(path):
+                    continue
+                entry, number = find(world.stated, path)[0], plain(column[0])
+                if entry.shape == "matrix" or not entry.low <= number <= entry.high:
+                    expected = f"a number from {entry.low:g} to {entry.high:g}"
+                    raise UsageError(f"input {item.name!r}: {path} at {value!r}", expected=expected)
 
 
 def _values_to_try(item: Input | Required) -> list[Any]:

@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
 from hyperval.errors import UsageError
+from hyperval.model import in_file
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
@@ -153,7 +154,8 @@ def _of_paths(study: StudyFile, scenario: Scenario) -> Iterator[FieldMistake]:
         elif item.values or item.grid:
             first = item.values[0] if item.values else item.grid.start if item.grid else None
         for move in item.targets:
-            if move.path.partition(".")[0] not in Scenario.model_fields or first is None or isinstance(first, list):
+            is_entry = in_file(move.path) and move.path.partition(".")[0] in Scenario.model_fields
+            if not is_entry or first is None or isinstance(first, list):
                 continue
             value = move.offset + move.factor * first if isinstance(first, int | float) else first
             try:
