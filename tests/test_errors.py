@@ -1,4 +1,4 @@
-"""Words for errors that nobody foresaw."""
+"""Words for internal errors."""
 
 import json
 

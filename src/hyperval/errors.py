@@ -128,7 +128,7 @@ def _is_endless(path: str | Path) -> bool:
 
 
 def internal_error(error: Exception) -> str:
-    """Words for an error that nobody foresaw: what it is, and where it arose, the innermost place first."""
+    """Words for an internal error: what it is, and where it arose, the innermost place first."""
     places = []
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)

@@ -280,7 +280,7 @@ def test_junit_counts_match_the_table(table):
         assert all(item.get("message") for item in found)
     assert [int(root.get(key)) for key in ("failures", "errors", "skipped")] == [1, 1, 1]
     assert [suite.get("name") for suite in root] == ["invented", NASTY, "other"]
-    assert "difference_ratio 400" not in junit_xml(table), "rows that do not decide are no test cases"
+    assert "difference_ratio 400" not in junit_xml(table), "informational rows are no test cases"
     assert ElementTree.fromstring(junit_xml([])).get("tests") == "0"  # noqa: S314
 
 

@@ -39,7 +39,7 @@ class Gate(Model):
     at_most, at_least, within : the accepted range; exactly one, save that a pooled gate on a 0/1 metric needs none
     fraction_at_least : makes it a pooled gate: this share of all matching rows must meet the limit, and one
         row of its own tells the share
-    gate : False for rows that inform but do not decide
+    gate : False for informational rows
     chosen_after, before : True where the range was chosen after its own data were seen, and what it was before
     reason : why this is, or is not, a gate
     """
@@ -66,12 +66,12 @@ class Gate(Model):
         le=1.0,
         description="share of all matching rows that must meet the limit, judged together",
     )
-    gate: bool = Field(True, description="false: shown, and does not decide")
+    gate: bool = Field(True, description="false: informational")
     chosen_after: bool = Field(
         False, description="true: chosen after the data of this campaign were seen; the report says so"
     )
     before: str = Field("", description="with chosen_after: what it was before")
-    reason: str = Field(min_length=1, description="why the range, or why it does not decide")
+    reason: str = Field(min_length=1, description="why the range, or why it is informational")
 
     @model_validator(mode="after")
     def _can_fail(self) -> Gate:

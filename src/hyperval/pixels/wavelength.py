@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 # The two branches of the band: share, centre and spread [nm]. Fitted to MODTRAN 6 in channels of 5.7 nm, rms 0.003
 # of up to 0.47 absorbed.
 _BRANCHES = ((0.48, 761.24, 0.80), (0.52, 764.38, 2.57))
-# What the shape of two branches is worth [nm]: shifts of -5 to 5 nm planted line by line are found within 1.2.
+# What the shape of two branches is worth [nm]: shifts of -5 to 5 nm simulated line by line are found within 1.2.
 _SHAPE = 1.0
 # Equivalent width [nm], sun to sensor: 4.0 by MODTRAN 6 from 2.3 km under a sun at 31 degrees; as the root of the
 # path, 3.6 to 6 from other heights and suns.

@@ -444,7 +444,7 @@ def _subject_text(text: str) -> str:
 
 
 def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figure]:
-    """Charts of products whose gates say worse before the others; of one rank, by what does not decide."""
+    """Charts of products whose gates say worse before the others; of one rank, by informational comparisons."""
 
     def rank(chart: Figure) -> tuple[int, ...]:
         made = (row for row in rows if row.planned and row.outcome is not Outcome.SKIPPED)

@@ -31,7 +31,7 @@ class Sight(StrEnum):
     """How far a campaign sees an error."""
 
     GATES = "gates"
-    INFORMING = "rows that do not decide"
+    INFORMING = "informational comparisons"
     UNSEEN = "unseen"
     NOT_APPLICABLE = "not applicable"
 
@@ -40,7 +40,7 @@ class Injected(Model):
     """What one injected error turns to "disagrees"; of rows that disagree without it nothing is said."""
 
     gates: tuple[str, ...] = Field((), description='gates that turn: "product | subject | method | metric"')
-    informing: dict[str, int] = Field(default_factory=dict, description="rows that turn and do not decide, by product")
+    informing: dict[str, int] = Field(default_factory=dict, description="informational rows that turn, by product")
     not_applicable: str | None = Field(None, description="why it cannot be injected")
 
     @property

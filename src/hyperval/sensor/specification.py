@@ -272,7 +272,7 @@ class PublishedSnr(Model):
 
 
 class KnownDiscrepancy(Model):
-    """A check that this sensor is known not to pass, and why: it is then shown and does not decide."""
+    """A check that this sensor is known not to pass, and why: it is then informational."""
 
     check: str = Field(min_length=3, description="product/metric or product/metric/subject, as in results.csv")
     reason: str = Field(min_length=10, description="why it does not pass, and why that stands")

@@ -407,7 +407,7 @@ class Found(NamedTuple):
     value : judged against the range of the check
     subject : what it was measured of
     words : what the reason names
-    outcome : where the range does not decide; ``NONE`` informs
+    outcome : where it does not follow from the range; ``NONE`` informs
     n : how many values stand behind it
     """
 

@@ -115,7 +115,7 @@ class Guard:
             pass  # that is said, or nobody is there to be told
         except Exception as error:
             print(f"hyperval serve: {internal_error(error)}", file=sys.stderr)
-            await answer.refuse(500, "", "an error that nobody foresaw; the server's log has it")
+            await answer.refuse(500, "", "an internal error; the server's log has it")
 
     def _bound(self, path: str) -> int:
         limits = self.settings.limits

@@ -255,7 +255,7 @@ def outcome(task: Task, arguments: Mapping[str, Any]) -> tuple[str, Any]:
         from hyperval.errors import internal_error
 
         print(f"hyperval serve: {internal_error(error)}", file=sys.stderr)
-        return "failed", "an error that nobody foresaw; the server's log has it"
+        return "failed", "an internal error; the server's log has it"
 
 
 def _end_with(parent: int) -> None:
