@@ -43,12 +43,11 @@ HEADER = "hysu/published/full/DLR_HySU_HS_full.hdr"
 
 
 def test_registry_is_complete_and_pinned():
-    files = [(entry, file) for entry in datasets.registry().values() for file in entry.files]
-    assert {"hysu", "pasadena"} <= {entry.name for entry, _ in files}
     for entry in datasets.registry().values():
         assert entry.licence
         assert entry.citation
         assert bool(entry.files) == entry.public
+    files = [(entry, file) for entry in datasets.registry().values() for file in entry.files]
     for entry, file in files:
         assert re.fullmatch(r"[0-9a-f]{10,40}", entry.commit)
         assert re.fullmatch(r"sha256:[0-9a-f]{64}|git-blob:[0-9a-f]{40}", file.digest)
@@ -124,11 +123,8 @@ def test_a_set_that_is_not_public_says_who_holds_it_and_where_it_goes(places):
         datasets.resolve(reference)
     with pytest.raises(InputError, match="ask the laboratory"):
         datasets.fetch("share2012")
-    assert datasets.verify("share2012") == []
-    assert datasets.files_at_hand("share2012") == 0
     target = put(places[0], reference.removeprefix("data:"))
     assert datasets.resolve(reference) == target
-    assert datasets.files_at_hand("share2012") == 1
     (log := InputLog(places[0])).resolve(reference)
     (record,) = log.entries()
     assert (record["dataset"], record["licence"]) == ("share2012", "not public")
@@ -137,8 +133,7 @@ def test_a_set_that_is_not_public_says_who_holds_it_and_where_it_goes(places):
 @pytest.mark.parametrize(
     ("mistyped", "meant"),
     [
-        ("hysu/published/full/DLR_HySU_HS_ful.hdr", HEADER),
-        ("hysu/Published/full/dlr_hysu_hs_full.hdr", HEADER),
+        ("hysu/Published/full/dlr_hysu_hs_ful.hdr", HEADER),
         ("hyzu/published/full/DLR_HySU_HS_full.hdr", HEADER),
         ("pasadina/x", "pasadena"),
         ("mine/cub.img", "mine/cube.img"),
@@ -229,15 +224,25 @@ def files_below(folder: Path) -> list[str]:
     return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
 
 
-def test_fetch_fills_the_cache_and_a_second_fetch_asks_for_nothing(server, places):
+def test_fetch_fills_the_cache_goes_on_after_a_failure_and_mends_damage(server, places):
     assert datasets.missing("toy") == ["data:toy/a.txt", "data:toy/b.chn.gz"]
-    assert len(datasets.fetch("toy")) == 2
-    assert files_below(places[1]) == ["toy/a.txt", "toy/b.chn.gz"]
-    assert gzip.decompress((places[1] / "toy/b.chn.gz").read_bytes()) == b"packed" * 100
+    body = server.content.pop("/b.chn")
+    with pytest.raises(InputError, match="the server answered 404"):
+        datasets.fetch("toy")
+    assert files_below(places[1]) == ["toy/a.txt"]
+    server.content["/b.chn"] = body
+    for asked in (["/b.chn"], []):  # what is there is not fetched again
+        server.asked.clear()
+        datasets.fetch("toy")
+        assert server.asked == asked
+    packed = (places[1] / "toy/b.chn.gz").read_bytes()
+    assert gzip.decompress(packed) == b"packed" * 100
+    put(places[1], "toy/a.txt", b"fIrst")
+    put(places[1], "toy/b.chn.gz", b"no gzip at all")
+    assert {c.state for c in datasets.verify("toy")} == {"differs"}
+    datasets.fetch("toy")
     assert {c.state for c in datasets.verify("toy")} == {"ok"}
-    server.asked.clear()
-    assert datasets.fetch("toy") == []
-    assert server.asked == []
+    assert (places[1] / "toy/b.chn.gz").read_bytes() == packed  # the same bytes every time
 
 
 def test_a_file_whose_git_blob_id_alone_is_published(server, places, monkeypatch):
@@ -245,14 +250,8 @@ def test_a_file_whose_git_blob_id_alone_is_published(server, places, monkeypatch
     content = b"what is up, doc?"
     server.content["/c.img"] = content
     a = datasets.dataset("toy").files[0]
-    blob = DataFile(
-        "toy/c.img",
-        a.address.replace("/a.txt", "/c.img"),
-        len(content),
-        "",
-        "bd9dbf5aae1a3862dd1526723246b20206e5fc37",
-    )
-    entry = toy_set(blob)
+    blob = "bd9dbf5aae1a3862dd1526723246b20206e5fc37"
+    entry = toy_set(DataFile("toy/c.img", a.address.replace("/a.txt", "/c.img"), len(content), "", blob))
     monkeypatch.setattr(datasets, "registry", lambda: {"toy": entry})
     for wrong in (b"what is up, cat?", content[:-1]):
         server.content["/c.img"] = wrong
@@ -262,46 +261,20 @@ def test_a_file_whose_git_blob_id_alone_is_published(server, places, monkeypatch
     server.content["/c.img"] = content
     assert len(datasets.fetch("toy")) == 1
     assert {c.state for c in datasets.verify("toy")} == {"ok"}
-    (places[1] / "toy/c.img").write_bytes(b"what is up, cat?")
-    assert {c.state for c in datasets.verify("toy")} == {"differs"}
 
 
 @pytest.mark.parametrize("answer", [b"fIrst", b"", b"first and more", b"x" * 10_000_000], ids=lambda b: str(len(b)))
 def test_another_content_is_never_kept(server, places, answer):
     server.content["/a.txt"] = answer
-    with pytest.raises(InputError, match="not the registered file") as caught:
+    with pytest.raises(InputError, match=r"not the registered file(?s:.*)hyperval data fetch toy"):
         datasets.fetch("toy")
-    assert "hyperval data fetch toy" in str(caught.value)
     assert files_below(places[1]) == []
-
-
-def test_a_failed_fetch_keeps_what_came_and_goes_on(server, places):
-    body = server.content.pop("/b.chn")
-    with pytest.raises(InputError, match="the server answered 404"):
-        datasets.fetch("toy")
-    assert files_below(places[1]) == ["toy/a.txt"]
-    server.content["/b.chn"] = body
-    server.asked.clear()
-    datasets.fetch("toy")
-    assert server.asked == ["/b.chn"]
-
-
-def test_a_damaged_file_of_the_cache_is_seen_and_fetched_again(server, places):
-    datasets.fetch("toy")
-    packed = (places[1] / "toy/b.chn.gz").read_bytes()
-    put(places[1], "toy/a.txt", b"fIrst")
-    put(places[1], "toy/b.chn.gz", b"no gzip at all")
-    assert {c.state for c in datasets.verify("toy")} == {"differs"}
-    datasets.fetch("toy")
-    assert {c.state for c in datasets.verify("toy")} == {"ok"}
-    assert (places[1] / "toy/b.chn.gz").read_bytes() == packed  # the same bytes every time
 
 
 def test_what_cannot_be_had_or_kept_is_one_clear_error(server, places, tmp_path, monkeypatch):
     copy = put(places[0], "toy/a.txt", b"mine!")
-    with pytest.raises(InputError, match="local copy") as caught:
+    with pytest.raises(InputError, match=r"local copy(?s:.*)HYPERVAL_DATA"):
         datasets.fetch("toy")
-    assert "HYPERVAL_DATA" in str(caught.value)
     copy.unlink()
     put(tmp_path, "a-file")
     with monkeypatch.context() as patch:
@@ -311,10 +284,8 @@ def test_what_cannot_be_had_or_kept_is_one_clear_error(server, places, tmp_path,
     # Port 9 (discard) of the loopback address: nothing listens there.
     toy = toy_set(DataFile("toy/a.txt", "http://127.0.0.1:9/a.txt", 5, "0" * 64))
     monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
-    with pytest.raises(InputError, match="cannot be downloaded: no connection") as caught:
+    with pytest.raises(InputError, match=r"cannot be downloaded: no connection(?s:.*)hyperval data fetch toy"):
         datasets.fetch("toy")
-    assert caught.value.exit_code == 3
-    assert "hyperval data fetch toy" in str(caught.value)
 
 
 def test_eight_processes_that_fetch_the_same_files_all_get_them(server, places, monkeypatch):
@@ -354,23 +325,16 @@ def test_a_server_that_sends_next_to_nothing_is_given_up(server, places, monkeyp
 # A local copy that is another file.
 
 
-@pytest.fixture
-def tampered(small, places) -> tuple[Path, Path]:
-    """The small campaign with a registered spectrum, of which the local copy has other numbers; both files."""
+def test_a_wrong_copy_of_a_registered_file_is_refused_with_what_mends_it(small, places, tmp_path: Path, capsys):
     name = "hysu/published/svc/DLR_HySU_SVC_ASCII.txt"
     copy = put(places[0], name, b"Wavelength (nm)\tReflectance\n400\t0.1\n2500\t0.2\n")
     small.data["collection"]["empirical_line"]["panels"][0]["spectrum"] = {"file": f"data:{name}"}
-    return small.write(), copy
-
-
-def test_a_wrong_copy_of_a_registered_file_is_refused_with_what_mends_it(tampered, tmp_path: Path, capsys):
-    campaign, copy = tampered
+    campaign = small.write()
     words = r"not the registered file[\s\S]*it has 45 bytes[\s\S]*remove it or[\s\S]*: hyperval data fetch hysu"
-    for command in ("validate", "observe"):
-        assert cli.run(["-q", command, str(campaign), "-o", str(tmp_path / command)]) == 3, command
-        said = capsys.readouterr().err
-        assert re.search(words, said)
-        assert str(copy) in said
-        assert not (tmp_path / command / "results.json").exists()
+    assert cli.run(["-q", "validate", str(campaign), "-o", str(tmp_path / "out")]) == 3
+    said = capsys.readouterr().err
+    assert re.search(words, said)
+    assert str(copy) in said
+    assert not (tmp_path / "out/results.json").exists()
     assert cli.run(["validate", "--dry-run", str(campaign)]) != 0
     assert re.search("not the registered file: remove it or .*: hyperval data fetch hysu", capsys.readouterr().out)

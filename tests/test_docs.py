@@ -37,14 +37,12 @@ def test_each_example_draws(example, monkeypatch):
     monkeypatch.chdir(example.parent)
     monkeypatch.setenv("MPLBACKEND", "agg")
     plt.switch_backend("agg")
-    plt.close("all")
     runpy.run_path(str(example))
     assert plt.get_fignums()
-    for number in plt.get_fignums():
-        for axes in plt.figure(number).axes:
-            assert axes.lines
-            assert axes.get_xlabel()
-            assert axes.get_ylabel()
+    for axes in (axes for number in plt.get_fignums() for axes in plt.figure(number).axes):
+        assert axes.lines
+        assert axes.get_xlabel()
+        assert axes.get_ylabel()
     plt.close("all")
 
 

@@ -69,18 +69,13 @@ def test_every_reader_of_hdf5_asks_first(read, tmp_path, monkeypatch):
         read(path)
 
 
-def test_a_crash_and_all_memory_are_refused_and_other_errors_left_to_the_reader():
+def test_a_crash_and_all_memory_are_refused_and_other_errors_left_to_the_reader(tmp_path):
     assert trial(lambda: os.kill(os.getpid(), signal.SIGSEGV)) == "crashes (signal 11)"
     assert trial(lambda: bytearray(hdf5.MEMORY_BYTES * 2) and None) == "asks for more than 1024 MiB"
     assert trial(lambda: open("/nowhere").close()) == ""
-    assert trial(lambda: None) == ""
-
-
-@pytest.mark.parametrize("name", ["a.h5", "b.h5"])
-def test_what_is_no_hdf5_or_not_there_is_left_to_the_reader(name, tmp_path):
     (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
-    with pytest.raises(InputError, match=r"not a table|no such file"):
-        read_table(tmp_path / name)
+    with pytest.raises(InputError, match="not a table"):
+        read_table(tmp_path / "a.h5")
 
 
 def test_a_part_that_the_library_refuses_does_not_hide_one_it_does_not_come_back_from(tmp_path, monkeypatch):

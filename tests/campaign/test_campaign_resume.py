@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from itertools import product
 from pathlib import Path
 
 import pytest
@@ -170,14 +169,9 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, quick, tmp_path, m
     assert ran() == ["small"]
     monkeypatch.setattr(f"{RUN}._program", lambda: "another")
     assert ran() == ["other", "small"]
-
-
-def test_what_was_skipped_is_not_kept(two, quick, tmp_path):
-    two[0].write_bytes(two[0].read_bytes().replace(b"title: ", b"title: nowhere ", 1))
-    for names in (["other", "small"], ["small"]):
-        quick.clear()
-        validate(two, tmp_path / "out")
-        assert sorted(quick) == names
+    path.write_bytes(path.read_bytes().replace(b"title: ", b"title: nowhere ", 1))
+    assert ran() == ["small"]
+    assert ran() == ["small"]  # what was skipped is not kept
 
 
 def test_a_campaign_more_does_not_make_the_others_run_again(make_small, quick, tmp_path, monkeypatch):
@@ -191,7 +185,6 @@ def test_a_campaign_more_does_not_make_the_others_run_again(make_small, quick, t
         monkeypatch.setattr(sys, "argv", ["hyperval", str(count), *more])  # as in the program
         validate(paths[:count], tmp_path / "out", *more)
         assert sorted(quick) == ran, (count, more)
-    assert {"first", "second", "third", "fourth"} < {p.name for p in (tmp_path / "out").iterdir()}
 
 
 def test_a_flight_line_more_does_not_make_the_others_run_again(make_small, quick, tmp_path):
@@ -203,8 +196,9 @@ def test_a_flight_line_more_does_not_make_the_others_run_again(make_small, quick
     for count, ran in ((3, ["line-1", "line-2", "line-3"]), (4, ["line-4"])):
         quick.clear()
         small.data["runs"] = [{"line": str(i + 1)} for i in range(count)]
-        for line, end in product(range(1, count + 1), (".img", ".hdr")):
-            shutil.copy(cube.with_suffix(end), cube.with_name(f"line-{line}{end}"))
+        for line in range(1, count + 1):
+            for end in (".img", ".hdr"):
+                shutil.copy(cube.with_suffix(end), cube.with_name(f"line-{line}{end}"))
         validate([small.write()], tmp_path / "out")
         assert sorted(quick) == ran
 

@@ -61,20 +61,14 @@ def test_the_campaigns_of_the_project_are_valid(path):
 @pytest.mark.parametrize(
     ("old", "new", "line", "message"),
     [
-        ("title:", "titel:", 3, r"titel: unknown key; did you mean 'title'\?"),
-        ("    at_most", "    at_mots", 15, r"at_mots: unknown key; did you mean 'at_most'\?"),
         ("  bands: {path: bands.txt, wavelength_unit: nm}\n", "", 5, "spectra need 'bands'"),
         ("  calibration", f"{CUBE}  calibration", 5, "exactly one of cube, spectra"),
         ("{relative: 0.03}", "{}", 9, "give exactly one of relative, file"),
-        ("{relative: 0.03}", "{relative: .nan}", 9, "finite number"),
         ("name: lawn", "name: ../lawn", 2, "a name of small letters, digits and hyphens"),
         ("    at_most: 0.05", "    at_most: 5", 12, "100 % or more"),
         ("    at_most: 0.05\n", "", 12, "a limit is missing"),
         ("    reason: enough\n", "", 12, "reason: Field required"),
         ("product: radiance", "product: radience", 12, "Input should be 'radiance'"),
-        ("title: A lawn", "title: A lawn\ntitle: Again", 4, "'title' stands twice"),
-        ("title: A lawn", "title: &a A lawn", 3, "anchors and aliases are not allowed"),
-        ("title: A lawn", "title: [A lawn", 4, "not valid YAML"),
         ("scenarios:", f"detection:\n  {TARGETS}\nscenarios:", 1, "detection needs a cube"),
         (SPECTRA, CUBE.replace("reflectance", "radiance"), 5, "the unit of the radiance is not stated"),
         (SPECTRA, CUBE + "  simulate: scene.yaml\n", 1, "says 'simulated: true'"),
@@ -103,3 +97,5 @@ def test_all_mistakes_are_listed_at_once(tmp_path):
     lines = [int(x) for x in re.findall(r"campaign\.yaml:(\d+):", str(caught.value))]
     assert {3, 9, 15} <= set(lines)
     assert lines == sorted(lines)
+    for key, meant in (("titel", "title"), ("at_mots", "at_most")):
+        assert f"{key}: unknown key; did you mean '{meant}'?" in str(caught.value)

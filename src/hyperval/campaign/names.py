@@ -142,10 +142,9 @@ def _items(job: Job) -> list[Item]:
     items = [row for one in job.files for row in _file(one, job)]
     items += [Item("", VALUE, TO_FILL_IN, p.key, f"{p.what} ({p.where})") for p in job.to_fill_in]
     items += [_comparison(gate) for gate in job.outline.comparisons]
-    if not job.to_fill_in:
-        scenarios = _scenarios(job)
-        if not any(item.state == MISSING for item in items):
-            items += _mistakes(job, scenarios)
+    scenarios = [] if job.to_fill_in else _scenarios(job)
+    if not any(item.lacking for item in items):
+        items += _mistakes(job, scenarios)
     return items if any(item.lacking for item in items) else [*items, *_never_met(job)]
 
 
@@ -157,8 +156,8 @@ def _never_met(job: Job) -> list[Item]:
     from hyperval.campaign.run import never_met_by
     from hyperval.results import row_name
 
-    words = [(f"{row.product} {row_name(row)}", f"it takes {better}") for row, better in never_met_by(job)]
-    return [Item("", COMPARISON, NEVER_MET, what, detail) for what, detail in words]
+    found = [(f"{row.product} {row_name(row)}", f"it takes {better}") for row, better in never_met_by(job)]
+    return [Item("", COMPARISON, NEVER_MET, *words) for words in found]
 
 
 def _file(reference: Reference, job: Job) -> list[Item]:
@@ -305,10 +304,9 @@ def _offered(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
     if collection.spectra:
         offered = CollectionNames(regions=tuple(s.subject for s in collection.spectra))
     else:
-        found = (_simulated if collection.simulate else _opened)(campaign, lookup, find)
-        if found is None:
-            return CollectionNames()
-        offered = found
+        offered = (_simulated if collection.simulate else _opened)(campaign, lookup, find)
+        if offered.axis is None:
+            return offered
     known: dict[str, Sequence[str]] = {"region": offered.regions, "set of pixels": (SCENE, IMAGE, *offered.regions)}
     if detection is not None:
         known["detection target"] = [target.name for target in detection.targets]
@@ -334,7 +332,7 @@ def _offered(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
     return offered
 
 
-def _opened(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames | None:
+def _opened(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
     """The collection as it lies on the disk; rules on spectra are not run."""
     collection, detection = campaign.collection, campaign.detection
     if collection.bands is not None:
@@ -349,7 +347,7 @@ def _opened(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames |
     with lookup.within("collection", "cube"):
         place = opened()
     if place is None:
-        return None
+        return CollectionNames()
     rules = [str(r.name) for r in collection.regions if r.normalized_difference is not None]
     names: list[str] = []
     for i, source in enumerate(collection.regions):
@@ -376,12 +374,14 @@ def _opened(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames |
     return CollectionNames(place.cube.axis, (*names, *rules), tuple(groups), place.pixel_area_m2 is not None)
 
 
-def _simulated(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames | None:
+def _simulated(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
     """The collection as its scene file says that it will be."""
     collection, detection = campaign.collection, campaign.detection
     with lookup.within("collection", "simulate"):
-        scene = load_scene(find(str(collection.simulate)))
-        axis = load_sensor(scene.sensor).axis
+        file = find(str(collection.simulate))
+        scene = load_scene(file)
+        own = file.parent / scene.sensor
+        axis = load_sensor(str(own) if own.is_file() else scene.sensor).axis
         written = [p.name for p in scene.panels]
         regions = (*written, *(r.name for r in scene.regions), *(str(r.name) for r in collection.regions if not r.file))
         materials = list(dict.fromkeys(g.material for g in scene.targets))
@@ -394,7 +394,7 @@ def _simulated(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionName
                 lookup.one(at, str(panel.spectrum.record), written, "spectrum ", "the simulation writes no")
         grouped = detection is not None and detection.group == "{group}"
         return CollectionNames(axis, regions, tuple(g.name for g in scene.targets) if grouped else ())
-    return None
+    return CollectionNames()
 
 
 def _scenario_mistakes(
