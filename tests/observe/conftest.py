@@ -7,17 +7,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
+import yaml
+from affine import Affine
 from small_world import (
     AXIS,
     BACKGROUND,
     BANDS,
+    DIRSIG,
+    FIELD_GAIN,
+    PATH,
     PLANTED,
+    SURFACES,
     TARGET,
     UNIT,
+    WAVES,
     RadianceWorld,
     World,
     background_spread,
+    dirsig_images,
+    envi,
+    finer_map,
     reflectances,
+    scene_of_a_tenth,
     target_rows,
 )
 
@@ -93,4 +105,67 @@ def sites(tmp_path: Path) -> World:
         "bands": {"path": "bands.txt", "wavelength_unit": "um", "centre_column": 0, "fwhm_column": 1},
         "calibration": {"relative": 0.02},
     }
+    return made
+
+
+@pytest.fixture
+def panels(make_radiance: Callable[..., RadianceWorld]) -> World:
+    """The collection in radiance with two panels."""
+    return make_radiance().world
+
+
+@pytest.fixture
+def by_number(world: World) -> World:
+    """The same cube, its header without wavelengths, and the target as one value a band."""
+    spectrum = world.on_bands()
+    world.write(axis=None)
+    world.text("paint.txt", "# reflectance\n" + "".join(f"{value:.15g}\n" for value in spectrum))
+    world.collection["cube"]["by_number"] = True
+    world.detection["targets"][0]["spectrum"] = {"file": "paint.txt"}
+    return world
+
+
+@pytest.fixture
+def lawn(sites: World) -> World:
+    """One collected spectrum."""
+    sites.site("lawn", np.linspace(12.0, 1.0, BANDS))
+    return sites
+
+
+@pytest.fixture
+def lines(sites: World) -> World:
+    """Three sites of one flight line and one of another, their radiances without an error."""
+    names = sites.library("field.csv", **SURFACES, lot=0.3 * BACKGROUND + 0.05)
+    panels = []
+    for name in (*SURFACES, "lot"):
+        sites.site(name, PATH + FIELD_GAIN * sites.on_bands(name, names), line="b" if name == "lot" else "a")
+        source = {"region": name, "spectrum": sites.source(names, name), "relative_uncertainty": 0.02}
+        panels.append({**source, "correlation_nm": 200})
+    sites.collection["calibration"] = {"relative": 0.05, "uncorrelated": 0.01}
+    sites.collection["empirical_line"] = {"panels": panels, "path_radiance": []}
+    return sites
+
+
+@pytest.fixture
+def finer(tmp_path: Path) -> World:
+    """A cube of 12 x 10 pixels on the map with two planks, by finer maps of classes, of which two do not fit."""
+    finer_map(tmp_path, scene_of_a_tenth())
+    for name, size, turn in (("turned.tif", 0.2, 0.02), ("coarse.tif", 1.5, 0.0)):
+        finer_map(tmp_path, scene_of_a_tenth(), name)
+        with rasterio.open(tmp_path / name, "r+") as dataset:
+            dataset.transform = Affine(size, turn, 300_000, 0, -size, 4_500_000)
+    position = "map info = {UTM, 1, 1, 300000, 4500000, 2, 2, 18, North, WGS-84, units=Meters}\n"
+    noise = np.random.default_rng(4).standard_normal((12, 10, 5))
+    envi(tmp_path / "cube.img", 0.2 + 0.01 * noise, WAVES + position)
+    truth = {"image": "finer.tif", "classes": {"plank": 1, "panel": 2}, "psf_fwhm_pixels": 0.7, "registration_m": 0.0}
+    collection = {"cube": {"path": "cube.img", "quantity": "reflectance"}, "targets": {"finer": truth}}
+    return World(tmp_path, np.empty(0), collection)
+
+
+@pytest.fixture
+def dirsig(tmp_path: Path) -> World:
+    """A radiance image and its truth in DIRSIG's layout, and the campaign c.yaml that reads them."""
+    abundance = dirsig_images(tmp_path)
+    made = World(tmp_path, abundance, yaml.safe_load(DIRSIG)["collection"])
+    made.text("c.yaml", DIRSIG)
     return made

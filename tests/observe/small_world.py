@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rasterio
 from affine import Affine
 from rasterio.crs import CRS
 
+from hyperval import datasets
 from hyperval.collection import CollectionSection, Detection
 from hyperval.imagery import write_cube
 from hyperval.model import Sources
@@ -25,6 +27,30 @@ TARGET = np.array([0.30, 0.35, 0.10, 0.10, 0.20, 0.20, 0.30, 0.50])
 # Pixels that hold a target, with the part that it fills; each stands alone.
 PLANTED = {(10, 10): 0.8, (10, 20): 0.8, (20, 10): 0.3, (20, 20): 0.3, (30, 20): 0.3}
 UNIT = {"quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"}
+# Sites of a flight line, and the radiance of their field spectra: path + gain x reflectance.
+SURFACES = {"lawn": BACKGROUND, "turf": TARGET, "sand": np.linspace(0.35, 0.55, BANDS)}
+FIELD_GAIN, PATH = np.linspace(60.0, 8.0, BANDS), np.linspace(3.0, 0.02, BANDS)
+WAVES = "wavelength units = Micrometers\nwavelength = {0.45, 0.55, 0.65, 0.80, 1.00}\n"
+DIRSIG = """schema: 1
+name: dirsig
+title: "DIRSIG"
+description: "d"
+simulated: dirsig
+collection:
+  cube: {path: scene.img, quantity: radiance, unit: W cm-2 sr-1 um-1}
+  regions:
+    - {file: truth.img, band: "material*", classes: {grass: 3, asphalt: 12}}
+  targets:
+    abundances: {image: truth.img, materials: {panel: "*abundance*panel*"}}
+    pixel_size_m: 2.0
+  empirical_line:
+    intercept: false
+    panels: [{region: asphalt, spectrum: {constant: 0.1}}]
+detection:
+  targets: [{name: panel, material: panel, spectrum: {constant: 0.6}}]
+  detectors: [matched-filter]
+  bands: all
+"""
 
 
 def background_spread() -> np.ndarray:
@@ -94,13 +120,19 @@ class World:
         """How a spectrum of :meth:`library` is named in a campaign."""
         return {"file": file, "record": record, "wavelength_unit": "nm", "reflectance_unit": "fraction"}
 
+    def site(self, name: str, radiance: np.ndarray, **more: str) -> None:
+        """A collected spectrum of the bands, mean of nine pixels."""
+        rows = zip(AXIS.centre_nm, radiance, strict=True)
+        self.text(f"{name}.txt", "".join(f"{w} {v:.12g}\n" for w, v in rows))
+        self.collection["spectra"].append({"subject": name, "path": f"{name}.txt", "pixels": 9} | more)
+
     def on_bands(self, record: str = "paint", file: str = "library.csv") -> np.ndarray:
         """(B,) a spectrum of :meth:`library` as the bands see it."""
         source = SpectrumSource.model_validate(self.source(file, record))
         return Sources(AXIS, {}, self.resolve).spectrum(source, record).mean
 
     def resolve(self, reference: str) -> Path:
-        return self.folder / reference
+        return datasets.resolve(reference, self.folder)
 
     def regions(self, *more: dict[str, Any], **rectangles: list[int]) -> None:
         """Give the collection these regions alone."""
@@ -160,3 +192,48 @@ def target_rows(planted: dict[tuple[int, int], float], side_m: float = 0.5) -> s
     for i, ((line, sample), fill) in enumerate(planted.items()):
         rows.append(f"t{i},paint,{line},{sample},{side_m},{4.0 * fill:g},fill {fill:g}")
     return "\n".join(rows) + "\n"
+
+
+def envi(path: Path, values: np.ndarray, entries: str) -> None:
+    """BIP of 64-bit numbers, the header under the name of the data file and .hdr: as DIRSIG writes its images."""
+    lines, samples, bands = values.shape
+    values.astype("<f8").tofile(path)
+    path.with_name(path.name + ".hdr").write_text(
+        f"ENVI\nsamples = {samples}\nlines = {lines}\nbands = {bands}\nheader offset = 0\n"
+        f"file type = ENVI Standard\ndata type = 5\ninterleave = bip\nbyte order = 0\n{entries}"
+    )
+
+
+def scene_of_a_tenth() -> np.ndarray:
+    """Two planks that lie aslant, on cells of a tenth of a pixel of a cube of 12 x 10 pixels."""
+    y, x = (np.indices((120, 100)) + 0.5) / 10.0
+    out = np.zeros((120, 100), np.uint8)
+    for value, (cy, cx, angle, a, b) in ((1, (4.2, 3.7, 30.0, 2.6, 0.8)), (2, (8.3, 6.1, -20.0, 1.0, 1.0))):
+        c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+        along, across = (y - cy) * c + (x - cx) * s, (x - cx) * c - (y - cy) * s
+        out[(np.abs(along) < a / 2) & (np.abs(across) < b / 2)] = value
+    return out
+
+
+def finer_map(folder: Path, classes: np.ndarray, name: str = "finer.tif") -> None:
+    """Cells of 0.2 m on the map."""
+    with rasterio.open(
+        folder / name, "w", driver="GTiff", width=100, height=120, count=1, dtype=classes.dtype,
+        crs="EPSG:32618", transform=Affine(0.2, 0, 300_000, 0, -0.2, 4_500_000),
+    ) as dataset:  # fmt: skip
+        dataset.write(classes, 1)
+
+
+def dirsig_images(folder: Path, rays: int = 20) -> np.ndarray:
+    """A radiance image and its truth in DIRSIG's layout; the abundance of the panel, counted by rays."""
+    rng = np.random.default_rng(9)
+    material = np.where(np.arange(30)[:, None] < 15, 3.0, 12.0) * np.ones((30, 20))
+    abundance = np.zeros((30, 20))
+    abundance[5:7, 8:10], abundance[22, 4] = [[0.2, 1.0], [0.5, 0.75]], 0.6
+    abundance = np.round(abundance * rays) / rays
+    reflectance = np.where(material[..., None] == 3.0, 0.3, 0.1) * (1 + 0.05 * rng.standard_normal((30, 20, 5)))
+    reflectance += abundance[..., None] * (0.6 - reflectance)
+    envi(folder / "scene.img", reflectance * 8e-3, WAVES)
+    names = "band names = {Material Index, Panel Abundance, Abundance - panel 7}\n"
+    envi(folder / "truth.img", np.stack([material, np.zeros((30, 20)), abundance], axis=2), names)
+    return abundance

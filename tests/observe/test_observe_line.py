@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_world import AXIS, BACKGROUND, BANDS, TARGET, World
+from small_world import AXIS, BANDS, FIELD_GAIN, SURFACES
 
-from hyperval.collection import CalibrationUncertainty, CollectionSection, EmpiricalLineSource, PathRadiance
+from hyperval.collection import CalibrationUncertainty, PathRadiance
 from hyperval.compare import compare_spectra
-from hyperval.errors import InputError, UsageError
-from hyperval.model import correlation
+from hyperval.errors import UsageError
 from hyperval.observe import calibration_covariance, path_estimate, rounding_variance
 from hyperval.results import ResultTable
 from hyperval.scenario import load_scenario
@@ -120,65 +119,6 @@ def test_a_panel_with_a_full_pixel_is_refused_save_in_bad_bands(make_radiance):
     assert world.observe().elm is not None
 
 
-@pytest.mark.parametrize("dark", [None, 0.0, 0.03])
-def test_a_material_of_the_scene_as_colour_standard(make_radiance, dark):
-    """One surface of known spectrum, not flat, that lies in the scene; alone, or with the darkest pixel."""
-    made = make_radiance()
-    world, colour, scene = made.world, np.linspace(0.25, 0.65, BANDS), made.reflectance.copy()
-    scene[12:18, 30:36] = colour
-    scene[44, 38] = np.linspace(0.01, 0.03, BANDS)  # the darkest pixel in every band
-    world.write(made.offset + made.gain * scene)
-    world.library("standards.csv", tarpaulin=colour, other=0.5 * colour)
-    world.collection["regions"].append({"name": "tarpaulin", "rectangle": [12, 30, 6, 6]})
-    source = {"region": "tarpaulin", "spectrum": world.source("standards.csv", "tarpaulin")}
-    alone = {"intercept": False} if dark is None else {"darkest_pixel": {"reflectance": dark, "uncertainty": 0.01}}
-    world.collection["empirical_line"] = {"panels": [source | {"relative_uncertainty": 0.02}], **alone}
-    found, known = world.observe().elm, world.on_bands("tarpaulin", "standards.csv")
-    standard, least = world.values[12, 30], world.values.min(axis=(0, 1))
-    assert least == pytest.approx(world.values[44, 38])
-    x = world.values[20:30, 5:9]
-    expected = known * x / standard  # rho = rho_s L/L_s
-    if dark is not None:  # rho = rho_d + (rho_s - rho_d)(L - L_d)/(L_s - L_d)
-        expected = dark + (known - dark) * (x - least) / (standard - least)
-    usable = found.usable
-    assert usable.sum() >= BANDS - 1
-    assert found.reflectance(x)[..., usable] == pytest.approx(expected[..., usable], rel=1e-6, abs=1e-9)
-    # The standard itself comes out as it is known, whatever the assumption about the dark end.
-    assert found.reflectance(standard)[usable] == pytest.approx(known[usable], rel=1e-9)
-    rho, c = found.reflectance(least), found.covariance
-    if dark is None:
-        assert not found.offset.any()
-        assert np.all(rho > scene[44, 38])  # the path radiance is taken for reflectance
-    else:
-        # The darkest pixel is not what it was taken for; the stated 0.01 covers an error of 0.03 at three sd.
-        sd = np.sqrt((rho**2 * c[:, 0, 0] + 2.0 * rho * c[:, 0, 1] + c[:, 1, 1]) / found.gain**2)
-        assert np.all(np.abs(rho - scene[44, 38])[usable] <= 3.1 * sd[usable])
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
-        (lambda p: p[0].update(region="grey"), UsageError, "empirical line: no region 'grey'"),
-        (lambda p: p[1].update(region="white"), UsageError, "the gain is below 5 times"),
-        (lambda p: p[0]["spectrum"].update(record="grey"), UsageError, "no record 'grey'"),
-        (lambda p: p[0]["spectrum"].update(file="no.csv"), InputError, "no such"),
-        (lambda p: p[1].update(spectrum=p[0]["spectrum"]), UsageError, "differ by 0 in reflectance"),
-    ],
-)
-def test_panels_that_cannot_fix_a_line(make_radiance, change, error, message):
-    made = make_radiance()
-    change(made.panels)
-    with pytest.raises(error, match=message):
-        made.world.observe()
-
-
-def test_a_dark_colour_standard_is_refused(make_radiance):
-    made = make_radiance()
-    made.world.collection["empirical_line"] = {"panels": made.panels[1:], "darkest_pixel": {"reflectance": 0.0}}
-    with pytest.raises(UsageError, match=r"differ by 0\.05 in reflectance"):
-        made.world.observe()
-
-
 def rows(observation, subject):
     estimate = observation.reflectance[subject]
     return ResultTable(compare_spectra(
@@ -280,31 +220,6 @@ def test_calibration_with_a_correlation_length_from_a_table_and_band_by_band(tmp
     assert corner.standard_uncertainty == pytest.approx(total)
 
 
-GAIN, PATH = np.linspace(60.0, 8.0, BANDS), np.linspace(3.0, 0.02, BANDS)
-SURFACES = {"lawn": BACKGROUND, "turf": TARGET, "sand": np.linspace(0.35, 0.55, BANDS)}
-
-
-def radiance_of(rho: np.ndarray) -> np.ndarray:
-    return PATH + GAIN * rho
-
-
-@pytest.fixture
-def lines(sites) -> World:
-    """Three sites of one flight line and one of another, their radiances without an error."""
-    names = sites.library("field.csv", **SURFACES, lot=0.3 * BACKGROUND + 0.05)
-    panels = []
-    for name in (*SURFACES, "lot"):
-        rows = zip(AXIS.centre_nm, radiance_of(sites.on_bands(name, names)), strict=True)
-        sites.text(f"{name}.txt", "".join(f"{w} {v:.12g}\n" for w, v in rows))
-        spectrum = {"subject": name, "path": f"{name}.txt", "pixels": 9, "line": "b" if name == "lot" else "a"}
-        sites.collection["spectra"].append(spectrum)
-        source = {"region": name, "spectrum": sites.source(names, name), "relative_uncertainty": 0.02}
-        panels.append({**source, "correlation_nm": 200})
-    sites.collection["calibration"] = {"relative": 0.05, "uncorrelated": 0.01}
-    sites.collection["empirical_line"] = {"panels": panels, "path_radiance": []}
-    return sites
-
-
 def test_each_site_follows_from_the_others_of_its_flight_line(lines):
     seen = lines.observe().observation
     assert set(seen.reflectance) == set(SURFACES)
@@ -312,27 +227,10 @@ def test_each_site_follows_from_the_others_of_its_flight_line(lines):
         usable = np.isfinite(estimate.mean)
         assert usable.sum() >= 4  # two sites that reflect alike fix no line
         assert estimate.mean[usable] == pytest.approx(lines.on_bands(name, "field.csv")[usable], rel=1e-9)
-        assert estimate.n == 9
+        assert (estimate.n, set(estimate.budget)) == (9, {"empirical line"})  # sites share the calibration
     words = "\n".join(seen.notes)
     assert "sand: reflectance by the empirical line through lawn and turf" in words
     assert "lot: no reflectance by other sites of its flight line: no other site is known" in words
-
-
-def test_the_interval_is_that_of_drawn_field_spectra(lines):
-    # 4000 draws of the two panels' reflectances; the variance of each band is known to 2.2 %: 4 sigma are 9 %.
-    rng = np.random.default_rng(4)
-    estimate = lines.observe().observation.reflectance["sand"]
-    root = np.linalg.cholesky(correlation(AXIS, 200.0) + 1e-12 * np.eye(BANDS))
-    rho = {n: lines.on_bands(n, "field.csv") for n in SURFACES}
-    low, high = (rho[n] * (1.0 + 0.02 * rng.standard_normal((4000, BANDS)) @ root.T) for n in ("lawn", "turf"))
-    a, b, c = (radiance_of(rho[n]) for n in ("lawn", "turf", "sand"))
-    with np.errstate(all="ignore"):
-        drawn = low + (c - a) * (high - low) / (b - a)
-    use = np.isfinite(estimate.mean) & (np.abs(a - b) > 0.1 * GAIN)
-    assert use.sum() >= 4
-    assert np.diag(estimate.error_covariance)[use] == pytest.approx(drawn[:, use].var(axis=0), rel=0.09)
-    # Sites share the calibration: no part of the budget is its.
-    assert set(estimate.budget) == {"empirical line"}
 
 
 @pytest.fixture
@@ -375,10 +273,10 @@ def test_one_other_site_needs_the_path_radiance(lines, air):
     path = path_estimate(air[1], seen.axis, lines.resolve)
     line["path_radiance"] = [{"line": "a", "scenario": "air.yaml"}]
     rho = {n: lines.on_bands(n, "field.csv") for n in ("lawn", "turf")}
-    a, b = (path.mean + GAIN * rho[name] for name in rho)
+    a, b = (path.mean + FIELD_GAIN * rho[name] for name in rho)
+    spectra.clear()
     for name, level in zip(rho, (a, b), strict=True):
-        rows = zip(AXIS.centre_nm, level, strict=True)
-        lines.text(f"{name}.txt", "".join(f"{w} {v:.12g}\n" for w, v in rows))
+        lines.site(name, level, line="a")
     seen = lines.observe().observation
     lawn = seen.reflectance["lawn"]
     assert lawn.mean == pytest.approx(rho["lawn"], rel=1e-9)
@@ -389,30 +287,3 @@ def test_one_other_site_needs_the_path_radiance(lines, air):
     variance = np.diag(path.error_covariance) + path.mean**2 * (0.05**2 + 0.01**2)
     expected = 0.02**2 * rho["lawn"] ** 2 + by_path**2 * variance
     assert np.diag(lawn.error_covariance) == pytest.approx(expected, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
-        ({"panels": [{"region": "roof", "spectrum": {"constant": 0.1}}], "intercept": False}, UsageError,
-         "no site 'roof'"),
-        ({"path_radiance": [{"line": "c", "scenario": "air.yaml"}]}, UsageError, "no site of flight line 'c'"),
-        ({"saturation": 50.0}, ValueError, "spectra show no darkest_pixel and no saturation"),
-        ({"darkest_pixel": {}}, ValueError, "spectra show no darkest_pixel and no saturation"),
-        ({"path_radiance": [{"scenario": "a"}, {"scenario": "b"}]}, ValueError, "a flight line stands twice"),
-        ({"intercept": False, "path_radiance": [{"scenario": "a"}]}, ValueError, "which intercept: false says is none"),
-    ],
-)  # fmt: skip
-def test_lines_of_sites_that_contradict_themselves(lines, change, error, message):
-    lines.collection["empirical_line"].update(change)
-    with pytest.raises(error, match=message):
-        lines.observe()
-
-
-def test_lines_that_nothing_fixes_are_refused(lines):
-    with pytest.raises(ValueError, match="needs two panels"):
-        EmpiricalLineSource.model_validate({"panels": [{"region": "white", "spectrum": {"constant": 0.5}}]})
-    cube = {"cube": {"path": "c", "quantity": "reflectance"}, "spectra": []}
-    lines.collection["empirical_line"]["path_radiance"] = [{"scenario": "a"}]
-    with pytest.raises(ValueError, match="path_radiance is for spectra; a cube shows its darkest_pixel"):
-        CollectionSection.model_validate(lines.collection | cube)

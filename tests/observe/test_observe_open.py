@@ -72,9 +72,6 @@ def test_halves_share_no_pixel_and_are_cut_across_the_longer_side(world):
     assert not (first & second).any()
     assert np.array_equal(first | second, place.region("field"))
     assert np.argwhere(first)[:, 1].max() == 14  # samples 5 to 24 are the longer side
-    world.regions({"name": "field", "rectangle": [35, 5, 1, 1]}, *halves)
-    with pytest.raises(InputError, match="too small to be halved"):
-        world.place()
 
 
 def test_a_ring_is_what_lies_between_two_distances(world):
@@ -94,10 +91,6 @@ def test_a_ring_is_what_lies_between_two_distances(world):
         world.place()
 
 
-def around(**ring) -> dict:
-    return {"regions": [FIELD, {"name": "around", "ring": {"of": "field"} | ring}]}
-
-
 def test_a_file_gives_its_regions_or_one_of_them(world):
     source = world.squares("rois.geojson", a=(0, 0, 4), b=(10, 10, 2))
     world.regions(source)
@@ -106,9 +99,6 @@ def test_a_file_gives_its_regions_or_one_of_them(world):
     assert list(world.place().regions) == ["b"]
     world.regions({**source, "name": "c"})
     with pytest.raises(InputError, match=r"rois\.geojson: no region 'c' among a, b"):
-        world.place()
-    world.regions({"name": "a", "rectangle": [20, 20, 2, 2]}, source)
-    with pytest.raises(UsageError, match="two regions are named 'a'"):
         world.place()
 
 
@@ -124,50 +114,6 @@ def test_a_file_of_the_whole_site_serves_a_line_that_holds_some(world):
         world.regions({"name": wanted, **site})
         with pytest.raises(InputError, match="leaves the image"):
             world.place()
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
-        ({"regions": [{"name": "far", "rectangle": [45, 0, 6, 5]}]}, InputError,
-         "'far'.*lines 45-50.*not in the image"),
-        ({"regions": [{"name": "none", "rectangle": [0, 0, 0, 5]}]}, InputError, "'none'.*not in the image"),
-        ({"regions": [{"name": "a", "rectangle": [0, 0, 2, 2]}] * 2}, UsageError, "two regions are named 'a'"),
-        ({"leave_out": ["nowhere"]}, UsageError, "leave_out names 'nowhere'"),
-        ({"regions": [{"name": "nd", "normalized_difference": {"high_nm": [2000, 2100], "low_nm": [650, 690]}}]},
-         UsageError, "no usable band between 2000 and 2100 nm"),
-        ({"regions": [{"name": "nd", "normalized_difference": {"high_nm": [780, 880], "low_nm": [650, 690],
-                                                               "above": 0.999}}]},
-         InputError, "'nd' holds no pixel"),
-        ({"regions": [{"name": "a", "half": {"of": "field", "which": "first"}}, FIELD]}, UsageError,
-         "'a' is half of 'field', which is no region above it"),
-        (around(of="meadow", outer_m=9.0), UsageError, "'around' is a ring around 'meadow', which is no region above"),
-        (around(inner_pixels=500.0, outer_pixels=501.0), InputError, "no pixel of the image lies in the ring"),
-        (around(inner_m=9.0, outer_m=9.0), ValueError, "must exceed the inner one, 9"),
-        (around(inner_pixels=2.0, outer_m=9.0), ValueError, "one unit"),
-        (around(), ValueError, "exactly one of outer_m, outer_pixels"),
-        ({"regions": [{"file": "no.geojson", "coordinates": "pixel"}]}, InputError, "no such"),
-        ({"targets": {"csv": "no.csv"}}, InputError, "no such target list"),
-        ({"cube": {"path": "no.img", "quantity": "reflectance"}}, InputError, "no such"),
-        ({"cube": None}, ValueError, "give exactly one of cube, spectra"),
-        ({"spectra": [{"subject": "a", "path": "a.txt"}]}, ValueError, "give exactly one of cube, spectra"),
-        ({"regions": [{"name": "a"}]}, ValueError, "give exactly one of file, rectangle"),
-        ({"regions": [{"rectangle": [0, 0, 1, 1]}]}, ValueError, "needs a name"),
-        ({"targets": {}}, ValueError, "give exactly one of regions, rasters, csv"),
-        ({"targets": {"regions": []}}, ValueError, "give exactly one of regions, rasters, csv"),
-        ({"targets": {"regions": [{"material": "a", "file": "f"}], "csv": "t.csv"}}, ValueError, "exactly one of reg"),
-        ({"targets": {"regions": [{"material": "a", "file": "f"}], "pixels": "centre"}}, ValueError, "only a list"),
-        ({"calibration": {}}, ValueError, "give exactly one of relative, file"),
-        ({"cube": {"path": "c.img", "quantity": "radiance"}}, ValueError, "unit of the radiance is not stated"),
-        ({"cube": {"path": "c.img", "quantity": "reflectance", "by_number": True, "sort_bands": True}}, ValueError,
-         "by_number is for reflectance or counts"),
-        ({"simulate": "s.yaml", "cube": None, "radcalnet": {"path": "r"}}, ValueError, "simulated collection is a"),
-    ],
-)  # fmt: skip
-def test_each_field_has_its_error(world, change, error, message):
-    world.collection |= change
-    with pytest.raises(error, match=message):
-        world.place()
 
 
 def test_notes_of_regions(world):
@@ -347,15 +293,6 @@ def test_rasters_of_materials_and_sizes_are_truth_and_areas_need_a_ground_size(w
     observation = world.observe().observation
     assert observation.scores["paint 0.5 m", "cem"].n == 5
     assert observation.roc["paint 0.5 m", "cem", "pixel"].background_area_km2 is None
-
-
-def test_a_region_of_the_whole_image_has_the_statistics_of_the_scene(world):
-    world.regions({"name": "everything", "whole_image": True})
-    found = world.observe()
-    pixels = world.values[~found.place.near_targets]
-    assert found.place.region("everything").all()
-    assert np.allclose(found.statistics["everything"].mean, pixels.mean(axis=0), rtol=1e-12)
-    assert np.allclose(found.statistics["everything"].covariance, np.cov(pixels.T), rtol=1e-9)
 
 
 def test_regions_that_overlap_are_classes_of_their_own(world):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import ndimage, stats
+from scipy import stats
 from scipy.stats import norm
 
 from hyperval.errors import UsageError
@@ -14,7 +14,6 @@ from hyperval.model import (
     beyond_jeffreys_limits,
     clopper_pearson,
     jeffreys_limits,
-    joint_region,
     mid_p_limits,
 )
 from hyperval.pixels import (
@@ -41,20 +40,6 @@ def test_limits_solve_the_binomial_tails(case):
         assert stats.binom.cdf(k, n, high) == pytest.approx(0.025, rel=1e-7)
     else:
         assert high == 1.0
-
-
-def test_joint_region_covers_both_at_once():
-    # Exact sum over both binomials at one true point.
-    m, n, pd, pfa = 20, 200, 0.8, 0.03
-    total = 0.0
-    k = np.arange(n + 1)
-    weights = stats.binom.pmf(k, n, pfa)
-    for d in range(m + 1):
-        for a in k[weights > 1e-9]:
-            region = joint_region(d, m, int(a), n)
-            if region.pd_lower <= pd <= region.pd_upper and region.pfa_lower <= pfa <= region.pfa_upper:
-                total += stats.binom.pmf(d, m, pd) * weights[a]
-    assert 0.95 <= total < 0.995
 
 
 @pytest.mark.parametrize(
@@ -187,59 +172,8 @@ def test_log_linear_between_points():
     assert exceedance_at(curve, 1e3) == pytest.approx(p[p > 0][-1])
 
 
-def test_interval_of_exceedance_by_blocks_in_plain_loops():
-    rng = np.random.default_rng(5)
-    image = ndimage.gaussian_filter(rng.standard_normal((22, 30)), 1.0)  # 30 columns: blocks of 4 leave two over
-    counted = rng.random(image.shape) < 0.9
-    curve = exceedance_curve(AlarmBlocks.of_map(image, counted, side=4))
-    total = counted.sum()
-    effects, struck = [], []
-    for t, p in zip(curve.threshold, curve.probability, strict=True):
-        left, part = np.zeros((2, 8, 10))  # a ring of nothing around 6 x 8 blocks
-        for i in range(6):
-            for j in range(8):
-                inside = counted[4 * i : 4 * i + 4, 4 * j : 4 * j + 4]
-                alarms = np.sum(image[4 * i : 4 * i + 4, 4 * j : 4 * j + 4][inside] > t)
-                left[i + 1, j + 1] = alarms - p * inside.sum()
-                part[i + 1, j + 1] = inside.sum() / total
-        squares, taken = (
-            sum(x[i : i + 2, j : j + 2].sum() ** 2 / 4 for i in range(7) for j in range(9)) for x in (left, part)
-        )
-        alone = np.sum(left**2) / (1 - np.sum(part**2))
-        # The variance of sum e^2: e^4 less its mean by block, and products of neighbours, each pair twice.
-        scatter = np.sum(left**4) - np.sum(left**2) ** 2 * np.sum(part**2)
-        for i in range(1, 7):
-            for j in range(1, 9):
-                for down, along in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
-                    weight = 1 / (1 + abs(down)) / (1 + abs(along))
-                    scatter += 2 * weight**2 * left[i, j] ** 2 * left[i + down, j + along] ** 2
-        widened = stats.t.ppf(0.975, max(2 * np.sum(left**2) ** 2 / scatter - 1, 1)) / stats.norm.ppf(0.975)
-        beyond = max(squares / (1 - taken), alone) / (total * p * (1 - p)) - 1 if p else 0.0
-        effects.append(max(1 + beyond * widened**2, 1.0))
-        struck.append(np.count_nonzero(np.abs(left[1:-1, 1:-1] + p * np.array([
-            [counted[4 * i : 4 * i + 4, 4 * j : 4 * j + 4].sum() for j in range(8)] for i in range(6)
-        ])) > 1e-9))  # fmt: skip
-    checked = 0
-    for i, (p, low, high) in enumerate(zip(curve.probability, curve.lower, curve.upper, strict=True)):
-        if struck[i] < 2:
-            assert np.isnan(low)
-            continue
-        near = [e for e, q in zip(effects, curve.probability, strict=True) if p <= q <= 10 * p]
-        effect = 0.75 * max(near) + 0.25 * np.mean(near)
-        k, n = total * p / effect, total / effect
-        limits = stats.beta.ppf([0.025, 0.975], k + 0.5, n - k + 0.5)
-        assert (low, high) == pytest.approx(limits, rel=1e-9)
-        checked += 1
-    assert checked > 5
-
-
 def test_the_point_of_a_level_is_the_nearest_by_ratio():
     grid = np.arange(3.0)
     measured = ExceedanceCurve(grid, np.array([0.5, 0.017, 0.004]), *np.full((2, 3), 0.01), 1000)
     found = false_alarm_ratio(measured, measured, 1e-2)
     assert (found.at, found.value) == (1, pytest.approx(1.0))
-
-
-def test_fewer_than_twenty_pixels_have_no_curve():
-    with pytest.raises(UsageError, match="too few"):
-        exceedance_curve(AlarmBlocks.of_map(np.zeros((4, 4)), np.ones((4, 4), bool)))

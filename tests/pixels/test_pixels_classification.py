@@ -34,15 +34,6 @@ def test_equal_covariances_have_the_closed_form():
     assert found.lower < found.error < found.upper
 
 
-def test_more_classes_than_two():
-    # Three far corners of a triangle: the pairs do not overlap elsewhere, so that the estimate is near the error.
-    laws = [law([0.0, 0.0]), law([4.0, 0.0]), law([2.0, 3.5])]
-    found = predicted_error(laws, np.random.default_rng(3), 60_000)
-    assert found.approximation == pytest.approx(found.error, rel=0.12)
-    assert found.bound_lower < found.error < found.bound_upper
-    assert found.n == 180_000
-
-
 def test_classifier_is_quadratic_discriminant_analysis():
     # Against the log density itself.
     laws = [law([0.0, 1.0], 2.0), law([1.0, 0.0], 0.5)]
@@ -104,17 +95,3 @@ def test_distances_of_three_classes_take_the_nearest_pair():
     assert found.bound_lower == pytest.approx(2 / 3 * max(pair))
     assert found.bound_upper == pytest.approx(min(sum(np.exp(-d) for d in distance) / 3, 2 / 3))
     assert found.approximation == pytest.approx(sum(2 / 3 * stats.norm.cdf(-d / 2) for d in (1.0, 4.0, 3.0)))
-
-
-def test_spread_of_the_error_from_block_to_block_by_hand():
-    laws = [ClassLaw(np.array([at]), np.eye(1)) for at in (0.0, 10.0)]
-    good, bad = np.zeros((10, 1)), np.full((10, 1), 10.0)
-    # The first class: blocks of 0, 2 and 4 errors of 10; the second errs 3 times in 30, once a block.
-    first = np.concatenate([good, good[:8], bad[:2], good[:6], bad[:4]])
-    second = np.concatenate([np.concatenate([bad[:9], good[:1]])] * 3)
-    block = np.repeat([0, 1, 2], 10)
-    found = measured_error(laws, [first, second], [block, block])
-    between = 3 / 2 * (2.0**2 + 2.0**2) / 30**2  # about 2 a block; that of the second class is 0
-    variance = (between + 0.1 * 0.9 / 30) / 4
-    assert found.error == pytest.approx(0.15)
-    assert found.effective_n == pytest.approx(0.15 * 0.85 / variance)

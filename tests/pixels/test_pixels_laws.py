@@ -132,14 +132,6 @@ def test_the_penalised_likelihood_never_falls(dof, seed):
         assert np.all(steps > -1e-10)
 
 
-def test_one_normal_component_is_the_sample():
-    x, _ = clusters(300, 0)
-    fit = fit_mixture(x, 1, np.random.default_rng(0))
-    assert fit.means[0] == pytest.approx(np.zeros(2), abs=1e-12)
-    assert fit.scales[0] == pytest.approx(np.eye(2), abs=1e-12)
-    assert fit.log_density(x) == pytest.approx(stats.multivariate_normal(np.zeros(2), np.eye(2)).logpdf(x), rel=1e-12)
-
-
 def test_three_clusters_as_another_package_finds_them():
     x, _ = clusters(2000, 1)
     peer = GaussianMixture(3, reg_covar=0.0, tol=1e-9, max_iter=500, n_init=3, random_state=0).fit(x)
@@ -236,20 +228,6 @@ def test_moments_and_tails_without_each_part_are_those_of_the_rest():
     whole = fit_tail_dof((away**2).sum(axis=0), 3, estimated_on=rest.shape[0])
     assert leading_tail_dof(rest, mean, covariance) == pytest.approx(whole.dof, rel=1e-6)
     assert not list(moments_without_each(pixels, np.zeros(800, int)))
-
-
-def test_a_mixture_without_a_part_is_that_of_the_rest():
-    rng = np.random.default_rng(4)
-    cluster = rng.random(1600) < 0.3
-    pixels = rng.normal(size=(1600, 4)) + cluster[:, None] * np.array([5.0, 3.0, 0.0, -4.0])
-    part = compact_parts(*np.divmod(np.arange(1600), 40))
-    mixture = class_mixture(pixels, np.arange(1600) // 25, 2, tails=False)
-    laws = mixture.components_without(pixels, part, 0)
-    rest, own = pixels[part != 0], cluster[part != 0]
-    few = int(np.argmin(laws.weights))
-    assert laws.weights[few] == pytest.approx(own.mean(), abs=0.01)
-    assert laws.offsets[few] == pytest.approx(rest[own].mean(axis=0) - rest.mean(axis=0), abs=0.05)
-    assert laws.covariance == pytest.approx(np.cov(rest.T), abs=0.3)
 
 
 def world(seed: int, blur: float) -> np.ndarray:

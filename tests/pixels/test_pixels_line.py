@@ -7,8 +7,7 @@ import pytest
 from scipy import optimize
 
 from hyperval.compare import chi_square_full
-from hyperval.errors import UsageError
-from hyperval.pixels import MeasuredPanel, darkest_pixel_panel, fit_elm, fit_line
+from hyperval.pixels import MeasuredPanel, fit_elm, fit_line
 from hyperval.products import EstimatedPart
 
 GAIN, OFFSET = np.array([10.0, 6.0, 2.0]), np.array([1.0, 0.5, 0.1])
@@ -100,27 +99,6 @@ def test_one_panel_gives_the_ratio_and_its_variance():
     assert line.reflectance([5.0, 9.0]) == pytest.approx([0.25, 0.6])
     assert np.isnan(line.reduced_chi2).all()
     assert line.leave_one_out is None
-
-
-def test_the_darkest_pixel_and_one_panel_make_a_line():
-    path, gain = np.array([3.0, 1.0]), np.array([20.0, 15.0])
-    dark = darkest_pixel_panel(path + 0.02 * gain, np.full(2, 1e-4), 0.02, 0.005)
-    line = fit_elm([dark, seen("white", [0.5, 0.5], path + 0.5 * gain, 0.005, 1e-4)])
-    assert line.gain == pytest.approx(gain)
-    assert line.offset == pytest.approx(path)
-    # The assumed reflectance carries into the offset: at least k u(rho).
-    assert np.all(np.sqrt(line.covariance[:, 1, 1]) > 0.9 * gain * 0.005)
-    with pytest.raises(UsageError, match="negative or unknown in 1 bands"):
-        darkest_pixel_panel([-1.0, 2.0], [0.01, 0.01])
-
-
-def test_errors_of_radiance_keep_their_correlation_between_bands():
-    gain, rho = np.array([20.0, 8.0]), (0.1, 0.5)
-    together = np.array([[0.04, 0.012], [0.012, 0.01]])
-    made = [MeasuredPanel(str(r), [r, r], [0.0, 0.0], gain * r, together) for r in rho]
-    found = fit_elm(made).error_covariance(gain * 0.2)
-    # Weights 3/4 and 1/4 of the panels, over the gains.
-    assert found == pytest.approx((0.75**2 + 0.25**2) * together / np.outer(gain, gain), rel=1e-4)
 
 
 def test_a_line_is_known_by_the_pixels_of_its_panels():

@@ -19,6 +19,7 @@ from hyperval.model import (
     with_distances,
 )
 from hyperval.pixels import (
+    AlarmBlocks,
     EigenDirections,
     MeasuredPanel,
     alarms_at_detection,
@@ -26,6 +27,7 @@ from hyperval.pixels import (
     chosen_count,
     darkest_pixel_panel,
     empirical_roc,
+    exceedance_curve,
     factor_covariance,
     fit_elm,
     fit_mixture,
@@ -36,6 +38,7 @@ from hyperval.pixels import (
     pooled_roc,
     register_detector,
     snr_decorrelated,
+    whitener_of,
     with_halo,
 )
 
@@ -69,6 +72,8 @@ def curve(*pfa):
         (lambda: pixel_detector("cem-correlation", np.zeros(3), np.ones(3), EYE), "zero in every band"),
         (lambda: pixel_detector("cem", np.ones(3), np.zeros(3), None), "'cem' needs the covariance"),
         (lambda: pixel_detector("ace", None, np.zeros(3), EYE), "'ace' needs a target spectrum"),
+        (lambda: whitener_of(np.zeros(3), np.diag([1.0, 1.0, 0.0])), "1 of 3 bands have no variance"),
+        (lambda: exceedance_curve(AlarmBlocks.of_map(np.zeros((4, 4)), np.ones((4, 4), bool))), "too few"),
         (lambda: pixel_detector("CEM", np.ones(3), np.zeros(3), EYE), "unknown detector 'CEM'"),
         (lambda: pixel_detector("rx", None, np.zeros(3), EYE).score(EYE), "whitener"),
         (lambda: register_detector("My detector", lambda *a: None), "detector name 'My detector'"),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact_forms import auc, auc_estimate, roc_points
-from hypothesis import given, settings
+from exact_forms import roc_points
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 from scipy.special import logit
@@ -49,15 +49,6 @@ def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
     assert found.pd_lower[0] <= found.pd[0] <= found.pd_upper[0]
 
 
-@given(few_values, few_values)
-def test_auc_is_the_mann_whitney_count(target, background):
-    wins = [(t > b) + 0.5 * (t == b) for t in target for b in background]
-    estimate = auc_estimate(target, background)
-    assert estimate.value == pytest.approx(np.mean(wins), abs=1e-14)
-    assert 0.0 <= estimate.lower <= estimate.value + 1e-12
-    assert estimate.value - 1e-12 <= estimate.upper <= 1.0
-
-
 @pytest.mark.parametrize(("n", "pfa"), [(1000, 0.01), (1000, 0.1), (500, 0.5), (4000, 0.003)])
 def test_interval_against_the_definition_rank_by_rank(n, pfa):
     # Background 0 to n - 1 and one target above each: the count of targets above a score gives its rank.
@@ -84,26 +75,6 @@ def test_thresholds_of_a_background_serve_all_its_targets():
             shared, own = empirical_roc(t, thresholds), empirical_roc(t, b, chosen)
             for name in ("pfa", "pd", "pd_lower", "pd_upper", "threshold", "alarms", "n_background"):
                 assert np.array_equal(getattr(shared, name), getattr(own, name))
-
-
-SCORES = st.lists(
-    st.one_of(st.integers(-3, 3).map(float), st.floats(allow_nan=False), st.sampled_from([1e-310, 1e300, -1e300])),
-    min_size=1, max_size=30,
-)  # fmt: skip
-
-
-@given(SCORES, SCORES)
-@settings(max_examples=300)
-def test_counts_and_area_equal_sorting(target, background):
-    t, b = np.array(target), np.array(background)
-    pfa, pd, _ = roc_points(t, b)
-    assert auc(t, b) == pytest.approx(np.trapezoid(pd, pfa), abs=1e-12)
-    counts = counts_of(t, b)
-    assert counts.ties.tolist() == [int(np.sum(b == v)) for v in counts.value]
-    assert counts.between.sum() + counts.ties.sum() == b.size
-    assert np.array_equal(
-        counts.shares, [[np.mean(b > v) for v in counts.value], [np.mean(b == v) for v in counts.value]]
-    )
 
 
 PART, LOG = RocArea(0.05, 0.4), RocArea(0.05, 0.4, logarithmic=True)
@@ -133,43 +104,6 @@ def test_areas_equal_the_exact_curve_with_ties(area, decimals):
     rng = np.random.default_rng(decimals)
     t, b = np.round(rng.normal(1.0, 1.0, 23), decimals), np.round(rng.normal(size=57), decimals)
     assert roc_area(counts_of(t, b), area) == pytest.approx(by_quadrature(t, b, area), abs=1e-10)
-
-
-@given(
-    st.lists(st.integers(-3, 3), min_size=2, max_size=9),
-    st.lists(st.integers(-3, 3), min_size=2, max_size=12),
-    st.sampled_from([WHOLE, RocArea(0.0, 0.07), LOG]),
-)
-@settings(max_examples=60)
-def test_variance_is_that_of_the_influence_of_each_score(target, background, area):
-    # Each score's influence by a small change of its weight, for the areas that are smooth in it along ties.
-    t, b = np.array(target, float), np.array(background, float)
-    counts = counts_of(t, b)
-    m, n = t.size, b.size
-
-    def weighted(weight):
-        """The area with background weights; sums of weights take the place of counts."""
-        weight = weight / weight.sum()
-        over = np.array([weight[b > v].sum() for v in counts.value])
-        tie = np.array([weight[b == v].sum() for v in counts.value])
-        return counts.targets @ area.averaged(over, tie) / m
-
-    step = 1e-6
-    base = np.ones(n)
-    influence = []
-    for j in range(n):
-        up, down = base.copy(), base.copy()
-        up[j] += step
-        down[j] -= step
-        influence.append((weighted(up) - weighted(down)) / (2 * step) * n)
-    kinks = {area.low, area.high}
-    over = [np.mean(b > v) for v in counts.value] + [np.mean(b >= v) for v in counts.value]
-    if any(abs(s - k) < 1e-4 for s in over for k in kinks if 0 < k < 1):
-        return
-    of_targets, of_background = area_variance(counts, area)
-    placed = np.array([float(area.averaged(np.mean(b > v), np.mean(b == v))) for v in t])
-    assert of_targets == pytest.approx(placed.var(ddof=1) / m, abs=1e-12)
-    assert of_background == pytest.approx(np.var(influence, ddof=1) / n, rel=1e-4, abs=1e-9)
 
 
 @pytest.mark.simulation

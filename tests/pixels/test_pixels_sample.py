@@ -16,8 +16,6 @@ from hyperval.pixels import (
     drawn_factor,
     factor_covariance,
     full_rank,
-    independent_for_mean,
-    independent_for_variance,
     independent_pixels,
     kurtosis_parameter,
     lag_correlation,
@@ -182,25 +180,6 @@ def test_p_values_of_true_means_are_uniform_where_bands_hang_together(n):
     assert abs(p.mean() - 0.5) < 0.058
     assert abs(np.mean(p < 0.05) - 0.05) < 0.045
     assert abs(np.mean(p > 0.95) - 0.05) < 0.045
-
-
-FIELD, LAGS = 64, 12
-
-
-@pytest.mark.parametrize("width", [1.0, 2.5])
-def test_smooth_pixels_count_as_the_spread_over_many_fields_says(width):
-    rng = np.random.default_rng(2)
-    raw = [ndimage.gaussian_filter(rng.standard_normal((FIELD, FIELD)), width, mode="wrap") for _ in range(600)]
-    sigma2 = np.mean([np.mean(z**2) for z in raw])
-    # Relative variance of a variance is 2/n of normal values, that of the mean sigma^2/n; 600 fields know either
-    # to 6 %.
-    for_variance = 2.0 / np.var([np.mean(z**2) / sigma2 for z in raw])
-    for_mean = 1.0 / np.var([np.mean(z) / np.sqrt(sigma2) for z in raw])
-    mask = np.ones((FIELD, FIELD), bool)
-    rho = lag_correlation([(z[None], mask) for z in raw[:60]], LAGS).significant()[0]
-    shares = np.ones((2 * LAGS + 1, 2 * LAGS + 1))  # fields that wrap round have a neighbour at every lag
-    assert independent_for_variance(mask.size, rho, shares) == pytest.approx(for_variance, rel=0.25)
-    assert independent_for_mean(mask.size, rho, shares) == pytest.approx(for_mean, rel=0.25)
 
 
 def test_lags_are_the_products_of_all_pairs_of_pixels():

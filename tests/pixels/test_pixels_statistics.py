@@ -56,17 +56,6 @@ def test_statistics_are_the_same_to_the_bit_however_the_cube_is_stored_cut_or_sh
                         assert np.array_equal(found[name].mean, value.mean)
 
 
-def test_gain_offset_and_order_of_bands(tmp_path):
-    x = numbers()
-    gains = ", ".join(f"{0.001 * (b + 1)}" for b in range(BANDS))
-    offsets = ", ".join(f"{0.5 * b}" for b in range(BANDS))
-    extra = f"data gain values = {{{gains}}}\ndata offset values = {{{offsets}}}\n"
-    found = region_statistics(stored(tmp_path, x, extra=extra))["scene"]
-    values = x.reshape(-1, BANDS) * (0.001 * np.arange(1, BANDS + 1)) + 0.5 * np.arange(BANDS)
-    assert found.mean == pytest.approx(values.mean(axis=0), rel=1e-12)
-    assert relative(found.covariance, np.cov(values.T)) < 1e-12
-
-
 def test_ignored_and_empty_pixels_never_reach_the_mean(tmp_path):
     x = numbers()
     x[0] = -9999  # no data at all
@@ -210,12 +199,3 @@ def test_pixels_that_are_not_finite_are_left_out_and_counted(bad, tmp_path):
     x[:] = bad
     with pytest.raises(UsageError, match="'scene' has no valid pixel"):
         region_statistics(stored(tmp_path, x, dtype="<f4"))
-
-
-def test_one_pixel_is_its_own_mean_and_spans_nothing(tmp_path):
-    values = np.full((7, 6, 4), np.nan)
-    values[2, 3] = [1e-20, 2.0, 3e10, 4.0]
-    found = region_statistics(stored(tmp_path, values, "bip", ">f4"))["scene"]
-    assert (found.n, found.n_left_out) == (1, 41)
-    np.testing.assert_allclose(found.mean, values[2, 3].astype(">f4").astype(float), rtol=1e-12)
-    assert not found.covariance.any()
