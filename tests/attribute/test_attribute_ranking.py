@@ -59,16 +59,11 @@ def test_a_residual_and_what_is_said_of_it(residual, conclusion):
     assert conclusion in _ranking(residual).conclusion
 
 
-def test_inputs_alike_are_not_told_apart():
+def test_inputs_alike_are_not_told_apart_and_move_no_farther_than_they_may():
     found = _ranking(np.full(N, 3.0), COLUMNS | {TWIN: np.ones((N, 1))})
     assert found.ranked[0].units == pytest.approx(3.0, rel=0.01)
     assert "not told apart from twin of gain" in found.conclusion
-
-
-def test_an_input_cannot_move_farther_than_it_may():
-    near = Candidate("gain", "sensor", "1 %", False)
-    found = _ranking(np.full(N, -14.0), {near: np.ones((N, 1))})
-    assert found.ranked[0].units == pytest.approx(-10.0)
+    found = _ranking(np.full(N, -14.0), {GAIN: np.ones((N, 1))})
     assert found.ranked[0].chi_square == pytest.approx(N * (4.0 / 0.1) ** 2)  # what is left of 14 steps
     assert "gain (-10 times its step of 1 %, as far as it can) explains most, but none is enough" in found.conclusion
 
@@ -137,16 +132,11 @@ def test_what_ifs_that_say_nothing_are_refused(data):
         AttributionOptions.model_validate(data)
 
 
-def _world(rng, n=40, k=3):
-    a = rng.normal(size=(n, n))
-    c = a @ a.T / n + 0.1 * np.eye(n)
-    return c, rng.normal(size=(n, k))
-
-
 @pytest.mark.parametrize("k", [1, 3])
 def test_gain_is_the_likelihood_ratio_of_the_normal_density(k):
     rng = np.random.default_rng(1)
-    c, g = _world(rng, k=k)
+    a, g = rng.normal(size=(40, 40)), rng.normal(size=(40, k))
+    c = a @ a.T / 40 + 0.1 * np.eye(40)
     r = g @ rng.normal(size=k) * 4 + np.linalg.cholesky(c) @ rng.normal(size=len(c))
 
     def loglik(log_t2):
@@ -213,50 +203,31 @@ def test_a_polynomial_of_degree_two_is_met_exactly():
 
 
 AXIS = SpectralAxis(np.array([500.0, 600.0, 800.0]), np.full(3, 10.0))
-GROUND = {"name": "ground", "fraction": 1.0, "spectrum": {"constant": 0.2}}
-PAINT = {"name": "paint", "spectrum": {"constant": 0.5}, "host": "ground", "fill": {"fixed": 0.1}}
 AIR = {"sensor": "aviris-ng", "atmosphere": ATMOSPHERE}
+CLEAR = {key: value for key, value in ATMOSPHERE.items() if key != "aot550"} | {"aerosol": "none"}
+PAINT = {"name": "paint", "spectrum": {"constant": 0.5}, "host": "c0", "fill": {"fixed": 0.1}}
+HAZE, WATER, FILL, BLUR = "aerosol optical depth", "water vapour", "fill of the targets", "blur of the image"
 
 
-def names(*classes, targets=(), **changes) -> list[str]:
-    """Names of the usual inputs of a small scenario."""
-    scenario = Scenario.model_validate({
-        "name": "s",
-        "scene": {"classes": list(classes or [GROUND]), "targets": list(targets)},
-        "processing": {"elm": "none", "detectors": []},
-        **changes,
-    })  # fmt: skip
-    return [i.name for i in assumed_inputs(read(scenario, Origins(axis=AXIS, engine=stand_in_atmosphere)))]
-
-
-def test_a_reflectance_image_has_neither_air_nor_noise_of_a_sensor():
-    assert names() == ["sensor gain", "spread of ground", "field spectrum of ground"]
-
-
-def test_of_two_classes_one_share_is_an_input_and_of_three_each():
-    def shares(*fractions):
-        classes = [{**GROUND, "name": f"c{i}", "fraction": f} for i, f in enumerate(fractions)]
-        return [name for name in names(*classes) if name.startswith("fraction")]
-
-    assert shares(0.3, 0.7) == ["fraction of c0"]
-    assert shares(0.3, 0.3, 0.4) == ["fraction of c0", "fraction of c1", "fraction of c2"]
-
-
-def test_fills_are_inputs_where_there_are_targets_and_blur_where_their_geometry_has_one():
-    assert "fill of the targets" not in names()
-    assert {"fill of the targets", "blur of the image"} & {*names(targets=[PAINT])} == {"fill of the targets"}
-
-
-def test_air_without_water_or_aerosol_has_none_to_be_off():
-    own = {"aerosol optical depth", "water vapour", "wavelength shift", "sensor noise"}
-    assert own <= {*names(**AIR)}
-    clear = {**ATMOSPHERE, "aerosol": "none"}
-    del clear["aot550"]
-    assert "aerosol optical depth" not in names(**{**AIR, "atmosphere": clear})
-
-
-def test_what_the_scenario_states_is_left_out():
-    stated = {"sensor_gain": {"relative": 0.02}, "water_vapour_g_cm2": 0.1}
-    left = names(**AIR, uncertainty=stated)
-    assert {"sensor gain", "water vapour"} & {*left} == set()
-    assert "aerosol optical depth" in left
+@pytest.mark.parametrize(
+    ("shares", "changes", "among", "absent"),
+    [
+        ((1.0,), {}, {"sensor gain", "spread of c0", "field spectrum of c0"}, {FILL, HAZE, WATER, "sensor noise"}),
+        ((0.3, 0.7), {}, {"fraction of c0"}, {"fraction of c1"}),
+        ((0.3, 0.3, 0.4), {}, {"fraction of c0", "fraction of c1", "fraction of c2"}, set()),
+        ((1.0,), {"targets": [PAINT]}, {FILL}, {BLUR, "field spectrum of paint"}),
+        ((1.0,), AIR, {HAZE, WATER, "wavelength shift", "sensor noise"}, {FILL}),
+        ((1.0,), AIR | {"atmosphere": CLEAR}, {WATER}, {HAZE}),
+        ((1.0,), AIR | {"uncertainty": {"sensor_gain": {"relative": 0.02}, "water_vapour_g_cm2": 0.1}}, {HAZE},
+         {"sensor gain", WATER}),
+    ],
+)  # fmt: skip
+def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(shares, changes, among, absent):
+    changes = {**changes}
+    classes = [{"name": f"c{i}", "fraction": f, "spectrum": {"constant": 0.2}} for i, f in enumerate(shares)]
+    scene = {"classes": classes, "targets": changes.pop("targets", [])}
+    processing = {"elm": "none", "detectors": []}
+    scenario = Scenario.model_validate({"name": "s", "scene": scene, "processing": processing, **changes})
+    found = {i.name for i in assumed_inputs(read(scenario, Origins(axis=AXIS, engine=stand_in_atmosphere)))}
+    assert among <= found
+    assert not absent & found

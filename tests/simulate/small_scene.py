@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import ClassStatistics
-from hyperval.simulate import SceneFile, SensorNumbers
+from hyperval.simulate import SceneFile, SensorNumbers, SimulationInputs
 from hyperval.spectra import SpectralAxis
 
 BANDS = 12
@@ -27,6 +27,7 @@ LEVELS = {
     "grass": (0.30, 0.02), "asphalt": (0.12, 0.008), "soil": (0.25, 0.02), "yellow-paint-plank": (0.45, 0.02),
     "white-panel": (0.60, 0.004),
 }  # fmt: skip
+CLASSES = {name: surface(name, *level) for name, level in LEVELS.items()}
 
 
 def terms() -> AtmosphericTerms:
@@ -44,6 +45,9 @@ def numbers(**changes: Any) -> SensorNumbers:
         "relative_calibration": np.full(BANDS, 0.005), "lsb_radiance": np.full(BANDS, 0.005),
     }  # fmt: skip
     return SensorNumbers(**(values | changes))
+
+
+INPUTS = SimulationInputs(numbers(), terms(), CLASSES)
 
 
 def area(surface: str, lines: list[int], samples: list[int], **more: Any) -> dict[str, Any]:
@@ -74,3 +78,6 @@ def scene_data(**changes: Any) -> dict[str, Any]:
 def small_scene(**changes: Any) -> SceneFile:
     """The small scene as a model."""
     return SceneFile.model_validate(scene_data(**changes))
+
+
+SCENE = small_scene()

@@ -1,10 +1,11 @@
-"""The written collection: same bytes for the same seed, readable by others, its truth in step with its pixels."""
+"""Scene files and the written collection: same bytes for the same seed, readable by others, its truth in step."""
 
 from __future__ import annotations
 
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,16 +13,18 @@ import pytest
 import rasterio
 import spectral
 import yaml
-from small_scene import area, scene_data, small_scene
+from small_scene import CLASSES, INPUTS, SCENE, area, planks, scene_data, small_scene
 
 from hyperval.errors import UsageError
-from hyperval.imagery import open_cube, read_regions, read_targets
+from hyperval.imagery import read_regions
 from hyperval.simulate import (
     SimulationInputs,
     SurfaceRenderer,
     detector,
     field_axis,
     lay_out,
+    load_inputs,
+    load_scene,
     regions,
     simulate,
     simulate_to_folder,
@@ -30,32 +33,36 @@ from hyperval.spectra import read_spectrum
 from hyperval.statistics_library import builtin_class
 from hyperval.storage import sha256_of
 
+TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
+MISTAKES = yaml.safe_load((Path(__file__).parent / "mistakes.yaml").read_text())
+
 
 def stored(found) -> np.ndarray:
     """(lines, samples, bands) integers straight from the bytes."""
     return np.fromfile(found.cube, "<i2").reshape(60, 12, 48).transpose(0, 2, 1)
 
 
-def test_the_same_seed_gives_the_same_bytes_whatever_the_workers(scene, inputs, tmp_path, monkeypatch):
-    first = simulate(scene, tmp_path / "a", inputs=inputs)
-    again = simulate(scene, tmp_path / "b", inputs=inputs)
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """The small scene as a collection."""
+    return simulate(SCENE, tmp_path_factory.mktemp("small"), inputs=INPUTS)
+
+
+def test_the_same_seed_gives_the_same_bytes_whatever_the_workers(found, tmp_path, monkeypatch):
     monkeypatch.setattr("hyperval.simulate.collection.WORKERS", 1)
-    alone = simulate(scene, tmp_path / "c", inputs=inputs)
-    for path in sorted(first.folder.iterdir()):
-        for other in (again, alone):
-            assert sha256_of(path) == sha256_of(other.folder / path.name), path.name
-    another = simulate(small_scene(seed=2), tmp_path / "d", inputs=inputs)
-    assert np.mean(stored(first) == stored(another)) < 0.05
+    alone = simulate(SCENE, tmp_path / "a", inputs=INPUTS)
+    for path in sorted(found.folder.iterdir()):
+        assert sha256_of(path) == sha256_of(alone.folder / path.name), path.name
+    another = simulate(small_scene(seed=2), tmp_path / "b", inputs=INPUTS)
+    assert np.mean(stored(found) == stored(another)) < 0.05
 
 
-def test_spectral_python_and_rasterio_read_the_cube(scene, inputs, tmp_path):
-    found = simulate(scene, tmp_path / "a", inputs=inputs)
+def test_spectral_python_and_rasterio_read_the_cube(found):
     values = stored(found)
     image = spectral.open_image(str(found.cube.with_suffix(".hdr")))
-    assert image.shape == (60, 48, 12)
     assert np.array_equal(image.open_memmap(interleave="bip"), values)
-    assert np.allclose(image.bands.centers, inputs.sensor.axis.centre_nm)
-    assert np.allclose(image.bands.bandwidths, inputs.sensor.axis.fwhm_nm)
+    assert np.allclose(image.bands.centers, INPUTS.sensor.axis.centre_nm)
+    assert np.allclose(image.bands.bandwidths, INPUTS.sensor.axis.fwhm_nm)
     assert image.metadata["description"].startswith("SIMULATED")
     assert {int(b) for b in image.metadata["bbl"]} == {1}
     assert {float(g) for g in image.metadata["data gain values"]} == {0.001}
@@ -65,28 +72,7 @@ def test_spectral_python_and_rasterio_read_the_cube(scene, inputs, tmp_path):
         assert data.transform.to_gdal() == (275400.0, 2.0, 0.0, 4753700.0, 0.0, -2.0)
 
 
-def test_the_own_readers_take_the_collection_as_it_is(scene, inputs, tmp_path):
-    found = simulate(scene, tmp_path / "a", inputs=inputs)
-    cube = open_cube(found.cube, quantity="radiance", unit="uW cm-2 sr-1 nm-1")
-    assert cube.axis.matches(inputs.sensor.axis)
-    lines, samples = np.array([5, 40]), np.array([3, 20])
-    assert np.allclose(cube.pixels((lines, samples)), stored(found)[lines, samples] * 1e-3)
-    read = read_regions(found.regions, cube.shape, coordinates="pixel")
-    masks = {name: region.mask for name, region in read.items()}
-    assert set(masks) == {"white", "grass-field", "court"}
-    assert masks["white"].sum() == 36
-    ground = lay_out(scene)
-    for name, mask in regions(scene, ground).items():
-        assert np.array_equal(masks[name], mask)
-    targets = read_targets(found.targets, (60, 48), pixel_size_m=2.0)
-    assert len(targets) == 6
-    for target in targets:
-        assert target.mask.sum() == 1  # these planks are smaller than a pixel and centred
-        assert ground.fill[target.mask] == pytest.approx(0.3, abs=1e-6)
-
-
-def test_the_list_of_targets_names_the_brightest_pixel(scene, inputs, tmp_path):
-    found = simulate(scene, tmp_path / "a", inputs=inputs)
+def test_the_list_of_targets_names_the_brightest_pixel(found):
     table = pd.read_csv(found.targets)
     assert set(table["nominal_fill"]) == {0.3}
     fill = np.fromfile(found.fill_map, "<f4").reshape(60, 48)
@@ -100,31 +86,33 @@ def test_the_list_of_targets_names_the_brightest_pixel(scene, inputs, tmp_path):
     assert np.all(classes[30:] == next(int(k) for k, v in names.items() if v == "asphalt"))
 
 
-def test_regions_have_the_radiance_of_their_mean_reflectance(scene, inputs, tmp_path):
-    found = simulate(scene, tmp_path / "a", inputs=inputs)
+def test_regions_as_written_have_the_radiance_of_their_mean_reflectance(found):
     cube = stored(found) * 1e-3
-    chain = detector(inputs, found.average_reflectance, 1000.0)
-    for name, mask in regions(scene, lay_out(scene)).items():
+    chain = detector(INPUTS, found.average_reflectance, 1000.0)
+    written = read_regions(found.regions, (60, 48), coordinates="pixel")
+    for name, mask in regions(SCENE, lay_out(SCENE)).items():
+        assert np.array_equal(written.pop(name).mask, mask)
         surface = {"white": "white-panel", "grass-field": "grass", "court": "asphalt"}[name]
-        expected = chain.radiance(inputs.classes[surface].mean[None].astype(np.float32))[0]
+        expected = chain.radiance(CLASSES[surface].mean[None].astype(np.float32))[0]
         pixels = cube[mask]
         # 6 standard errors (12 bands x 3 regions: fails by chance less than once in 10 million).
         assert np.all(np.abs(pixels.mean(axis=0) - expected) < 6 * pixels.std(axis=0) / math.sqrt(mask.sum()))
+    assert not written
 
 
-def test_the_average_is_that_of_the_rendered_scene(scene, inputs, tmp_path):
-    renderer = SurfaceRenderer(scene, lay_out(scene), inputs.classes)
+def test_the_average_is_that_of_the_rendered_scene(found):
+    renderer = SurfaceRenderer(SCENE, lay_out(SCENE), CLASSES)
     every = np.stack([renderer.lit_reflectance(line) for line in range(60)]).astype(float)
-    facts = json.loads(simulate(scene, tmp_path / "a", inputs=inputs).truth.read_text())
+    facts = json.loads(found.truth.read_text())
     assert np.allclose(facts["average_reflectance"], every.mean(axis=(0, 1)), rtol=1e-9)
     assert facts["negative_reflectance_fraction"] == np.mean(every < 0)
     assert (facts["simulated"], facts["scene"]["seed"], facts["scene"]["mode"]) == (True, 7, "closure")
     assert facts["saturated_fraction"] == 0.0
 
 
-def test_panel_spectra_are_those_of_the_panels_with_their_scatter(inputs, tmp_path):
+def test_panel_spectra_are_those_of_the_panels_with_their_scatter(tmp_path):
     noisy = small_scene(field_spectra={"readings": 25, "relative_noise": 0.02})
-    path = simulate(noisy, tmp_path / "a", inputs=inputs).panel_spectra
+    path = simulate(noisy, tmp_path / "a", inputs=INPUTS).panel_spectra
     table = pd.read_csv(path, comment="#")
     assert read_spectrum(path, wavelength_unit="nm", reflectance_unit="fraction").n == 25
     assert table["wavelength_nm"].iloc[[0, -1]].tolist() == [350.0, 2500.0]
@@ -134,39 +122,60 @@ def test_panel_spectra_are_those_of_the_panels_with_their_scatter(inputs, tmp_pa
     assert (table["white_sd"] / table["white"]).mean() == pytest.approx(0.02, rel=0.02)
 
 
-def test_radiance_beyond_sixteen_bits_is_refused_and_leaves_no_cube(inputs, tmp_path):
+def test_radiance_beyond_sixteen_bits_is_refused_and_leaves_no_cube(tmp_path):
     with pytest.raises(UsageError, match="lower counts_per_radiance"):
-        simulate(small_scene(counts_per_radiance=5000.0), tmp_path / "a", inputs=inputs)
+        simulate(small_scene(counts_per_radiance=5000.0), tmp_path / "a", inputs=INPUTS)
     assert not list((tmp_path / "a").glob("*.img"))
 
 
-def test_a_scene_too_large_is_refused_before_anything_is_made(inputs, tmp_path):
+def test_a_scene_too_large_is_refused_before_anything_is_made(tmp_path):
     ground = [area("grass", [0, 20_000], [0, 20_000])]
     huge = small_scene(lines=20_000, samples=20_000, layout=ground, targets=[], regions=[])
     with pytest.raises(UsageError, match="too large"):
-        simulate(huge, tmp_path / "a", inputs=inputs)
+        simulate(huge, tmp_path / "a", inputs=INPUTS)
     assert not (tmp_path / "a").exists()
 
 
-def test_inputs_on_other_bands_are_refused(inputs, classes):
-    g = classes["grass"]
+def test_inputs_on_other_bands_are_refused():
+    g = CLASSES["grass"]
     few = replace(g, axis=g.axis.select(np.arange(3)), mean=g.mean[:3], covariance=g.covariance[:3, :3])
     with pytest.raises(UsageError, match="bands"):
-        SimulationInputs(inputs.sensor, inputs.terms, {"grass": few})
+        SimulationInputs(INPUTS.sensor, INPUTS.terms, {"grass": few})
 
 
-def test_a_scene_file_becomes_a_folder_and_never_replaces_anything_else(inputs, tmp_path, monkeypatch):
-    monkeypatch.setattr("hyperval.simulate.collection.load_inputs", lambda scene, beside: inputs)
+def test_a_scene_file_becomes_a_folder_and_an_older_simulation_is_replaced(found, tmp_path, monkeypatch):
+    monkeypatch.setattr("hyperval.simulate.collection.load_inputs", lambda scene, beside: INPUTS)
     path = tmp_path / "scene.yaml"
     path.write_text(yaml.safe_dump(scene_data()), encoding="utf-8")
-    output = tmp_path / "out"
-    assert simulate_to_folder(path, output) == 0
-    before = sha256_of(output / "small_rad.img")
-    assert simulate_to_folder(path, output) == 0  # an older simulation is replaced
-    assert sha256_of(output / "small_rad.img") == before
-    precious = tmp_path / "precious"
-    precious.mkdir()
-    (precious / "thesis.txt").write_text("years of work", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"files that no run wrote there: thesis\.txt"):
-        simulate_to_folder(path, precious)
-    assert (precious / "thesis.txt").read_text() == "years of work"
+    for _ in range(2):
+        assert simulate_to_folder(path, tmp_path / "out") == 0
+        assert sha256_of(tmp_path / "out" / "small_rad.img") == sha256_of(found.cube)
+
+
+def test_the_twin_scenes_are_as_large_as_they_should_be():
+    """Their layout is that of every run of their campaigns."""
+    for name in ("scene.yaml", "scene-broken.yaml"):
+        scene = load_scene(TWIN / name)
+        assert 2 * scene.lines * scene.samples * 360 <= 150e6
+        assert all(group.count >= 60 for group in scene.targets)
+
+
+@pytest.mark.parametrize("case", MISTAKES, ids=[case["words"] for case in MISTAKES])
+def test_a_mistake_is_named_with_its_file_and_line(tmp_path, case):
+    path = tmp_path / "scene.yaml"
+    groups = [planks(**changes) for changes in case.get("planks", [])]
+    changes = case["scene"] | ({"targets": groups} if groups else {})
+    data = json.loads(json.dumps(scene_data(**changes)))  # no part twice: YAML would make it an anchor
+    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    with pytest.raises(UsageError, match=case["words"]) as error:
+        load_scene(path)
+    assert "scene.yaml:" in str(error.value)
+    assert error.value.exit_code == 2
+
+
+def test_a_surface_that_is_none_is_told_before_the_engine_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr("hyperval.atmosphere.atmospheric_terms", None)  # would be called
+    scene = load_scene(TWIN / "scene.yaml")
+    painted = [scene.layout[0].model_copy(update={"surface": "gras"}), *scene.layout[1:]]
+    with pytest.raises(UsageError, match="unknown built-in surface 'gras'"):
+        load_inputs(scene.model_copy(update={"layout": painted}), tmp_path)

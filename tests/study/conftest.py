@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,46 +11,23 @@ import pytest
 
 from hyperval.atmosphere import AtmosphericTable, write_table
 
-SCENARIO = """
-schema: 1
-name: small
-atmosphere: {engine: table, table: sky.nc, aot550: 0.2, water_vapour_g_cm2: 2.0, ozone_atm_cm: 0.3,
-             sensor_altitude_km: 1, solar_zenith_deg: 35, solar_azimuth_deg: 180, day_of_year: 210}
-sensor: prospectir-vs
-scene:
-  classes:
-    - {name: asphalt, fraction: 0.5, spectrum: {builtin: asphalt}}
-    - {name: grass, fraction: 0.3, spectrum: {builtin: grass}, tail_dof: 9}
-    - {name: soil, fraction: 0.2, spectrum: {builtin: soil}, gain: 1.5}
-  panels:
-    - {name: panel, spectrum: {builtin: white-panel}}
-  targets:
-    - {name: plank, spectrum: {builtin: yellow-paint-plank}, host: asphalt, fill: {fixed: 0.05}}
-processing: {detectors: [cem], bands: {ranges: [[450, 700]]}}
-"""
-
 
 @pytest.fixture(scope="session")
 def scenario_file(tmp_path_factory) -> Path:
     """The scenario with its atmosphere table beside it."""
     folder = tmp_path_factory.mktemp("scenario")
-    (folder / "small.yaml").write_text(SCENARIO)
-    w = np.arange(340.0, 2601.0, 20.0)
-    depth = np.linspace(0.0, 1.0, 5)[:, None]
+    w, depth = np.arange(340.0, 2601.0, 20.0), np.linspace(0.0, 1.0, 5)[:, None]
     haze = 1.0 - np.exp(-depth * 550.0 / w)
     quantities = {
-        "path": 0.03 * (450.0 / w) ** 3 + 0.12 * haze,
-        "direct": 0.8 * np.exp(-1.2 * depth * 550.0 / w),
-        "adjacency": 0.15 * haze * np.exp(-0.4 * depth),
-        "spherical_albedo": 0.05 * (450.0 / w) ** 3 + 0.15 * haze,
-        "ground": 0.9 * np.exp(-0.2 * depth * 550.0 / w),
-        "gas": np.full((5, w.size), 0.95),
+        "path": 0.03 * (450.0 / w) ** 3 + 0.12 * haze, "direct": 0.8 * np.exp(-1.2 * depth * 550.0 / w),
+        "adjacency": 0.15 * haze * np.exp(-0.4 * depth), "spherical_albedo": 0.05 * (450.0 / w) ** 3 + 0.15 * haze,
+        "ground": 0.9 * np.exp(-0.2 * depth * 550.0 / w), "gas": np.full((5, w.size), 0.95),
         "diffuse": 0.1 + 0.5 * haze,
-    }
+    }  # fmt: skip
     fixed = {"water_vapour_g_cm2": 2.0, "ozone_atm_cm": 0.3, "ground_altitude_km": 0.0, "sensor_altitude_km": 1.0,
              "solar_zenith_deg": 35.0, "view_zenith_deg": 0.0}  # fmt: skip
     write_table(AtmosphericTable(w, {"aot550": depth[:, 0]}, fixed, quantities), folder / "sky.nc")
-    return folder / "small.yaml"
+    return Path(shutil.copy(Path(__file__).parent / "small.yaml", folder))
 
 
 @pytest.fixture
@@ -58,7 +36,8 @@ def make_study(scenario_file) -> Callable[[str], Path]:
 
     def make(text: str) -> Path:
         path = scenario_file.parent / "study.yaml"
-        path.write_text(f"schema: 1\nname: trial\nscenario: small.yaml\n{text}")
+        head = "" if "scenario:" in text else "schema: 1\nname: trial\nscenario: small.yaml\n"
+        path.write_text(head + text)
         return path
 
     return make
