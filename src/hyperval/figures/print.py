@@ -155,10 +155,10 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
 
 def _height_in(view: Panels) -> float:
     """Height of a row of panels [in]."""
-    rows = sum(len(part.y.names) + 1.5 * (number > 0) for number, part in enumerate(view.parts))
+    rows = sum(len(part.y.names) for part in view.parts)
     if not rows:
         return 1.3 + 1.2 * len(view.parts)
-    return 0.5 + _ROW_IN * rows + (1.0 if view.x.scale == "names" else 0.0)
+    return 0.5 + _ROW_IN * (rows + 1.5 * (len(view.parts) - 1)) + (1.0 if view.x.scale == "names" else 0.0)
 
 
 def _legend(canvas: Canvas, figure: Figure, views: Sequence[Panels]) -> None:

@@ -1,0 +1,585 @@
+"""Scores, objects, ROC curves, false alarms and target areas; and the drive over all products."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.stats import norm
+
+from hyperval.compare import (
+    Gate,
+    RowMaker,
+    compare_abundance,
+    compare_area_errors,
+    compare_exceedance,
+    compare_object_scores,
+    compare_products,
+    compare_roc,
+    compare_scores,
+    detection,
+    difference_interval,
+    distance_from_uniform,
+    far_at_detection_rows,
+    joint_rows,
+    judged,
+    judged_together,
+    predicted_area,
+    probability_integral_transform,
+    product_rows,
+)
+from hyperval.errors import UsageError
+from hyperval.model import (
+    AREAS,
+    WHOLE,
+    Z95,
+    ClassScores,
+    clopper_pearson,
+    curve_area,
+    greatest_class_false_alarm,
+    thresholds_at,
+    zero_count_upper_limit,
+)
+from hyperval.pixels import counts_of, empirical_roc, roc_area, with_summary
+from hyperval.products import (
+    Abundance,
+    AlarmsAtDetection,
+    ExceedanceCurve,
+    ObjectScores,
+    ObservedProducts,
+    PredictedProducts,
+    RocCurve,
+    ScoreDistribution,
+    SpectralEstimate,
+)
+from hyperval.results import Cause, Outcome
+from hyperval.spectra import SpectralAxis
+
+NAMES = {"subject": "planks", "method": "cem/object"}
+MAKE = RowMaker("roc", "planks", "cem/object")
+KM2 = 0.08
+PFA = np.geomspace(1e-4, 0.999, 81)
+
+
+def by_metric(rows):
+    return {row.metric: row for row in rows}
+
+
+def roc(predicted, observed, **more):
+    return by_metric(compare_roc(predicted, observed, **NAMES, **more))
+
+
+def curve(pfa, pd, half=0.0, unit="object", **more):
+    """A curve with a band of +-``half`` about P_D."""
+    pfa, pd = np.asarray(pfa, float), np.broadcast_to(np.asarray(pd, float), np.shape(pfa))
+    return RocCurve(pfa, pd, np.clip(pd - half, 0, 1), np.clip(pd + half, 0, 1), norm.isf(pfa), unit, **more)
+
+
+def model_curve(separation, width=0.0, unit="object"):
+    pfa = np.geomspace(1e-9, 1.0, 400)
+    threshold = norm.isf(pfa)
+    pd = [norm.sf(threshold - d) for d in (separation - width, separation, separation + width)]
+    return RocCurve(pfa, pd[1], pd[0], pd[2], threshold, unit)
+
+
+def measured_curve(separation, seed=1, targets=30, background=20_000, area=KM2):
+    rng = np.random.default_rng(seed)
+    t, b = rng.normal(separation, 1, targets), rng.normal(size=background)
+    return with_summary(empirical_roc(t, b, unit="object", background_area_km2=area), t, b)
+
+
+@pytest.mark.slow
+def test_true_predictions_are_inside_95_times_of_100():
+    # 300 collections: the rule is conservative; at exactly 95 % the sd is 1.3 %, so above 92 % (2.4 sd, 1 %).
+    inside = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        measured = empirical_roc(rng.normal(2.5, 1, 25), rng.normal(size=5000), unit="object")
+        inside.append(roc(model_curve(2.5), measured, pfa=[1e-2])["pd_inside_interval@1e-2"].value)
+    assert np.mean(inside) > 0.92
+
+
+def test_overlapping_intervals_are_not_enough():
+    observed = curve([0.01, 1.0], [0.62, 1.0], 0.1)
+    overlaps, nearer = (roc(curve([0.01, 1.0], [pd, 1.0], 0.1), observed, pfa=[0.01]) for pd in (0.8, 0.74))
+    assert overlaps["pd_inside_interval@1e-2"].value == 0.0
+    assert nearer["pd_inside_interval@1e-2"].value == 1.0
+    assert nearer["pd_inside_measured_interval@1e-2"].value == 0.0  # the width of the prediction was needed
+
+
+def test_difference_interval_covers_and_takes_the_sides_that_stretch_it():
+    # Two binomial proportions with Clopper-Pearson limits: conservative, 1000 draws, above 93 %.
+    rng = np.random.default_rng(2)
+    hits = 0
+    for a, b in zip(rng.binomial(40, 0.8, 1000), rng.binomial(25, 0.6, 1000), strict=True):
+        one, two = (tuple(map(float, clopper_pearson(k, n))) for k, n in ((a, 40), (b, 25)))
+        low, high = difference_interval(a / 40, one, b / 25, two)
+        hits += low <= 0.2 <= high
+    assert hits / 1000 > 0.93
+    # The upper side of a and the lower side of b stretch the upper limit; the other two the lower limit.
+    assert difference_interval(0.8, (0.76, 0.92), 0.5, (0.45, 0.53)) == pytest.approx((0.3 - 0.05, 0.3 + 0.13))
+
+
+def test_points_that_the_background_or_a_curve_does_not_reach():
+    small = roc(model_curve(3.0), measured_curve(3.0, background=2000))
+    assert small["pd_difference@1e-3"].outcome is Outcome.SKIPPED
+    assert "2000 background samples expect 2 alarms" in small["pd_difference@1e-3"].reason
+    large = roc(model_curve(3.0), measured_curve(3.0, background=200_000))
+    assert large["pd_difference@1e-4"].outcome is Outcome.NONE
+    assert not {"pd_difference@1e-4"} & set(small) | {"pd_difference@1e-5"} & set(large)
+    short = roc(model_curve(2.0), curve([0.05, 1.0], [0.5, 1.0], 0.1), pfa=[1e-2])
+    assert short["pd_measured@1e-2"].reason == "the measured curve has no point at P_FA 1e-2"
+    bare = curve([1e-3, 1.0], [0.5, 1.0], np.nan)
+    assert np.isnan(roc(model_curve(2.0), bare, pfa=[1e-2])["pd_inside_interval@1e-2"].value)  # neither in nor out
+    point = roc(bare, measured_curve(2.0), pfa=[1e-2])["pd_predicted@1e-2"]
+    assert point.lower == point.value
+    value, interval = predicted_area(bare, AREAS["partial_auc@0..1e-1"])
+    assert interval == (value, value)
+    with pytest.raises(UsageError, match="by pixel, the measured by object"):
+        roc(model_curve(2.0, unit="pixel"), measured_curve(2.0))
+
+
+def test_one_object_gives_values_but_no_verdict():
+    # Measured 1 of 1: the interval is 0.05 to 1, so that a prediction of 1e-18 would be "inside".
+    background = np.random.default_rng(1).normal(size=20000)
+    rows = roc(model_curve(-9.0), empirical_roc([5.0], background, unit="object"), equivalence_margin=0.1)
+    assert (rows["pd_measured@1e-2"].value, rows["pd_predicted@1e-2"].value < 1e-9) == (1.0, True)
+    for metric in ("pd_inside_interval", "pd_inside_measured_interval", "pd_equivalent"):
+        row = rows[f"{metric}@1e-2"]
+        assert row.outcome is Outcome.SKIPPED
+        assert row.reason == "the measured interval 0.05 to 1 from 1 object accepts nearly any prediction"
+    several = roc(model_curve(-9.0), empirical_roc(np.full(5, 5.0), background, unit="object"))
+    assert several["pd_inside_interval@1e-2"].value == 0.0
+
+
+def test_areas_with_and_without_estimates():
+    rng = np.random.default_rng(3)
+    t, b = rng.normal(2, 1, 200), rng.normal(0, 1, 50000)
+    whole, truth = model_curve(2.0), norm.cdf(2 / np.sqrt(2))
+    assert curve_area(whole, WHOLE) == pytest.approx(truth, abs=1e-5)
+    # A curve that stops at P_FA 0.6 is joined to (1, 1); one that stops at 0.3 has no area.
+    long, short = (curve(whole.pfa[whole.pfa <= end], whole.pd[whole.pfa <= end]) for end in (0.6, 0.3))
+    assert roc(long, whole)["auc_difference"].value == pytest.approx(0, abs=5e-3)
+    assert roc(short, whole)["auc_difference"].outcome is Outcome.SKIPPED
+    row = roc(whole, with_summary(empirical_roc(t, b, unit="object"), t, b))["auc_difference"]
+    assert row.lower < row.value < row.upper
+    assert row.value == pytest.approx(truth - roc_area(counts_of(t, b)), abs=1e-5)
+
+
+def test_score_moments():
+    predicted = ScoreDistribution(0.5, 0.2)
+
+    def scores(observed):
+        return by_metric(compare_scores(predicted, observed, **NAMES))
+
+    rows, t = scores(ScoreDistribution(0.4, 0.1, 26)), stats.t.ppf(0.975, 25)
+    difference, ratio = rows["score_mean_difference"], rows["score_sd_ratio"]
+    assert (difference.value, difference.upper) == pytest.approx((0.1, 0.1 + t * 0.1 / np.sqrt(26)))
+    assert ratio.lower < ratio.value < ratio.upper
+    assert ratio.value == pytest.approx(2.0)
+    by_construction = scores(ScoreDistribution(1e-16, 0.1, 26))["score_mean_difference"]
+    assert np.isnan(by_construction.upper)  # 0 by construction of the filter: no chance is in it
+    own = scores(ScoreDistribution(0.4, 0.1, 26, mean_error=0.004, mean_bias=-0.01))["score_mean_difference"]
+    assert (own.value, own.upper) == pytest.approx((0.09, 0.09 + t * 0.004))  # of pixels that the filter is made of
+    assert scores(ScoreDistribution(0.4, 0.0, 1))["score_sd_ratio"].outcome is Outcome.SKIPPED
+    (row,) = scores(None).values()
+    assert (row.outcome, row.reason) == (Outcome.SKIPPED, "no scores of planks in the observation")
+
+
+def test_sd_ratio_interval_covers():
+    # 1000 samples of 15: sd of the share 0.7 %, band 4 sd.
+    rng = np.random.default_rng(4)
+    hits = 0
+    for _ in range(1000):
+        x = rng.normal(0, 0.1, 15)
+        observed = ScoreDistribution(x.mean(), x.std(ddof=1), 15)
+        row = by_metric(compare_scores(ScoreDistribution(0.0, 0.2), observed, **NAMES))["score_sd_ratio"]
+        hits += row.lower <= 2.0 <= row.upper
+    assert 0.92 < hits / 1000 < 0.98
+
+
+def test_every_subject_of_either_side_has_rows():
+    axis = SpectralAxis(np.arange(450.0, 900.0, 10.0), 10.0)
+    one, model, measured = SpectralEstimate(np.ones(45), 1e-4 * np.eye(45)), model_curve(3.0), measured_curve(3.0)
+    left = {"radiance": {"grass": one, "only model": one}, "reflectance": {"grass": one}}
+    left["roc"] = {("t", "cem", "object"): model, ("u", "cem", "object"): model}
+    right = {"radiance": {"grass": one, "only data": one}, "snr": {"grass": one}}
+    right["roc"] = {("t", "cem", "object"): measured, ("t", "ace", "object"): measured}
+    predicted, observed = PredictedProducts(axis, **left), ObservedProducts(axis, **right)
+    rows = compare_products(predicted, observed)
+    absent = {(r.product, r.subject, r.method): r.reason for r in rows if r.metric == "comparison"}
+    assert set(absent) == {
+        ("radiance", "only model", "model"), ("radiance", "only data", "model"), ("snr", "grass", "model"),
+        ("reflectance", "grass", "model"), ("roc", "t", "ace/object"), ("roc", "u", "cem/object"),
+    }  # fmt: skip
+    assert absent["roc", "t", "ace/object"] == "no roc of t in the prediction, which has it by cem"
+    assert absent["roc", "u", "cem/object"] == "no roc of u in the observation, which has 't'"
+    assert {r.product for r in rows if r.outcome is Outcome.NONE} == {"radiance", "roc"}
+    (nothing,) = [r for r in compare_products(predicted, ObservedProducts(axis)) if r.subject == "u"]
+    assert nothing.reason.endswith("in the observation, which has no roc at all")
+    with pytest.raises(UsageError, match="not on the same spectral axis"):
+        compare_products(predicted, ObservedProducts(SpectralAxis(axis.centre_nm + 1.0, 10.0)))
+
+
+def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
+    rows = roc(model_curve(2.5, 0.1), measured_curve(2.5))
+    for name in ("auc_{}", "partial_auc_{}@0..1e-1", "log_auc_{}@1e-3..1e-1", "far_{}@pd0.5", "far_{}@pd0.9"):
+        p, o, d = (rows[name.format(side)] for side in ("predicted", "measured", "difference"))
+        assert d.value == pytest.approx(p.value - o.value)
+        assert all(row.lower <= row.value <= row.upper and row.outcome is Outcome.NONE for row in (p, o, d))
+        assert d.lower <= 0 <= d.upper
+    assert rows["far_measured@pd0.5"].unit == "km-2"
+    assert rows["auc_measured"].reason == "bootstrap of 30 objects, 1000 draws"
+    assert rows["far_predicted@pd0.5"].value == pytest.approx(norm.sf(2.5) * 20_000 / KM2, rel=0.01)
+    for level in ("1e-1", "1e-2", "1e-3"):
+        assert rows[f"pd_inside_joint_region@{level}"].value == 1.0
+        assert rows[f"far_measured@{level}"].value == pytest.approx(float(level) * 20_000 / KM2)
+    # 200 alarms of 20,000, each of both counts by the root of 95 %.
+    alarms, joint, found = rows["far_measured@1e-2"], rows["joint_pfa@1e-2"], rows["joint_pd@1e-2"]
+    assert (alarms.lower, alarms.upper) == pytest.approx(np.array(clopper_pearson(200, 20_000)) * 20_000 / KM2)
+    assert alarms.reason == "200 alarms on 0.08 km2"
+    assert (joint.lower, joint.upper) == pytest.approx([float(x) for x in clopper_pearson(200, 20_000, np.sqrt(0.95))])
+    assert f"{round(found.value * 30)} of 30 objects and 200 of 20000 background samples" in joint.reason
+    wrong = roc(model_curve(4.5), measured_curve(2.5))
+    assert wrong["pd_inside_joint_region@1e-2"].value == 0.0
+    assert wrong["auc_difference"].lower > 0 > wrong["far_difference@pd0.5"].upper
+
+
+def test_no_alarm_at_all_still_has_an_upper_limit():
+    t, b = np.arange(20) + 100.0, np.random.default_rng(0).normal(size=12_203)
+    measured = with_summary(empirical_roc(t, b, unit="object", background_area_km2=KM2), t, b)
+    row = roc(model_curve(9.0), measured)["far_measured@pd0.5"]
+    one_sided = zero_count_upper_limit(12_203) * 12_203 / KM2
+    assert (row.value, row.lower, row.upper >= one_sided) == (0.0, 0.0, True)
+    assert f"at most {one_sided:.4g}" in row.reason
+
+
+def test_what_is_not_known_is_skipped_with_its_reason():
+    no_area = roc(model_curve(2.5), measured_curve(2.5, area=None))
+    assert no_area["far_measured@1e-2"].outcome is Outcome.SKIPPED
+    assert "ground area" in no_area["far_measured@pd0.9"].reason
+    small = roc(model_curve(2.5), measured_curve(2.5, background=900))
+    assert small["log_auc_difference@1e-3..1e-1"].outcome is Outcome.SKIPPED
+    assert "900 background samples expect 0.9 alarms" in small["log_auc_difference@1e-3..1e-1"].reason
+    assert "joint_pd@1e-3" not in small
+    one = roc(model_curve(2.5), measured_curve(2.5, targets=1))
+    assert one["pd_inside_joint_region@1e-2"].outcome is Outcome.SKIPPED
+    unreached = roc(curve([1e-3, 1.0], [0.95, 1.0], 0.02), measured_curve(2.5))["far_predicted@pd0.5"]
+    assert "does not pass P_D 0.5" in unreached.reason
+
+
+def test_the_joint_region_holds_the_truth_though_the_background_sets_the_threshold():
+    # 400 collections: conservative; at a true 0.95 fewer than 0.92 come in 0.4 % of runs (seed fixed).
+    rng, truth, hits = np.random.default_rng(8), model_curve(2.0), 0
+    for _ in range(400):
+        measured = empirical_roc(rng.normal(2, 1, 25), rng.normal(size=1500), [0.02], unit="object")
+        rows = by_metric(joint_rows(MAKE, truth, measured, 0.02))
+        x, pfa, pd = measured.threshold[0], rows["joint_pfa@2e-2"], rows["joint_pd@2e-2"]
+        if pfa.lower <= norm.sf(x) <= pfa.upper and pd.lower <= norm.sf(x - 2.0) <= pd.upper:
+            hits += 1  # the true curve passes through every region that holds the true point
+            assert rows["pd_inside_joint_region@2e-2"].value == 1.0
+    assert hits / 400 > 0.92
+
+
+def test_one_side_alone_has_its_rows_too():
+    axis, key = SpectralAxis(np.array([500.0, 600.0]), 5.0), ("planks", "cem", "object")
+    bare, seen = (
+        by_metric(product_rows(ObservedProducts(axis, roc={key: measured_curve(2.5, area=area)}), "observed"))
+        for area in (None, KM2)
+    )
+    assert {"auc_measured", "far_measured@1e-3", "far_measured@pd0.9", "joint_pd@1e-2"} <= set(seen)
+    assert not any("predicted" in name or "difference" in name for name in seen)
+    assert not any(r.outcome is Outcome.SKIPPED for r in bare.values())
+    told = by_metric(product_rows(PredictedProducts(axis, roc={key: model_curve(2.5, 0.2)}), "predicted"))
+    assert told["auc_predicted"].lower < told["auc_predicted"].value < told["auc_predicted"].upper
+    assert not any(name.startswith(("far", "joint")) for name in told)
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "pd", "inside"),
+    [
+        # The rectangle of 0 of 200 targets at 100 of 10,000 alarms: P_FA 0.0077 to 0.0127, P_D 0 to 0.022.
+        (9e-3, 1e-1, 0.5, 1.0),  # begins inside: below its first point nothing is detected
+        (1e-4, 1e-1, 0.5, 0.0),
+        (1e-4, 1e-1, 0.01, 1.0),
+    ],
+)
+def test_a_predicted_curve_that_ends_inside_the_rectangle_goes_on_to_nothing(start, end, pd, inside):
+    counts = {"n_target": 200, "n_background": 10_000, "alarms": np.array([10, 100, 1000])}
+    measured = curve([1e-3, 1e-2, 1e-1], 0.0, np.nan, "pixel", **counts)
+    rows = joint_rows(MAKE, curve([start, end], pd, np.nan, "pixel"), measured, 1e-2)
+    assert (rows[-1].metric, rows[-1].value) == ("pd_inside_joint_region@1e-2", inside)
+    assert (rows[1].value, rows[1].upper < 0.03) == (0.0, True)
+
+
+@pytest.mark.parametrize(
+    ("predicted", "half", "code", "word"),
+    [
+        (0.62, 0.05, 1.0, "equivalent"),
+        (0.66, 0.02, 1.0, "equivalent, though not the same"),
+        (0.62, 0.2, 0.0, "undecided"),
+        (0.9, 0.2, -1.0, "different"),
+        (0.3, 0.2, -1.0, "different"),
+    ],
+)
+def test_equivalent_different_or_undecided(predicted, half, code, word):
+    observed = curve(PFA, 0.6, half, n_target=80, n_background=100_000)
+    rows = roc(curve(PFA, predicted), observed, equivalence_margin=0.15)
+    told = rows["pd_equivalence@1e-2"]
+    assert (told.value, told.reason) == (code, f"{word} by a margin 0.15")
+    assert rows["pd_equivalent@1e-2"].value == float(code == 1.0)
+
+
+def test_both_readings_are_reported_where_they_differ():
+    # Two classes; the rarer has the longer tail: its own P_FA is ten times that of the scene.
+    for numbers, told in (([[0.9, 0.1]], [[0.0, 0.1]], [[0.1, 0.2]]), True), (([[1.0]], [[0.0]], [[0.1]]), False):
+        share, mean, sd = map(np.array, numbers)
+        classes = ClassScores(share, mean, sd, np.full(mean.shape, np.inf))
+        x = thresholds_at(PFA[None], classes)[0]
+        preset = greatest_class_false_alarm(x, classes.rows(np.zeros(x.size, int)))
+        pd = norm.sf((x - 0.6) / 0.15)
+        measured = curve(PFA, pd, 0.05, n_target=300, n_background=100_000)
+        rows = roc(curve(PFA, pd, preset_pfa=preset), measured)
+        assert any("preset" in metric for metric in rows) == told  # with one class both are the same
+        if told:  # by hand: the longest tail is that of the second class, x = 0.1 + 0.2 Phi^-1(1 - P)
+            by_hand = norm.sf((0.1 + 0.2 * norm.isf(1e-2) - 0.6) / 0.15)
+            assert rows["pd_predicted_preset@1e-2"].value == pytest.approx(by_hand, abs=0.003)
+            assert rows["pd_predicted@1e-2"].value > by_hand + 0.05
+            assert rows["pd_inside_interval@1e-2"].value == 1.0
+            assert rows["pd_inside_interval_preset@1e-2"].value == 0.0
+
+
+def areas(predicted, observed):
+    return by_metric(compare_abundance(predicted, observed, **NAMES))
+
+
+def test_errors_of_areas_by_hand():
+    row = areas(Abundance(5.0, 0.3), Abundance(4.0, 0.4, 9, 2.5))
+    half = {metric: (r.upper - r.lower) / 2.0 / Z95 for metric, r in row.items() if np.isfinite(r.upper)}
+    # d(o/p) = do/p - o dp/p^2; d(p/o - 1) = dp/o - p do/o^2.
+    assert half == pytest.approx({
+        "area_ratio": np.hypot(0.4 / 5.0, 4.0 * 0.3 / 25.0), "area_nominal_ratio": 0.4 / 2.5,
+        "area_difference_ratio": np.hypot(0.3 / 4.0, 5.0 * 0.4 / 16.0),
+        "area_predicted": 0.3, "area_error_predicted": 0.3, "area_observed": 0.4, "area_error_observed": 0.4,
+    })  # fmt: skip
+    assert (row["area_ratio"].value, row["area_difference_ratio"].value) == pytest.approx((4.0 / 5.0, 1.0 / 4.0))
+    assert (row["area_observed"].unit, row["area_z"].value) == ("m2", pytest.approx(1.0 / 0.5))
+    # 2.0 is beyond 1.96, and so is 1.0 of 0.3.
+    assert (row["area_inside_95"].value, row["area_in_predicted_95"].value) == (0.0, 0.0)
+    near = areas(Abundance(4.9, 0.6), Abundance(4.0, 0.1, 9, 10.5))
+    assert (near["area_inside_95"].value, near["area_in_predicted_95"].value) == (1.0, 1.0)
+    none = areas(Abundance(11.0, 0.0), Abundance(-1.0, 0.0))
+    assert {none[m].outcome for m in ("area_difference_ratio", "area_inside_95")} == {Outcome.SKIPPED}
+    assert areas(Abundance(0.0, 0.1), Abundance(3.0, 0.2, 9))["area_ratio"].cause is Cause.NOT_POSITIVE
+
+
+def test_intervals_of_the_errors_of_several_areas():
+    error, spread = np.array([0.4, -0.1, 0.3]), np.array([0.2, 0.3, 0.6])
+    observed = {(k, "fcls"): Abundance(2.0 + e, 0.1, 9, 2.0) for k, e in zip("abc", error, strict=True)}
+    predicted = {(k, "fcls"): Abundance(2.05, s, 9, 2.0) for k, s in zip("abc", spread, strict=True)}
+    observed["d", "fcls"] = predicted["d", "fcls"] = Abundance(9.0, 0.1, 9, 9.0)  # one of a size has no spread
+    rows = by_metric(compare_area_errors(predicted, observed))
+    assert {r.subject for r in rows.values()} == {"all targets of 2 m2"}
+    assert rows["area_rmse_predicted"].value == pytest.approx(np.sqrt(0.05**2 + np.mean(spread**2)))
+    low, high = stats.t.interval(0.95, 2, loc=error.mean(), scale=stats.sem(error))
+    bias, model, rmse = (rows[f"area_{name}"] for name in ("bias_observed", "bias_predicted", "rmse_observed"))
+    assert (bias.lower, bias.value, bias.upper) == pytest.approx((low, error.mean(), high))
+    half = Z95 * np.sqrt(0.04 + 0.09 + 0.36) / 3
+    assert (model.upper - model.value, model.value - model.lower) == pytest.approx((half, half))
+    square = np.sum(error**2)  # over chi-square of three: the mean square of errors of mean 0
+    ends = np.sqrt(square / stats.chi2.ppf([0.975, 0.025], 3))
+    assert (rmse.lower, rmse.value, rmse.upper) == pytest.approx((ends[0], np.sqrt(square / 3), ends[1]))
+
+
+def test_predicted_alarms_lie_where_the_band_reaches_the_stated_detection():
+    # Straight in log P_FA, 0.2 a decade, a band of 0.1: half a decade on either side.
+    pfa, pd, density = [1e-4, 1e-3, 1e-2, 1e-1, 1.0], [0.2, 0.4, 0.6, 0.8, 1.0], 2000.0
+    alarms = AlarmsAtDetection(0.5, 1.0, 10, 0.01, 0.004, 0.03, 0.005, 0.02)
+    counts = {"n_target": 20, "n_background": 1000, "background_area_km2": 0.5, "at_detection": (alarms,)}
+    measured = curve(pfa, [0.0, 0.2, 0.5, 0.8, 1.0], **counts)
+    rows = by_metric(far_at_detection_rows(MAKE, curve(pfa, pd, 0.1), measured))
+    row = rows["far_predicted@pd0.5"]
+    assert np.array([row.lower, row.value, row.upper]) / density == pytest.approx([1e-3, 10**-2.5, 1e-2])
+    assert rows["far_measured@pd0.5"].value == pytest.approx(20.0)
+    assert rows["far_difference@pd0.5"].value == pytest.approx(density * 10**-2.5 - 20.0)
+    # An upper limit that begins above that P_D bounds P_FA from below by nothing.
+    wide = by_metric(far_at_detection_rows(MAKE, curve(pfa, pd, 0.4), measured))["far_predicted@pd0.5"]
+    assert (wide.lower, wide.upper / density) == pytest.approx((0.0, 10**-0.5))
+
+
+def test_ratio_of_false_alarms():
+    x = np.linspace(0.0, 5.0, 200)
+    model, true = norm.sf(x), 2.0 * norm.sf(x).clip(0, 0.5)
+
+    def ratios(n, low=true, high=true):
+        measured = None if n is None else ExceedanceCurve(x, true, low, high, n)
+        law = ExceedanceCurve(x, model, model, model)
+        return by_metric(compare_exceedance(law, measured, subject="t background", method="cem"))
+
+    rows = ratios(20_000, true / 1.5, true * 1.5)
+    assert set(rows) == {"pfa_ratio@1e-1", "pfa_ratio@1e-2", "pfa_ratio@1e-3"}
+    for row in rows.values():
+        assert (row.value, row.lower, row.upper) == pytest.approx((0.5, 0.5 / 1.5, 0.75))
+    assert [r.outcome for r in ratios(500).values()] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
+    assert ratios(None)["comparison"].outcome is Outcome.SKIPPED
+
+
+# Objects of many kinds judged together.
+ROWS, COLUMNS = 200, 40
+
+
+def drawn(common, own, rng, subjects=25):
+    """Predictions of normal scores with an error that all subjects share, and one set of true scores."""
+    shared = rng.standard_normal(ROWS // 2)
+    shared = np.concatenate([shared, -shared])[:, None]
+    means = np.linspace(0.1, 1.0, subjects)
+    predicted = {
+        f"t{i:02d}": ObjectScores(m + common * shared + own * rng.standard_normal((ROWS, COLUMNS)))
+        for i, m in enumerate(means)
+    }
+    error = common * rng.standard_normal()
+    truth = {name: m + error + own * rng.standard_normal(1) for name, m in zip(predicted, means, strict=True)}
+    return predicted, truth
+
+
+def test_transform_is_the_predicted_distribution_function():
+    # 40,000 draws: the sd of a share is at most 0.0025, four of them 0.01.
+    draws = np.random.default_rng(1).normal(0.3, 0.1, (400, 100))
+    at = np.array([0.1, 0.25, 0.3, 0.45])
+    assert probability_integral_transform(at, draws) == pytest.approx(norm.cdf(at, 0.3, 0.1), abs=0.01)
+    assert probability_integral_transform([1.0, 2.0], [1.0, 1.0, 3.0, 3.0]).tolist() == [0.3, 0.5]
+
+
+def test_distance_is_that_of_another_package():
+    u = np.random.default_rng(2).uniform(size=(3, 30))
+    assert distance_from_uniform(u) == pytest.approx([stats.kstest(x, "uniform").statistic for x in u])
+    with pytest.raises(UsageError, match="between 0 and 1"):
+        distance_from_uniform([0.5, np.nan])
+
+
+@pytest.mark.slow
+def test_right_predictions_with_common_errors_are_rejected_at_the_stated_rate(monkeypatch):
+    # 100 worlds whose common error is as large as the rest: a 5 % test rejects 5 of them (sd 2.2); limit at 4 sd.
+    # The customary test, which takes objects for independent, rejects most.  1,000 sets of the model place a
+    # p-value of 5 % to 0.7 %, which leaves the rate of rejection; how wide a departure is detectable is not asked.
+    monkeypatch.setattr(detection, "REPLICATES", 1000)
+    monkeypatch.setattr(detection, "POWER_DRAWS", 20)
+    rng = np.random.default_rng(4)
+    ours, customary, joint, drift = 0, 0, 0, 0
+    for _ in range(100):
+        shift = rng.uniform(0.2, 1.0, 25)
+        base, truth = drawn(0.1, 0.1, rng)
+        predicted = {k: ObjectScores(p.values + s) for (k, p), s in zip(base.items(), shift, strict=True)}
+        moved = {k: v + s for (k, v), s in zip(truth.items(), shift, strict=True)}
+        found = judged_together(predicted, moved)
+        u = [float(probability_integral_transform(moved[k], predicted[k].values)[0]) for k in predicted]
+        ours += found.uniformity.p_value < 0.05
+        customary += stats.kstest(u, "uniform").pvalue < 0.05
+        joint += 2.0 * min(found.joint.p_value, 1.0 - found.joint.p_value) < 0.05
+        drift += found.drift.p_value < 0.05
+    assert customary > 30
+    assert max(ours, joint, drift) <= 14
+
+
+def test_falsified_scores_turn_the_verdict():
+    predicted, truth = drawn(0.02, 0.1, np.random.default_rng(6))
+    tests = ("objects_inside_95_p_value", "pit_uniformity_p_value", "joint_distance_p_value")
+    plan = {"product": "scores", "subjects": ("all objects",), "at_least": 0.01, "reason": "r"}
+
+    def verdicts(change, predicted=predicted):
+        measured = {name: ObjectScores(change(values), (name,)) for name, values in truth.items()}
+        rows = compare_object_scores(predicted, measured, method="cem")
+        judgements = by_metric(r for r in judged(rows, [Gate(metric=metric, **plan) for metric in tests]) if r.gates)
+        return [judgements[metric].outcome for metric in tests]
+
+    # 25 objects tell little of a width.
+    assert set(verdicts(lambda x: x)) <= {Outcome.AGREES, Outcome.UNDECIDED}
+    for falsify in (lambda x: x + 0.3, lambda x: 0.5 * x, lambda x: x + 0.4 * np.sign(x - 0.5)):
+        assert verdicts(falsify)[:2] == [Outcome.DISAGREES] * 2
+    # A prediction that is much too unsure holds every object and is found out by the transform values.
+    unsure = {k: ObjectScores(p.values.mean() + 10.0 * (p.values - p.values.mean())) for k, p in predicted.items()}
+    timid = verdicts(lambda x: x, unsure)
+    assert timid[0] is not Outcome.DISAGREES
+    assert timid[1:] == [Outcome.DISAGREES] * 2  # two-sided: too wide fails too
+
+
+def test_rows_of_single_objects_and_of_groups():
+    rng = np.random.default_rng(7)
+    draws = rng.normal(0.5, 0.1, (1, 8000))
+    predicted = {name: ObjectScores(draws) for name in ("one", "many", "lost")}
+    measured = {
+        "one": ObjectScores(np.array([0.9]), ("o",)),
+        "many": ObjectScores(rng.normal(0.5, 0.1, 60), tuple(map(str, range(60)))),
+        "lost": ObjectScores(np.array([np.nan]), ("x",)),
+        "not predicted": ObjectScores(np.array([1.0]), ("y",)),
+    }
+    of = {(r.subject, r.metric): r for r in compare_object_scores(predicted, measured, method="cem")}
+    assert of["one", "object_score_inside_95"].value == 0.0
+    assert of["one", "object_score_measured"].value == 0.9
+    interval = of["one", "object_score_predicted"]
+    # Of 8,000 draws the ends have a standard error of 0.003.
+    assert (interval.lower, interval.upper) == pytest.approx((0.304, 0.696), abs=0.012)
+    assert of["lost", "object_score_pit"].outcome is Outcome.SKIPPED
+    together = of["all objects", "objects_inside_95"]
+    assert (of["many", "objects_inside_95"].n, together.n) == (60, 61)
+    assert "without lost" in together.reason
+    assert "not predicted" not in {subject for subject, _ in of}
+    none = compare_object_scores(predicted, {}, method="cem")
+    assert {r.outcome for r in none} == {Outcome.SKIPPED}
+
+
+# Objects that are independent and predicted by a normal law have normal scores that are independent standard normal
+# numbers, so that every null distribution drawn from the prediction is one of the textbook.  4,000 sets (2,000 for the
+# joint test) are drawn with a fixed seed: a p-value is off by 0.008 at most, and a limit at 2.5 % of a normal law by
+# 0.042 of its standard deviation.  Tolerances are four of these: were the seed another, 1 in 10,000 would fail.
+OBJECTS = 9
+LAW = norm.ppf((np.arange(4000) + 0.5) / 4000)[None, :]
+MEANS = np.linspace(0.0, 4.0, OBJECTS)
+PREDICTED = {f"t{i}": ObjectScores(m + LAW) for i, m in enumerate(MEANS)}
+# Places of the expected scores, from weakest to strongest 1 apart.
+PLACE = (np.arange(OBJECTS) - (OBJECTS - 1) / 2) / (OBJECTS - 1)
+SD = 1.0 / np.sqrt(PLACE @ PLACE)  # of the least-squares slope of independent standard normal numbers
+
+
+def together(z, predicted=PREDICTED):
+    return judged_together(predicted, {k: np.array([m + x]) for k, m, x in zip(PREDICTED, MEANS, z, strict=True)})
+
+
+@pytest.mark.parametrize("slope", [0.8, -1.2, 2.0])
+def test_a_drift_is_that_of_a_least_squares_slope(slope):
+    found = together(0.3 + slope * PLACE).drift
+    assert found.effect.value == pytest.approx(slope, rel=0.01)
+    assert found.p_value == pytest.approx(2.0 * norm.sf(abs(slope) / SD), abs=0.032)
+    ends = (slope - 1.959964 * SD, slope + 1.959964 * SD)
+    assert (found.effect.lower, found.effect.upper) == pytest.approx(ends, abs=4.0 * 0.042 * SD)
+    # Rejected at 1 % in both tails together, in four cases of five: the quantiles at 0.995 and at 0.8.
+    assert found.detectable == pytest.approx((norm.isf(0.005) + norm.isf(0.2)) * SD, rel=0.06)
+
+
+def test_a_joint_distance_is_chi_square_of_as_many_objects():
+    for scale in (0.8, 1.0, 1.3):
+        z = scale * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
+        found = together(z).joint
+        # 2,000 sets make a p-value to 0.011, and the covariance of 2,000 others is itself off by a few per cent.
+        assert found.p_value == pytest.approx(stats.chi2.sf(z @ z, OBJECTS), abs=0.06)
+        # The limit at 0.005 of chi-square, over the squared width, is passed by 0.75 at twice and 0.98 at three times.
+        assert found.detectable == 3.0
+
+
+@pytest.mark.parametrize("common", [0.0, 3.0])
+def test_a_spread_is_that_of_as_many_normal_numbers(common):
+    # What all share moves their mean alone, and makes each of them vary more than about that mean.
+    rows, own = (norm.ppf((np.arange(n) + 0.5) / n) for n in (200, 400))
+    predicted = {k: ObjectScores(m + common * rows[:, None] + own) for k, m in zip(PREDICTED, MEANS, strict=True)}
+    each = np.hypot(1.0, common)
+    found, measured = together(each * (1.0 + 2.0 * PLACE), predicted), each * np.std(2.0 * PLACE, ddof=1)
+    low, middle, high = np.sqrt(stats.chi2.ppf([0.025, 0.5, 0.975], OBJECTS - 1) / (OBJECTS - 1)) / measured
+    assert (found.spread.lower, found.spread.value, found.spread.upper) == pytest.approx((low, middle, high), rel=0.06)
+
+
+def test_the_number_inside_is_binomial():
+    found = together(np.array([3.0, -3.0, *(OBJECTS - 2) * [0.5]]))
+    assert found.count.effect.value == pytest.approx((OBJECTS - 2) / OBJECTS)
+    assert found.count.p_value == pytest.approx(stats.binom.cdf(OBJECTS - 2, OBJECTS, 0.95), abs=0.014)
+    # At most 1 in 40 sets has fewer inside, and none more than all.
+    assert found.expected == pytest.approx((stats.binom.ppf(0.025, OBJECTS, 0.95) / OBJECTS, 1.0))
