@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
+from typing import Any
 
+import pandas as pd
 import pytest
 
 from hyperval import cli
 from hyperval.campaign import job_of, run_campaign
 from hyperval.results import Cause, Outcome, ResultTable
+from hyperval.simulate import field_axis
 from hyperval.statistics_library import builtin_class
 from small_campaign import SmallCampaign
 
-Change = Callable[[SmallCampaign], None]
+Change = Callable[[SmallCampaign], Any]
 MEDIAN = "median_abs_difference_ratio_windows"
+CLASSES = ["field", "court"]
 
 
 def table_of(small: SmallCampaign) -> ResultTable:
@@ -28,92 +30,59 @@ def failing(table: ResultTable) -> set[tuple[str, str]]:
     return {(row.product, row.subject) for row in table.gates().where(outcome=Outcome.DISAGREES)}
 
 
+def with_spread(small: SmallCampaign) -> None:
+    """Ask for a classifier, and gate spread, tails and its error."""
+    small.data["classification"] = {
+        "classes": CLASSES, "features": [{"name": "1 band", "bands_nm": [560]}], "block_lines": 4,
+    }  # fmt: skip
+    small.data["comparisons"] += [
+        {"product": "covariance", "subjects": CLASSES, "metric": "total_variance_ratio", "within": [0.85, 1.15],
+         "method": "radiance", "reason": "closure"},
+        {"product": "covariance", "subjects": CLASSES, "metric": "tail_inverse_dof_difference",
+         "within": [-0.05, 0.05], "reason": "closure"},
+        {"product": "classification", "subjects": ["field / court"], "metric": "error_difference",
+         "within": [-0.06, 0.06], "reason": "closure"},
+    ]  # fmt: skip
+
+
 def test_the_campaign_passes_as_it_stands(small):
+    with_spread(small)
     table = table_of(small)
     assert failing(table) == set()
-    assert {row.product for row in table.gates().where(outcome=Outcome.AGREES)} == {
-        "radiance",
-        "reflectance",
-        "abundance",
-    }
+    met = {row.product for row in table.gates().where(outcome=Outcome.AGREES)}
+    assert met == {"radiance", "reflectance", "abundance", "covariance", "classification"}
     curves = [row for row in table.gates() if row.product == "roc"]
     assert {(row.outcome, row.value) for row in curves} == {(Outcome.UNDECIDED, 1.0)}  # coverage
     assert len(table.where(outcome=Outcome.ERROR)) == 0
     assert table.exit_code() == 0
 
 
-def scaled_spectrum(small: SmallCampaign, source: dict, builtin: str, factor: float) -> None:
-    """Write a built-in mean times ``factor`` as a field spectrum and let ``source`` name it."""
-    from hyperval.simulate import field_axis
+def scene(small: SmallCampaign, what: str, at: int) -> dict[str, Any]:
+    """A class, panel or target of the scenario."""
+    return small.scenario["scene"][what][at]
 
+
+def fill(small: SmallCampaign, at: int, fixed: float) -> None:
+    scene(small, "targets", 0)["subjects"][at]["fill"] = {"fixed": fixed}
+
+
+def brighter(small: SmallCampaign, item: dict[str, Any], builtin: str) -> None:
+    """A spectrum of the model is a built-in mean times 1.05, from a file."""
     axis = field_axis()
-    values = factor * builtin_class(builtin, axis).mean
-    name = f"{builtin}-scaled.csv"
-    rows = [f"{w:.1f},{v:.8f}" for w, v in zip(axis.centre_nm, values, strict=True)]
-    (small.folder / name).write_text("\n".join(["wavelength_nm,scaled", *rows]) + "\n")
-    source.clear()
-    source |= {"file": name, "wavelength_unit": "nm", "reflectance_unit": "fraction"}
+    values = pd.DataFrame({"wavelength_nm": axis.centre_nm, "scaled": 1.05 * builtin_class(builtin, axis).mean})
+    values.to_csv(small.folder / "scaled.csv", index=False)
+    item["spectrum"] = {"file": "scaled.csv", "wavelength_unit": "nm", "reflectance_unit": "fraction"}
 
 
 def brighter_class(small: SmallCampaign) -> None:
-    """5 % more reflectance of the grass."""
-    item = small.scenario["scene"]["classes"][0]
-    scaled_spectrum(small, item["spectrum"], "grass", 1.05)
+    item = scene(small, "classes", 0)
     item["covariance"] = {"builtin": "grass"}
-
-
-def brighter_panel(small: SmallCampaign) -> None:
-    item = next(p for p in small.scenario["scene"]["panels"] if p["name"] == "white-panel")
-    scaled_spectrum(small, item["spectrum"], "white-panel", 1.05)
-
-
-def hazier_sky(small: SmallCampaign) -> None:
-    small.scenario["atmosphere"]["aot550"] = 0.4
-
-
-def another_target(small: SmallCampaign) -> None:
-    """The model looks for, and plants, another paint."""
-    small.scenario["scene"]["targets"][0]["spectrum"] = {"builtin": "green-paint-plank"}
-
-
-def another_filter(small: SmallCampaign) -> None:
-    """The detectors of the image look for another paint than the model's."""
-    small.data["detection"]["targets"][0]["spectrum"] = {"builtin": "green-paint-plank"}
-
-
-def small_fill(small: SmallCampaign) -> None:
-    small.scenario["scene"]["targets"][0]["subjects"][0]["fill"] = {"fixed": 0.04}
-
-
-def large_fill(small: SmallCampaign) -> None:
-    small.scenario["scene"]["targets"][0]["subjects"][1]["fill"] = {"fixed": 0.05}
+    brighter(small, item, "grass")
 
 
 def swapped_fills(small: SmallCampaign) -> None:
-    one, two = small.scenario["scene"]["targets"][0]["subjects"]
+    one, two = scene(small, "targets", 0)["subjects"]
     one["name"], two["name"] = two["name"], one["name"]
-
-
-def larger_area(small: SmallCampaign) -> None:
-    """The truth says 70 % more area than there is."""
-
-    def change(text: str) -> str:
-        rows = list(csv.DictReader(io.StringIO(text)))
-        out = io.StringIO()
-        writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(row | {"area_m2": f"{1.7 * float(row['area_m2']):.6f}"})
-        return out.getvalue()
-
-    small.edit("targets.csv", change)
-
-
-def swapped_regions(small: SmallCampaign) -> None:
-    small.edit(
-        "regions.geojson",
-        lambda t: t.replace('"field"', '"x"').replace('"court"', '"field"').replace('"x"', '"court"'),
-    )
 
 
 def swapped_panels(small: SmallCampaign) -> None:
@@ -122,41 +91,49 @@ def swapped_panels(small: SmallCampaign) -> None:
     panels[0]["region"], panels[2]["region"] = panels[2]["region"], panels[0]["region"]
 
 
-def moved_targets(small: SmallCampaign) -> None:
-    """Every target of the truth lies two pixels off."""
-
-    def change(text: str) -> str:
-        rows = list(csv.DictReader(io.StringIO(text)))
-        out = io.StringIO()
-        writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(row | {"line": f"{float(row['line']) - 2.0:.4f}"})
-        return out.getvalue()
-
-    small.edit("targets.csv", change)
+def swapped_regions(small: SmallCampaign) -> None:
+    names = {'"field"': '"x"', '"court"': '"field"', '"x"': '"court"'}
+    for old, new in names.items():
+        small.edit("regions.geojson", lambda text, old=old, new=new: text.replace(old, new))
 
 
-def other_scale(small: SmallCampaign) -> None:
-    """The collection is read 5 % brighter than it was stored."""
-    small.data["collection"]["cube"]["scale"] = 1.05e-3
+def of_truth(column: str, change: Callable[[Any], Any]) -> Change:
+    """A column of the truth of the targets is another."""
+
+    def falsify(small: SmallCampaign) -> None:
+        path = small.collection / "targets.csv"
+        table = pd.read_csv(path)
+        table.assign(**{column: change(table[column])}).to_csv(path, index=False)
+
+    return falsify
 
 
+GREEN = {"builtin": "green-paint-plank"}
+# What is falsified, and products and subjects whose gates must turn.
 FALSIFIED: dict[str, tuple[Change, set[tuple[str, str]]]] = {
     "reflectance of a class": (brighter_class, {("radiance", "field"), ("reflectance", "field")}),
-    "reflectance of a panel": (brighter_panel, {("radiance", "white-panel")}),
-    "atmosphere": (hazier_sky, {("radiance", "black-panel")}),
-    "spectrum of the target": (another_target, {("roc", "small-planks")}),
-    "spectrum of the filter": (another_filter, {("roc", "small-planks"), ("abundance", "large-planks")}),
-    "fill of the small planks": (small_fill, {("roc", "small-planks")}),
-    "fill of the large planks": (large_fill, {("roc", "large-planks")}),
+    "reflectance of a panel": (
+        lambda s: brighter(s, scene(s, "panels", 0), "white-panel"), {("radiance", "white-panel")}
+    ),
+    "atmosphere": (lambda s: s.scenario["atmosphere"].update(aot550=0.4), {("radiance", "black-panel")}),
+    "spectrum of the target": (
+        lambda s: scene(s, "targets", 0).update(spectrum=GREEN), {("roc", "small-planks")}
+    ),
+    "spectrum of the filter": (
+        lambda s: s.data["detection"]["targets"][0].update(spectrum=GREEN),
+        {("roc", "small-planks"), ("abundance", "large-planks")},
+    ),
+    "fill of the small planks": (lambda s: fill(s, 0, 0.04), {("roc", "small-planks")}),
+    "fill of the large planks": (lambda s: fill(s, 1, 0.05), {("roc", "large-planks")}),
     "fills swapped": (swapped_fills, {("roc", "small-planks")}),
-    "area in the truth": (larger_area, {("abundance", "large-planks")}),
+    "area in the truth": (of_truth("area_m2", lambda area: 1.7 * area), {("abundance", "large-planks")}),
     "regions swapped": (swapped_regions, {("radiance", "field"), ("radiance", "court"), ("reflectance", "field")}),
     "panels of the line swapped": (swapped_panels, {("abundance", "large-planks")}),
-    "targets moved": (moved_targets, {("roc", "small-planks"), ("roc", "large-planks")}),
-    "scale of the cube": (other_scale, {("radiance", "field"), ("radiance", "court")}),
-}
+    "targets moved": (of_truth("line", lambda at: at - 2.0), {("roc", "small-planks"), ("roc", "large-planks")}),
+    "scale of the cube": (
+        lambda s: s.data["collection"]["cube"].update(scale=1.05e-3), {("radiance", "field"), ("radiance", "court")}
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", FALSIFIED)
@@ -166,6 +143,36 @@ def test_each_falsified_input_turns_the_verdict(name, small):
     table = table_of(small)
     assert expected <= failing(table)
     assert table.exit_code() == 1
+    if name == "fill of the small planks":  # a harness that fails everything would satisfy the lines above
+        assert failing(table) == expected
+        assert len(table.gates().where(outcome=Outcome.AGREES)) == 8
+
+
+@pytest.mark.parametrize(
+    ("at", "change", "metric"),
+    [
+        (0, {"covariance": {"relative_sd": 0.5, "band_sd": 0.001}}, "total_variance_ratio"),
+        (0, {"tail_dof": 5.0}, "tail_inverse_dof_difference"),
+        (1, {"spectrum": {"builtin": "grass"}}, "error_difference"),  # the court is a second field
+    ],
+)
+def test_a_falsified_spread_turns_its_gate(small, at, change, metric):
+    with_spread(small)
+    scene(small, "classes", at).update(change)
+    table = table_of(small)
+    assert Outcome.DISAGREES in {row.outcome for row in table.where(metric=metric)}
+    assert table.exit_code() == 1
+
+
+def test_statistics_of_the_collection_itself_are_not_compared_with_themselves(small):
+    with_spread(small)
+    scene(small, "classes", 0).update(spectrum={"measured": "field"}, tail_dof="measured")
+    rows = table_of(small).where(product="covariance", subject="field")
+    absent = {row.metric for row in rows.where(outcome=Outcome.ERROR)}
+    assert absent == {"total_variance_ratio", "tail_inverse_dof_difference"}
+    told = {row.metric for row in rows if row.outcome is not Outcome.ERROR}
+    assert told.isdisjoint(absent)
+    assert "background_tail_dof" in told  # measured, and said to have nothing to compare with
 
 
 def test_a_line_whose_panels_contradict_each_other_decides_no_reflectance(small):
@@ -179,59 +186,30 @@ def test_a_line_whose_panels_contradict_each_other_decides_no_reflectance(small)
     assert all(row.outcome is Outcome.DISAGREES and row.value < 1e-9 for row in panels)
 
 
-def test_a_product_that_was_not_falsified_stays_green(small):
-    # A harness that fails everything would satisfy the test above.
-    small_fill(small)
-    table = table_of(small)
-    assert failing(table) == {("roc", "small-planks")}
-    assert len(table.gates().where(outcome=Outcome.AGREES)) == 8
-
-
 def test_the_command_line_says_so(small, tmp_path):
     brighter_class(small)
     out = tmp_path / "out"
     assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 1
-    text = (out / "results.csv").read_text()
-    assert ",disagrees," in text
-    assert "<failure" in (out / "junit.xml").read_text()
-    assert "Not met." in (out / "report.html").read_text()
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"subjects": ["feild"]}, "planned but absent"),
-        ({"metric": "median_abs_difference_ratio_window"}, "planned but absent"),
-        ({"subjects": ["field", "lawn*"]}, "planned but absent"),
-        ({"method": "modtran"}, "planned but absent"),
-    ],
-)
-def test_a_gate_that_meets_nothing_is_an_error(small, change, reason):
-    small.gate("radiance").update(change)
-    table = table_of(small)
-    errors = list(table.where(outcome=Outcome.ERROR))
-    assert errors
-    assert all(reason in row.reason for row in errors)
-    assert table.exit_code() == 1
+    for name, words in (("results.csv", ",disagrees,"), ("junit.xml", "<failure"), ("report.html", "Not met.")):
+        assert words in (out / name).read_text()
 
 
 @pytest.mark.parametrize(
     ("remove", "product", "side"),
     [
+        (lambda s: s.gate("radiance").update(subjects=["field", "lawn*"]), "radiance", "planned but absent"),
         (lambda s: s.data["detection"].update(areas=[]), "abundance", "planned but absent"),
         (lambda s: s.scenario["scene"].update(targets=[]), "roc", "in the prediction"),
         (lambda s: s.scenario["scene"].update(panels=[]), "radiance", "in the prediction"),
         (lambda s: s.scenario["processing"].update(elm="none"), "reflectance", "in the prediction"),
         (lambda s: s.data.pop("detection"), "roc", "in the observation"),
     ],
-    ids=["areas", "targets", "panels", "line", "detection"],
+    ids=["subject", "areas", "targets", "panels", "line", "detection"],
 )
 def test_a_product_that_one_side_lacks_is_an_error_where_it_gates(small, remove, product, side):
     remove(small)
     table = table_of(small)
-    errors = list(table.where(outcome=Outcome.ERROR, product=product))
-    assert errors
-    assert any(side in row.reason for row in errors)
+    assert any(side in row.reason for row in table.where(outcome=Outcome.ERROR, product=product))
     assert table.exit_code() == 1
 
 
