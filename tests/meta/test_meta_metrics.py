@@ -7,8 +7,10 @@ import importlib
 import math
 import re
 import runpy
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,12 +44,8 @@ def function_of(metric: Metric):
     return getattr(importlib.import_module(f"hyperval.{module}"), name)
 
 
-@pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
-def test_every_function_is_there(metric):
-    assert function_of(metric) is not None
-    assert metric.words
-    assert bool(metric.formula) == (metric.name not in MARKS)
-    assert metric.low < metric.high
+# Rows that say that something could not be made: they have no number.
+MARKS = {"comparison", "benchmark", "rank", "baseline", "runs", "known_discrepancy", "sensor_check"}
 
 
 def anchors(page: str) -> set[str]:
@@ -57,17 +55,24 @@ def anchors(page: str) -> set[str]:
 
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
-def test_every_metric_has_a_reference_that_leads_somewhere(metric):
+def test_every_metric_has_its_function_and_a_reference_that_leads_somewhere(metric):
+    assert function_of(metric) is not None
+    assert metric.words
+    assert bool(metric.formula) == (metric.name not in MARKS)
     assert re.search(r"\d{4}|docs/|e-Handbook", metric.reference), "a paper with its year, a standard, or a page"
     for page, anchor in re.findall(r"(docs/[\w-]+\.md)#([\w-]+)", metric.reference):
         assert anchor in anchors(page)
     assert metric.reference.count("docs/") == metric.reference.count(".md#")
-    for number in re.findall(r"\(3\.(\d+)\)", metric.reference):
-        assert 1 <= int(number) <= 33
+    assert all(1 <= int(number) <= 33 for number in re.findall(r"\(3\.(\d+)\)", metric.reference))
 
 
-# Rows that say that something could not be made: they have no number.
-MARKS = {"comparison", "benchmark", "rank", "baseline", "runs", "known_discrepancy", "sensor_check"}
+@pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
+def test_what_gates_can_be_judged(metric):
+    assert metric.low < metric.high
+    if metric.kind is Kind.QUANTITY and not math.isnan(metric.agreement):
+        assert metric.low <= metric.agreement <= metric.high
+    assert (metric.kind is Kind.TEST) or not metric.two_sided
+    assert math.isnan(metric.alternative) == (not metric.departure)
 
 
 @pytest.mark.parametrize("metric", [m for m in METRICS if not math.isnan(m.gives)], ids=lambda m: m.name)
@@ -100,14 +105,6 @@ def test_every_command_given_as_an_example_is_one_and_has_such_rows():
     for metric in METRICS:
         if metric.example.startswith("hyperval check") and metric.name not in MARKS:
             assert metric.name.strip("*_") in accepted, metric.name
-
-
-def test_what_gates_can_be_judged():
-    for metric in METRICS:
-        if metric.kind is Kind.QUANTITY and not math.isnan(metric.agreement):
-            assert metric.low <= metric.agreement <= metric.high, metric.name
-        assert (metric.kind is Kind.TEST) or not metric.two_sided, metric.name
-        assert math.isnan(metric.alternative) == (not metric.departure), metric.name
 
 
 def test_the_page_has_every_metric():
@@ -146,79 +143,73 @@ def curve(top: float, measured: bool) -> RocCurve:
 
 def sides() -> tuple[PredictedProducts, ObservedProducts]:
     """Every product on both sides, none of them equal."""
-    names = ("a", "b", "c")
-    draws = {(k, "cem"): ObjectScores(0.3 * i + 0.1 * RNG.standard_normal((50, 80))) for i, k in enumerate(names)}
-    scores = {(k, "cem"): ObjectScores(np.array([0.3 * i + 0.05]), (k,)) for i, k in enumerate(names)}
+    draws = {k: 0.3 * i + 0.1 * RNG.standard_normal((50, 80)) for i, k in enumerate("abc")}
     x = np.linspace(0.0, 4.0, 60)
     fall = np.exp(-x)
+    target, mixed, spectra = ("t", "cem"), ("tape", "cem"), ("radiance", "snr", "reflectance", "toa_reflectance")
     predicted = PredictedProducts(
         AXIS,
-        radiance={"g": spectrum()}, snr={"g": spectrum()}, reflectance={"g": spectrum()},
-        toa_reflectance={"g": spectrum()},
-        roc={("t", "cem", "pixel"): curve(0.9, False)}, scores={("t", "cem"): ScoreDistribution(1.0, 0.2)},
+        **{name: {"g": spectrum()} for name in spectra},
+        roc={(*target, "pixel"): curve(0.9, False)}, scores={target: ScoreDistribution(1.0, 0.2)},
         abundance={
-            ("t", "cem"): Abundance(4.0, 0.2),
-            ("tape", "cem"): Abundance(4.0, 0.0, modelled=False),
-            **{(k, "fcls"): Abundance(1.1, 0.1, 4, 1.0) for k in names},
+            target: Abundance(4.0, 0.2),
+            mixed: Abundance(4.0, 0.0, modelled=False),
+            **{(k, "fcls"): Abundance(1.1, 0.1, 4, 1.0) for k in "abc"},
         },
-        object_scores=draws, exceedance={("t", "cem"): ExceedanceCurve(x, fall, fall, fall)},
+        object_scores={(k, "cem"): ObjectScores(values) for k, values in draws.items()},
+        exceedance={target: ExceedanceCurve(x, fall, fall, fall)},
         distribution={"g": PixelDistribution(20.0, math.nan, math.nan, math.nan)},
         classification={("g / h", "f"): ClassificationError(0.1, 0.09, 0.11, bound_lower=0.01, bound_upper=0.2)},
     )  # fmt: skip
+    tails = PixelDistribution(
+        30.0, 20.0, 60.0, 0.3, 6, 25.0, 18.0, 50.0, 3, n=400, effective_n=np.array([300.0, 320.0])
+    )  # fmt: skip
     observed = ObservedProducts(
         AXIS,
-        radiance={"g": spectrum(0.02)}, snr={"g": spectrum(0.02)}, reflectance={"g": spectrum(0.02)},
+        **{name: {"g": spectrum(0.02)} for name in spectra[:-1]},
         toa_reflectance={"g": replace(spectrum(0.02), stated=np.full(BANDS, 0.01))},
-        roc={("t", "cem", "pixel"): curve(0.8, True)}, scores={("t", "cem"): ScoreDistribution(0.9, 0.25, 50)},
+        roc={(*target, "pixel"): curve(0.8, True)}, scores={target: ScoreDistribution(0.9, 0.25, 50)},
         abundance={
-            ("t", "cem"): Abundance(3.8, 0.3, 20),
-            ("tape", "cem"): Abundance(3.8, 0.3, 20),
-            **{(k, "fcls"): Abundance(1.0 + 0.1 * i, 0.1, 4, 1.0) for i, k in enumerate(names)},
+            target: Abundance(3.8, 0.3, 20),
+            mixed: Abundance(3.8, 0.3, 20),
+            **{(k, "fcls"): Abundance(1.0 + 0.1 * i, 0.1, 4, 1.0) for i, k in enumerate("abc")},
         },
-        object_scores=scores, exceedance={("t", "cem"): ExceedanceCurve(x, fall**1.1, fall**1.2, fall, 100_000)},
-        distribution={
-            "g": PixelDistribution(
-                30.0, 20.0, 60.0, 0.3, 6, 25.0, 18.0, 50.0, 3, n=400, effective_n=np.array([300.0, 320.0])
-            )
-        },
+        object_scores={(k, "cem"): ObjectScores(np.array([0.3 * i + 0.05]), (k,)) for i, k in enumerate("abc")},
+        exceedance={target: ExceedanceCurve(x, fall**1.1, fall**1.2, fall, 100_000)},
+        distribution={"g": tails},
         classification={("g / h", "f"): ClassificationError(0.12, 0.1, 0.14, 400, 380.0)},
     )  # fmt: skip
     return predicted, observed
 
 
-def moved(p: PredictedProducts) -> PredictedProducts:
-    """Every number of a prediction moved: spectra x 1.5, scores + 1, probabilities and areas changed."""
+def brighter(s: SpectralEstimate) -> SpectralEstimate:
+    tilt = np.linspace(1.2, 1.8, BANDS)
+    spread = 2.25 * s.pixel_covariance + 0.01 * np.outer(tilt, tilt)
+    return replace(s, mean=tilt * s.mean, error_covariance=2.25 * s.error_covariance, pixel_covariance=spread)
 
-    def brighter(s: SpectralEstimate) -> SpectralEstimate:
-        tilt = np.linspace(1.2, 1.8, BANDS)
-        spread = None if s.pixel_covariance is None else 2.25 * s.pixel_covariance + 0.01 * np.outer(tilt, tilt)
-        return replace(s, mean=tilt * s.mean, error_covariance=2.25 * s.error_covariance, pixel_covariance=spread)
 
-    def raised(c: RocCurve) -> RocCurve:
-        return replace(c, pd=c.pd**1.5, pd_lower=c.pd_lower**1.5 - 0.01, pd_upper=c.pd_upper**1.5)
+# A product whose every number is another: spectra brighter, scores + 1, probabilities and areas changed.
+MOVED: dict[type, Callable[[Any], Any]] = {
+    SpectralEstimate: brighter,
+    RocCurve: lambda c: replace(c, pd=c.pd**1.5, pd_lower=c.pd_lower**1.5 - 0.01, pd_upper=c.pd_upper**1.5),
+    ScoreDistribution: lambda s: replace(s, mean=s.mean + 1.0, sd=1.5 * s.sd),
+    Abundance: lambda a: (
+        Abundance(1.5 * a.area_m2, 3.0 * a.standard_uncertainty, a.n, a.nominal_m2) if a.modelled else a
+    ),
+    ObjectScores: lambda s: ObjectScores(s.values + 1.0),
+    ExceedanceCurve: lambda c: replace(c, threshold=c.threshold + 1.0),
+    PixelDistribution: lambda d: replace(d, tail_dof=6.0),
+    ClassificationError: lambda e: replace(
+        e, error=0.3, lower=0.2, upper=0.4, bound_lower=0.05, distance=2.0, approximation=0.3
+    ),
+}
 
-    return replace(
-        p,
-        radiance={k: brighter(v) for k, v in p.radiance.items()},
-        snr={k: brighter(v) for k, v in p.snr.items()},
-        reflectance={k: brighter(v) for k, v in p.reflectance.items()},
-        toa_reflectance={k: brighter(v) for k, v in p.toa_reflectance.items()},
-        roc={k: raised(v) for k, v in p.roc.items()},
-        scores={k: replace(v, mean=v.mean + 1.0, sd=1.5 * v.sd) for k, v in p.scores.items()},
-        abundance={
-            k: replace(v, area_m2=1.5 * v.area_m2, standard_uncertainty=3.0 * v.standard_uncertainty)
-            if v.modelled
-            else v
-            for k, v in p.abundance.items()
-        },
-        object_scores={k: ObjectScores(v.values + 1.0) for k, v in p.object_scores.items()},
-        exceedance={k: replace(v, threshold=v.threshold + 1.0) for k, v in p.exceedance.items()},
-        distribution={k: replace(v, tail_dof=6.0) for k, v in p.distribution.items()},
-        classification={
-            k: replace(v, error=0.3, lower=0.2, upper=0.4, bound_lower=0.05, distance=2.0, approximation=0.3)
-            for k, v in p.classification.items()
-        },
-    )
+
+def moved(predicted: PredictedProducts) -> PredictedProducts:
+    """A prediction of other numbers."""
+    held = {f.name: value for f in fields(predicted) if isinstance(value := getattr(predicted, f.name), dict)}
+    changed = {name: {k: MOVED[type(v)](v) for k, v in products.items()} for name, products in held.items()}
+    return replace(predicted, **changed)
 
 
 # 1 or 0 by themselves: that they stay says nothing.  Their values are made of ones that move.
@@ -227,18 +218,15 @@ COARSE = {Kind.COVERAGE, Kind.EQUIVALENCE}
 
 def test_a_row_of_the_model_moves_with_the_prediction_and_a_row_of_the_pipeline_does_not():
     predicted, observed = sides()
-    options = {"equivalence_margin": 0.1}
-    before = compare_products(predicted, observed, **options)
-    after = compare_products(moved(predicted), observed, **options)
-    key = lambda r: (r.product, r.subject, r.method, r.metric, r.band_nm)  # noqa: E731
-    later = {str(key(r)): r for r in after}
+    before, after = (compare_products(p, observed, equivalence_margin=0.1) for p in (predicted, moved(predicted)))
+    key = lambda r: str((r.product, r.subject, r.method, r.metric, r.band_nm))  # noqa: E731
+    later = {key(row): row.value for row in after}
     still, restless, seen = set(), set(), set()
     for row in before:
-        now = later.get(str(key(row)))
-        if now is None or math.isnan(row.value):
+        if key(row) not in later or math.isnan(row.value):
             continue
         seen.add(metric_of(row.metric).name)
-        same = row.value == pytest.approx(now.value, rel=1e-9, abs=0.0, nan_ok=True)
+        same = row.value == pytest.approx(later[key(row)], rel=1e-9, abs=0.0, nan_ok=True)
         if row.evidence is Evidence.MODEL and same and metric_of(row.metric).kind not in COARSE:
             still.add((row.product, row.subject, row.metric))
         if row.evidence is Evidence.PIPELINE and not same:
@@ -246,6 +234,4 @@ def test_a_row_of_the_model_moves_with_the_prediction_and_a_row_of_the_pipeline_
     assert not still, "they claim to be evidence of the model and do not move with it"
     assert not restless, "they claim to be checks of the pipeline and move with the prediction"
     assert len(seen) > 60
-    tape = [r for r in before if r.subject == "tape"]
-    assert tape
-    assert {r.evidence for r in tape} == {Evidence.PIPELINE}
+    assert {r.evidence for r in before if r.subject == "tape"} == {Evidence.PIPELINE}
