@@ -1,4 +1,4 @@
-"""Every function of the physics names its equation, has a worked value and a caller; and this gate can fail."""
+"""Every function of the physics names its equation, has a worked value, a caller and its place in docs/model.md."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ import functools
 import importlib
 import inspect
 import re
+import runpy
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from parsed import parsed
 
 MODULES = (
     "hyperval.model.radiance",
@@ -37,50 +41,30 @@ BESIDE = {
     "stacked", "stacked_fills", "statistics_of_samples", "unpacked", "whitened",
     "whole_object_fills", "wide", "with_distances", "with_mean", "write_statistics_library",
 }  # fmt: skip
-SOURCE = Path(__file__).parents[2] / "src" / "hyperval"
-FOLDER = Path(__file__).parents[2] / "validation" / "equations"
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "hyperval"
+FOLDER = ROOT / "validation" / "equations"
+DOCUMENT = (ROOT / "docs" / "model.md").read_text("utf-8")
 EQUATION = re.compile(r"\b3\.([7-9]|[12]\d|3[0-3])\b")
+NAMED = re.findall(r"`(hyperval(?:\.\w+)+)`", DOCUMENT)
+Functions = dict[str, Callable[..., object]]
 
 
-def public_functions(module: str) -> dict[str, Callable[..., object]]:
+def public_functions(module: str) -> Functions:
     found = inspect.getmembers(importlib.import_module(module), inspect.isfunction)
     return {n: f for n, f in found if f.__module__ == module and not n.startswith("_") and n not in BESIDE}
 
 
-def checked_names(source: str) -> set[str]:
-    """Names called in the test functions of ``source`` that hold an assertion."""
-    names: set[str] = set()
-    for node in ast.parse(source).body:
-        if not (isinstance(node, ast.FunctionDef) and node.name.startswith("test_")):
-            continue
-        inside = list(ast.walk(node))
-        if any(isinstance(i, ast.Assert) for i in inside):
-            names |= {i.func.id for i in inside if isinstance(i, ast.Call) and isinstance(i.func, ast.Name)}
-    return names
+def checked_names(tree: ast.Module) -> set[str]:
+    """Names called in the test functions of a module that hold an assertion."""
+    tests = [list(ast.walk(n)) for n in tree.body if isinstance(n, ast.FunctionDef) and n.name.startswith("test_")]
+    asserting = [inside for inside in tests if any(isinstance(n, ast.Assert) for n in inside)]
+    called = [n.func for inside in asserting for n in inside if isinstance(n, ast.Call)]
+    return {func.id for func in called if isinstance(func, ast.Name)}
 
 
-def without_number(functions: dict[str, Callable[..., object]]) -> list[str]:
-    return [n for n, f in functions.items() if not EQUATION.search(inspect.getdoc(f) or "")]
-
-
-def evidence() -> set[str]:
-    return set().union(*(checked_names(p.read_text(encoding="utf-8")) for p in FOLDER.glob("test_*.py")))
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_every_public_function_names_its_equation(module):
-    functions = public_functions(module)
-    assert functions
-    assert without_number(functions) == []
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_every_public_function_has_a_worked_value(module):
-    assert sorted(set(public_functions(module)) - evidence()) == []
-
-
-def names_used(source: str) -> set[str]:
-    """Names and attributes that ``source`` uses, each outside the function or class of that name."""
+def names_used(tree: ast.Module) -> set[str]:
+    """Names and attributes that a module uses, each outside the function or class of that name."""
     used: set[str] = set()
 
     def walk(node: ast.AST, inside: frozenset[str]) -> None:
@@ -92,37 +76,130 @@ def names_used(source: str) -> set[str]:
         for child in ast.iter_child_nodes(node):
             walk(child, inside)
 
-    walk(ast.parse(source), frozenset())
+    walk(tree, frozenset())
     return used
 
 
 @functools.cache
+def evidence() -> set[str]:
+    return set().union(*(checked_names(parsed(path)) for path in FOLDER.glob("test_*.py")))
+
+
+@functools.cache
 def production() -> set[str]:
-    return set().union(*(names_used(p.read_text(encoding="utf-8")) for p in SOURCE.rglob("*.py")))
+    return set().union(*(names_used(parsed(path)) for path in SOURCE.rglob("*.py")))
 
 
-def test_every_function_with_evidence_is_called_by_production():
-    every = {name for module in MODULES for name in public_functions(module)}
-    assert sorted(every - production()) == []
-
-
-def test_every_equation_is_named_somewhere():
-    named = {
-        int(number)
-        for module in MODULES
-        for text in [Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8")]
-        for number in EQUATION.findall(text)
+def lacks(module: str, functions: Functions) -> dict[str, list[str]]:
+    """The functions that lack something, by what it is."""
+    has: dict[str, Callable[[str], object]] = {
+        "its equation": lambda name: EQUATION.search(inspect.getdoc(functions[name]) or ""),
+        "a worked value": lambda name: name in evidence(),
+        "a caller": lambda name: name in production(),
+        "its place in docs/model.md": lambda name: f"{module}.{name}" in NAMED,
     }
-    assert set(range(7, 34)) - named == set()
+    found = {what: [name for name in functions if not there(name)] for what, there in has.items()}
+    return {what: names for what, names in found.items() if names}
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_public_function_has_all_that_is_asked(module):
+    functions = public_functions(module)
+    assert functions
+    assert lacks(module, functions) == {}
+
+
+def test_every_equation_is_named_in_the_code_and_has_a_row_in_the_document():
+    texts = [Path(importlib.import_module(module).__file__ or "").read_text("utf-8") for module in MODULES]
+    assert {int(number) for text in texts for number in EQUATION.findall(text)} >= set(range(7, 34))
+    cells = [row.split("|")[1] for row in DOCUMENT.splitlines() if row.startswith("| 3.")]
+    ends = [pair for cell in cells for pair in re.findall(r"3\.(\d+)(?:-3\.(\d+))?", cell)]
+    assert {n for low, high in ends for n in range(int(low), int(high or low) + 1)} == set(range(7, 34))
 
 
 def test_the_gate_goes_red_without_a_number_or_a_worked_value():
-    def bare() -> None:
+    def nowhere_called() -> None:
         """No equation here."""
 
-    assert without_number({"bare": bare}) == ["bare"]
-    assert "mean_radiance" not in checked_names("def test_x():\n    mean_radiance()\n")  # no assertion
-    assert "mean_radiance" not in checked_names("def helper():\n    assert mean_radiance()\n")  # no test
-    assert "mean_radiance" in checked_names("def test_x():\n    assert mean_radiance() == 1\n")
-    assert "mean_radiance" in names_used("from a import mean_radiance\nx = mean_radiance(1)\n")
-    assert "mean_radiance" not in names_used("def mean_radiance():\n    return mean_radiance()\n")  # itself alone
+    assert [*lacks("hyperval.model.radiance", {"nowhere_called": nowhere_called}).values()] == [["nowhere_called"]] * 4
+    for text, checked, used in (
+        ("def test_x():\n    mean_radiance()\n", False, True),  # no assertion
+        ("def helper():\n    assert mean_radiance()\n", False, True),  # no test
+        ("def test_x():\n    assert mean_radiance() == 1\n", True, True),
+        ("from a import mean_radiance\nx = mean_radiance(1)\n", False, True),
+        ("def mean_radiance():\n    return mean_radiance()\n", False, False),  # itself alone
+    ):
+        found = ("mean_radiance" in checked_names(ast.parse(text)), "mean_radiance" in names_used(ast.parse(text)))
+        assert found == (checked, used), text
+
+
+def exists(name: str) -> bool:
+    module, _, attribute = name.rpartition(".")
+    try:
+        return hasattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError:
+        return False
+
+
+def test_every_function_that_the_document_names_exists():
+    assert len(NAMED) > 40
+    assert [name for name in NAMED if not exists(name)] == []
+    assert not exists("hyperval.model.radiance.no_such_function")
+
+
+def test_the_table_of_differences_is_what_the_script_gives():
+    script = runpy.run_path(str(FOLDER / "formulation_differences.py"))
+    rows = [*script["radiometric_rows"](), *script["sensor_rows"]()]
+    assert len(rows) == 8
+    assert [row for row in rows if row not in DOCUMENT] == []
+
+
+# The installed command; forms of our objects for other libraries; errors to be injected in a campaign.
+ENTRANCES = {"main", "library_to_spy", "library_to_xarray", "injected_errors", "injected_prediction"}
+
+
+def pages(*further: Path) -> str:
+    """What users are told of: the documentation, and further files."""
+    return "\n".join(path.read_text("utf-8") for path in (*(ROOT / "docs").glob("*.md"), *further))
+
+
+def test_no_function_is_called_by_tests_alone():
+    """Production calls it, or a page tells users of it; functions that a decorator hands to a registry aside."""
+    bodies = [node for path in SOURCE.rglob("*.py") for node in parsed(path).body]
+    plain = {n.name for n in bodies if isinstance(n, ast.FunctionDef) and not n.decorator_list}
+    told = pages(ROOT / "README.md")
+    public = {name for name in plain - production() - ENTRANCES if not name.startswith("_")}
+    assert sorted(name for name in public if name not in told) == []
+
+
+def test_no_method_is_called_by_tests_alone():
+    told = pages(*SOURCE.rglob("*.j2"))
+    nodes = [node for path in SOURCE.rglob("*.py") for node in ast.walk(parsed(path))]
+    read = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+    read |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    bodies = [inner for node in nodes if isinstance(node, ast.ClassDef) for inner in node.body]
+    methods = {f.name for f in bodies if isinstance(f, ast.FunctionDef) and not f.name.startswith("_")}
+    assert len(methods) > 100  # PyYAML itself calls the one that is taken off
+    assert sorted(name for name in methods - read - {"ignore_aliases"} if name not in told) == []
+
+
+def broken_formulas(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "validation/broken_formulas.py", *words]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_every_formula_turns_the_evidence_red():
+    outcome = broken_formulas()
+    assert [line for line in outcome.stdout.splitlines() if line.startswith("GREEN")] == []
+    assert outcome.returncode == 0, outcome.stdout[-2000:] + outcome.stderr[-2000:]
+    assert sum(line.startswith("red ") for line in outcome.stdout.splitlines()) >= 20
+
+
+@pytest.mark.slow
+def test_a_formula_that_nothing_looks_at_is_named():
+    words = "--factor", "1.0", "--only", "sensor/response.py"  # broken by nothing
+    outcome = broken_formulas(*words, "--evidence", "test_equations_sensor.py")
+    assert outcome.returncode == 1
+    assert outcome.stdout.count("GREEN src/hyperval/sensor/response.py") == 3
+    assert "0 of 3 formulas" in outcome.stdout

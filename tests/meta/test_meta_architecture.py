@@ -1,13 +1,15 @@
-"""The arrows of docs/architecture.md hold, their gate can fail, and the page names every room in their order."""
+"""Arrows of docs/architecture.md, budgets and names of the house hold; these gates can fail."""
 
 from __future__ import annotations
 
 import ast
 import re
+import runpy
 import shutil
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from parsed import parsed
 
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "hyperval"
+SIZE = runpy.run_path(str(ROOT / "scripts" / "lines_of_code.py"))
 # One wrong import for each contract of pyproject.toml: the file that gets it, and the line.
 WRONG_IMPORTS = {
     "rooms": ("pixels/roc.py", "from hyperval.campaign.run import validate"),
@@ -63,8 +66,8 @@ def test_a_wrong_import_breaks_each_contract(contract, tmp_path):
 
 def test_the_page_names_every_room_in_the_order_of_the_arrows():
     page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
-    rows = [re.findall(r"`(\w+)(?:\.py)?/?`", row) for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)]
-    named = [room for row in rows for room in row]
+    rows = re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
+    named = re.findall(r"`(\w+)(?:\.py)?/?`", "\n".join(rows))
     assert sorted(named) == sorted(set.union(*layers()))
     height = {room: -i for i, line in enumerate(layers()) for room in line}
     assert [height[room] for room in named] == sorted(height[room] for room in named)
@@ -90,3 +93,52 @@ def test_dependencies_are_those_that_the_package_imports():
                 used.add(node.module.split(".")[0])
     used -= sys.stdlib_module_names | {"hyperval"}
     assert used == expected
+
+
+def only_forwards(tree: ast.Module) -> bool:
+    """Whether a module has nothing of its own: a docstring, imports, and names for what it imports."""
+    return all(
+        isinstance(node, ast.Import | ast.ImportFrom)
+        or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
+        or (isinstance(node, ast.Assign) and isinstance(node.value, ast.Name | ast.Attribute | ast.List | ast.Tuple))
+        for node in tree.body
+    )
+
+
+def test_nothing_outgrows_its_budget():
+    budgets = SIZE["flat"]((ROOT / "budgets.toml").read_text("utf-8"))
+    assert SIZE["over"](SIZE["measured"](ROOT), budgets) == []
+    budgets = {"model.lines": 10, "model.files": 1}
+    assert SIZE["over"]({"model.lines": 11, "model.files": 1}, budgets) == ["model.lines = 11, budget 10"]
+    assert SIZE["over"]({"model.lines": 10, "other.lines": 1}, budgets) == ["other.lines = 1 has no budget"]
+
+
+@pytest.mark.parametrize(
+    ("message", "unsaid"),
+    [
+        ("A commit that says nothing", ["model.lines"]),
+        ("Budget: raises model.lines; lowers study.lines", []),
+        ("Budget: raises model.lines; lowers web.lines", ["model.lines"]),  # which it does not lower
+        ("Budget: raises web.lines; lowers study.lines", ["model.lines"]),
+    ],
+)
+def test_a_raised_budget_names_what_is_lowered(message, unsaid):
+    before = {"model.lines": 10, "study.lines": 10, "web.lines": 5}
+    after = {"model.lines": 12, "study.lines": 7, "web.lines": 5, "new.lines": 1}
+    assert SIZE["raised_unsaid"](before, after, message) == unsaid
+
+
+def test_no_class_name_stands_for_two_classes():
+    assert [name for name, n in Counter(SIZE["classes"](SOURCE)).items() if n > 1] == []
+
+
+def test_no_module_only_forwards():
+    paths = [path for path in SOURCE.rglob("*.py") if path.name not in {"__init__.py", "__main__.py"}]
+    assert [path.name for path in paths if only_forwards(parsed(path))] == []
+    assert only_forwards(ast.parse('"""Old name."""\nfrom hyperval.model import predict\npredict_all = predict\n'))
+    assert not only_forwards(ast.parse("from hyperval.model import predict\nLEAST = 3\n"))
+
+
+def test_each_equation_is_found_by_its_own_number():
+    found = {n for path in SOURCE.rglob("*.py") for n in re.findall(r"(?<![\d.])3\.(\d+)", path.read_text("utf-8"))}
+    assert {str(number) for number in range(1, 34)} - found == set()

@@ -1,4 +1,4 @@
-"""A newcomer can get every file that a campaign names, and reads in words what its comparisons are of."""
+"""A newcomer gets every file that a campaign names, and reads in words what its comparisons are of; power tables."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from hyperval.attribute import injected_errors
 from hyperval.campaign import job_of
 from hyperval.config import load_yaml
 from hyperval.datasets import describe
 from hyperval.metrics import plain_words
+from hyperval.report import accepted_table
 
 ROOT = Path(__file__).parents[2]
 
@@ -49,3 +51,18 @@ def test_what_was_set_after_the_data_were_seen_says_so_and_what_it_was_before(ca
     marked = [gate for gate in gates if gate.metric == metric]
     assert marked
     assert all(gate.chosen_after and gate.before for gate in marked)
+
+
+TABLES = sorted((ROOT / "validation" / "power").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", TABLES or [None], ids=lambda path: path.stem)
+def test_an_accepted_power_table_has_each_standard_error_its_gates_and_the_files_of_a_campaign(path):
+    table = accepted_table(path.stem, path.parent)
+    assert table is not None
+    assert list(table.errors) == [error.name for error in injected_errors()]
+    assert 0 < len(table.stated) <= table.gates + table.disagreeing
+    folders = [p.parent for p in (ROOT / "campaigns").glob("*/campaign*.yaml") if p.name in table.files]
+    assert any(all((folder / name).is_file() for name in table.files) for folder in folders)
+    named = {gate for injected in table.errors.values() for gate in injected.gates}
+    assert len(named) <= table.gates  # no more turn than could

@@ -13,15 +13,16 @@ from string import Formatter
 
 import click
 import yaml
+from parsed import parsed
 from typer.main import get_command
 
 import hyperval
 from hyperval.cli import app
 from hyperval.config import Model
-from hyperval.metrics import table
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted(p for p in (ROOT / "src/hyperval").rglob("*") if p.suffix in (".py", ".j2", ".yaml", ".html"))
+MODULES = [path for path in SOURCES if path.suffix == ".py"]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 # What follows the program's name where it is the subject of a sentence, or of an import.
 PROSE = re.compile(r"import|atmospheric|over|with|[a-z]+s")  # "hyperval serves", "hyperval statistics"
@@ -30,15 +31,10 @@ PROSE = re.compile(r"import|atmospheric|over|with|[a-z]+s")  # "hyperval serves"
 @cache
 def commands() -> dict[str, click.Command]:
     """ "data fetch" -> the command."""
-    found: dict[str, click.Command] = {}
-
-    def walk(prefix: str, command: click.Command) -> None:
-        found[prefix] = command
-        for name, inner in getattr(command, "commands", {}).items():
-            walk(f"{prefix} {name}".strip(), inner)
-
-    walk("", get_command(app))
-    return found
+    root = get_command(app)
+    first = getattr(root, "commands", {})
+    second = {f"{n} {m}": inner for n, group in first.items() for m, inner in getattr(group, "commands", {}).items()}
+    return {"": root, **first, **second}
 
 
 def wrong_commands(text: str) -> list[str]:
@@ -49,9 +45,7 @@ def wrong_commands(text: str) -> list[str]:
         if words[0] not in known:
             wrong += [] if PROSE.fullmatch(words[0]) else [mention[0]]
             continue
-        name = words[0]
-        if len(words) > 1 and f"{name} {words[1]}" in known:
-            name = f"{name} {words[1]}"
+        name = pair if (pair := " ".join(words[:2])) in known else words[0]
         options = {o for c in ("", words[0], name) for p in known[c].params for o in (*p.opts, *p.secondary_opts)}
         named = re.findall(r"(?<!\S)(--[a-z-]+)", " ".join(words).partition(", ")[0].partition(". ")[0])
         wrong += [f"{mention[0]!r}: {o}" for o in named if o not in options | {"--help"}]
@@ -61,35 +55,17 @@ def wrong_commands(text: str) -> list[str]:
 def test_commands_that_are_named_are_there():
     found = {p.name: wrong for p in (*SOURCES, *PAGES) if (wrong := wrong_commands(p.read_text("utf-8")))}
     assert found == {}
-
-
-def test_a_command_and_an_option_that_are_not_there_are_seen():
     assert wrong_commands("run hyperval chekc x.yaml") == ["hyperval chekc x.yaml"]
     assert wrong_commands("run hyperval check x.yaml --sensor y") == ["'hyperval check x.yaml --sensor y': --sensor"]
 
 
-def test_examples_of_metrics_name_files_that_are_there():
-    examples = {m.example for m in table().values() if m.example.startswith("hyperval ")}
-    assert examples
-    for example in examples:
-        command, *words = example.split()[1:]
-        if command in ("validate", "check", "benchmark", "study"):
-            plain = [w for w, before in zip(words, [command, *words], strict=False) if not f"{before}{w}".count("--")]
-            assert all((ROOT / word).is_file() for word in plain), example
-
-
 def test_sections_that_are_named_are_there():
-    told = [
-        (path.name, *told)
-        for path in SOURCES
-        for told in re.findall(r"docs/([\w-]+\.md)(?:, ([A-Z][\w ]+))?", path.read_text("utf-8"))
-    ]
+    text = "\n".join(path.read_text("utf-8") for path in SOURCES)
+    told = set(re.findall(r"docs/([\w-]+\.md)(?:, ([A-Z][\w ]+))?", text))
     assert told
-    for path, page, section in told:
-        file = ROOT / "docs" / page
-        assert file.is_file(), (path, page)
-        heads = re.findall(r"^#+ (.*)$", file.read_text("utf-8"), re.MULTILINE)
-        assert not section or any(head.startswith(section) for head in heads), (path, page, section)
+    for page, section in told:
+        heads = re.findall(r"^#+ (.*)$", (ROOT / "docs" / page).read_text("utf-8"), re.MULTILINE)
+        assert not section or any(head.startswith(section) for head in heads), (page, section)
 
 
 def keys() -> set[str]:
@@ -107,21 +83,22 @@ def keys() -> set[str]:
     return set(below(Model))
 
 
-def refusals() -> dict[str, dict[str, str]]:
-    """The words of errors that stand apart from the code."""
-    found: dict[str, dict[str, str]] = yaml.safe_load((ROOT / "src/hyperval/refusals.yaml").read_text("utf-8"))
-    return found
+# The words of errors that stand apart from the code.
+REFUSALS: dict[str, dict[str, str]] = yaml.safe_load((ROOT / "src/hyperval/refusals.yaml").read_text("utf-8"))
 
 
-def mends(path: Path) -> Iterator[str]:
+def texts_of(node: ast.AST) -> list[str]:
+    """Every text of a piece of code."""
+    constants = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant)]
+    return [value for value in constants if isinstance(value, str)]
+
+
+def mends() -> Iterator[str]:
     """Every text that says how to mend an error."""
-    if path.name == "refusals.yaml":
-        yield from (words[key] for words in refusals().values() for key in ("mend", "expected") if key in words)
-    for node in ast.walk(ast.parse(path.read_text("utf-8") if path.suffix == ".py" else "")):
+    yield from (words[key] for words in REFUSALS.values() for key in ("mend", "expected") if key in words)
+    for node in (node for path in MODULES for node in ast.walk(parsed(path))):
         if isinstance(node, ast.keyword) and node.arg in ("mend", "expected"):
-            yield from (
-                n.value for n in ast.walk(node.value) if isinstance(n, ast.Constant) and isinstance(n.value, str)
-            )
+            yield from texts_of(node.value)
 
 
 def named_keys(text: str) -> list[str]:
@@ -134,25 +111,25 @@ def named_keys(text: str) -> list[str]:
 
 
 def test_keys_that_are_named_are_there():
-    known = keys()
-    named = {(key, str(p.relative_to(ROOT))) for p in SOURCES for m in mends(p) for key in named_keys(m)}
+    named = {key for text in mends() for key in named_keys(text)}
     assert len(named) > 10
-    assert [x for x in sorted(named) if x[0] not in known] == []
+    assert named - keys() == set()
     assert "columns" in named_keys("state columns: [0, 1, 2]")
 
 
 def test_every_refusal_is_used_and_gets_what_its_words_name():
     """A name without words, words without a use, or a value that is not handed on would be an error in an error."""
-    words, used = refusals(), set()
-    for path in (p for p in SOURCES if p.suffix == ".py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "refusal":
-                names = {n.value for n in ast.walk(node.args[0]) if isinstance(n, ast.Constant) and "." in str(n.value)}
-                given = {k.arg for k in node.keywords}
-                used |= names
-                for name in names:
-                    assert words[name].keys() <= {"what", "expected", "mend", "usage"}, name
-                    texts = " ".join(str(words[name].get(key, "")) for key in ("what", "expected", "mend"))
-                    fields = {f.partition("[")[0] for _, f, _, _ in Formatter().parse(texts) if f}
-                    assert fields <= given or None in given, (path.name, node.lineno, name, fields - given)
-    assert used == words.keys()
+    used = set()
+    for path in MODULES:
+        for node in ast.walk(parsed(path)):
+            if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") == "refusal"):
+                continue
+            names, given = {text for text in texts_of(node.args[0]) if "." in text}, {k.arg for k in node.keywords}
+            used |= names
+            for name in names:
+                words = REFUSALS[name]
+                assert words.keys() <= {"what", "expected", "mend", "usage"}, name
+                texts = " ".join(str(words.get(key, "")) for key in ("what", "expected", "mend"))
+                fields = {f.partition("[")[0] for _, f, _, _ in Formatter().parse(texts) if f}
+                assert fields <= given or None in given, (path.name, node.lineno, name, fields - given)
+    assert used == REFUSALS.keys()
