@@ -120,16 +120,12 @@ def test_a_what_if_changes_the_scenarios_that_it_fits():
 
 
 @pytest.mark.parametrize(
-    "data",
-    [
-        {"what_ifs": [{"name": "a", "question": "?"}]},
-        {"what_ifs": [{"name": "a", "question": "?", "observe": {"name": "b"}}]},
-        {"what_ifs": [{"name": "a", "question": "?", "scenario": {"name": "b"}}] * 2},
-    ],
+    "changes", [{}, {"observe": {"name": "b"}}, {"scenario": {"name": "b"}}], ids=["nothing", "elsewhere", "twice"]
 )
-def test_what_ifs_that_say_nothing_are_refused(data):
+def test_what_ifs_that_say_nothing_are_refused(changes):
+    item = {"name": "a", "question": "?", **changes}
     with pytest.raises(ValueError, match=r"changes something|neither collection|two what-ifs"):
-        AttributionOptions.model_validate(data)
+        AttributionOptions.model_validate({"what_ifs": [item, item]})
 
 
 @pytest.mark.parametrize("k", [1, 3])

@@ -9,7 +9,6 @@ import pytest
 from scipy import stats
 
 from hyperval.attribute import AlarmRatio, alarm_ratios, quantities, reason_for, sampled_covariance, stacked
-from hyperval.compare import compare_exceedance
 from hyperval.products import (
     EstimatedPart,
     ExceedanceCurve,
@@ -20,7 +19,6 @@ from hyperval.products import (
     ScoreDistribution,
     SpectralEstimate,
 )
-from hyperval.results import Result
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
@@ -98,62 +96,34 @@ def exceedance(threshold, p, n=None, width=2.0):
     return ExceedanceCurve(threshold, p, p / width, np.minimum(p * width, 1.0), n)
 
 
-def sides(dof=10.0, n=50_000):
-    """Measured scores with the tails of a t, predicted ones normal."""
-    measured = exceedance(stats.t.isf(P, dof), P, n)
-    told = exceedance(stats.norm.isf(P), P)
-    return (
-        PredictedProducts(axis=AXIS, exceedance={("roof", "cem"): told}),
-        ObservedProducts(axis=AXIS, exceedance={("roof", "cem"): measured}),
-    )
-
-
-def test_ratios_are_those_of_the_comparison_and_of_the_two_laws():
-    predicted, observed = sides()
-    found = alarm_ratios(predicted, observed)
-    rows: list[Result] = compare_exceedance(
-        predicted.exceedance["roof", "cem"], observed.exceedance["roof", "cem"],
-        subject="roof background", method="cem",
-    )  # fmt: skip
-    for row in rows:
-        key = (row.subject, row.method, row.metric)
-        if key in found:
-            assert (found[key].value, found[key].lower, found[key].upper) == (row.value, row.lower, row.upper)
-    assert len(found) == 2
-    here = found["roof background", "cem", "pfa_ratio@1e-3"]
-    # By the two laws: the normal's exceedance at the t's threshold; the nearest point of the grid is 3 % off.
-    assert here.value == pytest.approx(stats.norm.sf(stats.t.isf(1e-3, 10.0)) / 1e-3, rel=0.3)
-    assert not here.good
-
-
-def test_too_few_alarms_give_no_ratio():
-    predicted, observed = sides(n=5_000)
-    assert [m for _, _, m in alarm_ratios(predicted, observed)] == ["pfa_ratio@1e-2"]
-    assert alarm_ratios(PredictedProducts(axis=AXIS), observed) == {}
+@pytest.mark.parametrize(("n", "levels"), [(50_000, ("1e-2", "1e-3")), (5_000, ("1e-2",))])
+def test_ratios_of_false_alarms_are_those_of_two_laws_where_there_are_ten(n, levels):
+    """Measured scores with the tails of a t, predicted ones normal: the nearest point of the grid is 3 % off."""
+    told, measured = exceedance(stats.norm.isf(P), P), exceedance(stats.t.isf(P, 10.0), P, n)
+    predicted = PredictedProducts(AXIS, exceedance={("roof", "cem"): told})
+    found = alarm_ratios(predicted, ObservedProducts(AXIS, exceedance={("roof", "cem"): measured}))
+    assert list(found) == [("roof background", "cem", f"pfa_ratio@{level}") for level in levels]
+    for level, ratio in zip(levels, found.values(), strict=True):
+        assert ratio.value == pytest.approx(stats.norm.sf(stats.t.isf(float(level), 10.0)) / float(level), rel=0.3)
+        assert ratio.lower < ratio.value < ratio.upper
+    assert alarm_ratios(PredictedProducts(AXIS), ObservedProducts(AXIS, exceedance={("roof", "cem"): measured})) == {}
 
 
 def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
     """Pixels of one object are one, and a rate is known as well as blocks of the image say, not as its count."""
     key, n = ("roof planks", "cem"), 50_000
     draws = np.array([[0.8, 1.0], [1.2, 1.4]])
-    thresholds = {"predicted": stats.norm.isf(P[::-1]), "observed": stats.t.isf(P[::-1], 10.0)}
-    roc = {
-        side: {(*key, "pixel"): RocCurve(P[::-1], P[::-1], P[::-1], P[::-1], t, n_background=n)}
-        for side, t in thresholds.items()
-    }
+    rising = [RocCurve(P[::-1], P[::-1], P[::-1], P[::-1], t, n_background=n)
+              for t in (stats.norm.isf(P[::-1]), stats.t.isf(P[::-1], 10.0))]  # fmt: skip
     predicted = PredictedProducts(
-        AXIS,
-        scores={key: ScoreDistribution(1.0, 0.3)},
-        object_scores={key: ObjectScores(draws)},
-        roc=roc["predicted"],
-    )
+        AXIS, scores={key: ScoreDistribution(1.0, 0.3)}, object_scores={key: ObjectScores(draws)},
+        roc={(*key, "pixel"): rising[0]},
+    )  # fmt: skip
     observed = ObservedProducts(
-        AXIS,
-        scores={key: ScoreDistribution(0.9, 0.3, 40)},
+        AXIS, scores={key: ScoreDistribution(0.9, 0.3, 40)}, roc={(*key, "pixel"): rising[1]},
         object_scores={key: ObjectScores(np.array([0.7, 0.9, np.nan]))},
-        roc=roc["observed"],
         exceedance={("roof", "cem"): exceedance(stats.t.isf(P, 10.0), P, n)},
-    )
+    )  # fmt: skip
     objects, alarms = stacked(predicted, observed).blocks
     assert objects.observed == pytest.approx([0.8])
     assert objects.read(predicted) == pytest.approx([1.1])
@@ -170,12 +140,16 @@ def ratio(value, spread=1.2):
     return AlarmRatio(value, value / spread, value * spread)
 
 
-def test_the_reason_is_the_experiment_that_leaves_least():
-    tried = [("tails", ratio(0.4)), ("local", ratio(1.3)), ("classes", ratio(9.0))]
-    assert "'local' leaves 1.3: it would explain it" in reason_for(ratio(6.0), tried)
-    assert "'tails' leaves 0.4: the nearest, and not enough" in reason_for(ratio(6.0), [tried[0], tried[2]])
-    assert reason_for(ratio(6.0), [tried[2]]).endswith("no what-if brings it nearer")
-    assert reason_for(ratio(1.9), tried) == "within a factor of two"
-    assert "within what its interval allows" in reason_for(ratio(4.0, spread=5.0), tried)
-    for off in (6.0, 1 / 6.0):  # an interval that ends before the factor, above it or below
-        assert "within what its interval allows" not in reason_for(ratio(off), tried)
+@pytest.mark.parametrize(
+    ("before", "tried", "words"),
+    [
+        (6.0, (0.4, 1.3, 9.0), "off by a factor of 6; 'B' leaves 1.3: it would explain it"),
+        (1 / 6.0, (0.4, 9.0), "off by a factor of 6; 'A' leaves 0.4: the nearest, and not enough"),
+        (6.0, (9.0,), "off by a factor of 6; no what-if brings it nearer"),
+        (1.9, (0.4, 1.3), "within a factor of two"),
+    ],
+)
+def test_the_reason_is_the_experiment_that_leaves_least(before, tried, words):
+    assert reason_for(ratio(before), zip("ABC", map(ratio, tried), strict=False)) == words
+    wide = reason_for(ratio(before, spread=5.0), [])
+    assert ("within what its interval allows" in wide) == (before != 1.9)

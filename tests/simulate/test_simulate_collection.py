@@ -168,8 +168,8 @@ def test_a_mistake_is_named_with_its_file_and_line(tmp_path, case):
     data = json.loads(json.dumps(scene_data(**changes)))  # no part twice: YAML would make it an anchor
     path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     with pytest.raises(UsageError, match=case["words"]) as error:
-        load_scene(path)
-    assert "scene.yaml:" in str(error.value)
+        regions(scene := load_scene(path), lay_out(scene))
+    assert ("scene.yaml:" in str(error.value)) == case.get("in_file", True)
     assert error.value.exit_code == 2
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from small_scene import SCENE, area, planks, small_scene
 
-from hyperval.errors import UsageError
 from hyperval.model import TargetGeometry, pixel_fills
 from hyperval.simulate import centred_fill, lay_out, pixel_weights, regions, side_for_fill, square_footprint
 
@@ -55,25 +54,6 @@ def test_later_areas_cover_earlier_ones_and_regions_stay_clear_of_borders_panels
     assert not found["grass-field"][27:].any()
     assert not found["grass-field"][7:21, 27:41].any()
     assert found["grass-field"][0, 0]  # the edge of the image is no border of a class
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"layout": [area("grass", [0, 50], [0, 48])], "targets": [], "regions": []},
-         "line 50, sample 0 is covered by no class"),
-        ({"targets": [planks(area={"lines": [26, 40], "samples": [4, 25]})]}, "reaches beyond its host"),
-        ({"targets": [planks(area={"lines": [46, 60], "samples": [4, 25]})], "psf_fwhm_pixels": 4.0},
-         "beyond its host"),
-        ({"targets": [planks(fill=None, side_m=10.0)]}, "see each other"),
-        ({"targets": [planks(fill=0.7), planks(name="again", fill=0.7)]}, "overlap"),
-        ({"regions": [{"name": "court", "surface": "asphalt", "border_pixels": 30}]}, "holds no pixel"),
-    ],
-)  # fmt: skip
-def test_a_layout_that_contradicts_itself_is_refused(changes, words):
-    scene = small_scene(**changes)
-    with pytest.raises(UsageError, match=words):
-        regions(scene, lay_out(scene))
 
 
 @pytest.mark.parametrize("fill", [0.03, 0.4, 0.8])

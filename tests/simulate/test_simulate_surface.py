@@ -166,23 +166,18 @@ def test_shade_darkens_its_share_of_the_ground_but_no_panel():
     assert 0.1 < np.mean(ratio < 0.7) < 0.25
 
 
-def test_an_admixture_moves_the_mean_towards_the_other_surface():
-    share = {"host": "grass", "surface": "soil", "mean": 0.3, "sd": 0.15, "correlation_pixels": 3.0}
-    found = grass(rendered(admixtures=[share]))
-    scene = broken_scene(admixtures=[share])
-    f = float(admixture_share(scene, scene.broken.admixtures[0], 0)[20:, :76].mean())
+def test_an_admixture_has_the_moments_asked_for_and_moves_the_mean_towards_the_other_surface():
+    wish = {"host": "grass", "surface": "soil", "mean": 0.3, "sd": 0.15, "correlation_pixels": 0.0}
+    scene = broken_scene(admixtures=[wish])
+    share = admixture_share(scene, scene.broken.admixtures[0], 0).astype(float)
+    assert 0.0 <= share.min() < share.max() <= 1.0
+    assert share.mean() == pytest.approx(0.3, abs=5 * 0.15 / SIZE)
+    assert share.std() == pytest.approx(0.15, rel=5 / np.sqrt(2 * SIZE**2))
+    found, f = grass(rendered(admixtures=[wish])), float(share[20:, :76].mean())
     expected = (1 - f) * GRASS.mean + f * CLASSES["soil"].mean
     # The shares are known: what is left is the pixels' own spread. 6 standard errors over 12 bands.
     assert np.all(np.abs(found.mean(axis=(0, 1)) - expected) < 6 * found.std(axis=(0, 1)) / 76 + 1e-5)
     assert np.all(np.abs(found.mean(axis=(0, 1)) - GRASS.mean) > 1e-3)
-
-
-def test_admixture_shares_have_the_moments_asked_for():
-    scene = broken_scene(admixtures=[{"host": "grass", "surface": "soil", "mean": 0.1, "sd": 0.07}])
-    share = admixture_share(scene, scene.broken.admixtures[0], 0).astype(float)
-    assert 0.0 <= share.min() < share.max() <= 1.0
-    assert share.mean() == pytest.approx(0.1, abs=5 * 0.07 / SIZE)
-    assert share.std() == pytest.approx(0.07, rel=0.08)  # 5 standard errors of a beta law of this kurtosis
 
 
 @pytest.mark.parametrize("length", [4.0, 10.0])

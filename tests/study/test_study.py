@@ -47,15 +47,6 @@ def quick(monkeypatch):
     monkeypatch.setattr("hyperval.study.run._SMALLEST", 32)
 
 
-def test_a_bend_is_looked_for_beside_an_input_that_is_drawn(make_study, tmp_path):
-    drawn = "inputs: [{name: haze, path: atmosphere.aot550, random: {uniform: [0.1, 0.4]}},\n"
-    drawn += f" {{name: fill, path: {FILL}, values: [0.02, 0.05, 0.1, 0.2]}}]\ndesign: {{count: 8, seed: 1}}\n"
-    text = f"{drawn}{OUT}knees: [{{output: pd, along: fill}}]\n"
-    rows = api.study(make_study(text), output=tmp_path / "out", show_progress=False).results.to_dataframe()
-    assert "median" in set(rows["metric"])
-    assert (rows["metric"] == "knee").sum() == 8  # one for each draw
-
-
 def test_paths_of_the_model_are_moved_within_their_limits(make_study, table_of):
     text = "inputs: [{{name: gain, path: sensor.gain, values: [1.0, 1.1]}}, {{name: haze, path: light.path,\n"
     text += " values: [0.5, {}]}}]\noutputs: [{{name: seen, kind: radiance, subject: grass, band_nm: 550}}]\n"
@@ -128,10 +119,9 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(make_study, tmp_path, quic
     """Also where the last chunk was cut in the middle; another study begins anew."""
     path, broken = make_study(TEXT), tmp_path / "broken"
     study_to_folder(path, tmp_path / "whole")
-    calls = []
     from hyperval.study import run as study_run
 
-    right = study_run.run_chunk
+    calls, right = [], study_run.run_chunk
 
     def failing(piece):
         calls.append(piece[2])
@@ -148,15 +138,13 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(make_study, tmp_path, quic
     with open(values, "ab") as stream, open(values.with_name("reasons.jsonl"), "a") as reasons:
         stream.write(bytes(24))
         reasons.write('[64, "of a lost chunk"]\n[65, "brok')
-    calls.clear()
-    calls += [0] * 3
     study_to_folder(path, broken)
-    assert calls[3] == 96, "from the third chunk on"
-    assert tables(broken) == tables(tmp_path / "whole")
-    (tmp_path / "other" / ".hyperval-partial").mkdir(parents=True)
-    (tmp_path / "other" / ".hyperval-partial" / "study.txt").write_text("of another study")
-    study_to_folder(path, tmp_path / "other")
-    assert tables(tmp_path / "other") == tables(tmp_path / "whole")
+    assert calls[2:4] == [96, 96], "from the third chunk on"
+    other = tmp_path / "other" / ".hyperval-partial"
+    other.mkdir(parents=True)
+    (other / "study.txt").write_text("of another study")
+    study_to_folder(path, other.parent)
+    assert tables(broken) == tables(other.parent) == tables(tmp_path / "whole")
 
 
 @pytest.mark.slow
@@ -260,13 +248,14 @@ plots: [{{kind: tornado, output: pd}}]
     assert "read anew for each value" in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_random_atmosphere_is_interpolated_and_says_so(make_study, tmp_path):
+def test_random_atmosphere_is_interpolated_and_says_so_and_each_draw_has_its_bend(make_study, tmp_path):
     path = make_study(f"""
 inputs:
   - {{name: haze, path: atmosphere.aot550, random: {{uniform: [0.05, 0.9]}}}}
-  - {{name: fill, path: {FILL}, random: {{uniform: [0.02, 0.2]}}}}
-design: {{count: 64}}
+  - {{name: fill, path: {FILL}, values: [0.02, 0.05, 0.1, 0.2]}}
+design: {{count: 32}}
 {OUT}
+knees: [{{output: pd, along: fill}}]
 plots: [{{kind: lines, x: haze, output: pd}}, {{kind: heat, x: haze, y: fill, output: pd}}]
 """)
     study_to_folder(path, tmp_path / "out")
@@ -276,6 +265,7 @@ plots: [{{kind: lines, x: haze, output: pd}}, {{kind: heat, x: haze, y: fill, ou
     assert error["radiance, rms"] <= error["radiance, worst"]
     assert 0 < error["output pd"] < 0.03
     assert "is interpolated between engine runs" in (tmp_path / "out" / "report.html").read_text()
+    assert [r.metric for r in rows].count("knee") == 32
 
 
 def test_areas_and_false_alarms_against_the_curve(table_of):
