@@ -1,8 +1,8 @@
 """Stand-in lines for the felt campaigns: the real headers, masks and felt spectra, every pixel simulated.
 
 A line is marked as such in the description of its header.  Ground comes in three surfaces with random pixels each;
-a felt is a square of the area that the mask marks, placed and turned so that it covers the marked pixels best (a
-mask is drawn where a felt is seen), through the square of a pixel and a Gaussian of one pixel.
+a felt is a square of the area that the mask marks, about its middle, through the square of a pixel and a Gaussian of
+one pixel.
 
     python tests/felt_stand_in.py DATA OUT    every line below OUT, from headers, masks and spectra below DATA
 """
@@ -146,39 +146,18 @@ def ground(rng: np.random.Generator, lines: int, samples: int, axis: SpectralAxi
 
 
 def felt_fractions(truth: np.ndarray, blur: float) -> np.ndarray:
-    """(lines, samples) part of each pixel that squares fill, one for each patch and of the area that it marks."""
+    """(lines, samples) part of each pixel that squares fill, one for each patch: of its area, about its middle."""
     labels, count = ndimage.label(truth, np.ones((3, 3)))
-    out = np.zeros(truth.shape)
+    lines, samples = truth.shape
+    fine = np.zeros((lines * FINE, samples * FINE), np.float32)
     for number in range(1, count + 1):
-        rows, columns = np.nonzero(labels == number)
-        side = np.sqrt(rows.size)
-        reach = max(int(np.ceil(side)), int(np.ptp(rows)), int(np.ptp(columns))) + 4
-        grid = (np.arange(2 * reach * FINE) + 0.5) / FINE
-        first = np.array([rows.mean(), columns.mean()]).astype(int) - reach
-        marked = np.zeros((2 * reach, 2 * reach), bool)
-        marked[rows - first[0], columns - first[1]] = True
-        y, x = np.meshgrid(grid, grid, indexing="ij")
-        fine = np.repeat(np.repeat(marked, FINE, axis=0), FINE, axis=1)
-        middle = np.array([rows.mean() + 0.5, columns.mean() + 0.5]) - first
-        shifts = np.array(np.meshgrid(*[(-0.25, 0.0, 0.25)] * 2)).reshape(2, -1).T
-        places = [(middle + shift, turn) for turn in np.radians(np.arange(0.0, 90.0, 10.0)) for shift in shifts]
-        cover = [np.count_nonzero(square(y, x, *place, side) & fine) for place in places]
-        centre, turn = places[int(np.argmax(cover))]
-        blurred = ndimage.gaussian_filter(square(y, x, centre, turn, side).astype(float), blur * FINE / 2.354820045)
-        part = blurred.reshape(2 * reach, FINE, 2 * reach, FINE).mean(axis=(1, 3))
-        part[part < 1e-4] = 0.0
-        top, left = np.maximum(first, 0)
-        bottom, right = np.minimum(first + 2 * reach, truth.shape)
-        window = part[top - first[0] : bottom - first[0], left - first[1] : right - first[1]]
-        out[top:bottom, left:right] += window
-    return np.minimum(out, 1.0)
-
-
-def square(y: np.ndarray, x: np.ndarray, centre: np.ndarray, turn: float, side: float) -> np.ndarray:
-    """Which points lie in a square about a centre (line, sample), turned by an angle [rad]."""
-    v, u = y - centre[0], x - centre[1]
-    along, across = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
-    return (np.abs(along) <= side / 2) & (np.abs(across) <= side / 2)
+        places = np.argwhere(labels == number)
+        half = np.sqrt(len(places)) / 2
+        first, last = (np.rint((places.mean(axis=0) + 0.5 + reach) * FINE).astype(int) for reach in (-half, half))
+        fine[first[0] : last[0], first[1] : last[1]] = 1.0
+    blurred = ndimage.gaussian_filter(fine, blur * FINE / 2.354820045)
+    part = blurred.reshape(lines, FINE, samples, FINE).mean(axis=(1, 3))
+    return np.where(part < 1e-4, 0.0, np.minimum(part, 1.0))
 
 
 if __name__ == "__main__":

@@ -5,8 +5,9 @@ The collection is written once for a test session; every test gets a copy that i
 
 from __future__ import annotations
 
-import copy
+import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,18 @@ from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 
-ATMOSPHERE = {
-    "aot550": 0.2,
-    "water_vapour_g_cm2": 2.0,
-    "sensor_altitude_km": 1.0,
-    "solar_zenith_deg": 30.0,
-    "solar_azimuth_deg": 0.0,
-    "day_of_year": 200,
-}
-CENTRES_NM = (450, 490, 530, 560, 600, 640, 670, 700, 745, 785, 865, 1020, 1050, 1220, 1640, 2200)
+DATA = Path(__file__).parent / "data"
 PANELS = ("white-panel", "black-panel", "grey-panel-35")
+
+
+def data_of(name: str) -> dict[str, Any]:
+    """The content of a YAML file of tests/data, the caller's to change."""
+    return yaml.safe_load((DATA / f"{name}.yaml").read_text("utf-8"))
+
+
+sensor_data, scene_data, scenario_data = (partial(data_of, f"small_{kind}") for kind in ("sensor", "scene", "scenario"))
+ATMOSPHERE = scene_data()["atmosphere"]
+CENTRES_NM = tuple(int(nm) for nm, *_ in sensor_data()["bands"]["table"])
 
 
 def stand_in_atmosphere(state: AtmosphericState, **options: Any) -> AtmosphericTerms:
@@ -60,128 +63,15 @@ def without_figures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("hyperval.compare.detection.POWER_DRAWS", 40)
 
 
-def sensor_data() -> dict[str, Any]:
-    """A quiet sensor of 16 bands."""
-    assumed = "assumed: for tests"
-    rows = [[nm, a, 0.5, 0.0] for nm, a in ((400.0, 0.004), (1000.0, 0.003), (2500.0, 0.001))]
-    return {
-        "schema": 1,
-        "name": "small-sensor",
-        "title": "A sensor of 16 bands",
-        "source": assumed,
-        "bands": {"table": [[float(nm), 10.0, 1] for nm in CENTRES_NM], "source": assumed},
-        "measured_noise": {"table": rows, "source": assumed},
-        "calibration_error_percent": {"value": 0.1, "source": assumed},
-    }
+def fill_in(campaign: Path, values: Mapping[str, str]) -> None:
+    """Put values in the place of what a campaign and its scenarios leave open, each by its key."""
+    from hyperval.campaign import read_jobs
 
-
-def scene_data() -> dict[str, Any]:
-    """Grass above, asphalt below, three panels, 96 yellow planks in two sizes."""
-    planks = {"material": "yellow-paint-plank", "host": "asphalt", "count": 48, "spacing_pixels": 6}
-    return {
-        "schema": 1,
-        "name": "small",
-        "mode": "closure",
-        "seed": 20,
-        "lines": 84,
-        "samples": 72,
-        "gsd_m": 1.0,
-        "map": {"utm_zone": 18, "easting_m": 275400.0, "northing_m": 4753700.0},
-        "atmosphere": ATMOSPHERE,
-        "sensor": "sensor.yaml",
-        "psf_fwhm_pixels": 1.0,
-        "counts_per_radiance": 1000.0,
-        "layout": [
-            {"surface": "grass", "lines": [0, 36], "samples": [0, 72]},
-            {"surface": "asphalt", "lines": [36, 84], "samples": [0, 72]},
-        ],
-        "panels": [
-            {"name": name, "surface": name, "lines": [4, 12], "samples": [4 + 12 * i, 12 + 12 * i]}
-            for i, name in enumerate(PANELS)
-        ],
-        "regions": [{"name": "field", "surface": "grass"}, {"name": "court", "surface": "asphalt"}],
-        "target_guard_pixels": 2,
-        "targets": [
-            {**planks, "name": "small-planks", "fill": 0.08, "area": {"lines": [36, 60], "samples": [0, 72]}},
-            {**planks, "name": "large-planks", "fill": 0.15, "area": {"lines": [60, 84], "samples": [0, 72]}},
-        ],
-    }
-
-
-def scenario_data() -> dict[str, Any]:
-    """What the model is told of the scene."""
-    return {
-        "schema": 1,
-        "name": "small",
-        "atmosphere": ATMOSPHERE,
-        "sensor": "sensor.yaml",
-        "scene": {
-            "classes": [
-                {"name": "field", "fraction": 36 / 84, "spectrum": {"builtin": "grass"}},
-                {"name": "court", "fraction": 48 / 84, "spectrum": {"builtin": "asphalt"}},
-            ],
-            "adjacency": {"effective_neighbours": None},
-            "panels": [{"name": name, "spectrum": {"builtin": name}} for name in PANELS],
-            "targets": [
-                {
-                    "name": "yellow",
-                    "spectrum": {"builtin": "yellow-paint-plank"},
-                    "host": "court",
-                    "subjects": [
-                        {"name": "small-planks", "fill": {"fixed": 0.08}},
-                        {"name": "large-planks", "fill": {"fixed": 0.15}},
-                    ],
-                }
-            ],
-        },
-        "processing": {"elm": {"reflectances": [0.1, 0.6]}, "detectors": ["cem"]},
-    }
-
-
-def campaign_data() -> dict[str, Any]:
-    """Collection on disk, one written-out scenario, gates on radiance, reflectance, ROC and areas."""
-    line = [
-        {"region": name, "spectrum": {"file": "collection/panel_spectra.csv", "record": name,
-                                      "wavelength_unit": "nm", "reflectance_unit": "fraction"}}
-        for name in PANELS
-    ]  # fmt: skip
-    surfaces = ["field", "court", *PANELS]
-    median = "median_abs_difference_ratio_windows"
-    return {
-        "schema": 1,
-        "name": "small",
-        "title": "A small campaign",
-        "description": "Simulated; for tests.",
-        "simulated": True,
-        "assumptions": ["Nothing here was measured."],
-        "collection": {
-            "cube": {"path": "collection/small_rad.img", "quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"},
-            "regions": [{"file": "collection/regions.geojson", "coordinates": "pixel"}],
-            "targets": {"csv": "collection/targets.csv", "pixels": "centre", "guard_pixels": 2},
-            "leave_out": list(PANELS),
-            "empirical_line": {"panels": line},
-            "snr_regions": ["white-panel"],
-        },
-        "detection": {
-            "group": "{group}",
-            "targets": [
-                {"name": "yellow", "material": "yellow-paint-plank", "spectrum": {"builtin": "yellow-paint-plank"}}
-            ],
-            "areas": [{"target": "yellow", "detector": "cem", "margin_pixels": 1}],
-        },
-        "scenarios": [scenario_data()],
-        "comparisons": [
-            {"product": "radiance", "subjects": surfaces, "metric": median, "at_most": 0.02, "reason": "closure"},
-            {"product": "reflectance", "subjects": ["field", "court"], "metric": median, "at_most": 0.03,
-             "reason": "closure"},
-            {"product": "roc", "subjects": ["small-planks", "large-planks"], "method": "cem/pixel",
-             "metric": "pd_inside_interval@1e-2", "at_least": 1, "reason": "closure"},
-            {"product": "abundance", "subjects": ["large-planks"], "metric": "area_ratio", "within": [0.8, 1.2],
-             "reason": "scores add up to the area"},
-            {"product": "snr", "subjects": ["white-panel"], "metric": median, "at_most": 0.5, "gate": False,
-             "reason": "36 pixels"},
-        ],
-    }  # fmt: skip
+    for mark in read_jobs(campaign)[0].to_fill_in:
+        name, _, number = mark.where.rpartition(":")
+        lines = Path(name).read_text().splitlines()
+        lines[int(number) - 1] = re.sub(r'"FILL_IN.*"', values[mark.key], lines[int(number) - 1])
+        Path(name).write_text("\n".join(lines) + "\n")
 
 
 class _Plain(yaml.SafeDumper):
@@ -220,7 +110,7 @@ class SmallCampaign:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self.data = copy.deepcopy(campaign_data())
+        self.data = data_of("small_campaign") | {"scenarios": [scenario_data()]}
 
     @property
     def collection(self) -> Path:

@@ -76,11 +76,12 @@ def test_where_a_reference_leads(places, tmp_path):
         datasets.resolve("data:" + HEADER)
     assert caught.value.exit_code == 3
     assert str(datasets.cache_dir()) in str(caught.value)  # where it should have stood
-    for root in (cache, local, tmp_path / "other"):
+    for root in (cache, local):
         copy = put(root, HEADER)
-        if root.name == "other":
-            datasets.set_data_dir(root)
         assert datasets.resolve("data:" + HEADER) == copy
+    other = put(tmp_path / "other", HEADER)
+    datasets.set_data_dir(tmp_path / "other")
+    assert datasets.resolve("data:" + HEADER) == other
     with pytest.raises(UsageError, match="not a directory"):
         datasets.set_data_dir(tmp_path / "none")
     own = put(tmp_path / "other", "mine/cube.img")
@@ -181,6 +182,7 @@ class Handler(BaseHTTPRequestHandler):
     timeout = 10  # of a connection that nothing comes through
     content: dict[str, bytes]
     asked: list[str]
+    log_message = print
 
     def do_GET(self) -> None:
         self.asked.append(self.path)
@@ -189,9 +191,6 @@ class Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body or b"")))
         self.end_headers()
         self.wfile.write(body or b"")
-
-    def log_message(self, *_: object) -> None:
-        pass
 
 
 def toy_set(*files: DataFile) -> DataSet:
@@ -202,17 +201,13 @@ def toy_set(*files: DataFile) -> DataSet:
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Handler]]:
     """A registry of one set, `toy`, served by this machine."""
-    content = {"/a.txt": b"first", "/b.chn": b"packed" * 100}
-    handler = type("Local", (Handler,), {"content": dict(content), "asked": []})
+    handler = type("Local", (Handler,), {"content": {"/a.txt": b"first", "/b.chn": b"packed" * 100}, "asked": []})
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as http:
         http.daemon_threads, http.block_on_close = True, False  # an answer under way holds nobody up
         threading.Thread(target=partial(http.serve_forever, poll_interval=0.01), daemon=True).start()
         root = f"http://127.0.0.1:{http.server_port}"
-        files = tuple(
-            DataFile(path, root + at, len(content[at]), hashlib.sha256(content[at]).hexdigest())
-            for path, at in (("toy/a.txt", "/a.txt"), ("toy/b.chn.gz", "/b.chn"))
-        )
-        toy = toy_set(*files)
+        paths = zip(("toy/a.txt", "toy/b.chn.gz"), handler.content.items(), strict=True)
+        toy = toy_set(*(DataFile(p, root + at, len(c), hashlib.sha256(c).hexdigest()) for p, (at, c) in paths))
         monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
         monkeypatch.setattr(datasets, "ATTEMPTS", 1)
         monkeypatch.setenv("NO_PROXY", "127.0.0.1")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -15,7 +16,6 @@ from hyperval import cli
 from hyperval.baseline import accept, check
 from hyperval.results import Outcome
 from hyperval.run import read_rows
-from hyperval.sensor import load_sensor
 from small_campaign import SmallCampaign, sensor_data, stand_in_atmosphere, write_yaml
 
 
@@ -61,14 +61,9 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys, mo
     assert [*failures(place / "no.xml")] == ["small campaign baseline"]
     assert candidate.is_file()
     assert not file.exists()
-    candidate.rename(file)  # a candidate taken as it is does not pass either: its reason is lacking
-    assert cli.run(["check", *given]) == 2
-    assert "still to be filled in" in capsys.readouterr().err
-    file.rename(candidate)
-
-    assert cli.run(["baseline", "accept", *given]) == 2
-    assert "--reason" in capsys.readouterr().err
-    assert cli.run(["baseline", "accept", *given, "--reason", " \n"]) == 2
+    for without in ([], ["--reason", " \n"]):
+        assert cli.run(["baseline", "accept", *given, *without]) == 2
+        assert "--reason" in capsys.readouterr().err
     assert not file.exists()
     assert cli.run(["baseline", "accept", *given, "--reason", "First numbers"]) == 0
     said = capsys.readouterr()
@@ -104,18 +99,13 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys, mo
     assert len(said.out.splitlines()) == 2 + 4, "two headers (the acceptance before has one), and failures alone"
     assert "likely cause: the code, the campaign's files or its data" in said.err
     assert f'if the change is meant: hyperval baseline accept {campaign} --reason "..."' in said.err
-    elsewhere = Path("validation/baselines").rename("accepted")
-    assert cli.run(["check", *given, "--baselines", str(elsewhere)]) == 1
-    assert f'accept {campaign} --baselines accepted --reason "..."' in capsys.readouterr().err
-    elsewhere.rename("validation/baselines")
     rows = list(read_rows(place / "out"))
     assert sum(r.outcome is Outcome.DISAGREES for r in rows) == 4
     for page in ("out/report.html", "out/small/report.html"):
         text = (place / page).read_text()
         assert f"4 of {len(rows)} numbers are not as accepted." in text
         # What is set beside accepted numbers is no verdict about the model.
-        assert "acceptance criteria are" not in text
-        assert "Model and collection" not in text
+        assert not re.search("acceptance criteria are|Model and collection", text)
     assert (place / "out/junit.xml").read_bytes() == (place / "moved.xml").read_bytes()
 
     assert cli.run(["baseline", "accept", *given, "--reason", "Mended"]) == 0
@@ -179,7 +169,6 @@ def test_lacking_data_are_skipped(small, place, tmp_path, monkeypatch, capsys):
     assert cli.run(["check", path, "--junit", "skipped.xml"]) == 5
     assert "hyperval data fetch hysu" in capsys.readouterr().err
     assert 'failures="0" errors="0" skipped="1"' in Path("skipped.xml").read_text()
-    assert [*place.rglob("*.yaml")] == []  # nothing was run: there is no candidate either
     assert cli.run(["baseline", "accept", path, "--reason", "First"]) == 5
 
 
@@ -209,12 +198,6 @@ def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere):
     moved = {row.metric for row in wrong}
     assert {"median_snr", "median_electrons_per_radiance", "median_noise_shot"} <= moved
     assert not any("SWIR2" in row.subject for row in wrong)  # its noise stands in another row of the table
-
-
-def test_a_scenario_that_a_sensor_cannot_do_is_a_number_too(place, own_atmosphere):
-    outcome = accept([], ["hyspex-vnir-1600"], reason="First", baselines=place, engine=stand_in_atmosphere)
-    assert outcome.exit_code == 0
-    assert load_sensor("hyspex-vnir-1600").name in (place / "sensors/hyspex-vnir-1600.yaml").read_text()
 
 
 def test_nothing_named_and_a_mistyped_folder(place, capsys):

@@ -17,31 +17,10 @@ from hyperval.errors import UsageError
 from hyperval.imagery import write_cube
 from hyperval.run import Run
 from hyperval.spectra import SpectralAxis
-from small_campaign import scene_data, write_yaml
+from small_campaign import data_of, scene_data, write_yaml
 
 ROOT = Path(__file__).parents[2]
-CAMPAIGN = {
-    "schema": 1,
-    "name": "line-{line}",
-    "title": "Line {line}",
-    "description": "For tests.",
-    "runs": [{"line": "0920-1631"}, {"line": "0920-1638"}],
-    "collection": {
-        "cube": {"path": "data:share2012/lines/{line}_rad.dat", "quantity": "radiance",
-                 "scale": "FILL_IN: scale of the radiance", "unit": "uW cm-2 sr-1 nm-1"},
-        "regions": [{"file": "rois.geojson", "coordinates": "pixel"}],
-    },
-    "scenarios": ["scenario.yaml"],
-    "comparisons": [
-        {"product": "radiance", "subjects": ["a", "b"], "metric": "median_abs_difference_ratio_windows",
-         "at_most": 0.1, "reason": "enough"}
-    ],
-}  # fmt: skip
-SCENARIO = {
-    "schema": 1,
-    "name": "line-{line}",
-    "scene": {"classes": [{"name": "a", "fraction": "FILL_IN: part of a", "spectrum": {"builtin": "grass"}}]},
-}
+CAMPAIGN, SCENARIO = data_of("lines"), data_of("lines_scenario")
 
 
 @pytest.fixture
@@ -202,26 +181,7 @@ def mistakes(path: Path) -> list[tuple[str, str]]:
     return [(i.what, i.detail) for i in dry_run([path]) if i.state == WRONG]
 
 
-# Key of an entry -> what stands there in its place, and words of the mistake; "" where another key is at fault.
-NAMES = {
-    "collection.leave_out.1": ("black-panle", "no region 'black-panle'"),
-    "collection.snr_regions.0": ("panel", "no region 'panel'"),
-    "collection.empirical_line.panels.2.region": ("grey", "no region 'grey'"),
-    "collection.empirical_line.panels.0.spectrum.record": ("pink", "pink"),
-    "collection.regions.1": ({"name": "far", "rectangle": [500, 0, 4, 4]}, "not in the image"),
-    "detection.background": (["feld"], "no region 'feld'"),
-    "detection.targets.0.material": ("blue-paint", "no object of material 'blue-paint'"),
-    "detection.targets.0.spectrum": ({"builtin": "yellow"}, "'yellow'"),
-    "detection.group": ("{size}", "no 'size'"),
-    "detection.pools": ([{"name": "all", "subjects": ["small-planks", "huge-planks"]}], "no subject 'huge-planks'"),
-    "detection.areas.0.target": ("green", "no detection target 'green'"),
-    "scenarios.0.sensor": ("hymapp", "unknown sensor 'hymapp'"),
-    "scenarios.0.scene.classes.1.spectrum": ({"builtin": "asphallt"}, "asphallt"),
-    "scenarios.0.scene.classes.1.covariance": ({"measured": "cort"}, "no region 'cort'"),
-    "comparisons.0.subjects.0": ("meadow", "no 'meadow'"),
-    "comparisons.0.metric": ("median_abs_difference_ratio_window", "no part of the spectrum is 'window'"),
-    "comparisons.1.metric": ("pd_difference@1e-2", "is a metric of scores or roc, not of reflectance"),
-}  # fmt: skip
+NAMES = data_of("names_that_do_not_fit")
 
 
 @pytest.mark.parametrize("key", NAMES)

@@ -14,28 +14,16 @@ from hyperval.run import Run
 PAGE = Path(__file__).parents[2] / "docs" / "first-campaign.md"
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    found = tmp_path_factory.mktemp("first")
-    for name, text in re.findall(r"<!-- file: (\S+) -->\n```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL):
-        (found / name).write_text(text)
-    assert {p.name for p in found.iterdir()} == {"scene.yaml", "campaign.yaml"}
-    return found
-
-
 @pytest.mark.slow
-def test_the_first_campaign_runs_and_passes(folder):
-    campaign, out = str(folder / "campaign.yaml"), folder / "first"
+def test_the_first_campaign_runs_and_passes(tmp_path):
+    for name, text in re.findall(r"<!-- file: (\S+) -->\n```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL):
+        (tmp_path / name).write_text(text)
+    campaign, out = str(tmp_path / "campaign.yaml"), tmp_path / "first"
     assert run(["-q", "validate", "--dry-run", campaign]) == 0
     assert run(["-q", "validate", campaign, "-o", str(out)]) == 0
     table = Run.open(out).table
     passed = table.where(outcome=Outcome.AGREES)
-    assert {r.subject for r in passed if r.product == "radiance"} == {
-        "field",
-        "court",
-        "white-panel",
-        "black-panel",
-    }
+    assert {r.subject for r in passed if r.product == "radiance"} == {"field", "court", "white-panel", "black-panel"}
     # The page closes: seven full tests, each of which has p below 0.002 or above 0.998 once in 250 right models.
     full = {(r.product, r.subject): r.value for r in table if r.metric == "p_value_full"}
     assert set(full) >= {("radiance", "black-panel"), ("reflectance", "field"), ("reflectance", "court")}

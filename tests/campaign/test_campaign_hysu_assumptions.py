@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from hyperval.scenario import load_scenario
@@ -20,25 +20,15 @@ pytestmark = pytest.mark.data
 
 def readings(data_dir):
     """Material -> (n, 97) reflectance of its single readings at 420 to 900 nm."""
-    with data_dir(INDEX).open() as file:
-        groups = {row["meas_id"]: row["classification"].split(",") for row in csv.DictReader(file)}
-    with data_dir(READINGS).open() as file:
-        rows = list(csv.reader(file))
-    head, values = rows[0], np.array([[float(x or "nan") for x in row] for row in rows[1:]])
-    wavelength = values[:, next(i for i, name in enumerate(head) if "wavelength" in name)]
-    grid = np.arange(420.0, 901.0, 5.0)
-    found = {}
-    for material in MATERIALS:
-        spectra = []
-        for column, name in enumerate(head):
-            number = re.search(r"(\d+)$", name)
-            if number is None or "wavelength" in name or material not in groups.get(str(int(number[1])), ()):
-                continue
-            held = np.isfinite(values[:, column]) & (wavelength > 400) & (wavelength < 950)
-            order = np.argsort(wavelength[held])
-            spectra.append(np.interp(grid, wavelength[held][order], values[held, column][order]))
-        found[material] = np.array(spectra)
-    return found
+    index = pd.read_csv(data_dir(INDEX)).set_index("meas_id")["classification"].fillna("").str.split(",")
+    table = pd.read_csv(data_dir(READINGS))
+    table = table.set_index(next(name for name in table if "wavelength" in name)).sort_index().loc[400.5:949.5]
+    found = {material: [] for material in MATERIALS}
+    for name, values in table.filter(regex=r"\d$").items():
+        known = values.dropna()
+        for material in set(index.get(int(re.search(r"\d+$", name)[0]), ())) & set(MATERIALS):
+            found[material].append(np.interp(np.arange(420.0, 901.0, 5.0), known.index, known))
+    return {material: np.array(spectra) for material, spectra in found.items()}
 
 
 def test_errors_of_the_field_spectra_are_the_scatter_of_their_readings(data_dir):

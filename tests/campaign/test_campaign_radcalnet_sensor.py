@@ -9,30 +9,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from affine import Affine
 from rasterio.crs import CRS
 from rasterio.warp import transform as warp
 
 from hyperval import cli
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.campaign import DayScenarios, day_scenarios, dry_run, read_jobs
+from hyperval.campaign import DayScenarios, day_scenarios, dry_run
 from hyperval.imagery import write_cube
 from hyperval.model import Origins, predict
 from hyperval.results import Cause
 from hyperval.run import Run, read_rows
 from hyperval.sensor import load_sensor
+from small_campaign import data_of, fill_in, write_yaml
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "radcalnet-sensor"
-VALUES = {
-    "collection.cube.unit": "uW cm-2 sr-1 nm-1",
-    "collection.calibration.relative": "0.02",
-    "atmosphere.view_zenith_deg": "3.0",
-    "atmosphere.view_azimuth_deg": "100.0",
-    "sensor": "hyspex-vnir-1600",
-}
+VALUES = data_of("radcalnet_sensor_values")
 GATES = ("median_difference_ratio_vnir", "p_value_shape")
 SENSOR = "hyspex-vnir-1600"
 GRID = np.arange(340.0, 1101.0, 5.0)
+TRANSFORM = Affine(30.0, 0.0, 640_000.0, 0.0, -30.0, 3_376_000.0)
 OVERPASSES = {"2020-06-08": 160, "2020-12-08": 343, "2021-06-08": 159, "2021-12-08": 342}
 
 
@@ -48,14 +45,13 @@ def terms(state, **_) -> AtmosphericTerms:
 
 def day_file(folder: Path, name: str, day: int) -> None:
     state = "P:\t869\nT:\t290\nWV:\t0.5\nO3:\t280\nAOD:\t0.1\nAng:\t0.5\n"
+    errors = "P:\t26\nT:\t8\nWV:\t0.05\nO3:\t28\nAOD:\t0.005\nAng:\t0.02\n"
     nm = range(400, 1001, 10)
+    values = "".join(f"{x}\t{0.2 + x / 1e4:.4f}\n" for x in nm)
+    spread = "".join(f"{x}\t0.006\n" for x in nm)
     (folder / f"{name}.input").write_text(
         f"Site:\tXXXX01\nLat:\t30.5\nLon:\t-109.5\nAlt:\t1270\n\nYear:\t{name[:4]}\nDOY(U):\t{day}\nUTC:\t18:30\n"
-        f"DOY(L):\t{day}\nLocal:\t11:30\n{state}Type:\tR\n"
-        + "".join(f"{x}\t{0.2 + x / 1e4:.4f}\n" for x in nm)
-        + "\n"
-        + "P:\t26\nT:\t8\nWV:\t0.05\nO3:\t28\nAOD:\t0.005\nAng:\t0.02\n"
-        + "".join(f"{x}\t0.006\n" for x in nm)
+        f"DOY(L):\t{day}\nLocal:\t11:30\n{state}Type:\tR\n{values}\n{errors}{spread}"
     )
 
 
@@ -69,18 +65,12 @@ def overpasses(tmp_path, monkeypatch):
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # the stand-in for the engine lives in this process
     monkeypatch.setattr("hyperval.model.world.atmospheric_terms", terms)
     campaign = shutil.copytree(FOLDER, tmp_path / "campaign") / "campaign.yaml"
-    (text, *_) = read_jobs(campaign)
-    for mark in text.to_fill_in:
-        name, _, number = mark.where.rpartition(":")
-        lines = Path(name).read_text().splitlines()
-        lines[int(number) - 1] = re.sub(r'"FILL_IN.*"', VALUES[mark.key], lines[int(number) - 1])
-        Path(name).write_text("\n".join(lines) + "\n")
-    runs = [
-        f'  - {{run: "{run}", day: "{run}", half_hour: "18:30", overpass: "{run}T18:40:00Z"}}' for run in OVERPASSES
+    fill_in(campaign, VALUES)
+    content = yaml.safe_load(campaign.read_text())
+    content["runs"] = [
+        {"run": run, "day": run, "half_hour": "18:30", "overpass": f"{run}T18:40:00Z"} for run in OVERPASSES
     ]
-    kept = [row for row in campaign.read_text().splitlines() if not row.startswith('  - {run: "2018')]
-    at = next(i for i, row in enumerate(kept) if row.startswith("runs:"))
-    campaign.write_text("\n".join([*kept[: at + 1], *runs, *kept[at + 1 :]]) + "\n")
+    write_yaml(campaign, content)
     rng = np.random.default_rng(5)
     for number, (run, day) in enumerate(OVERPASSES.items()):
         day_file(data / "radcalnet-portal", run, day)
@@ -91,19 +81,14 @@ def overpasses(tmp_path, monkeypatch):
         )
         truth = predict(scenario, Origins(axis=load_sensor(SENSOR).axis)).radiance["site"].mean
         pixels = np.nan_to_num(truth) * (1.0 + 0.02 * 0.5 * number + 0.002 * rng.standard_normal((24, 24, 1)))
-        place = {"transform": Affine(30.0, 0.0, 640_000.0, 0.0, -30.0, 3_376_000.0), "crs": CRS.from_epsg(32612)}
-        write_cube(
-            data / "radcalnet-sensor" / f"{run}.img", pixels, axis=load_sensor(SENSOR).axis, data_type=4, **place
-        )
-        corners = [place["transform"] @ xy for xy in ((4, 4), (20, 4), (20, 20), (4, 20), (4, 4))]
+        path, place = data / "radcalnet-sensor" / f"{run}.img", {"transform": TRANSFORM, "crs": CRS.from_epsg(32612)}
+        write_cube(path, pixels, axis=load_sensor(SENSOR).axis, data_type=4, **place)
+        corners = [TRANSFORM @ xy for xy in ((4, 4), (20, 4), (20, 20), (4, 20), (4, 4))]
         square = list(zip(*warp(place["crs"], "EPSG:4326", *zip(*corners, strict=True)), strict=True))
-        feature = {
-            "type": "Feature", "properties": {"name": "site"},
-            "geometry": {"type": "Polygon", "coordinates": [square]},
-        }  # fmt: skip
-        (data / "radcalnet-sensor" / f"{run}_site.geojson").write_text(
-            json.dumps({"type": "FeatureCollection", "features": [feature]})
-        )
+        shape = {"type": "Polygon", "coordinates": [square]}
+        features = [{"type": "Feature", "properties": {"name": "site"}, "geometry": shape}]
+        written = json.dumps({"type": "FeatureCollection", "features": features})
+        path.with_name(f"{run}_site.geojson").write_text(written)
     return campaign
 
 
@@ -139,8 +124,11 @@ def test_from_files_to_verdict_and_drift(overpasses, tmp_path, capsys):
     assert len(printed.out.strip().splitlines()) == 5
     assert printed.out.splitlines()[1].startswith("2020-06-08T18:40:00Z\tradcalnet-sensor-2020-06-08\t")
     assert re.search(r"changes by -0\.0(19|20)\d* in a year", printed.err)
-    assert cli.run(["-q", "drift", str(out), "--within", "-0.05", "0.05"]) == 0
-    assert cli.run(["-q", "drift", str(out), "--within", "-0.0195", "0.05"]) == 5
-    assert cli.run(["-q", "drift", str(out), "--metric", "bias"]) == 2
-    assert cli.run(["-q", "drift", str(tmp_path / "none")]) == 3
-    assert cli.run(["-q", "drift", str(out), "--within", "1", "0"]) == 2
+    for code, *words in (
+        (0, out, "--within", "-0.05", "0.05"),
+        (5, out, "--within", "-0.0195", "0.05"),
+        (2, out, "--metric", "bias"),
+        (3, tmp_path / "none"),
+        (2, out, "--within", "1", "0"),
+    ):
+        assert cli.run(["-q", "drift", *map(str, words)]) == code

@@ -55,20 +55,12 @@ def validate_and_die(paths: list[Path], out: Path, where: str) -> None:
     with pytest.MonkeyPatch.context() as patch:
         with_stand_in_atmosphere(patch)
         without_figures(patch)
-        if where == "in the second campaign":
-            patch.setattr(f"{RUN}.run_campaign", at_second)
-        elif where == "in the files of the second":
-            patch.setattr(f"{RUN}.write_outputs", half_written)
-        else:
-            patch.setattr(f"{RUN}.write_index", die)
+        deadly = {"run_campaign": at_second, "write_outputs": half_written, "write_index": die}
+        patch.setattr(f"{RUN}.{where}", deadly[where])
         validate(paths, out)
 
 
-KILLED_AND_RUN_AGAIN = {
-    "in the second campaign": ["other"],
-    "in the files of the second": ["other"],
-    "on the page of both": [],
-}
+KILLED_AND_RUN_AGAIN = {"run_campaign": ["other"], "write_outputs": ["other"], "write_index": []}
 
 
 def killed_at_each(folder: Path, paths: list[Path]) -> None:
@@ -111,15 +103,13 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ran: list[str] = []
 
     def run(job, **_):
-        log = InputLog(job.folder)
+        log, own = InputLog(job.folder), job.campaign
         for path in (job.path, *job.folder.rglob("small_rad.*")):
             log.add(path)
-        ran.append(job.campaign.name)
-        outcome = Outcome.SKIPPED if "nowhere" in job.campaign.title else Outcome.NONE
-        row = Result(job.campaign.name, "radiance", "grass", "predicted", "mean", 1.0, outcome=outcome)
-        provenance = {"inputs": log.entries(), "warnings": []}
-        own = job.campaign
-        return RunReport(own.name, own.title, "", own.simulated, ResultTable([row]), provenance=provenance)
+        ran.append(own.name)
+        outcome = Outcome.SKIPPED if "nowhere" in own.title else Outcome.NONE
+        table = ResultTable([Result(own.name, "radiance", "grass", "predicted", "mean", 1.0, outcome=outcome)])
+        return RunReport(own.name, own.title, "", own.simulated, table, provenance={"inputs": log.entries()})
 
     def write(run, folder):
         write_table(run.table, folder)
@@ -207,11 +197,10 @@ def test_a_single_campaign_is_taken_over_and_what_is_interrupted_goes_on(two, qu
     path, out = two[0], tmp_path / "out"
     code = validate([path], out)
     first = files_of(out)
-    quick.clear()
-    assert validate([path], out) == code
-    assert (quick, files_of(out)) == ([], first)
-    assert validate([path], out, "--again") == code
-    assert (quick, files_of(out)) == (["small"], first)
+    for more, ran in ([], []), (["--again"], ["small"]):
+        quick.clear()
+        assert validate([path], out, *more) == code
+        assert (quick, files_of(out)) == (ran, first)
     with monkeypatch.context() as patch:
         patch.setattr(f"{RUN}.write_index", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
         assert validate(two, tmp_path / "both") == 130

@@ -9,32 +9,11 @@ import pytest
 
 from hyperval.campaign import job_of, read_jobs
 from hyperval.errors import UsageError
+from small_campaign import DATA, data_of
 
 ROOT = Path(__file__).parents[2]
-GOOD = """\
-schema: 1
-name: lawn
-title: A lawn
-description: Two sites.
-collection:
-  spectra:
-    - {subject: lawn, path: lawn.txt}
-  bands: {path: bands.txt, wavelength_unit: nm}
-  calibration: {relative: 0.03}
-scenarios: [scenario.yaml]
-comparisons:
-  - product: radiance
-    subjects: [lawn]
-    metric: median_abs_difference_ratio_windows
-    at_most: 0.05
-    reason: enough
-"""
-
-
+GOOD = (DATA / "lawn.yaml").read_text()
 SPECTRA = GOOD[GOOD.index("  spectra:") : GOOD.index("scenarios:")]
-CUBE = "  cube: {path: a.img, quantity: reflectance}\n"
-BY_NUMBER = "  cube: {path: a.img, quantity: reflectance, by_number: true}\n"
-TARGETS = "targets: [{name: a, material: b, spectrum: {constant: 0.3}}]"
 
 
 def load(tmp_path: Path, *replacements: tuple[str, str]):
@@ -58,32 +37,10 @@ def test_the_campaigns_of_the_project_are_valid(path):
         assert campaign.assumptions
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "message"),
-    [
-        ("  bands: {path: bands.txt, wavelength_unit: nm}\n", "", 5, "spectra need 'bands'"),
-        ("  calibration", f"{CUBE}  calibration", 5, "exactly one of cube, spectra"),
-        ("{relative: 0.03}", "{}", 9, "give exactly one of relative, file"),
-        ("name: lawn", "name: ../lawn", 2, "a name of small letters, digits and hyphens"),
-        ("    at_most: 0.05", "    at_most: 5", 12, "100 % or more"),
-        ("    at_most: 0.05\n", "", 12, "a limit is missing"),
-        ("    reason: enough\n", "", 12, "reason: Field required"),
-        ("product: radiance", "product: radience", 12, "Input should be 'radiance'"),
-        ("scenarios:", f"detection:\n  {TARGETS}\nscenarios:", 1, "detection needs a cube"),
-        (SPECTRA, CUBE.replace("reflectance", "radiance"), 5, "the unit of the radiance is not stated"),
-        (SPECTRA, CUBE + "  simulate: scene.yaml\n", 1, "says 'simulated: true'"),
-        ("  calibration", "  simulate: scene.yaml\n  calibration", 5, "a simulated collection is a cube"),
-        (SPECTRA, BY_NUMBER.replace("reflectance", "radiance"), 6, "no wavelength is known"),
-        (SPECTRA, BY_NUMBER.replace("by_n", "wavelength_unit: nm, by_n"), 6, "no wavelength is known"),
-        (SPECTRA, f"{BY_NUMBER}detection: {{{TARGETS}, bands: windows}}\n", 1, "no windows of the atmosphere"),
-        ("[scenario.yaml]", "[{scenario: day.yaml}]", 10, r"scenarios\.0\.radcalnet: Field required"),
-        ("[scenario.yaml]", "[{name: i, scene: {classes: [{name: a, fraction: 1, spectrum: {constnt: 0.3}}]}}]", 10,
-         r"constnt: unknown key; did you mean 'constant'\?"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("old", "new", "line", "message"), data_of("lawn_mistakes"))
 def test_each_mistake_is_named_with_its_line_and_nothing_else(tmp_path, old, new, line, message):
     with pytest.raises(UsageError, match=message) as caught:
-        load(tmp_path, (old, new))
+        load(tmp_path, (SPECTRA if old == "SPECTRA" else old, new))
     assert f"campaign.yaml:{line}:" in str(caught.value)
     assert caught.value.exit_code == 2
     # Of a scenario alone: neither of a day that it is not, nor keys that a scenario has as unknown.

@@ -12,18 +12,10 @@ import pytest
 
 from hyperval import api, cli
 from hyperval.results import Cause, Outcome
-from small_campaign import (
-    ATMOSPHERE,
-    CENTRES_NM,
-    sensor_data,
-    with_stand_in_atmosphere,
-    without_figures,
-    write_yaml,
-)
+from small_campaign import CENTRES_NM, data_of, sensor_data, with_stand_in_atmosphere, without_figures, write_yaml
 
-SITES = {"dark": 0.05, "grey": 0.18, "light": 0.35, "bright": 0.6}
+SITES = ("dark", "grey", "light", "bright")
 WIDTH_NM = 10.0
-LEVEL = "median_difference_ratio_windows"
 
 
 class Sites:
@@ -31,38 +23,13 @@ class Sites:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self.scenario: dict[str, Any] = {
-            "schema": 1,
-            "name": "sites",
-            "atmosphere": ATMOSPHERE,
-            "sensor": "sensor.yaml",
-            "scene": {
-                "classes": [{"name": "around", "fraction": 1.0, "spectrum": {"constant": 0.2}}],
-                "sites": [{"name": name, "spectrum": {"constant": value}} for name, value in SITES.items()],
-                "adjacency": {"effective_neighbours": None},
-            },
-            "processing": {"elm": "none", "detectors": []},
-        }
-        self.campaign: dict[str, Any] = {
-            "schema": 1,
-            "name": "sites",
-            "title": "Four sites",
-            "description": "For tests.",
-            "collection": {
-                "spectra": [{"subject": name, "path": f"{name}.txt"} for name in SITES],
-                "bands": {"path": "bands.txt", "wavelength_unit": "nm", "centre_column": 1, "fwhm_column": 2},
-            },
-            "scenarios": ["scenario.yaml"],
-            "comparisons": [{"product": "radiance", "subjects": [*SITES], "metric": LEVEL, "within": [-0.05, 0.05],
-                             "reason": "5 % is enough"}],
-            "attribution": {"each": ["*"], "totals": False},
-        }  # fmt: skip
+        self.campaign = data_of("sites")
 
     def written(self, error: Any, **calibration: float) -> Path:
         """The campaign file; ``error``: relative, of each site and band; ``calibration``: as stated."""
         rows = [f"{i} {nm} {WIDTH_NM}" for i, nm in enumerate(CENTRES_NM)]
         (self.folder / "bands.txt").write_text("\n".join(rows))
-        write_yaml(self.folder / "scenario.yaml", self.scenario)
+        write_yaml(self.folder / "scenario.yaml", data_of("sites_scenario"))
         write_yaml(self.folder / "sensor.yaml", sensor_data())
         self.campaign["collection"]["calibration"] = {"relative": 1e-6, **calibration}
         for name in SITES:  # bands that any radiance gives: the prediction is made in them
