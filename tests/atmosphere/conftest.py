@@ -29,12 +29,10 @@ def terms_of(engine_cache):
 
 
 @pytest.fixture
-def solver_at(
-    engine_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., Callable[[AtmosphericState], AtmosphericTerms]]:
+def solver_at(engine_cache: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Callable[..., AtmosphericTerms]]:
     """Terms by a solver that runs at the given wavelengths alone [nm]."""
 
-    def run_at(*nodes_nm: float) -> Callable[[AtmosphericState], AtmosphericTerms]:
+    def run_at(*nodes_nm: float) -> Callable[..., AtmosphericTerms]:
         run_solver_at(monkeypatch, *nodes_nm)
         return partial(atmospheric_terms, cache_dir=engine_cache, show_progress=False)
 
