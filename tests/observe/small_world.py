@@ -31,26 +31,7 @@ UNIT = {"quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"}
 SURFACES = {"lawn": BACKGROUND, "turf": TARGET, "sand": np.linspace(0.35, 0.55, BANDS)}
 FIELD_GAIN, PATH = np.linspace(60.0, 8.0, BANDS), np.linspace(3.0, 0.02, BANDS)
 WAVES = "wavelength units = Micrometers\nwavelength = {0.45, 0.55, 0.65, 0.80, 1.00}\n"
-DIRSIG = """schema: 1
-name: dirsig
-title: "DIRSIG"
-description: "d"
-simulated: dirsig
-collection:
-  cube: {path: scene.img, quantity: radiance, unit: W cm-2 sr-1 um-1}
-  regions:
-    - {file: truth.img, band: "material*", classes: {grass: 3, asphalt: 12}}
-  targets:
-    abundances: {image: truth.img, materials: {panel: "*abundance*panel*"}}
-    pixel_size_m: 2.0
-  empirical_line:
-    intercept: false
-    panels: [{region: asphalt, spectrum: {constant: 0.1}}]
-detection:
-  targets: [{name: panel, material: panel, spectrum: {constant: 0.6}}]
-  detectors: [matched-filter]
-  bands: all
-"""
+DIRSIG = (Path(__file__).parent / "dirsig.yaml").read_text("utf-8")
 
 
 def background_spread() -> np.ndarray:

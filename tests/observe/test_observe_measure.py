@@ -115,15 +115,6 @@ def test_tails_of_a_region(make_field, dof):
     assert np.all(np.diff(found.exceedance) <= 0)
 
 
-def test_pixels_without_correlation_are_all_independent_in_an_image_of_several_windows(make_field):
-    # Windows that lie over each other counted their pairs of pixels twice and more: a seventh was lost here.
-    world = make_field(shape=(110, 90))
-    world.collection["regions"].append({"name": "few", "rectangle": [0, 0, 10, 10]})
-    found = world.observe().observation.distribution
-    assert set(found) == {"all"}  # small regions have no tails
-    assert found["all"].effective_n == pytest.approx(np.full(found["all"].effective_n.size, 9900.0), rel=0.03)
-
-
 @pytest.mark.parametrize("background", [["scene"], ["ground"]])
 def test_regions_that_are_left_out_are_left_out_of_every_population(world, background):
     world.regions({"name": "ground", "whole_image": True}, **{"bright roof": [40, 30, 3, 3]})
@@ -193,18 +184,6 @@ def mixed(*mixtures: int | str, region: str = "all") -> Scenario:
         {"name": f"class {i}", "fraction": 1.0 / len(mixtures), "spectrum": {"measured": region}, "mixture": m}
         for i, m in enumerate(mixtures)
     ])  # fmt: skip
-
-
-def test_clusters_of_a_region_without_the_pixels_that_hold_no_data(clusters):
-    # 720 and 2,880 pixels: means are known to 4 % of a standard deviation, and drawn as such; five of these.
-    values, patch = clustered()
-    values[2:4, 50] = 0.0
-    clusters.write(values)
-    parts = clusters.observe().laws().statistics(mixed("auto"))["all"].components
-    few, many = np.argsort(parts.weights)
-    assert parts.weights[[few, many]] == pytest.approx([patch.mean(), 1.0 - patch.mean()], abs=0.01)
-    sd = np.sqrt(np.diag(background_spread()))
-    assert np.all(np.abs(parts.offsets[few] - parts.offsets[many] - AWAY) < 0.2 * sd)
 
 
 def test_what_a_scenario_asks_for_is_fitted_once_or_refused_by_name(clusters):

@@ -51,17 +51,13 @@ def test_impossible_counts_are_refused(limits, k, n, level):
         limits(k, n, level)
 
 
-def test_jeffreys_limits_hold_at_their_level_on_average_and_clopper_pearson_s_above_it():
+def test_jeffreys_limits_hold_at_their_level_on_average():
     """Summed over the binomial law, for P_FA of 3e-4 to 3e-3 in 44,100 pixels: no draws."""
     n = 44_100
     k = np.arange(0, 400)
-    share = {}
-    for name, limits in (("jeffreys", jeffreys_limits), ("exact", clopper_pearson)):
-        low, high = limits(k, n)
-        covered = [float(stats.binom.pmf(k, n, p) @ ((low <= p) & (p <= high))) for p in np.geomspace(3e-4, 3e-3, 200)]
-        share[name] = float(np.mean(covered))
-    assert share["jeffreys"] == pytest.approx(0.95, abs=0.002)
-    assert share["exact"] > 0.958
+    low, high = jeffreys_limits(k, n)
+    covered = [stats.binom.pmf(k, n, p) @ ((low <= p) & (p <= high)) for p in np.geomspace(3e-4, 3e-3, 200)]
+    assert np.mean(covered) == pytest.approx(0.95, abs=0.002)
     assert jeffreys_limits(0, n)[0] == 0.0
     assert jeffreys_limits(n, n)[1] == 1.0
     counts, p = np.array([0.0, 0.4, 2.5, 40.0, 79.6, 80.0])[:, None], np.linspace(0.0, 1.0, 99)
@@ -101,24 +97,6 @@ def test_alarms_at_a_detection_hold_the_truth_where_they_come_in_clusters():
             held[i] += found.pfa_lower <= truth <= found.pfa_upper
     assert held[0] >= 134, held
     assert held[1] < 115, held
-
-
-def test_the_layout_of_classes_leaves_detection_its_interval():
-    # Half of the image 2.5 standard deviations above the other: P_D of 100 targets at 1e-3.  The threshold adds a
-    # tenth to the binomial's width, as in one class; blocks that take the layout for chance make it twice as wide.
-    rng = np.random.default_rng(10)
-    upper = np.indices((210, 210))[0] < 105
-    with_classes, without = [], []
-    for _ in range(6):
-        scores = rng.standard_normal(upper.shape) + 2.5 * upper
-        t = rng.normal(norm.isf(2e-3) + 2.5, 1.0, 100)
-        for classes, widths in ((upper, with_classes), (None, without)):
-            blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool), classes=classes)
-            rate = empirical_roc(t, blocks, 1e-3)
-            low, high = mid_p_limits(round(100 * rate.pd[0]), 100)
-            widths.append((rate.pd_upper - rate.pd_lower)[0] / (high - low))
-    assert np.median(with_classes) < 1.3
-    assert np.median(without) > 1.6
 
 
 def test_a_class_that_lies_in_one_block_counts_with_the_others():

@@ -130,16 +130,3 @@ def curve(*pfa):
 def test_what_has_no_answer_is_refused(call, words):
     with pytest.raises(UsageError, match=words):
         call()
-
-
-def test_a_darkest_pixel_may_lie_below_nought_by_noise_and_a_gain_may_be_known_to_a_fifth():
-    assert darkest_pixel_panel([-0.29], [0.01]).radiance == pytest.approx([-0.29])
-    # Two panels half apart: u(k) = sqrt(2 var)/0.5.
-    for share, refused in ((0.19, False), (0.21, True)):
-        variance = (share * 10.0 * 0.5) ** 2 / 2
-        made = [MeasuredPanel(str(r), [r], [0.0], [10.0 * r], [variance]) for r in (0.1, 0.6)]
-        if refused:
-            with pytest.raises(UsageError, match="below 5 times"):
-                fit_elm(made)
-        else:
-            assert fit_elm(made).gain == pytest.approx([10.0])

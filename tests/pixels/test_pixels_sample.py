@@ -13,7 +13,6 @@ from hyperval.pixels import (
     SamplingBand,
     components,
     covariance_distance,
-    drawn_factor,
     factor_covariance,
     full_rank,
     independent_pixels,
@@ -25,7 +24,6 @@ from hyperval.pixels import (
     principal_angles_deg,
     sampling_band,
     small_sample_factor,
-    statistics_of_factor,
 )
 from hyperval.products import EstimatedPart
 from hyperval.simulate import correlated_field
@@ -63,30 +61,6 @@ def test_drawn_eigenvalues_are_those_of_samples_of_pixels(n):
         assert stats.ks_2samp(band.eigenvalues[:, k], truth[:, k]).pvalue > 1e-3
 
 
-@pytest.mark.parametrize("dof", [12.0, 30.0])
-def test_heavy_tails_widen_the_band_as_pixels_do(dof):
-    n = 2000
-    truth = sample_eigenvalues(n, 400, dof)[:, 0]
-    kappa = kurtosis_parameter(dof)
-    band = sampling_band(
-        EigenDirections.of(sigma()), n - 1.0, 1, (), np.random.default_rng(4), kurtosis=kappa, draws=400
-    )
-    # A standard deviation of 400 draws is known to 3.5 %; of heavy-tailed ones to perhaps 6 %: four of these.
-    drawn = band.eigenvalues[:, 0]
-    assert drawn.std() == pytest.approx(truth.std(), rel=0.25)
-    assert drawn.std() / VALUES[0] == pytest.approx(np.sqrt((2 + 3 * kappa) / n), rel=0.2)  # Waternaux 1976
-
-
-def test_fewer_independent_pixels_along_one_direction_widen_it_alone():
-    n = np.full(P, 10_000.0)
-    n[0] = 400.0
-    rng = np.random.default_rng(5)
-    draws = np.array([np.sum(drawn_factor(P, n, rng) ** 2, axis=1) for _ in range(800)])
-    # Relative sd sqrt(2/n); a standard deviation of 800 draws is known to 2.5 %: four of these.
-    assert draws.std(axis=0) == pytest.approx(np.sqrt(2.0 / n), rel=0.1)
-    assert draws.mean(axis=0) == pytest.approx(np.ones(P), abs=0.02)
-
-
 def test_covariance_distance_is_bhattacharyya_without_a_difference_of_means():
     other = np.cov(pixels(40, np.random.default_rng(9)).T)
     directions = EigenDirections.of(sigma())
@@ -100,20 +74,6 @@ def test_principal_angle_of_a_turned_plane():
     a = np.radians(25.0)
     turned = np.array([[np.cos(a), 0.0], [0.0, 1.0]])
     assert principal_angles_deg([turned, np.eye(2)], (1, 2)) == pytest.approx(np.array([[25.0, 25.0], [0.0, 0.0]]))
-
-
-@pytest.mark.parametrize("n", [5.0, 40.0])
-def test_statistics_of_a_factor_are_those_of_its_covariance(n):
-    directions = EigenDirections.of(sigma())
-    factor = drawn_factor(P, n, np.random.default_rng(12))
-    found = statistics_of_factor(directions, factor, 4, 3, full_rank=n > P)
-    covariance = np.diag(np.sqrt(VALUES)) @ factor @ factor.T @ np.diag(np.sqrt(VALUES))
-    values, vectors = np.linalg.eigh(covariance)
-    assert found.eigenvalues == pytest.approx(values[::-1][:4], rel=1e-10)
-    assert found.total == pytest.approx(np.trace(covariance), rel=1e-12)
-    assert np.abs(found.overlap) == pytest.approx(np.abs(vectors[:3, :-4:-1]), abs=1e-10)
-    wanted = bhattacharyya_distance(np.zeros(P), np.diag(VALUES), np.zeros(P), covariance) if n > P else np.nan
-    assert found.distance == pytest.approx(wanted, rel=1e-9, nan_ok=True)
 
 
 BANDS = 80
