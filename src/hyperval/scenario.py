@@ -456,11 +456,6 @@ class Adjacency(Model):
         "null: the average of the classes (3.8)",
     )
 
-    @property
-    def kappa(self) -> float:
-        """1 / N_eff of (3.11)."""
-        return 1.0 / self.effective_neighbours if self.effective_neighbours else 0.0
-
 
 class Scene(Model):
     """What lies on the ground."""

@@ -31,60 +31,8 @@ EQUAL = 1e-9  # relative
 FLOOR = {"pd": 1e-12, "threshold": 1e-12, "score mean": 1e-12}
 AXIS = SpectralAxis(np.array([450.0, 490, 550, 600, 670, 745, 865, 1050, 1240, 1650, 2130, 2250]), np.full(12, 10.0))
 
-SCENARIO = """
-schema: 1
-name: paths
-atmosphere: {engine: table, table: sky.nc, aot550: 0.2, water_vapour_g_cm2: 2.0, ozone_atm_cm: 0.3,
-             sensor_altitude_km: 1, solar_zenith_deg: 35, solar_azimuth_deg: 180, day_of_year: 210}
-sensor: sensor.yaml
-sensor_changes: {calibration_error_percent: 0.7, signal_factor: 1.1, fixed_noise_factor: 1.2, bits: 12}
-sensor_operation: {frames_averaged: 2, spatial_binning: [2, 1], wavelength_shift_nm: 0.5}
-scene:
-  classes:
-    - {name: asphalt, fraction: 0.5, gain: 1.2, spectrum: {builtin: asphalt}}
-    - {name: grass, fraction: 0.3, spectrum: {builtin: grass}}
-    - {name: soil, fraction: 0.2, spectrum: {constant: 0.25},
-       covariance: {relative_sd: 0.1, correlation_nm: 200, band_sd: 0.01}}
-  panels: [{name: panel, spectrum: {constant: 0.4}}]
-  targets:
-    - name: plank
-      spectrum: {builtin: yellow-paint-plank}
-      host: asphalt
-      gain: 1.1
-      illumination: {beam: 0.8, sky_view: 0.9}
-      subjects:
-        - {name: small, fill: {fixed: 0.05}}
-        - {name: loose, fill: {mean: 0.1, sd: 0.03}}
-    - name: wide
-      spectrum: {constant: 0.5}
-      covariance: {relative_sd: 0.05}
-      host: soil
-      fill: {geometry: {side_m: 0.5, gsd_m: 1.5, psf_fwhm_pixels: 0.8, phase: centred, pixels: ranked, n: 3}}
-processing: {detectors: [cem], bands: {drop_bad: false}, false_alarm_grid: {lowest: 1.0e-6, per_decade: 2}}
-"""
-NO_LIGHT = {
-    "atmosphere": None, "sensor_changes": None, "sensor_operation": None, "scene.targets.plank.illumination": None
-}  # fmt: skip
-MIXTURE = {"spectrum": {"library": "classes.nc", "record": "field"}, "mixture": "auto"}
-TAILS = {"scene.classes.grass.tail_dof": 9.0, "scene.classes.asphalt.tail_dof": 4.0}
-WIDE = {
-    "name": "wide", "spectrum": {"constant": 0.5}, "covariance": {"relative_sd": 0.05}, "host": "asphalt",
-    "fill": {"fixed": 0.1},
-}  # fmt: skip
-VARIANTS: dict[str, dict[str, Any]] = {
-    "base": {},
-    "thesis": {"formulation": "thesis"},
-    "tails": TAILS,
-    "mixtures": {f"scene.classes.soil.{k}": v for k, v in MIXTURE.items()}
-    | {"scene.classes.soil.covariance": None, **TAILS},
-    "reflectance domain": NO_LIGHT,
-    "radiance domain": {"processing.elm": "none", "processing.detectors": ["cem", "cem-correlation", "smf"]},
-    "PCA": {"processing.features": {"pca": 5}, "processing.detectors": ["cem", "cem-correlation"]},
-    "correlation CEM": {"processing.detectors": ["cem-correlation"]},
-    "darkest pixel": {"processing.elm": {"darkest_pixel": 10_000}},
-    "stated surroundings": {"scene.adjacency": {"effective_neighbours": 50, "spectrum": {"constant": 0.2}}},
-    "ACE": {"processing.detectors": ["ace"], "processing.samples": 100, "scene.targets": [WIDE], **TAILS},
-}
+SCENARIO = Path(__file__).with_name("paths.yaml").read_text()
+VARIANTS: dict[str, dict[str, Any]] = yaml.safe_load(Path(__file__).with_name("variants.yaml").read_text())
 SPECTRAL = [
     {"name": f"{kind}/{s}/{nm:.0f}", "kind": kind, "subject": s, "band_nm": nm}
     for kind in ("radiance", "snr")

@@ -1,33 +1,46 @@
-"""ROC of the model: thresholds, areas and readings by other routes; the printed procedure; limits."""
+"""ROC of the model: thresholds, areas and readings by other routes; limits of curves; errors of fitted laws; ACE."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import integrate, stats
-from scipy.optimize import brentq
-from scipy.stats import norm, t
-from score_classes import classes, roc_of, thresholds
+from scipy.special import ndtr, ndtri
+from scipy.stats import norm
+from score_classes import classes, roc_of
 
-from hyperval.compare import compare_roc
-from hyperval.errors import UsageError
-from hyperval.model import ClassScores, RocScores, detection_at, false_alarm_grid, log_false_alarm, thresholds_at
-from hyperval.products import RocCurve
-
-
-def curve(target: RocScores, pfa=None) -> np.ndarray:
-    return target.detection(np.atleast_2d(false_alarm_grid() if pfa is None else np.asarray(pfa, dtype=float)))[0]
+from hyperval.data import ClassStatistics
+from hyperval.model import (
+    ClassScores,
+    Exceedance,
+    Origins,
+    RocScores,
+    ace_exceedance,
+    ace_space,
+    ace_threshold,
+    detection_at,
+    exceedance_at,
+    false_alarm_grid,
+    log_false_alarm,
+    predict,
+    thresholds_at,
+    with_bands,
+    with_law_limits,
+)
+from hyperval.pixels import moments_without_each
+from hyperval.products import ExceedanceCurve, RocCurve
+from hyperval.scenario import load_scenario
+from hyperval.spectra import SpectralAxis
 
 
 def test_a_target_like_its_background_is_on_the_diagonal():
-    assert curve(roc_of(0.2, 0.3, 1.0, classes((1.0, 0.2, 0.3)))) == pytest.approx(false_alarm_grid(), rel=1e-6)
-
-
-def test_no_background():
-    with pytest.raises(UsageError, match="no background class"):
-        thresholds([1e-3], classes((0.0, 0.0, 1.0)))
+    pfa, alike = false_alarm_grid(), roc_of(0.2, 0.3, 1.0, classes((1.0, 0.2, 0.3)))
+    assert alike.detection(pfa[None])[0] == pytest.approx(pfa, rel=1e-6)
 
 
 def binormal(pfa: np.ndarray, d: float = 2.5) -> RocCurve:
@@ -60,16 +73,8 @@ def test_steps_of_a_measured_curve_that_have_no_probit():
     assert np.isnan(detection_at(one, 1e-3))
 
 
-def test_comparison_reads_the_curve_in_the_same_way():
-    curve, fine = binormal(10.0 ** np.array([-4.0, -2.5, -1.0])), binormal(np.logspace(-4, -1, 31))
-    rows = {r.metric: r.value for r in compare_roc(curve, fine, subject="s", method="m")}
-    assert rows["pd_predicted@1e-2"] == pytest.approx(float(detection_at(curve, 1e-2)), abs=1e-12)
-
-
 # Two classes, one with a tail, and targets of two fills.
 FRACTION, MEAN, SD, DOF = (0.7, 0.3), (0.0, 0.1), (0.05, 0.08), (np.inf, 5.0)
-
-
 MEANS, SDS, WEIGHTS = (0.15, 0.3), (0.04, 0.06), (0.4, 0.6)
 
 
@@ -83,12 +88,6 @@ def scores(fills=slice(None), classes=slice(None)):
     background = ClassScores(*(np.array([np.array(a)[classes]]) for a in (FRACTION, MEAN, SD, DOF)))
     target = (np.array([np.array(a)[fills]]) for a in (MEANS, SDS, WEIGHTS))
     return RocScores(background, np.zeros(1, int), *target)
-
-
-def test_the_area_of_two_gaussians_is_the_closed_form():
-    one = scores(slice(1, 2), slice(0, 1))
-    expected = FRACTION[0] * WEIGHTS[1] * stats.norm.cdf((0.3 - 0.0) / np.hypot(0.06, 0.05))
-    assert one.auc() == pytest.approx([expected], rel=1e-12)
 
 
 def test_the_area_is_the_integral_over_background_and_target():
@@ -128,33 +127,6 @@ def test_evaluations_without_scores_have_no_threshold():
     assert np.isnan(made.thresholds(np.array([[0.0, 0.1], [0.1, 1.1]]))).all()
 
 
-def random_scores(rng: np.random.Generator, rows: int, tails: bool) -> ClassScores:
-    fraction = rng.dirichlet(np.ones(4), rows)
-    fraction[::5, 2] = 0.0
-    fraction /= fraction.sum(axis=1, keepdims=True)
-    dof = np.where(rng.random((rows, 4)) < 0.5, rng.uniform(2.1, 40.0, (rows, 4)), np.inf)
-    mean, sd = rng.normal(0.0, 0.02, (rows, 4)), rng.uniform(0.004, 0.05, (rows, 4))
-    return ClassScores(fraction, mean, sd, dof if tails else np.full((rows, 4), np.inf))
-
-
-@pytest.mark.parametrize("tails", [False, True])
-def test_thresholds_by_a_root_finder_on_the_plain_sum(tails):
-    scores = random_scores(np.random.default_rng(0), 12, tails)
-    pfa = false_alarm_grid(1e-9, 4)
-    found = thresholds_at(np.broadcast_to(pfa, (12, pfa.size)), scores)
-    for r in range(12):
-        laws = [
-            (f, norm(m, s) if np.isinf(d) else t(d, m, s * np.sqrt((d - 2.0) / d)))
-            for f, m, s, d in zip(*(a[r] for a in vars(scores).values()), strict=True)
-        ]
-
-        def excess(x: float, p: float, laws: list[tuple[float, Any]] = laws) -> float:
-            return float(np.log(sum(f * law.sf(x) for f, law in laws) + 1e-300) - np.log(p))
-
-        for p, x in zip(pfa[::6], found[r, ::6], strict=True):
-            assert x == pytest.approx(brentq(excess, -2.0, x + 1.0, args=(p,), xtol=1e-13), abs=1e-9)
-
-
 def test_thresholds_beside_a_class_that_hardly_varies():
     """A narrow class of a millionth of the area puts a small step into a smooth tail."""
     rows = [[1.0 - 1e-6, 1e-6], [0.0, 0.05], [0.02, 1e-9], [np.inf, np.inf]]
@@ -164,3 +136,149 @@ def test_thresholds_beside_a_class_that_hardly_varies():
     x = thresholds_at(pfa[None], scores)[0]
     value, _ = log_false_alarm(x, scores.rows(np.zeros(x.size, int)))
     np.testing.assert_allclose(value, np.log(pfa), rtol=0, atol=1e-11)
+
+
+# Limits of curves whose inputs move them.
+ROC = ("s", "cem", "pixel")
+GRID = np.logspace(-9, -0.01, 60)
+
+
+def straight(d: float = 3.0) -> RocCurve:
+    pd = ndtr(d + ndtri(GRID))
+    return RocCurve(GRID, pd, pd, pd, -ndtri(GRID))
+
+
+def limits(base: RocCurve, changes) -> tuple[np.ndarray, np.ndarray]:
+    up, down = (np.array([pair[i] for pair in changes]) for i in (0, 1))
+    found = with_bands({ROC: base}, {ROC: (up, down)})[ROC]
+    return found.pd_lower, found.pd_upper
+
+
+def test_one_input_that_shifts_the_curve_gives_its_own_interval():
+    """2048 evenly spread draws of one number: limits to 1 % of the half width."""
+    low, high = limits(straight(), [(np.full(60, 0.3), np.full(60, -0.3))])
+    z = 3.0 + ndtri(GRID)
+    assert ndtri(high) - z == pytest.approx(1.96 * 0.3, rel=0.01)
+    assert z - ndtri(low) == pytest.approx(1.96 * 0.3, rel=0.01)
+
+
+def test_a_change_that_one_side_alone_makes_widens_that_side_alone():
+    """An input that can only hurt; 2048 draws know its limits to half a per cent."""
+    low, high = limits(straight(), [(np.zeros(60), np.full(60, -0.5))])
+    z = 3.0 + ndtri(GRID)
+    assert ndtri(high) == pytest.approx(z, abs=0.005)
+    assert z - ndtri(low) == pytest.approx(1.96 * 0.5, abs=0.005)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30)
+def test_limits_rise_and_hold_the_curve(seed):
+    rng = np.random.default_rng(seed)
+    base = straight(float(rng.uniform(0, 6)))
+    changes = [tuple(rng.normal(0, 2, 2)[:, None] * rng.normal(0, 1, 60).cumsum() / 8) for _ in range(3)]
+    low, high = limits(base, changes)
+    assert np.all(np.diff(low) >= 0)
+    assert np.all(np.diff(high) >= 0)
+    assert np.all(low <= base.pd)
+    assert np.all(high >= base.pd)
+
+
+# Errors of a law that was fitted to pixels.
+BANDS, PIXELS = 6, 3200
+AXIS = SpectralAxis(np.linspace(450.0, 850.0, BANDS), np.full(BANDS, 10.0))
+WIDE = 2.131449545559323 / 1.959963984540054  # t of 15 degrees of freedom
+KEY = ("panel", "cem")
+LAW = load_scenario(Path(__file__).with_name("law.yaml"))
+
+
+@pytest.fixture(scope="module")
+def origins():
+    rng = np.random.default_rng(8)
+    root = 0.03 * np.tril(np.ones((BANDS, BANDS))) * np.linspace(1.0, 0.4, BANDS)
+    pixels = 0.3 + rng.normal(size=(PIXELS, BANDS)) @ root.T
+    part = np.repeat(np.arange(16), PIXELS // 16)
+    whole = ClassStatistics("field", AXIS, pixels.mean(axis=0), np.cov(pixels.T), PIXELS)
+    without = [replace(whole, mean=m, covariance=c) for m, c in moments_without_each(pixels, part)]
+    return Origins(AXIS, {"field": whole}, left_out=lambda: [("field", without)])
+
+
+def test_independent_pixels_have_the_error_of_the_delta_method(origins):
+    """ln P_FA of a normal law at z: (phi/P)^2 (1 + z^2/2)/n; 16 parts know a variance to 37 %."""
+    curve = predict(LAW, origins).exceedance[KEY]
+    for level in (1e-1, 1e-2, 1e-3):
+        at = int(np.argmin(np.abs(np.log(curve.probability / level))))
+        z = norm.isf(curve.probability[at])
+        expected = norm.pdf(z) / curve.probability[at] * np.sqrt((1.0 + z**2 / 2.0) / PIXELS)
+        sd = np.log(curve.upper[at] / curve.lower[at]) / 2.0 / 1.96 / WIDE
+        assert sd == pytest.approx(expected, rel=0.55)  # three standard errors of the root
+
+
+def test_detection_at_a_false_alarm_rate_has_it_too(origins):
+    """P_D at a P_FA moves by the change of ln P_FA at the threshold, times the slope of the curve over ln P_FA."""
+    prediction = predict(LAW, origins)
+    curve, alarms = prediction.roc[("panel", "cem", "pixel")], prediction.exceedance[KEY]
+    at = int(np.argmin(np.abs(curve.pd - 0.9)))
+    assert alarms.probability[::-1] == pytest.approx(curve.pfa)
+    error = np.log(alarms.upper / alarms.probability)[::-1][at]
+    slope = np.gradient(curve.pd, np.log(curve.pfa))[at]
+    assert 0.5 * (curve.pd_upper - curve.pd_lower)[at] == pytest.approx(error * slope, rel=0.15)
+    stated = predict(LAW, replace(origins, left_out=None))
+    plain = stated.roc[("panel", "cem", "pixel")]
+    np.testing.assert_array_equal(plain.pd, curve.pd)  # values stay
+    np.testing.assert_array_equal(plain.pd_lower, plain.pd)
+    np.testing.assert_array_equal(stated.exceedance[KEY].upper, stated.exceedance[KEY].probability)
+
+
+def test_what_a_law_does_not_say_far_out_stays_there():
+    """Where P_FA of 1e-6 is known to a factor of a million, P_D at 1e-2 has the limits of P_FA at 1e-2."""
+    pfa = np.logspace(-6, -0.01, 60)
+    pd = ndtr(2.0 + ndtri(pfa))
+    curve = RocCurve(pfa, pd, pd, pd, -ndtri(pfa))
+    half = np.log(1.1) * np.maximum(np.log(pfa) / np.log(1e-2), 0.1) ** 6
+    alarms = ExceedanceCurve(-ndtri(pfa)[::-1], pfa[::-1], *((pfa * np.exp(s * half))[::-1] for s in (-1, 1)))
+    limits = with_law_limits(curve, alarms)
+    assert np.all(np.diff(limits.pd_lower) >= 0)
+    assert np.all(np.diff(limits.pd_upper) >= 0)
+    at = int(np.argmin(np.abs(pfa - 1e-2)))
+    for limit, factor in ((limits.pd_lower, 1.0 / 1.1), (limits.pd_upper, 1.1)):
+        expected = ndtr(2.0 + ndtri(pfa[at] * factor ** ((np.log(pfa[at]) / np.log(1e-2)) ** 6)))
+        assert limit[at] == pytest.approx(expected, rel=0.02)
+    own = replace(curve, pd_lower=ndtr(ndtri(pd) - 0.3), pd_upper=ndtr(ndtri(pd) + 0.4))
+    both = with_law_limits(own, alarms)
+    z = ndtri(pd[at])
+    assert ndtri(both.pd_upper[at]) - z == pytest.approx(np.hypot(0.4, ndtri(limits.pd_upper[at]) - z), rel=1e-6)
+    assert z - ndtri(both.pd_lower[at]) == pytest.approx(np.hypot(0.3, z - ndtri(limits.pd_lower[at])), rel=1e-6)
+
+
+# ACE on statistics.
+
+
+@pytest.fixture(scope="module")
+def space():
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(BANDS, 3 * BANDS))
+    covariance = a @ a.T / (3 * BANDS)
+    mean = rng.normal(size=BANDS)
+    return ace_space(mean + rng.normal(size=BANDS), mean, covariance), mean, covariance
+
+
+def test_stated_error_is_the_scatter_of_repetition(space):
+    # 60 repetitions know a standard deviation to 9 %; four of that are allowed.
+    of, mean, covariance = space
+    far = mean + np.linspace(0.5, 2.0, BANDS)
+    runs = [ace_exceedance(of, far, covariance, 500, np.random.default_rng(k), scores=[0.2, 0.6]) for k in range(60)]
+    scatter = np.std([r.probability for r in runs], axis=0, ddof=1)
+    assert np.mean([r.standard_error for r in runs], axis=0) == pytest.approx(scatter, rel=0.37)
+
+
+def test_threshold_and_exceedance_are_inverse():
+    law = stats.beta(0.5, 3.0)
+    scores = np.tanh(np.linspace(1e-3, 3.0, 400)) ** 2
+    population = Exceedance(scores, law.sf(scores), np.zeros(scores.size))
+    pfa = np.array([0.3, 1e-2, 1e-4])
+    at = ace_threshold(pfa, [1.0], [population])
+    assert at == pytest.approx(law.isf(pfa), rel=2e-3)
+    assert exceedance_at(at, population) == pytest.approx(pfa, rel=1e-2)
+    # Two classes of which one never alarms: the other's own P_FA is twice as large.
+    silent = Exceedance(scores, np.full(scores.size, 1e-300), np.zeros(scores.size))
+    assert ace_threshold(pfa / 2, [0.5, 0.5], [population, silent]) == pytest.approx(at, rel=1e-9)

@@ -27,22 +27,3 @@ def auc_estimate(target, background) -> AreaEstimate:
     """Production's area of single pixels with its interval."""
     counts = counts_of(target, background)
     return area_estimates(counts, {"auc": WHOLE}, "pixel", 0, np.random.default_rng(0))["auc"]
-
-
-def sum_to_one_gain(endmembers, noise=None):
-    """G (M, B) with a = 1/M + G (x - mean of endmembers): least squares under sum a = 1 alone.
-
-    With the last abundance put in as 1 minus the others, D = rows e_m - e_M (m < M): the others are
-    (D C^-1 D^T)^-1 D C^-1 (x - e_M).  Linear in x, so that a covariance goes through it.
-    """
-    e = np.asarray(endmembers, dtype=float)
-    d = e[:-1] - e[-1]
-    weighted = d if noise is None else np.stack([noise.solve(row) for row in d])
-    others = np.linalg.solve(weighted @ d.T, weighted)
-    return np.vstack([others, -others.sum(axis=0)])
-
-
-def abundance_covariance(endmembers, pixel_covariance, noise=None):
-    """Error covariance G Sigma G^T of abundances where no constraint but the sum binds (Settle & Drake 1993)."""
-    g = sum_to_one_gain(endmembers, noise)
-    return g @ pixel_covariance @ g.T

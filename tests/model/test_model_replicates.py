@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
+from sklearn.covariance import ledoit_wolf
 
 from hyperval.config import validate
 from hyperval.errors import InputError, UsageError
@@ -40,18 +40,6 @@ def found(folder: Path, files: Any, **options: Any):
     return replicate_statistics(source, AXIS, lambda reference: folder / reference)
 
 
-def shrunk(x: np.ndarray) -> tuple[np.ndarray, float]:
-    """Ledoit & Wolf (2004) by its definition, spectrum by spectrum."""
-    n, bands = x.shape
-    z = x - x.mean(axis=0)
-    s = z.T @ z / n
-    mu = np.trace(s) / bands
-    d2 = np.sum((s - mu * np.eye(bands)) ** 2)
-    b2 = min(d2, sum(np.sum((np.outer(k, k) - s) ** 2) for k in z) / n**2)
-    unbiased = s * n / (n - 1)
-    return (1 - b2 / d2) * unbiased + b2 / d2 * np.trace(unbiased) / bands * np.eye(bands), b2 / d2
-
-
 def test_mean_and_covariance_of_the_files_of_a_pattern(tmp_path):
     spectra = lawn(20)
     write(tmp_path, spectra)
@@ -73,9 +61,9 @@ def test_few_spectra_shrink_the_covariance(tmp_path):
     write(tmp_path, spectra)
     got = found(tmp_path, "*.csv")
     values = band_average(GRID, np.round(spectra, 9), AXIS)
-    covariance, share = shrunk(values)
+    covariance, share = ledoit_wolf(values)
     assert 0 < share < 1
-    assert np.allclose(got.covariance, covariance, rtol=1e-9)
+    assert np.allclose(got.covariance, covariance * 4 / 3, rtol=1e-9)
     assert np.linalg.matrix_rank(got.covariance) == 5
     assert np.allclose(got.standard_deviation, values.std(axis=0, ddof=1))
     assert got.source == f"4 replicate spectra, covariance shrunk by {share:.3g}"
@@ -175,31 +163,6 @@ def test_the_standard_error_is_the_uncertainty_unless_the_scenario_states_one(tm
     assert np.allclose(stated["lawn"].standard_uncertainty, 0.01)
     spread = predict(scenario(tmp_path, [{"subject": "lawn", "from_file": True}]), Origins(axis=AXIS)).reflectance
     assert np.allclose(spread["lawn"].standard_uncertainty, values.std(axis=0, ddof=1))
-
-
-@pytest.mark.data
-def test_real_replicates(data_dir):
-    """Ten scans of grass in one file; five of the HySU grass among 49 measurements of three detectors."""
-    path = data_dir("spectra/asd_txt_multicolumn/GrassByBuilding01_10.txt")
-    source = Replicates.model_validate({"files": "x", "wavelength_unit": "nm"})
-    got = replicate_statistics(source, AXIS, lambda reference: path)
-    table = np.array(path.read_text().replace(",", " ").split(), float).reshape(-1, 20)
-    values = band_average(table[:, 0], table[:, 1::2].T, AXIS)
-    assert got.n == 10
-    assert np.allclose(got.mean, values.mean(axis=0))
-    assert np.allclose(got.covariance, shrunk(values)[0], rtol=1e-6)  # 10 for 5 bands are few
-
-    raw = data_dir("hysu/field_measurements_svc_raw.csv")
-    with open(data_dir("hysu/field_measurements_svc_index.csv"), newline="") as stream:
-        grass = [f"m{r['meas_id']}" for r in csv.DictReader(stream) if r["comment"] == "grass"]
-    assert len(grass) >= 5
-    source = Replicates.model_validate({"files": "x", "records": grass})
-    lawn_of_hysu = replicate_statistics(source, AXIS, lambda reference: raw)
-    assert lawn_of_hysu.n == len(grass)
-    red, infrared = lawn_of_hysu.mean[2], lawn_of_hysu.mean[4]
-    assert (infrared - red) / (infrared + red) > 0.6  # grass
-    assert np.all(lawn_of_hysu.standard_deviation < 0.15)
-    assert np.all(np.linalg.eigvalsh(lawn_of_hysu.covariance) > 0)
 
 
 def test_errors_of_single_samples_partly_cancel_in_a_band():

@@ -1,6 +1,8 @@
-"""What is moved by its path: what it must do, where it stops, and what leads nowhere."""
+"""Inputs of the budget and what is moved by its path: what each changes, where it stops, and what leads nowhere."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +11,13 @@ from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 from hyperval.attribute import assumed_inputs
 from hyperval.errors import UsageError
 from hyperval.model import (
-    Origins,
+    UncertainInput,
+    correlation,
+    covariance_directions,
+    directions,
+    drawn_truths,
     fill_distribution,
+    form_in_words,
     in_bands,
     inputs_of,
     number_input,
@@ -19,8 +26,60 @@ from hyperval.model import (
     value_at,
     with_mean,
 )
-from hyperval.scenario import Fill
+from hyperval.scenario import Fill, Scenario, SpectralForm, Uncertainty
 from hyperval.spectra import SpectralAxis
+
+EVERYTHING = ATMOSPHERE + Path(__file__).with_name("uncertainty.yaml").read_text()
+
+
+def inputs(s: Scenario) -> dict[str, UncertainInput]:
+    found = inputs_of(read(s, ORIGINS))
+    assert len({i.name for i in found}) == len(found)
+    return {i.name: i for i in found}
+
+
+def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with_the_others():
+    s = scenario(EVERYTHING)
+    found = inputs(s)
+    kinds = {i.kind for i in found.values()}
+    assert kinds == {"atmosphere", "surface", "sensor", "scene", "engine", "sampling"}
+    base = run(s.model_copy(update={"uncertainty": Uncertainty()}))
+    plain = s.model_copy(update={"uncertainty": Uncertainty()})
+    blind = {"solar azimuth", "view zenith angle", "sensor altitude", "ground height"}  # to the stand-in engine
+    for name, item in found.items():
+        off = run(plain, truth=item.moved(1.0))
+        moved = [
+            not np.allclose(off.radiance["tenth"].mean, base.radiance["tenth"].mean, rtol=1e-9),
+            not np.allclose(off.snr["panel"].mean, base.snr["panel"].mean, rtol=1e-9),
+            not np.allclose(off.roc["tenth", "cem", "pixel"].pd, base.roc["tenth", "cem", "pixel"].pd, rtol=1e-9),
+        ]
+        assert any(moved) != (name in blind), name
+        assert item.correlation
+    draws = [run(plain, truth=truth) for truth in drawn_truths(list(found.values()), 3, 1)]
+    assert len({float(d.radiance["grass"].mean[0]) for d in draws}) == 3
+
+
+def test_directions_give_back_the_covariance_of_each_form():
+    sd = np.linspace(0.01, 0.03, len(AXIS))
+    cases = {
+        "systematic": (SpectralForm(), np.outer(sd, sd)),
+        "random": (SpectralForm(correlation="random"), np.diag(sd**2)),
+        "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * correlation(AXIS, 200.0)),
+    }
+    assert form_in_words(cases["length"][0]) == "correlation length 200 nm"
+    for name, (form, expected) in cases.items():
+        rows = directions(sd, form, AXIS)
+        np.testing.assert_allclose(rows.T @ rows, expected, atol=1e-5 * expected.max(), err_msg=name)
+        norms = (rows**2).sum(axis=1)
+        assert np.all(np.diff(norms) <= 1e-15) or name == "random"
+    assert covariance_directions(np.zeros((3, 3))).shape == (0, 3)
+    # Less than a millionth of the variance is left out, and no more directions are followed than that needs.
+    rows = covariance_directions(np.diag([1.0, 1e-3, 1e-5, 1e-7, 1e-9]))
+    assert rows.shape == (5, 5)
+    assert UncertainInput("x", "scene", "fill", np.zeros(5), rows).size == 3
+    with pytest.raises(UsageError, match="needs a sensor with arms"):
+        directions(sd, SpectralForm(correlation="arms"), AXIS)
+
 
 B = len(AXIS)
 KEY = ("tenth", "cem", "pixel")
@@ -122,11 +181,6 @@ def test_a_path_that_leads_nowhere_is_refused(path, words):
         value_at(WORLD, path)
 
 
-def test_light_needs_an_atmosphere():
-    with pytest.raises(UsageError, match="no atmosphere"):
-        value_at(read(scenario(""), Origins(axis=AXIS)), "light.irradiance")
-
-
 def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate():
     text = ATMOSPHERE + "uncertainty: {noise: {relative: 0.1}, fractions: [{subject: grass, absolute: 0.1}]}\n"
     world = read(scenario(text), ORIGINS)
@@ -137,14 +191,10 @@ def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate
     assert all(i.source == "usual" for i in assumed_inputs(world))
 
 
-def test_a_library_at_the_bands_own_centres_is_taken_as_it_stands():
-    values = np.sin(CLOSE.centre_nm / 7.0)
-    assert np.array_equal(in_bands(CLOSE.centre_nm + 0.01, values, CLOSE), values)
-
-
 def test_a_library_that_lacks_some_bands_is_taken_as_it_stands_in_the_others():
     values, there = np.sin(CLOSE.centre_nm / 7.0), np.ones(len(CLOSE), bool)
     there[[0, 5, 6, len(CLOSE) - 1]] = False
     found = in_bands(CLOSE.centre_nm[there], values[there], CLOSE)
     assert np.array_equal(found[there], values[there])
     assert np.isnan(found[~there]).all()
+    assert np.array_equal(in_bands(CLOSE.centre_nm + 0.01, values, CLOSE), values)

@@ -1,23 +1,84 @@
-"""A pixel that a target fills in part keeps the law of its host: limits, drawn pixels, one law everywhere."""
+"""Classes that are mixtures, and pixels that a target fills in part: the law of the host, as drawn."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy import stats
-from test_prediction_mixtures import drawn, of_region, two_clusters
 from uncertain_scene import AXIS, scenario
 
-from hyperval.model import (
-    Evaluation,
-    Origins,
-    predict,
-    read,
-)
+from hyperval.data import ClassStatistics, Components
+from hyperval.errors import UsageError
+from hyperval.model import Evaluation, Origins, predict, read
 from hyperval.statistics_library import builtin_class
 
 BANDS = len(AXIS)
-LINEAR = ("cem", "cem-correlation", "matched-filter")
+
+
+def of_region(components: Components | None, tail_dof: float | None = None) -> ClassStatistics:
+    """Grass, whose moments are those of its components where it has some."""
+    grass = builtin_class("grass", AXIS)
+    covariance = grass.covariance + 1e-5 * np.eye(BANDS) if components is None else components.covariance
+    return ClassStatistics("field", AXIS, grass.mean, covariance, 500, "a region", tail_dof, components)
+
+
+def two_clusters(dof: float = np.inf) -> Components:
+    """A broad cluster, and one of 5 % that lies off towards the spectrum of the planks."""
+    grass, plank = builtin_class("grass", AXIS), builtin_class("yellow-paint-plank", AXIS)
+    away = 0.15 * (plank.mean - grass.mean)
+    wide = grass.covariance + 1e-5 * np.eye(BANDS)
+    return Components(np.array([0.95, 0.05]), np.array([-0.05 * away, 0.95 * away]), np.array([wide, 0.3 * wide]), dof)
+
+
+def mixed(mixture: object = "auto", tail: object = "null", detectors: str = "cem"):
+    return scenario(
+        "",
+        **{
+            "spectrum: {builtin: grass}}": f"spectrum: {{measured: field}}, mixture: {mixture}, tail_dof: {tail}}}",
+            "detectors: [cem]": f"elm: none, samples: 1500, detectors: [{detectors}]",
+        },
+    )
+
+
+def curve_of(statistics: ClassStatistics, of):
+    return predict(of, Origins(AXIS, {"field": statistics})).roc["tenth", "cem", "pixel"]
+
+
+@pytest.mark.parametrize("tail", ["null", "measured"])
+def test_one_component_is_the_class_itself(tail):
+    whole = of_region(None, 5.0)
+    one = Components(np.ones(1), np.zeros((1, BANDS)), whole.covariance[None], 5.0 if tail == "measured" else np.inf)
+    before, after = (
+        curve_of(s, mixed(m, tail)) for s, m in ((whole, "null"), (replace(whole, components=one), "auto"))
+    )
+    assert after.threshold == pytest.approx(before.threshold, rel=1e-12)
+    assert after.pd == pytest.approx(before.pd, rel=1e-12, abs=1e-15)
+
+
+def drawn(components: Components, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Pixels (count, B) of grass with these components, by plain draws."""
+    which = rng.choice(len(components), size=count, p=components.weights)
+    out = np.empty((count, BANDS))
+    for k in range(len(components)):
+        here = which == k
+        z = rng.standard_normal((here.sum(), BANDS)) @ np.linalg.cholesky(components.covariances[k]).T
+        if np.isfinite(components.dof):
+            z *= np.sqrt((components.dof - 2.0) / rng.chisquare(components.dof, here.sum()))[:, None]
+        out[here] = builtin_class("grass", AXIS).mean + components.offsets[k] + z
+    return out
+
+
+def test_what_is_not_there_is_refused():
+    with pytest.raises(UsageError, match="3 components are asked for, its source has 2"):
+        curve_of(of_region(two_clusters()), mixed(3))
+    with pytest.raises(UsageError, match="its source has none"):
+        curve_of(of_region(None), mixed(2))
+    assert curve_of(of_region(None), mixed("auto")).pd.size  # one law is an answer too
+    with pytest.raises(UsageError, match="do not fit 10 bands"):
+        replace(of_region(None), components=two_clusters().at(np.arange(4)))
+
+
 GAIN = {"grass": 1.5, "asphalt": 0.7}  # of the classes' covariances
 SQUARE = "{geometry: {side_m: 0.3, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 3}}"
 
@@ -50,32 +111,6 @@ def drawn_host(host, dof, n, rng):
         z = rng.standard_normal((n, BANDS)) * np.sqrt((dof - 2.0) / rng.chisquare(dof, n))[:, None]
         away = z @ np.linalg.cholesky(of.covariance).T
     return of.mean + np.sqrt(GAIN[host]) * away
-
-
-def host_exceedance(curve, made, there, detector, host):
-    """P(score > x) of the host's class alone at the thresholds of a curve: its part of (3.33)."""
-    scores, stated = there.scores("tenth", detector).classes, there.stated
-    own = [j for j, law in enumerate(stated.laws) if law.owner == stated.classes.index(host)]
-    total, part = 0.0, scores.fraction[0, own] / scores.fraction[0, own].sum()
-    for j, p in zip(own, part, strict=True):
-        m, s, nu = scores.mean[0, j], scores.sd[0, j], scores.dof[0, j]
-        law = stats.norm(m, s) if np.isinf(nu) else stats.t(nu, m, s * np.sqrt((nu - 2.0) / nu))
-        total = total + p * law.sf(curve.threshold)
-    return total
-
-
-@pytest.mark.parametrize("detector", LINEAR)
-@pytest.mark.parametrize("dof", [2.2, 4.0, 9.0, 60.0])
-def test_an_empty_pixel_passes_as_often_as_its_host(dof, detector):
-    # The fill of 1e-9 leaves the score where it is: what remains is the quadrature over the tails.
-    for fill in ("{fixed: 1e-9}", "{mean: 1e-8, sd: 1e-9}"):
-        made, there = run(scene(fill, dof, detector))
-        for unit in ("pixel", "object"):
-            curve = made.roc["tenth", detector, unit]
-            expected = host_exceedance(curve, made, there, detector, "asphalt")
-            some = expected > 1e-9
-            assert some.sum() > 100
-            assert curve.pd[some] == pytest.approx(expected[some], rel=2e-5)
 
 
 @pytest.mark.parametrize(("dof", "host"), [(3.0, "asphalt"), (8.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
