@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from small_world import AXIS, BACKGROUND, BANDS, TARGET, World, background_spread
+from small_world import AXIS, BACKGROUND, BANDS, TARGET, background_spread, target_rows
 
 from hyperval.compare import compare_products
 from hyperval.model import Origins, predict
@@ -17,7 +17,7 @@ LINES, SAMPLES, FILL, SPREAD = 96, 96, 0.12, 0.05
 SCENE = Path(__file__).parent / "paint.yaml"
 
 
-def collection(folder, seed, *, spectrum_error=0.0, dof=None):
+def collection(world, seed, *, spectrum_error=0.0, dof=None):
     """A world of 60 planted pixels; its paint may differ from the library, its ground may have heavy tails."""
     rng = np.random.default_rng(seed)
     scene = rng.multivariate_normal(np.zeros(BANDS), background_spread(), (LINES, SAMPLES), method="cholesky")
@@ -25,26 +25,15 @@ def collection(folder, seed, *, spectrum_error=0.0, dof=None):
         scene *= np.sqrt((dof - 2.0) / rng.chisquare(dof, (LINES, SAMPLES, 1)))
     scene += BACKGROUND
     paint = TARGET * (1.0 + spectrum_error)
-    rows = ["name,material,row0,col0,side_m,area_m2"]
-    for i in range(60):
-        line, sample = 6 + 9 * (i // 10), 5 + 9 * (i % 10)
+    planted = [(6 + 9 * (i // 10), 5 + 9 * (i % 10)) for i in range(60)]
+    for pixel in planted:
         own = paint * (1.0 + SPREAD * rng.standard_normal())
-        scene[line, sample] = FILL * own + (1.0 - FILL) * scene[line, sample]
-        rows.append(f"t{i},paint,{line},{sample},0.5,0.25")
-    world = World(folder, scene)
-    world.write()
-    world.library("library.csv", paint=TARGET, ground=BACKGROUND)
-    world.text("targets.csv", "\n".join(rows) + "\n")
-    world.collection = {
-        "cube": {"path": "cube.img", "quantity": "reflectance"},
-        "regions": [{"name": "all", "rectangle": [0, 0, LINES, SAMPLES]}],
-        "targets": {"csv": "targets.csv", "guard_pixels": 0, "pixels": "centre"},
-    }
-    world.detection = {
-        "targets": [{"name": "paint", "material": "paint", "spectrum": world.source("library.csv", "paint")}],
-        "group": "paint",
-        "bands": "all",
-    }
+        scene[pixel] = FILL * own + (1.0 - FILL) * scene[pixel]
+    world.write(scene)
+    world.text("targets.csv", target_rows(dict.fromkeys(planted, FILL)))
+    world.regions(all=[0, 0, LINES, SAMPLES])
+    world.collection["targets"] |= {"guard_pixels": 0, "pixels": "centre"}
+    world.detection |= {"group": "paint", "bands": "all"}
     return world
 
 
@@ -59,11 +48,11 @@ def rows_of(world, *, fill=FILL, tail=None, **uncertain):
 
 
 @pytest.mark.slow
-def test_a_true_model_is_uniform_and_covers(tmp_path):
+def test_a_true_model_is_uniform_and_covers(world):
     # 12 worlds of 60 objects. Each test fails a true model in 1 of 100; twice or more in 12: 0.6 %.
     inside, low_pit, low_inside = [], 0, 0
     for seed in range(12):
-        found = rows_of(collection(tmp_path, seed))
+        found = rows_of(collection(world, seed))
         inside.append(found["objects_inside_95"].value)
         low_pit += found["pit_uniformity_p_value"].value < 0.01
         low_inside += found["objects_inside_95_p_value"].value < 0.01
@@ -73,10 +62,10 @@ def test_a_true_model_is_uniform_and_covers(tmp_path):
     assert np.mean(inside) == pytest.approx(0.95, abs=0.033)
 
 
-def test_an_error_common_to_all_objects_is_forgiven_where_it_is_stated(tmp_path):
+def test_an_error_common_to_all_objects_is_forgiven_where_it_is_stated(world):
     """Paint off by one standard uncertainty: one collection cannot tell it, unless the model claims certainty."""
     off = 0.15
-    world = collection(tmp_path, 21, spectrum_error=off)
+    collection(world, 21, spectrum_error=off)
     sure = rows_of(world)
     stated = rows_of(world, field_spectra=[{"subject": "paint", "relative": off}])
     assert sure["pit_uniformity_p_value"].value < 0.01
@@ -85,14 +74,14 @@ def test_an_error_common_to_all_objects_is_forgiven_where_it_is_stated(tmp_path)
 
 
 @pytest.mark.parametrize("fill", [0.8 * FILL, 1.25 * FILL])
-def test_a_wrong_fill_turns_the_verdict(tmp_path, fill):
-    found = rows_of(collection(tmp_path, 22), fill=fill)
+def test_a_wrong_fill_turns_the_verdict(world, fill):
+    found = rows_of(collection(world, 22), fill=fill)
     assert found["pit_uniformity_p_value"].value < 0.001
     assert found["objects_inside_95_p_value"].value < 0.01
 
 
-def test_false_alarms_of_a_true_background(tmp_path):
-    found = rows_of(collection(tmp_path, 23))
+def test_false_alarms_of_a_true_background(world):
+    found = rows_of(collection(world, 23))
     # 9,000 pixels: the relative sd of the counts is 3.2 % at 1e-1 and 11 % at 1e-2; four of them.
     assert found["pfa_ratio@1e-1"].value == pytest.approx(1.0, abs=0.13)
     assert found["pfa_ratio@1e-2"].value == pytest.approx(1.0, abs=0.44)
@@ -100,8 +89,8 @@ def test_false_alarms_of_a_true_background(tmp_path):
 
 
 @pytest.mark.slow
-def test_heavy_tails_show_and_a_fitted_tail_mends_them(tmp_path):
-    world = collection(tmp_path, 24, dof=3.0)
+def test_heavy_tails_show_and_a_fitted_tail_mends_them(world):
+    collection(world, 24, dof=3.0)
     normal, fitted = rows_of(world), rows_of(world, tail="measured")
     # Fixed seed, and draws that are the same on every processor: over eight seeds the ratio is 0.21 to 0.74, 0.70 here.
     assert normal["pfa_ratio@1e-2"].upper < 1.0

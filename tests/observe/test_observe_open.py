@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from affine import Affine
 from rasterio.crs import CRS
-from small_world import AXIS, GRID, LINES, PLANTED, SAMPLES, near_targets
+from small_world import AXIS, LINES, PLANTED, SAMPLES, near_targets
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
@@ -102,20 +102,6 @@ def test_a_file_gives_its_regions_or_one_of_them(world):
         world.place()
 
 
-def test_a_file_of_the_whole_site_serves_a_line_that_holds_some(world):
-    shapes = {"court": (10, 20, 4), "far": (1000, 20, 4), "plank 1": (30, 10, 4), "plank 2": (900, 10, 4)}
-    site = world.squares("site.geojson", **shapes)
-    drawn(world, {"regions": ["plank 1"], **site})
-    world.regions({"name": "court", **site})
-    place = world.place()
-    assert place.region("court").sum() == 16
-    assert [t.name for t in place.targets] == ["plank 1"]
-    for wanted in ("far", None):
-        world.regions({"name": wanted, **site})
-        with pytest.raises(InputError, match="leaves the image"):
-            world.place()
-
-
 def test_notes_of_regions(world):
     """Pixels shared, holes, what leaves the image, targets inside, and the words of the header."""
     ring, hole = [[30, 5], [50, 5], [50, 15], [30, 15], [30, 5]], [[32, 7], [35, 7], [35, 9], [32, 9], [32, 7]]
@@ -181,27 +167,6 @@ def test_a_map_in_feet_gives_targets_of_the_same_size(world):
     assert place.pixel_area_m2 == pytest.approx(4.0)
     assert np.array_equal(place.targets[0].mask, in_metres.targets[0].mask)
     assert place.targets[0].mask.sum() == 25
-
-
-def test_a_lookup_table_places_regions_and_targets_of_a_raw_line(world):
-    """A line flown southwards: its first line lies in the south, so the table turns the lines round."""
-    line, sample = np.indices((LINES, SAMPLES))
-    table = np.stack([sample + 1, LINES - line], axis=-1)
-    write_cube(world.folder / "glt.dat", table, data_type=3, transform=GRID, crs=CRS.from_epsg(32618))
-    ring = [[500010, 4699940], [500050, 4699940], [500050, 4699920], [500010, 4699920], [500010, 4699940]]
-    world.text("rois.geojson", f'{{"type":"Polygon","coordinates":[{ring}]}}')
-    world.text("targets.csv", "material,easting,northing,side_m\npaint,500021,4699979,0.5\n")
-    world.collection["cube"]["glt"] = "glt.dat"
-    world.regions({"name": "court", "file": "rois.geojson", "coordinates": "map"})
-    with pytest.raises(UsageError, match=r"has a map position, and 'cube\.glt' is stated"):
-        world.place()
-    world.write(transform=None, crs=None)
-    place = world.place()
-    expected = np.zeros((LINES, SAMPLES), bool)
-    expected[30:40, 5:25] = True  # on the grid, counted from the north
-    assert np.array_equal(place.region("court"), expected[::-1])
-    assert place.targets[0].centre_pixel == (LINES - 1 - 10, 10)
-    assert "places on the map are found by the lookup table glt.dat, pixels of 4 m2" in place.notes
 
 
 def test_a_mask_alone_finds_what_a_list_of_the_same_pixels_finds(world):

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.stats import norm
 
-from hyperval.errors import UsageError
 from hyperval.model import (
     beyond_jeffreys_limits,
     clopper_pearson,
@@ -40,15 +39,6 @@ def test_limits_solve_the_binomial_tails(case):
         assert stats.binom.cdf(k, n, high) == pytest.approx(0.025, rel=1e-7)
     else:
         assert high == 1.0
-
-
-@pytest.mark.parametrize(
-    ("k", "n", "level"), [(1, 0, 0.95), (3, 2, 0.95), (-1, 2, 0.95), (1, 2, 1.0), (np.nan, 2, 0.9)]
-)
-@pytest.mark.parametrize("limits", [clopper_pearson, mid_p_limits])
-def test_impossible_counts_are_refused(limits, k, n, level):
-    with pytest.raises(UsageError):
-        limits(k, n, level)
 
 
 def test_jeffreys_limits_hold_at_their_level_on_average():

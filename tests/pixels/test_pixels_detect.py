@@ -18,7 +18,6 @@ from hyperval.pixels import (
     footprint_maxima,
     footprint_sums,
     object_scores,
-    osp_filter,
     pixel_detector,
     placed_with_halo,
     score_cube,
@@ -80,18 +79,6 @@ def test_a_nan_pixel_is_nan_and_a_zero_pixel_has_no_angle(scene):
         assert np.isnan(pixel_detector(name, target, mean, covariance, np.ones((1, B))).score(bad, whitener)), name
     assert np.isnan(pixel_detector("sam", target, mean, covariance).score(np.zeros(B)))
     assert np.isnan(pixel_detector("ace", target, mean, covariance).score(mean, whitener))
-
-
-def test_undesired_spectra_that_depend_on_each_other(scene):
-    x, target, _, _ = scene
-    one, doubled = osp_filter(target, x[:2]), osp_filter(target, np.stack([x[0], x[1], x[0] + 2 * x[1]]))
-    assert doubled.weights == pytest.approx(one.weights, rel=1e-9)
-    with pytest.raises(UsageError, match="mixture of the undesired"):
-        osp_filter(0.3 * x[0] + 0.7 * x[1], x[:2])
-    with pytest.raises(UsageError, match="needs the spectra"):
-        osp_filter(target, None)
-    with pytest.raises(UsageError, match="11 bands"):
-        osp_filter(target, x[:2, :11])
 
 
 def line_of(bands):

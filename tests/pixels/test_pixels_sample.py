@@ -18,7 +18,6 @@ from hyperval.pixels import (
     independent_pixels,
     kurtosis_parameter,
     lag_correlation,
-    mean_error_covariance,
     neighbour_shares,
     noise_part,
     principal_angles_deg,
@@ -206,21 +205,6 @@ def test_small_samples_are_widened_and_large_ones_are_not():
     # Half of 22, less 1: the t of ten degrees of freedom is 2.228 (tables).
     assert small_sample_factor(22.0) == pytest.approx((2.228 / 1.960) ** 2, rel=1e-3)
     assert small_sample_factor(1.0) == small_sample_factor(4.0)
-
-
-def test_white_noise_counts_every_pixel_and_components_add_up():
-    rng = np.random.default_rng(6)
-    pixels = rng.standard_normal((SIDE, SIDE, 30)) @ np.diag(np.linspace(0.1, 1.0, 30))
-    covariance = np.cov(pixels.reshape(-1, 30).T)
-    along = components(covariance, rng, count=5)
-    inside = np.ones((SIDE, SIDE), bool)
-    scores = along.scores(pixels - pixels.mean(axis=(0, 1)))
-    np.testing.assert_allclose(scores.reshape(scores.shape[0], -1).var(axis=1), 1.0, rtol=1e-3)
-    n, of_variance = independent_pixels([(scores, inside)], neighbour_shares(inside, REACH, rng), SIDE**2, REACH)
-    assert np.all(n > 0.75 * SIDE**2)
-    assert np.all(of_variance > 0.95 * SIDE**2)
-    exact = mean_error_covariance(covariance, along, np.full(n.size, float(SIDE**2)))
-    np.testing.assert_allclose(exact, covariance / SIDE**2, rtol=1e-9, atol=1e-12)
 
 
 def test_a_covariance_of_few_directions_has_no_other_components():

@@ -23,7 +23,6 @@ from hyperval.pixels import (
 )
 from hyperval.products import SpectralEstimate
 from hyperval.spectra import SpectralAxis
-from hyperval.statistics_library import builtin_class
 
 OXYGEN, WATER, _ = FEATURES
 
@@ -52,14 +51,6 @@ def test_the_centre_of_an_absorption_is_its_first_moment_whatever_the_band_width
     centre, depth = absorption_centre(w, level * (1.0 - lines), OXYGEN)
     assert centre == pytest.approx((0.3 * 761.9 + 0.5 * 763.9) / 0.8, abs=0.05)
     assert 0.5 < depth < 0.8
-
-
-def test_the_red_edge_lies_at_half_of_the_rise():
-    w = np.arange(640.0, 820.0, 2.0)
-    assert red_edge(w, 0.05 + 0.4 / (1.0 + np.exp(-(w - 718.0) / 8.0))) == pytest.approx(718.0, abs=0.3)
-    assert np.isnan(red_edge(w, np.full(w.size, 0.2)))
-    grass = builtin_class("grass", SpectralAxis(w, np.full(w.size, 4.0))).mean
-    assert abs(red_edge(w, grass) - RED_EDGE.centre_nm) < 2.0 * RED_EDGE.uncertainty_nm
 
 
 @pytest.mark.parametrize("name", SITES)
