@@ -9,18 +9,20 @@ import pytest
 
 from hyperval import cli
 from hyperval.attribute import InjectedError, injected_errors
-from hyperval.campaign import jobs_of, power_table, run_campaign
-from hyperval.errors import UsageError
-from hyperval.report import (
+from hyperval.campaign import (
     Injected,
     PowerTable,
     Sight,
     accepted_table,
     gate_values,
+    jobs_of,
     own_files,
-    report_page,
+    power_table,
+    run_campaign,
     write_power_table,
 )
+from hyperval.errors import UsageError
+from hyperval.report import report_page
 from hyperval.results import Outcome, Result, Role
 
 BRIGHT, QUIET, TAILS = "sunlight x 1.05", "noise x 1.5", "tails left out"
@@ -124,14 +126,16 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     page = report_page(run, [])
     assert "Undetected: noise x 1.5." in page[: page.index("<nav")]
     assert "The table is" not in page
-    changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in run.provenance["inputs"]]
-    page = report_page(replace(run, provenance={**run.provenance, "inputs": changed}), [])
-    assert "The table is older than campaign.yaml" in page[: page.index("<nav")]
-    old = run.power.model_copy(update={"stated": dict.fromkeys(run.power.stated, 0.5)})
-    assert "The table is old: 2 of its criteria had other values" in report_page(replace(run, power=old), [])
     assert "What this campaign could have found is not known" in report_page(replace(run, power=None), [])
-    errors = {BRIGHT: Injected(), "another": Injected(), TAILS: run.power.errors[TAILS]}
-    write_power_table(tmp_path / "validation/power/small.yaml", run.power.model_copy(update={"errors": errors}))
+    place = tmp_path / "validation/power/small.yaml"
+    known, inputs = accepted_table("small", place.parent), run.provenance["inputs"]
+    changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in inputs]
+    younger = report_page(replace(run, power=known.told(changed, run.table)), [])
+    assert "The table is older than campaign.yaml" in younger[: younger.index("<nav")]
+    old = known.model_copy(update={"stated": dict.fromkeys(known.stated, 0.5)})
+    assert old.told(inputs, run.table).stale.startswith("The table is old: 2 of its criteria had other values")
+    errors = {BRIGHT: Injected(), "another": Injected(), TAILS: known.errors[TAILS]}
+    write_power_table(place, known.model_copy(update={"errors": errors}))
     capsys.readouterr()
     assert cli.run(["power", str(path)]) == 1
     said = capsys.readouterr().err

@@ -8,11 +8,10 @@ from pathlib import Path
 import pytest
 
 from hyperval.attribute import injected_errors
-from hyperval.campaign import job_of
+from hyperval.campaign import accepted_table, job_of
 from hyperval.config import load_yaml
 from hyperval.datasets import describe
 from hyperval.metrics import plain_words
-from hyperval.report import accepted_table
 
 ROOT = Path(__file__).parents[2]
 

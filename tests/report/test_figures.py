@@ -28,6 +28,7 @@ from hyperval.figures import (
     ScoreMap,
     TailCurve,
     canvas_of,
+    criteria_figure,
     densities_figure,
     draw_pictures,
     drawings_of,
@@ -112,7 +113,7 @@ def every_figure(sides) -> dict[str, Figure]:
     share = np.exp(-d)
     tails = {"grass": TailCurve(d, share, 0.8 * share, 1.2 * share, None, share**2, share, None, 6.0, 4, 900)}
     made = [*first_figures(sides), *further_figures(sides, ResultTable(reasons()), spread, tails, 0.1)]
-    made.append(densities_figure([("one", sides[0]), ("other", sides[1])]))
+    made += [densities_figure([("one", sides[0]), ("other", sides[1])]), criteria_figure(list(make_run().table))]
     return {figure.name: figure for figure in made}
 
 
@@ -141,6 +142,7 @@ def test_each_figure_is_the_same_again_and_told_in_words(sides, figures, drawing
         "radiance", "snr", "reflectance", "roc", "radiance-budget", "radiance-eigenvalues", "pixel-tails",
         "class-error", "scores", "object-scores", "object-transforms", "exceedance", "roc-difference", "abundance",
         "unmixing-areas", "attribution-inputs", "attribution-subjects", "attribution-effects", "what-ifs", "densities",
+        "criteria",
     }  # fmt: skip
     for drawing in drawings.values():
         ElementTree.fromstring(drawing.content)  # noqa: S314 - our own
@@ -319,7 +321,7 @@ def test_many_objects_are_a_map_and_a_histogram_and_groups_are_judged_together_a
     assert "50 objects" in groups["object-transforms"].alt
 
 
-@pytest.mark.parametrize("name", ["radiance", "roc", "object-scores", "attribution-effects"])
+@pytest.mark.parametrize("name", ["radiance", "roc", "object-scores", "attribution-effects", "criteria"])
 def test_panels_and_their_labels_do_not_overlap(figures, name):
     with house_style():
         canvas = canvas_of(figures[name], figures[name].views, simulated=True)

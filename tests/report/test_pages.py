@@ -19,8 +19,7 @@ from hyperval.figures import Drawing
 from hyperval.products import ObservedProducts, PredictedProducts
 from hyperval.report import (
     MAX_BYTES,
-    Injected,
-    PowerTable,
+    PowerWords,
     RunReport,
     first_screen,
     index_page,
@@ -219,8 +218,8 @@ def test_pages_of_one_side_do_not_call_themselves_validations():
 
 def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix():
     """With many subjects the matrix is longer than a screen.  A choice after the data stands after what it was."""
-    injected = {"sunlight x 1.05": Injected(), "fill x 0.8": Injected(gates=("scores | all | cem | p",))}
-    table = PowerTable(schema=1, campaign="c", version="1", files={}, gates=3, disagreeing=0, errors=injected)
+    detected = [("sunlight x 1.05", "undetected", ""), ("fill x 0.8", "1 criterion", "scores | all | cem | p")]
+    table = PowerWords("The criteria detect 1 of 2 injected model errors. Undetected: sunlight x 1.05.", detected, "1")
     notes = ["warning: the panels do not lie on one line", "a note", *(f"warning: number {i}" for i in range(3))]
     choices = [("radiance: at most 0.06", "at most 0.05"), ("snr: at most 0.1", "none")]
     text = page_of(change={"chosen_after": choices, "power": table, "notes": notes}).text

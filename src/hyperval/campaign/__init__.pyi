@@ -5,6 +5,7 @@ from .job import Job, job_of, jobs_of, read_jobs
 from .names import WRONG, Item, dry_run, overview, summary
 from .pictures import expected_maps, scene_content
 from .power import Power, campaign_power, power_table
+from .power_file import Injected, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
 from .provenance import command_without_output, package_versions, record_of, source_revision
 from .run import observe, run_campaign, validate
 from .schema import Campaign, DayScenarios, day_scenarios
@@ -19,10 +20,10 @@ from .sides import (
 from .starter import StarterSources, starter_campaign
 
 __all__ = [
-    "WRONG", "Campaign", "Collected", "DayScenarios", "Item", "Job", "Power",
-    "StarterSources", "campaign_power", "collected", "command_without_output", "day_scenarios", "dry_run",
-    "expected_maps", "job_of", "jobs_of", "observe", "overview", "package_versions", "power_table",
-    "predict_to_folder", "read_jobs", "record_of", "run_campaign", "scene_content", "source_revision",
-    "spread_curves", "starter_campaign", "summary", "validate", "with_fills_of_truth", "with_measured_fractions",
-    "without_circles",
+    "WRONG", "Campaign", "Collected", "DayScenarios", "Injected", "Item", "Job", "Power", "PowerTable", "Sight",
+    "StarterSources", "accepted_table", "campaign_power", "collected", "command_without_output", "day_scenarios",
+    "dry_run", "expected_maps", "gate_values", "job_of", "jobs_of", "observe", "overview", "own_files",
+    "package_versions", "power_table", "predict_to_folder", "read_jobs", "record_of", "run_campaign", "scene_content",
+    "source_revision", "spread_curves", "starter_campaign", "summary", "validate", "with_fills_of_truth",
+    "with_measured_fractions", "without_circles", "write_power_table",
 ]  # fmt: skip

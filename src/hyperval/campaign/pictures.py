@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Detection
-from hyperval.figures.sides import ExpectedScores, Quicklook, ScoreMap
+from hyperval.figures.spec import ExpectedScores, Quicklook, ScoreMap
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.truth import all_pixels
 from hyperval.observe import Observed, Place, map_name, scored_pixels, target_groups

@@ -14,14 +14,7 @@ from pathlib import Path
 import hyperval
 from hyperval.attribute import InjectedError, NotInjectable, injected_errors, injected_prediction
 from hyperval.campaign.job import Job, jobs_of
-from hyperval.campaign.run import outcomes
-from hyperval.campaign.sides import collected, predicted_side
-from hyperval.errors import MissingDataError
-from hyperval.executors import in_order, worker_count, workers
-from hyperval.metrics import Evidence
-from hyperval.model import Truth, predict
-from hyperval.progress import track
-from hyperval.report.run import (
+from hyperval.campaign.power_file import (
     ACCEPTED,
     Injected,
     PowerTable,
@@ -31,6 +24,13 @@ from hyperval.report.run import (
     own_files,
     write_power_table,
 )
+from hyperval.campaign.run import outcomes
+from hyperval.campaign.sides import collected, predicted_side
+from hyperval.errors import MissingDataError
+from hyperval.executors import in_order, worker_count, workers
+from hyperval.metrics import Evidence
+from hyperval.model import Truth, predict
+from hyperval.progress import track
 from hyperval.results import Outcome, Result
 from hyperval.storage import POWER, whole_folder, write_text
 

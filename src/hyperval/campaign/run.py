@@ -22,6 +22,7 @@ import hyperval
 from hyperval.attribute import ScenarioModel, Truths, assumed_inputs, attribute, few_objects
 from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.pictures import quicklook, score_maps
+from hyperval.campaign.power_file import accepted_table
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
 from hyperval.campaign.schema import Outline
 from hyperval.campaign.sides import Collected, collected, doubts, joined
@@ -35,7 +36,6 @@ from hyperval.observe import observe as observe_collection
 from hyperval.products import PredictedProducts, Products
 from hyperval.progress import step, track, working
 from hyperval.report import RunReport, write_index, write_outputs
-from hyperval.report.run import accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, judged_or_whole, of_campaign
 from hyperval.run import read_rows
 from hyperval.scenario import Scenario
@@ -110,7 +110,6 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         rows += reasons(side, prediction, show_progress=show_progress)
         eigenvalues, tails = spread_curves(prediction, observed.observation)
         more = {"kind": "Campaign", "never_met": never, "eigenvalues": eigenvalues, "tails": tails}
-        more["power"] = accepted_table(campaign.name)
     else:
         from hyperval.compare.products import product_rows
 
@@ -123,13 +122,16 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         *(prediction.notes if prediction else ()),
     ]
     both = [observed.observation, *predicted]
+    provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, both)
+    power = accepted_table(campaign.name) if predicted else None
     return replace(
         report_of(campaign, rows),
         prediction=prediction,
         observation=observed.observation,
         score_maps=score_maps(observed, campaign.detection, prediction.expected_scores if prediction else {}),
         quicklook=quicklook(observed),
-        provenance=record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, both),
+        provenance=provenance,
+        power=power.told(provenance["inputs"], rows) if power else None,
         notes=list(dict.fromkeys(notes)),
         references=campaign.references,
         chosen_after=campaign.every_choice(),

@@ -32,7 +32,7 @@ from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
 from hyperval.compare.products import SPREAD
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
-from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
+from hyperval.figures.spec import EigenvalueSpectrum, TailCurve
 from hyperval.imagery.acquisition import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
 from hyperval.imagery.truth import TargetObject

@@ -5,8 +5,21 @@ from .criteria import campaigns_figure, criteria_figure
 from .detection import densities_figure, exceedance_figure, many_objects_figure
 from .pictures import draw_pictures
 from .print import Print, canvas_of, drawings_of, house_style
-from .sides import EigenvalueSpectrum, ExpectedScores, Quicklook, ScoreMap, TailCurve
-from .spec import Axis, ColourScale, Drawing, Figure, Mark, Panels, Part, statement
+from .spec import (
+    Axis,
+    ColourScale,
+    Drawing,
+    EigenvalueSpectrum,
+    ExpectedScores,
+    Figure,
+    Mark,
+    Panels,
+    Part,
+    Quicklook,
+    ScoreMap,
+    TailCurve,
+    statement,
+)
 from .spectra import MOST_SUBJECTS, spectra_figure
 
 __all__ = [

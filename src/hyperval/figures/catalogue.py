@@ -9,18 +9,19 @@ from typing import Any
 import numpy as np
 
 from hyperval.figures import detection, spectra
-from hyperval.figures.sides import EigenvalueSpectrum, Sides, TailCurve
 from hyperval.figures.spec import (
-    BETTER,
+    MET,
+    NOT_MET,
     SIDES,
-    WORSE,
     Axis,
     ColourScale,
+    EigenvalueSpectrum,
     Figure,
     Mark,
-    Panels,
-    Part,
+    Sides,
+    TailCurve,
     left_out,
+    of_rows,
     row_names,
 )
 from hyperval.results import Result, ResultTable
@@ -108,17 +109,12 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     best = rows[0]
     alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
-    legend = "dotted: one chance in a thousand by luck"
+    legend = "twice the gain in log-likelihood (2 Δ ln L) when that input may move; dotted: 1 in 1000 by luck"
     legend += "; a number in brackets is one of several independent shapes of an error" if _numbered(names) else ""
-    x = Axis("likelihood gained, 2 Δ ln L", "log", ends=(0.1, max(max(r.value for r in rows) * 30.0, 30.0)))
-    return Figure(
-        "attribution-inputs",
-        "attribution",
-        "Which input, were it less well known, would explain the differences",
-        alt,
-        (Panels(x, (Part(row_names(names, _LONGEST), tuple(marks), (("x", _TELLING),)),)),),
-        legend,
-    )
+    x = Axis("how much better it explains the differences", "log", ends=(0.1, max(best.value * 30.0, 30.0)))
+    title = "Which input, were it less well known, would explain the differences"
+    y = row_names(names, _LONGEST)
+    return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
 
 
 def _by_subject(rows: Sequence[Result]) -> Figure | None:
@@ -135,24 +131,22 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
     part = gains / np.maximum(gains.max(axis=1, keepdims=True), 1e-300)
     marks = []
-    for first, label, colour in ((False, "part of it", _OTHER), (True, "greatest gain of a subject, 2 Δ ln L", _BEST)):
+    for first, label, colour in ((False, "part of it", _OTHER), (True, "greatest gain of a subject", _BEST)):
         own = (gains > 0.0) & ((part >= 0.999) == first)
         if own.any():
             y, x = np.nonzero(own)
             columns = {"x": x.astype(float), "y": y.astype(float), "size": 14.0 * np.sqrt(part[own])}
-            words = tuple(_short(gain) for gain in gains[own])
+            words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[own])
             beside: Any = "right" if first else ""
             marks.append(Mark("dots", columns, label, colour, marker="circle", words=words, beside=beside))
-    legend = "the area of a dot is the gain as a part of the greatest of its subject"
+    legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
     quiet = len(asked) - len(every)
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
     legend += left_out(len(subjects), len(every), "results.csv")
     tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
-    return Figure(
-        "attribution-subjects", "attribution", "The same for each subject by itself",
-        f"For each subject the input that gains most: {tops}.",
-        (Panels(row_names(inputs, _LONGEST), (Part(row_names(subjects, _LONGEST), tuple(marks)),)),), legend,
-    )  # fmt: skip
+    title, alt = "The same for each subject by itself", f"For each subject the input that gains most: {tops}."
+    names = row_names(inputs, _LONGEST), row_names(subjects, _LONGEST)
+    return of_rows("attribution-subjects", "attribution", title, alt, *names, marks, legend)
 
 
 def _effects(rows: Sequence[Result]) -> Figure:
@@ -171,7 +165,7 @@ def _effects(rows: Sequence[Result]) -> Figure:
     names = sorted(names, key=lambda n: -max(abs(by.get((q, n), 0.0)) for q in shown))[:_MOST_INPUTS]
     y, x = (place.ravel().astype(float) for place in np.mgrid[: len(shown), : len(names)])
     values = np.array([by.get((q, n), math.nan) for q in shown for n in names])
-    words = tuple(_change(value) for value in values)
+    words = tuple(f"{v:+.{1 + (abs(v) >= 0.001)}g}" if abs(v) >= 0.0005 else "" for v in values)
     # Colours end where nearly all values lie: one that is far out takes them from all others.
     finite = np.abs(values[np.isfinite(values)])
     reach = max(float(np.percentile(finite, 97)) if finite.size else 0.0, 1e-6)
@@ -185,14 +179,9 @@ def _effects(rows: Sequence[Result]) -> Figure:
     legend += "gap: predicted less measured; spectra as a part of the collected mean, P_D as it stands; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:.2g})" for q in shown]
-    return Figure(
-        "attribution-effects",
-        "sensitivity",
-        "What one unit of each input moves",
-        alt,
-        (Panels(row_names(names, _LONGEST), (Part(row_names(quantities, 56), (cells,)),)),),
-        legend,
-    )
+    ways = row_names(names, _LONGEST), row_names(quantities, 56)
+    title = "What one unit of each input moves"
+    return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
 
 
 def _what_ifs(rows: Sequence[Result]) -> Figure:
@@ -200,7 +189,7 @@ def _what_ifs(rows: Sequence[Result]) -> Figure:
     after, at = np.array([r.value for r in rows]), np.arange(float(len(rows)))
     marks = [Mark("dots", {"x": before, "y": at}, "as the campaign has it", marker="circle", hollow=True)]
     for own, label, colour, marker in (
-        (after < before, "after, closer", BETTER, "left"), (~(after < before), "after, farther", WORSE, "right")
+        (after < before, "after, closer", MET, "left"), (~(after < before), "after, farther", NOT_MET, "right")
     ):  # fmt: skip
         if own.any():
             ends = {"low": np.minimum(before, after)[own], "high": np.maximum(before, after)[own]}
@@ -209,30 +198,11 @@ def _what_ifs(rows: Sequence[Result]) -> Figure:
                               along="x", words=words, beside="right"))  # fmt: skip
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
-    x = Axis(
-        "reduced chi-square of all residuals",
-        "log" if scattered else "linear",
-    )
+    x = Axis("reduced chi-square of all residuals", "log" if scattered else "linear")
     each = (f"{r.method} from {b:.3g} to {r.value:.3g}" for r, b in zip(rows, before, strict=True))
-    return Figure(
-        "what-ifs",
-        "what-if",
-        "What-ifs: the gap before and after",
-        "Reduced chi-square of all residuals before and after each what-if: " + "; ".join(each) + ".",
-        (Panels(x, (Part(row_names([r.method for r in rows]), tuple(marks), (("x", 1.0),)),)),),
-        "dotted: 1, which the uncertainties allow",
-    )
-
-
-def _change(value: float) -> str:
-    if not abs(value) >= 0.0005:
-        return ""
-    return f"{value:+.2g}" if abs(value) >= 0.001 else f"{value:+.1g}"
-
-
-def _short(gain: float) -> str:
-    """Two digits, without a power of ten."""
-    return f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}"
+    alt = f"Reduced chi-square of all residuals before and after each what-if: {'; '.join(each)}."
+    title, legend = "What-ifs: the gap before and after", "dotted: 1, which the uncertainties allow"
+    return of_rows("what-ifs", "what-if", title, alt, x, row_names([r.method for r in rows]), marks, legend, (1.0,))
 
 
 def _numbered(names: Sequence[str]) -> bool:

@@ -21,6 +21,7 @@ from hyperval.figures.spec import (
     Mark,
     Panels,
     Part,
+    of_rows,
     row_names,
 )
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words
@@ -304,7 +305,7 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
             start = start + share
     notes = tuple(", ".join(f"{own[o]} {WORDS[o]}" for o in WORST_FIRST if own[o]) for own in counts.values())
     x = Axis("share of acceptance criteria [%]", ends=(0.0, 100.0))
-    part = Part(replace(row_names(list(counts)), notes=notes), tuple(marks))
     words = "; ".join(f"{name}: {note}" for name, note in zip(counts, notes, strict=True))
-    return Figure("campaigns", "criteria", "Acceptance criteria of the model by campaign, the worst first",
-                  f"Share of acceptance criteria by outcome. {words}.", (Panels(x, (part,)),))  # fmt: skip
+    title = "Acceptance criteria of the model by campaign, the worst first"
+    alt = f"Share of acceptance criteria by outcome. {words}."
+    return of_rows("campaigns", "criteria", title, alt, x, replace(row_names(list(counts)), notes=notes), marks)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from hyperval.figures.sides import Array, ScoreMap, Sides, both_first, drawn_of, of_side
 from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
@@ -18,18 +17,25 @@ from hyperval.figures.spec import (
     MOST_ROWS,
     PREDICTED,
     SIDES,
+    Array,
     Axis,
     ColourScale,
     Figure,
     Mark,
     Panels,
     Part,
+    ScoreMap,
+    Sides,
     a_row_each,
     a_view_each,
+    both_first,
     both_sides,
     count_text,
+    drawn_of,
     left_out,
     measured_mark,
+    of_rows,
+    of_side,
     predicted_mark,
     row_names,
 )
@@ -310,11 +316,10 @@ def object_score_figure(sides: Sides) -> Figure | None:
             said, columns = tuple(np.array(words)[own].tolist()), {"x": measured[own], "y": at[own]}
             marks.append(measured_mark("dots", columns, label, marker="square", hollow=hollow, words=said))
     title = "Score of each object: predicted interval and measured value"
-    return Figure(
-        "object-scores", "scores", title + left_out(len(shown), len(pairs), "results.csv"),
-        f"Measured score of each object beside its predicted 95 % interval. {'; '.join(words)}.",
-        (Panels(Axis("greatest score of the object"), (Part(row_names(names), tuple(marks), (("x", 0.0),)),)),),
-    )  # fmt: skip
+    title += left_out(len(shown), len(pairs), "results.csv")
+    alt = f"Measured score of each object beside its predicted 95 % interval. {'; '.join(words)}."
+    x = Axis("greatest score of the object")
+    return of_rows("object-scores", "scores", title, alt, x, row_names(names), marks, rules=(0.0,))
 
 
 def transform_figure(sides: Sides) -> Figure | None:

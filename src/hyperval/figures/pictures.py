@@ -9,15 +9,13 @@ import functools
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from hyperval.figures.sides import Quicklook, ScoreMap
-from hyperval.figures.spec import VIRIDIS, Drawing, shortened, tones
+from hyperval.figures.spec import VIRIDIS, Drawing, Quicklook, ScoreMap, shortened, tones
 from hyperval.units import PLAUSIBLE_NM
 
 _MOST_PIXELS = 800  # along the longer side of a picture
@@ -34,6 +32,7 @@ _LETTER, _SMALL, _TITLE = 25, 21, 28  # heights
 _LEFT, _TOP, _FOOT, _RIGHT, _BAR, _BAR_ROOM = 96, 80, 76, 40, 32, 190  # room about the picture
 Indices = npt.NDArray[np.uint8]
 Segments = list[tuple[int, npt.NDArray[np.float64]]]
+Window = tuple[slice, slice]  # the lines and the samples of an image that are drawn
 
 
 def draw_pictures(quicklook: Quicklook | None, maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
@@ -46,8 +45,8 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     """The scene in three bands, its regions outlined and numbered, with a scale."""
     rgb = np.asarray(quicklook.rgb)
     view = shown_window(rgb.shape[:2], quicklook.regions)
-    step = max(1, math.ceil(max(view.lines, view.samples) / _MOST_PIXELS))
-    picture = rgb[view.first_line : view.end_line : step, view.first_sample : view.end_sample : step]
+    step = max(1, math.ceil(max(_size(view)) / _MOST_PIXELS))
+    picture = rgb[view][::step, ::step]
     few = Image.fromarray(np.ascontiguousarray(picture)).quantize(
         _OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
     )
@@ -58,7 +57,8 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     title = "Scene with its regions of interest" + (f" (red, green, blue: {bands})" if quicklook.band_nm else "")
     cut = _cut(rgb.shape, view)
     title += f"; {cut}" if cut else ""
-    alt = f"Picture of the scene, {_where(rgb.shape, view)}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
+    size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f", of which {cut} are shown" if cut else "")
+    alt = f"Picture of the scene, {size}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
     return canvas.drawing("scene", "scene", title, alt, _numbered_names(quicklook.regions))
 
 
@@ -71,7 +71,7 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
         view = shown_window(scores.shape, score_map.outlines)
         limits, segments = _score_limits(score_map), _segments(score_map.outlines)
         outlined = f"; outlined: {_words_of(score_map.outlines) or 'nothing'}."
-        values, block = block_maximum(scores[view.part].astype(float), _MOST_PIXELS)
+        values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
         cut = _cut(scores.shape, view)
         note = f"; {cut}" if cut else ""
         note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
@@ -82,7 +82,7 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
             f"Map of the detector score {name}, {size}{note}{outlined}", values,
         )]  # fmt: skip
         if score_map.expected is not None:
-            expected, _ = block_maximum(score_map.expected.of(view.part).astype(float), _MOST_PIXELS)
+            expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MOST_PIXELS)
             shown.append((
                 f"score-map-{number}-expected", f"Expected score {name}",
                 f"What the model expects of {name}, in the colours of the measured map: the mean score of each "
@@ -141,7 +141,7 @@ class _Canvas:
             x, y = self._at(own[..., 0].max(), own[..., 1].min())
             self._label(x + 4, y - 3, str(number + 1), _OUTLINES[number % len(_OUTLINES)], "lb")
         if pixel_size_m and math.isfinite(pixel_size_m):
-            length_m = _round_length(0.25 * self._view.samples * pixel_size_m)
+            length_m = _round_length(0.25 * _size(self._view)[1] * pixel_size_m)
             left, y = _LEFT + 0.04 * (self._end[0] - _LEFT), self._end[1] - 0.04 * (self._end[1] - _TOP)
             right = left + length_m / pixel_size_m * self._per_pixel
             for colour, width, more in ((_BLACK, 12, 2), (_WHITE, 7, 0)):
@@ -157,8 +157,8 @@ class _Canvas:
 
     def _at(self, sample: float, line: float) -> tuple[float, float]:
         return (
-            _LEFT + (sample - self._view.first_sample) * self._per_pixel,
-            _TOP + (line - self._view.first_line) * self._per_pixel,
+            _LEFT + (sample - self._view[1].start) * self._per_pixel,
+            _TOP + (line - self._view[0].start) * self._per_pixel,
         )
 
     def _axes(self) -> None:
@@ -166,12 +166,12 @@ class _Canvas:
         self._pen.rectangle((_LEFT - 2, _TOP - 2, right + 1, bottom + 1), outline=_GREY, width=2)
         self._pen.text((8, _TOP - 8), "line [pixel]", _BLACK, _font(_LETTER), anchor="lb")
         self._pen.text(((_LEFT + right) / 2, bottom + 44), "sample [pixel]", _BLACK, _font(_LETTER), anchor="ma")
-        view = self._view
-        for sample in _ticks(view.first_sample, view.end_sample):
+        lines, samples = self._view
+        for sample in _ticks(samples):
             x, _ = self._at(sample, 0)
             self._pen.line((x, bottom, x, bottom + 9), _GREY, 2)
             self._pen.text((x, bottom + 14), f"{sample:g}", _BLACK, _font(_SMALL), anchor="ma")
-        for line in _ticks(view.first_line, view.end_line):
+        for line in _ticks(lines):
             _, y = self._at(0, line)
             self._pen.line((_LEFT - 11, y, _LEFT - 2, y), _GREY, 2)
             self._pen.text((_LEFT - 16, y), f"{line:g}", _BLACK, _font(_SMALL), anchor="rm")
@@ -205,10 +205,10 @@ def _palette(colours: Sequence[int]) -> list[int]:
     return own + [int(colour[at : at + 2], 16) for colour in _LINES for at in (1, 3, 5)]
 
 
-def _ticks(first: int, end: int) -> list[float]:
+def _ticks(along: slice) -> list[float]:
     """Round places within an axis."""
-    step = max(_round_length((end - first) / 3), 1.0)
-    return [float(at) for at in np.arange(math.ceil(first / step) * step, end + 1e-9, step)]
+    step = max(_round_length((along.stop - along.start) / 3), 1.0)
+    return [float(at) for at in np.arange(math.ceil(along.start / step) * step, along.stop + 1e-9, step)]
 
 
 def _segments(regions: Mapping[str, Any]) -> Segments:
@@ -216,47 +216,24 @@ def _segments(regions: Mapping[str, Any]) -> Segments:
     return [(n, own) for n, mask in enumerate(regions.values()) if len(own := outline_segments(mask))]
 
 
-@dataclass(frozen=True)
-class Window:
-    """The part of an image that is drawn: lines and samples from the first to before the end."""
-
-    first_line: int
-    end_line: int
-    first_sample: int
-    end_sample: int
-
-    @property
-    def lines(self) -> int:
-        """Number of lines."""
-        return self.end_line - self.first_line
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return self.end_sample - self.first_sample
-
-    @property
-    def part(self) -> tuple[slice, slice]:
-        """Lines and samples."""
-        return slice(self.first_line, self.end_line), slice(self.first_sample, self.end_sample)
-
-
 def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
     """The whole image; of a long strip only the part around its regions, where it has any."""
-    lines, samples = shape[:2]
-    whole = Window(0, lines, 0, samples)
-    if max(lines, samples) <= _LONGEST_STRIP * min(lines, samples):
-        return whole
-    inside = np.zeros((lines, samples), bool)
-    for mask in regions.values():
-        inside |= np.asarray(mask, bool)
-    if not inside.any():
-        return whole
-    line, sample = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
-    margin = max(10, min(lines, samples) // 10)
-    if lines > samples:
-        return Window(max(int(line[0]) - margin, 0), min(int(line[-1]) + 1 + margin, lines), 0, samples)
-    return Window(0, lines, max(int(sample[0]) - margin, 0), min(int(sample[-1]) + 1 + margin, samples))
+    sides = shape[:2]
+    window = [slice(0, side) for side in sides]
+    inside = np.zeros(sides, bool)
+    if max(sides) > _LONGEST_STRIP * min(sides):
+        for mask in regions.values():
+            inside |= np.asarray(mask, bool)
+    if inside.any():
+        along = int(np.argmax(sides))
+        at, margin = np.flatnonzero(inside.any(axis=1 - along)), max(10, min(sides) // 10)
+        window[along] = slice(max(int(at[0]) - margin, 0), min(int(at[-1]) + 1 + margin, sides[along]))
+    return window[0], window[1]
+
+
+def _size(view: Window) -> tuple[int, int]:
+    """Numbers of lines and samples."""
+    return view[0].stop - view[0].start, view[1].stop - view[1].start
 
 
 def _score_limits(score_map: ScoreMap) -> tuple[float, float]:
@@ -310,18 +287,12 @@ def _round_length(length: float) -> float:
     return next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= length * (1 + 1e-12))
 
 
-def _where(shape: tuple[int, ...], view: Window) -> str:
-    text = f"{shape[0]} lines by {shape[1]} samples"
-    cut = _cut(shape, view)
-    return f"{text}, of which {cut} are shown" if cut else text
-
-
 def _cut(shape: tuple[int, ...], view: Window) -> str:
     """The lines and samples of a window that is not the whole image; empty when it is."""
-    if (view.lines, view.samples) == tuple(shape[:2]):
+    if _size(view) == tuple(shape[:2]):
         return ""
-    lines = f"lines {view.first_line} to {view.end_line - 1}"
-    return f"{lines}, samples {view.first_sample} to {view.end_sample - 1}"
+    lines, samples = (f"{part.start} to {part.stop - 1}" for part in view)
+    return f"lines {lines}, samples {samples}"
 
 
 def _numbered_names(regions: Mapping[str, Any]) -> str:
@@ -336,5 +307,6 @@ def _words_of(regions: Mapping[str, Any]) -> str:
 
 def _css_width(view: Window) -> float:
     """Width [CSS pixels] that suits the shape of the picture; small, as three stand beside each other."""
-    aspect = min(max(view.lines / view.samples, 0.15), 4.0)
+    lines, samples = _size(view)
+    aspect = min(max(lines / samples, 0.15), 4.0)
     return 96 * (min(4.6, 4.2 / aspect) if aspect < 2.0 else max(5.2 / aspect, 2.0))

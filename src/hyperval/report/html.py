@@ -26,8 +26,7 @@ from hyperval.errors import UsageError
 from hyperval.figures.catalogue import first_figures, further_figures
 from hyperval.figures.criteria import WORDS, campaigns_figure, criteria_figure
 from hyperval.figures.detection import many_objects_figure
-from hyperval.figures.sides import EigenvalueSpectrum, TailCurve
-from hyperval.figures.spec import Drawing, Figure, statement
+from hyperval.figures.spec import Drawing, EigenvalueSpectrum, Figure, TailCurve, statement
 from hyperval.figures.spectra import SPECTRA
 from hyperval.metrics import Evidence, explained
 from hyperval.products import ObservedProducts, PredictedProducts, background_of
@@ -277,8 +276,6 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         compares=bool(planned),
         power=run.power,
         gated=any(row.gates for row in rows),
-        power_changed=run.power.changed_files(run.provenance.get("inputs", ())) if run.power else [],
-        power_moved=run.power.moved_gates(rows) if run.power else [],
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),

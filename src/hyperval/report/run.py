@@ -1,180 +1,33 @@
-"""What a report is made from: one results table, the two sides, and where everything came from.
-
-What a campaign can tell: which standard errors, injected into its model one at a time, its comparisons see.
-"""
+"""What a report is made from: one results table, the two sides, and where everything came from."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
-import yaml
-from pydantic import Field
-
-from hyperval.config import Model, load_model
-from hyperval.errors import UsageError
-from hyperval.figures.sides import EigenvalueSpectrum, Quicklook, ScoreMap, TailCurve
-from hyperval.metrics import DIGITS, Evidence, default_tolerance
+from hyperval.figures.spec import EigenvalueSpectrum, Quicklook, ScoreMap, TailCurve
 from hyperval.products import ObservedProducts, PredictedProducts
 from hyperval.results import Result, ResultTable
-from hyperval.storage import write_text
-
-ACCEPTED = Path("validation/power")
-_MOST_NAMED = 4
-
-
-class Sight(StrEnum):
-    """How far a campaign sees an error."""
-
-    GATES = "gates"
-    INFORMING = "informational comparisons"
-    UNSEEN = "unseen"
-    NOT_APPLICABLE = "not applicable"
-
-
-class Injected(Model):
-    """What one injected error turns to "disagrees"; of rows that disagree without it nothing is said."""
-
-    gates: tuple[str, ...] = Field((), description='gates that turn: "product | subject | method | metric"')
-    informing: dict[str, int] = Field(default_factory=dict, description="informational rows that turn, by product")
-    not_applicable: str | None = Field(None, description="why it cannot be injected")
-
-    @property
-    def sight(self) -> Sight:
-        """How far it is seen."""
-        if self.not_applicable is not None:
-            return Sight.NOT_APPLICABLE
-        if self.gates:
-            return Sight.GATES
-        return Sight.INFORMING if self.informing else Sight.UNSEEN
-
-    @property
-    def words(self) -> str:
-        """How far it is seen, with numbers."""
-        if self.not_applicable is not None:
-            return Sight.NOT_APPLICABLE
-        rows, criteria = sum(self.informing.values()), len(self.gates)
-        parts = [f"{criteria} {'criterion' if criteria == 1 else 'criteria'}"] if criteria else []
-        parts += [f"{rows} informational comparison{'' if rows == 1 else 's'}"] if rows else []
-        return ", ".join(parts) or "undetected"
-
-    @property
-    def which(self) -> str:
-        """What sees it, some by name; or why it cannot be injected."""
-        if self.not_applicable is not None:
-            return self.not_applicable
-        if not self.gates:
-            return ", ".join(f"{product} {n}" for product, n in self.informing.items())
-        more = len(self.gates) - _MOST_NAMED
-        return "; ".join(self.gates[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
-
-
-class PowerTable(Model):
-    """The power table of one campaign."""
-
-    schema_version: Literal[1] = Field(alias="schema")
-    campaign: str
-    version: str = Field(description="of hyperval, which computed it")
-    files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
-    gates: int = Field(ge=0, description="gates that an error could turn")
-    disagreeing: int = Field(ge=0, description="gates that disagree with nothing injected, and cannot turn")
-    stated: dict[str, float] = Field(
-        default_factory=dict, description="gate of the model -> its value with nothing injected"
-    )
-    errors: dict[str, Injected] = Field(min_length=1)
-
-    def named(self, *sights: Sight) -> list[str]:
-        """Errors that are seen so far."""
-        return [name for name, injected in self.errors.items() if injected.sight in sights]
-
-    def changed_files(self, inputs: Iterable[Mapping[str, Any]]) -> list[str]:
-        """The campaign's own files that are not, or not any more, as they were when the table was computed.
-
-        ``inputs`` : with ``reference`` and ``sha256``, as provenance has them.
-        """
-        now = own_files(inputs)
-        return sorted(name for name in {*now, *self.files} if now.get(name) != self.files.get(name))
-
-    def moved_gates(self, rows: Iterable[Result]) -> list[str]:
-        """Gates of the model that have another value in a run than they had when the table was computed."""
-        now = gate_values(rows)
-        return [n for n in dict.fromkeys((*self.stated, *now)) if _moved(n, self.stated.get(n), now.get(n))]
-
-    @property
-    def sentence(self) -> str:
-        """What a reader has to know before all."""
-        injected = len(self.errors) - len(self.named(Sight.NOT_APPLICABLE))
-        unseen, shown = self.named(Sight.UNSEEN), self.named(Sight.INFORMING)
-        parts = [f"The criteria detect {len(self.named(Sight.GATES))} of {injected} injected model errors."]
-        if shown:
-            parts.append(f"Informational comparisons alone detect: {', '.join(shown)}.")
-        if unseen:
-            parts.append(f"Undetected: {', '.join(unseen)}.")
-        if absent := self.named(Sight.NOT_APPLICABLE):
-            parts.append(f"Not applicable: {', '.join(absent)}.")
-        if self.disagreeing:
-            some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
-            parts.append(f"{self.disagreeing} {some} not met already cannot detect any.")
-        return " ".join(parts)
-
-
-def gate_values(rows: Iterable[Result]) -> dict[str, float]:
-    """Gate of the model -> its value, as a power table keeps it; without those that have none."""
-    gates = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and math.isfinite(row.value)]
-    return {gate_name(row): float(f"{row.value:.{DIGITS}g}") for row in gates}
-
-
-def gate_name(row: Result) -> str:
-    """ "product | subject | method | metric", and the band where there is one."""
-    band = [f"{row.band_nm:g} nm"] if row.per_band else []
-    return " | ".join([row.product, row.subject, row.method, row.metric, *band])
-
-
-def _moved(name: str, accepted: float | None, value: float | None) -> bool:
-    if accepted is None or value is None:
-        return True
-    metric = name.split(" | ")[3]
-    return abs(value - accepted) > default_tolerance(metric).width(accepted)
-
-
-def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-    """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation."""
-    return {
-        str(item["reference"]): str(item["sha256"])
-        for item in inputs
-        if ":" not in str(item["reference"]) and str(item["reference"]).endswith((".yaml", ".yml"))
-    }
-
-
-def accepted_table(name: str, folder: Path = ACCEPTED) -> PowerTable | None:
-    """The accepted power table of a campaign, None where there is none.
-
-    Raises
-    ------
-    UsageError : mistakes in the file, or a table of another campaign.
-    """
-    path = folder / f"{name}.yaml"
-    if not path.is_file():
-        return None
-    table = load_model(PowerTable, path)
-    if table.campaign != name:
-        raise UsageError(f"is the power table of {table.campaign!r}", where=str(path), expected=name)
-    return table
-
-
-def write_power_table(path: Path, table: PowerTable) -> None:
-    """Write one table as YAML."""
-    data = table.model_dump(mode="json", by_alias=True, exclude_defaults=True)
-    head = f"# What the campaign {table.campaign} can tell: errors injected into its model, and the gates that turn.\n"
-    head += "# `hyperval power --accept` renews it.\n"
-    write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))
-
 
 WARNING = "warning: "  # what a note that warns begins with
+
+
+class PowerWords(NamedTuple):
+    """Which injected errors a campaign's criteria detect, in words.
+
+    Attributes
+    ----------
+    sentence : what a reader has to know before all
+    errors : (error, what detects it, by name)
+    version : of the program that injected them
+    stale : why this is not of the present run; empty where it is
+    """
+
+    sentence: str
+    errors: Sequence[tuple[str, str, str]]
+    version: str
+    stale: str = ""
 
 
 @dataclass(frozen=True)
@@ -199,7 +52,7 @@ class RunReport:
     tails : subject -> tails of both sides
     chosen_after : (what, as it was before) of each range that was chosen after its data were seen
     never_met : criteria that can never be met, and what would have to be known better for it
-    power : which standard errors the campaign would see, None where that was not worked out
+    power : which standard errors the campaign would detect, None where that was not worked out
     remedy : how to get the collection of a run that was skipped for lack of it
     kind : what the page is: "Campaign" for both sides compared, else what it shows
     sentence : what the page says first where it compares something else than a model with a collection
@@ -221,7 +74,7 @@ class RunReport:
     tails: Mapping[str, TailCurve] = field(default_factory=dict)
     chosen_after: Sequence[tuple[str, str]] = ()
     never_met: Sequence[tuple[Result, str]] = ()
-    power: PowerTable | None = None
+    power: PowerWords | None = None
     kind: str = "Campaign"
     sentence: str = ""
     computed: bool = False
