@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -42,12 +43,9 @@ def edit(cube_file: Path) -> Callable[..., Path]:
         text = header.read_text()
         for name, value in entries.items():
             key = name.replace("_", " ")
-            before, found, rest = text.partition(f"\n{key} = ")
-            if not found:
-                text += f"{key} = {value}\n"
-                continue
-            end = rest.index("}\n") + 1 if rest.startswith("{") else rest.index("\n")
-            text = before + ("" if value is None else f"\n{key} = {value}") + rest[end:]
+            line = "" if value is None else f"{key} = {value}\n"
+            pattern = rf"(?m)^{key} = (\{{[^}}]*\}}|.*)\n"
+            text = text.replace(found[0], line) if (found := re.search(pattern, text)) else text + line
         header.write_text(text)
         return cube_file
 

@@ -6,10 +6,7 @@ import csv
 
 import numpy as np
 import pytest
-import rasterio
-import spectral
 
-from hyperval.errors import InputError
 from hyperval.imagery import intersected_objects, objects, open_cube, open_raster, overlaps, read_regions
 
 pytestmark = pytest.mark.data
@@ -39,10 +36,6 @@ def test_published_geotiff_equals_the_envi_copy(data_dir):
     assert a.crs == b.crs
     assert a.crs.to_epsg() == 32632
     assert a.pixel_area_m2 == pytest.approx(0.49)
-    with rasterio.open(envi, driver="ENVI") as dataset:
-        assert np.allclose(dataset.read().transpose(1, 2, 0) / 1e4, a.read(0, 86).values, atol=1e-12)
-    image = spectral.open_image(str(envi.with_suffix(".hdr"))).load()
-    assert np.allclose(np.asarray(image), a.read(0, 86).values, atol=1e-6)
 
 
 def test_hysu_targets_from_rasters_are_those_of_the_list(data_dir):
@@ -76,16 +69,3 @@ def test_hysu_masks_cube_and_pixel_list_agree_with_the_rasters(data_dir):
         assert sorted(map(tuple, np.argwhere(raster.mask).tolist())) == sorted(listed)
     # Masks of different materials overlap at the edges of the targets; that is reported.
     assert overlaps([bands[m] for m in MATERIALS.values()])
-
-
-def test_envi_ascii_export(data_dir):
-    path = data_dir("roi/2013_IEEE_GRSS_DF_Contest_Samples_VA.txt.gz")
-    regions = read_regions(path, (349, 1905))
-    assert len(regions) == 15
-    assert {n: regions[n].n for n in ("grass_healthy", "water", "running_track")} == {
-        "grass_healthy": 1053, "water": 143, "running_track": 473,
-    }  # fmt: skip
-    assert regions["grass_healthy"].mask[11, 783]  # "1 784 12": X, Y counted from 1
-    assert overlaps(regions.values()) == []
-    with pytest.raises(InputError, match="made for 349 lines x 1905 samples"):
-        read_regions(path, (348, 1905))

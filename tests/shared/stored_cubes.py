@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperval.imagery import open_cube
+from hyperval.imagery import open_cube, write_cube
+from hyperval.spectra import SpectralAxis
 
 LINES, SAMPLES, BANDS = 47, 23, 30
 TYPES = {"u1": 1, "i2": 2, "i4": 3, "f4": 4, "f8": 5, "u2": 12}
@@ -24,14 +25,10 @@ def numbers(seed=0, low=500.0, spread=900.0, noise=6.0):
 
 def stored(folder: Path, x, interleave="bil", dtype="<i2", extra="", **options):
     """The cube of values (lines, samples, bands) that were written as they are."""
-    order = {"bil": (0, 2, 1), "bip": (0, 1, 2), "bsq": (2, 0, 1)}[interleave]
     folder.mkdir(exist_ok=True, parents=True)
-    path = folder / "cube.img"
-    path.write_bytes(np.ascontiguousarray(x.transpose(order)).astype(dtype).tobytes())
-    waves = ", ".join(str(400 + 10 * b) for b in range(x.shape[2]))
-    path.with_suffix(".hdr").write_text(
-        f"ENVI\nsamples = {x.shape[1]}\nlines = {x.shape[0]}\nbands = {x.shape[2]}\nheader offset = 0\n"
-        f"data type = {TYPES[dtype[1:]]}\ninterleave = {interleave}\nbyte order = {int(dtype[0] == '>')}\n"
-        f"wavelength units = Nanometers\nwavelength = {{{waves}}}\n{extra}"
-    )
+    axis = SpectralAxis(400.0 + 10.0 * np.arange(x.shape[2]), 10.0)
+    written = {"interleave": interleave, "data_type": TYPES[dtype[1:]], "byte_order": int(dtype[0] == ">")}
+    path = write_cube(folder / "cube.img", np.asarray(x).astype(dtype), axis=axis, **written)
+    with path.with_suffix(".hdr").open("a") as header:
+        header.write(extra)
     return open_cube(path, check_values=False, **{"quantity": "other", **options})

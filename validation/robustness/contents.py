@@ -220,16 +220,13 @@ def run_products(folder: Path) -> dict[str, bytes]:
 
 def products_of_imagers(folder: Path) -> dict[str, dict[str, bytes]]:
     """Small images in the layouts of their providers; the file that is damaged comes first."""
-    plain = ("aviris", "emit", "neon reflectance", "neon radiance", "tanager", "hypso", "oci")
-    makers = {name: getattr(product_shells, name.replace(" ", "_")) for name in plain} | {
-        "prisma l1": product_shells.prisma,
-        "prisma l2b": lambda path: product_shells.prisma(path, "L2B"),
-        "prisma l2d": lambda path: product_shells.prisma(path, "L2D"),
-    }
+    kinds = {name: (name, None) for name in ("aviris", "emit", "tanager", "hypso", "oci")}
+    kinds |= {f"neon {kind}": ("neon", kind) for kind in ("reflectance", "radiance")}
+    kinds |= {f"prisma {kind.lower()}": ("prisma", kind) for kind in ("L1", "L2B", "L2D")}
     out = {}
-    for name, make in makers.items():
+    for name, (product, kind) in kinds.items():
         path = folder / ("a.he5" if name.startswith("prisma") else "a.nc" if name in ("aviris", "emit") else "a.h5")
-        make(path)
+        product_shells.tree(path, product, kind)
         out[name] = {path.name: path.read_bytes()}
         path.unlink()
     (folder / "enmap").mkdir()

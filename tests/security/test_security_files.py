@@ -1,4 +1,8 @@
-"""Readers of files: whatever stands in a file, what comes back is its content or one clear error, and soon."""
+"""Files and references from somebody else.
+
+Whatever stands in a file, what comes back is its content or one clear error, and soon; a reference does not reach
+beyond the data directory, nor open an address.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +17,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 import hyperval
-from hyperval import cli
+from hyperval import cli, datasets
 from hyperval.collection import BandTableFile
-from hyperval.errors import HypervalError, InputError, reader
+from hyperval.errors import HypervalError, InputError, UsageError, reader
 
 PACKAGE = Path(hyperval.__file__).parent
+TABLES = yaml.safe_load(Path(__file__).with_name("contents.yaml").read_text("utf-8"))
 STARTS = ("read_", "load_", "open_")
 PATHS = {"path", "name_or_path", "table"}
 # Several files at once, of which each is read by a reader below.
@@ -52,30 +60,20 @@ MORE: dict[str, dict[str, Any]] = {
     "read_targets": {"shape": (2, 2)},
     "read_regions": {"cube_shape": (2, 2)},
 }
-DEEP = "[" * 100_000
-FEATURE = (
-    b'{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "a"}, '
-    b'"geometry": {"type": "Polygon", "coordinates": %b}}]}'
+SPECTRA = gzip.compress(b"wavelength value\n" * 500)
+RING = b'{"type": "Polygon", "coordinates": [[[%b, 1], [1, 1], [2, 2]]]}'
+CONTENTS = (
+    [text.encode("latin-1") for text in TABLES["any reader"].values()]
+    + [
+        bytes(4096),
+        bytes(range(256)) * 8,
+        b"[" * 100_000,  # JSON, deep
+        b'{"MODTRAN": [{"MODTRANINPUT": ' + b"9" * 5000 + b"}]}",
+        RING % (b"9" * 5000),
+        SPECTRA[:60],
+        SPECTRA[:-8] + bytes(8),  # another check sum
+    ]
 )
-CONTENTS = {
-    "nothing": b"",
-    "zeros": bytes(4096),
-    "every byte": bytes(range(256)) * 8,
-    "plain words": b"just plain words\n",
-    "a number": b"7",
-    "JSON null": b"null",
-    "JSON list": b"[1, 2, 3]",
-    "JSON deep": DEEP.encode(),
-    "JSON huge integer": b'{"MODTRAN": [{"MODTRANINPUT": ' + b"9" * 5000 + b"}]}",
-    "GeoJSON huge integer": FEATURE % (b"[[[" + b"9" * 5000 + b", 1], [1, 1], [2, 2]]]"),
-    "GeoJSON bad points": FEATURE % b'[[1, [2], null, "x", {}]]',
-    "MODTRAN without SURFACE": b'{"MODTRAN": [{"MODTRANINPUT": {"SURFACE": {}, "ATMOSPHERE": {}}}]}',
-    "damaged gzip": gzip.compress(b"wavelength value\n" * 500)[:60],
-    "gzip with another check sum": gzip.compress(b"wavelength value\n" * 500)[:-8] + bytes(8),
-    "YAML": b"schema: 1\nname: [a, {b: c}]\n",
-    "YAML with a lone surrogate": b'schema: 1\nname: "\\ud800"\ntitle: "\\udfff"\n',
-    "text of UTF-16": "wavelength,value\n400,0.1\n".encode("utf-16"),
-}  # fmt: skip
 ENDINGS = (".yaml", ".json", ".csv", ".hdr", ".tif", ".nc", ".chn.gz")
 
 
@@ -134,7 +132,7 @@ def exit_code(function: Callable[..., Any], path: Path) -> int:
 def test_damaged_files_are_clear_errors(name: str, tmp_path: Path, soon: None):
     # What is loaded is YAML, whatever its name ends in.
     endings = ENDINGS[:1] if READERS[name].__name__.startswith("load_") else ENDINGS
-    for number, content in enumerate(CONTENTS.values()):
+    for number, content in enumerate(CONTENTS):
         for ending in endings:
             path = tmp_path / f"a{number}{ending}"
             path.write_bytes(content)
@@ -179,8 +177,7 @@ def test_long_lines_take_no_longer_than_their_length(content: bytes, tmp_path: P
     assert exit_code(READERS["hyperval.spectra.read.read_spectrum"], tmp_path / "a.txt") in (0, 2, 3)
 
 
-MISNAMED = b'{"crs": {"properties": {"name": "EPSG:1,5"}}, ' + (FEATURE % b"[[[0, 0], [1, 1], [2, 2]]]")[1:]
-UNPACKABLE = gzip.compress(bytes(range(256)) * 9)[:40] + b"x" * 90
+MISNAMED = b'{"crs": {"properties": {"name": "EPSG:1,5"}}, ' + (RING % b"0")[1:]
 
 
 @pytest.mark.parametrize(
@@ -188,16 +185,49 @@ UNPACKABLE = gzip.compress(bytes(range(256)) * 9)[:40] + b"x" * 90
     [
         ("spectra.read.read_spectrum", "a.csv", b"name,400,500,600,700\na,1\rb,2,3,4,5\n", "2 cells"),
         ("paths.read_table", "a.csv", b"line,sample\n1,2\r3,4,5\n", "3 cells for 2 columns"),
-        ("imagery.regions.read_regions", "a.json", FEATURE % (b"[[[" + b"9" * 400 + b", 1], [1, 1], [2, 2]]]"),
-         "not valid GeoJSON: a number of 400 digits"),
+        ("imagery.regions.read_regions", "a.json", RING % (b"9" * 400), "not valid GeoJSON: a number of 400 digits"),
         ("imagery.regions.read_regions", "a.json", MISNAMED, "unknown coordinate system 'EPSG:1,5'"),
         ("config.load_yaml", "a.yaml", b"schema: 1\nseed: " + b"9" * 4400, "a.yaml:2: a number of 4400 digits"),
-        ("atmosphere.modtran.read_channels", "a.chn.gz", UNPACKABLE, "cannot read: Error -3 while decomp"),
+        (
+            "atmosphere.modtran.read_channels",
+            "a.chn.gz",
+            SPECTRA[:20] + b"x" * 90,
+            "cannot read: Error -3 while decomp",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_mutants_met_is_foreseen(function: str, name: str, content: bytes, message: str, tmp_path: Path):
-    path = tmp_path / name
-    path.write_bytes(content)
+    (tmp_path / name).write_bytes(content)
     read = READERS[f"hyperval.{function}"]
     with pytest.raises(HypervalError, match=message):
-        read(path, **MORE.get(read.__name__, {}))
+        read(tmp_path / name, **MORE.get(read.__name__, {}))
+
+
+# References -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("reference", "leaves"), TABLES["references"])
+def test_a_reference_stays_inside_and_is_no_address(reference: str, leaves: bool, tmp_path: Path, monkeypatch):
+    (tmp_path / "secret").write_text("x")
+    (tmp_path / "data").mkdir()
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path / "data"))
+    with pytest.raises(UsageError, match="leaves the data directory" if leaves else None):
+        datasets.resolve(reference, tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe"):
+        datasets.resolve("pipe", tmp_path)
+
+
+@given(st.text(max_size=60))
+@example("data:" + "../" * 20)
+def test_any_reference_is_a_file_below_the_root_or_an_error(reference):
+    root = Path(__file__).parent
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYPERVAL_DATA", str(root))
+        patch.setenv("HYPERVAL_CACHE", str(root / "none"))
+        try:
+            found = datasets.resolve("data:" + reference)
+        except HypervalError as error:
+            assert error.exit_code in (2, 3)  # noqa: PT017 - both ends are asserted
+        else:
+            assert found.resolve().is_relative_to(root)

@@ -1,0 +1,173 @@
+"""GeoTIFFs: wavelengths in tags, what lies beside them, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import struct
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import rasterio.shutil
+from affine import Affine
+from rasterio.errors import NotGeoreferencedWarning
+from small_files import write_raster
+
+from hyperval.errors import InputError
+from hyperval.imagery import open_cube, open_raster, tiff, write_cube
+from hyperval.spectra import SpectralAxis
+
+CENTRE = (450.0, 550.0, 650.0, 850.0)
+
+
+def retagged(path: Path, change: Callable[..., object]) -> Path:
+    """A GeoTIFF without a map position after a change of it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "r+") as out:
+            change(out)
+    return path
+
+
+def tagged(path: Path, values: np.ndarray, tags: list[dict[str, str]]) -> Path:
+    """A GeoTIFF without a map position, with tags for each band."""
+    write_raster(path, values.astype(np.float32).transpose(2, 0, 1))
+    return retagged(path, lambda out: [out.update_tags(band, **e) for band, e in enumerate(tags, start=1)])
+
+
+@pytest.fixture
+def placed(tmp_path: Path, values: np.ndarray) -> Path:
+    """A GeoTIFF of integers with its place and a no-data value."""
+    place = {"crs": "EPSG:32618", "transform": Affine(2, 0, 3e5, 0, -2, 47e5), "nodata": -99}
+    return write_raster(tmp_path / "t.tif", np.rint(values * 10000).astype("int16").transpose(2, 0, 1), **place)
+
+
+@pytest.mark.parametrize("domain", ["ENVI", None, "names"])
+@pytest.mark.parametrize("each", [True, False])
+@pytest.mark.parametrize(("unit", "per_nm"), [("nm", 1.0), ("Micrometers", 1e-3)])
+def test_wavelengths_in_tags_of_bands_or_data_set_or_in_names(tmp_path: Path, values, domain, each, unit, per_nm):
+    listed = {"wavelength": [f"{w * per_nm:g}" for w in CENTRE], "fwhm": [f"{9.5 * per_nm:g}"] * 4}
+    listed["bbl"] = ["1", "1", "0", "1"]
+
+    def state(out):
+        if domain == "names":
+            out.descriptions = [f"{w} {unit}" for w in listed["wavelength"]]
+        for band in range((4 if each else 1) * (domain != "names")):
+            entries = {key: texts[band] if each else ",".join(texts) for key, texts in listed.items()}
+            out.update_tags(*([band + 1] if each else []), ns=domain, **{"wavelength units": unit, **entries})
+
+    cube = open_cube(retagged(tagged(tmp_path / "c.tif", values, []), state), quantity="reflectance")
+    assert cube.axis.centre_nm == pytest.approx(CENTRE)
+    if domain == "names":
+        assert any("names of the bands" in note for note in cube.notes)
+    else:
+        assert cube.axis.fwhm_nm == pytest.approx([9.5] * 4)
+        assert cube.axis.good.tolist() == [True, True, False, True]
+
+
+def two_wavelengths(out):
+    for band, w in enumerate(CENTRE, start=1):
+        out.update_tags(band, ns="IMAGERY", CENTRAL_WAVELENGTH_UM=f"{w / 1e3 + 0.002:.4f}")
+
+
+def masked(out):
+    out.write_mask(np.arange(30).reshape(6, 5) > 5)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "change", "message"),
+    [
+        ({"wavelength_units": "inches"}, None, "in 'inches' cannot be used"),
+        ({"wavelength": "blue"}, None, "that are no positive numbers"),
+        ({"wavelength": "nan"}, None, "that are no positive numbers"),
+        ({"fwhm": "-1"}, None, "'fwhm' of the bands that are no positive numbers"),
+        ({}, two_wavelengths, "the bands have two wavelengths"),
+        ({}, masked, "mask or alpha band"),
+    ],
+)
+def test_tags_that_contradict_and_masks_are_refused(tmp_path: Path, values, spoil, change, message):
+    tags = [{"wavelength": f"{w}", "wavelength_units": "nm", **spoil} for w in CENTRE]
+    path = tagged(tmp_path / "c.tif", values, tags)
+    if change is not None:
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+            retagged(path, change)
+    with pytest.raises(InputError, match=message):
+        open_cube(path, quantity="reflectance")
+
+
+def test_a_file_that_gdal_converted_keeps_its_wavelengths(tmp_path: Path, values):
+    """GDAL writes them twice, once rounded to a nanometre, and the widths rounded alone."""
+    axis = SpectralAxis([433.29, 446.58, 659.87, 873.15], [5.3, 5.3, 5.4, 5.4])
+    write_cube(tmp_path / "a.img", values, axis=axis, interleave="bsq")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        rasterio.shutil.copy(tmp_path / "a.img", tmp_path / "a.tif", driver="GTiff")
+    (tmp_path / "a.hdr").rename(tmp_path / "no.header")
+    cube = open_cube(tmp_path / "a.tif", quantity="reflectance")
+    assert cube.axis.centre_nm == pytest.approx(axis.centre_nm, abs=1e-9)
+    assert cube.axis.fwhm_nm == pytest.approx([5.0] * 4)
+    assert any("whole nanometres" in note for note in cube.notes)
+
+
+def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Path, values, monkeypatch):
+    monkeypatch.setattr(tiff, "MAX_READ_BYTES", 0)  # as of a large image: each opens the file
+    raster = open_raster(tagged(tmp_path / "c.tif", np.tile(values, (40, 8, 1)), []))
+    with warnings.catch_warnings(record=True) as seen, ThreadPoolExecutor(8) as pool:
+        warnings.simplefilter("always")
+        blocks = list(pool.map(lambda line: raster.read_lines(line, 1), range(raster.lines)))
+    # Others may come from what earlier tests left to be collected.
+    assert not [w for w in seen if issubclass(w.category, NotGeoreferencedWarning)]
+    assert np.array_equal(np.concatenate(blocks), raster.read_lines(0, raster.lines))
+
+
+def test_other_sidecars_of_a_geotiff_are_not_read(placed: Path, axis: SpectralAxis, values: np.ndarray):
+    """Overviews and masks beside the file; a world file does not move one that knows its place."""
+    for name, size in (("t.tif.ovr", (3, 3)), ("t.tif.msk", (6, 5))):
+        write_raster(placed.with_name(name), np.zeros((4, *size), "u1"))
+    placed.with_suffix(".tfw").write_text("9\n0\n0\n-9\n0\n0\n")
+    with rasterio.open(placed, "r+") as dataset:  # these are read, once
+        dataset.scales, dataset.offsets = (1e-4,) * 4, (0.01,) * 4
+    cube = open_cube(placed, quantity="reflectance", axis=axis)
+    assert np.allclose(cube.read(0, 6).values, values + 0.01, atol=1e-12)
+    cube = open_cube(placed, quantity="reflectance", scale=1e-4, axis=axis)
+    assert (cube.ignore_value, cube.pixel_area_m2, cube.crs.to_epsg()) == (-99, 4.0, 32618)
+    assert np.allclose(cube.read(0, 6).values, values, atol=1e-15)
+    assert cube.read(0, 6).valid.all()
+    assert cube.transform == Affine(2, 0, 3e5, 0, -2, 47e5)
+    assert {p.name for p in cube.source_files} == {"t.tif"}
+
+
+def test_damaged_files_other_containers_and_a_header_of_another_size(tmp_path: Path, placed: Path, cube_file: Path):
+    header = cube_file.with_suffix(".hdr").read_text()
+    placed.with_suffix(".hdr").write_text(header.replace("lines = 6", "lines = 7"))
+    with pytest.raises(InputError, match="its header says"):
+        open_cube(placed, quantity="reflectance")
+    placed.with_suffix(".hdr").unlink()
+    fake = tmp_path / "v.tif"
+    fake.write_text(f"<VRTDataset rasterXSize='5' rasterYSize='6'><SRSDataset>{placed}</SRSDataset></VRTDataset>")
+    with pytest.raises(InputError, match="not a readable GeoTIFF"):
+        open_cube(fake, quantity="reflectance")
+    os.truncate(placed, placed.stat().st_size // 2)
+    with pytest.raises(InputError, match="GeoTIFF"):
+        list(open_cube(placed, quantity="other", axis=SpectralAxis(np.arange(4) + 400.0, 1.0)).blocks())
+    (tmp_path / "scene.hdf").write_bytes(b"\x0e\x03\x13\x01" + bytes(600))
+    with pytest.raises(InputError, match=r"(?s)HDF4.*not read as a cube.*docs/formats.md, Cubes"):
+        open_raster(tmp_path / "scene.hdf")
+
+
+def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
+    # One pixel of 32,769 bands in 1.4 kB: width, height, bits, samples per pixel, strip and its place.
+    entries = [(256, 4, 1), (257, 4, 1), (258, 3, 8), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 32_769)]
+    entries += [(278, 4, 1), (279, 4, 1), (284, 3, 1)]
+    body = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries)
+    path = tmp_path / "many.tif"
+    path.write_bytes(struct.pack("<2sHIH", b"II", 42, 8, len(entries)) + body + bytes(1300))
+    with pytest.raises(InputError, match="32769 bands\n  expected: at most 20000"):
+        open_cube(path, quantity="other")
+    path.write_bytes(path.read_bytes().replace(struct.pack("<I", 32_769), struct.pack("<I", 16_385)))
+    with pytest.raises(InputError, match="1430 bytes for 16385 bands of 1 lines and 1 samples"):
+        open_cube(path, quantity="other")
