@@ -94,15 +94,12 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def write_collection(folder: Path) -> None:
     """Simulate the scene into ``folder``/collection, with the sensor file beside it."""
-    from hyperval.simulate import SceneFile, SimulationInputs, sensor_numbers, simulate
-    from hyperval.statistics_library import builtin_class
+    from hyperval.simulate import SceneFile, load_inputs, simulate
 
     folder.mkdir(parents=True, exist_ok=True)
-    sensor = sensor_numbers(str(write_yaml(folder / "sensor.yaml", sensor_data())))
+    write_yaml(folder / "sensor.yaml", sensor_data())
     scene = SceneFile.model_validate(scene_data())
-    terms = stand_in_atmosphere(scene.atmosphere).at_bands(sensor.axis)
-    classes = {name: builtin_class(name, sensor.axis) for name in scene.materials()}
-    simulate(scene, folder / "collection", inputs=SimulationInputs(sensor, terms, classes))
+    simulate(scene, folder / "collection", inputs=load_inputs(scene, folder, stand_in_atmosphere))
 
 
 class SmallCampaign:

@@ -21,7 +21,7 @@ from hyperval.campaign import dry_run, jobs_of, overview, run_campaign
 from hyperval.imagery import divided, open_cube
 from hyperval.model import Z95
 from hyperval.results import Cause, Outcome
-from hyperval.simulate import SceneFile, SimulationInputs, sensor_numbers, simulate
+from hyperval.simulate import SceneFile, load_inputs, simulate
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 from small_campaign import PANELS, data_of, fill_in, stand_in_atmosphere
@@ -80,17 +80,15 @@ def delivered(data: Path) -> None:
     The cubes are in the geometry of the scanner; regions and planks go by UTM, through the lookup table.
     """
     made = SceneFile.model_validate(data_of("avon_scene"))
-    sensor = sensor_numbers(made.sensor)
-    terms = stand_in_atmosphere(made.atmosphere).at_bands(sensor.axis)
-    classes = {name: builtin_class(name, sensor.axis) for name in made.materials()}
-    simulate(made, data / "raw", inputs=SimulationInputs(sensor, terms, classes))
+    inputs = load_inputs(made, data, stand_in_atmosphere)
+    simulate(made, data / "raw", inputs=inputs)
     root = data / "share2012"
     for name in (RUN, "regions", "truth", "spectra"):
         (root / name).mkdir(parents=True)
     shutil.move(data / "raw" / "avon_rad.img", root / RUN / f"{RUN}_rad.dat")
     header = (data / "raw" / "avon_rad.hdr").read_text()
-    (root / RUN / f"{RUN}_rad.hdr").write_text(as_delivered(header, sensor.axis))
-    polished(root / RUN, header, sensor.axis)
+    (root / RUN / f"{RUN}_rad.hdr").write_text(as_delivered(header, inputs.axis))
+    polished(root / RUN, header, inputs.axis)
     line = ScannedLine()
     stored, transform = line.table()
     stored[(np.abs(stored[..., 0]) > made.samples) | (np.abs(stored[..., 1]) > made.lines)] = 0

@@ -8,7 +8,8 @@ import numpy as np
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import ClassStatistics
-from hyperval.simulate import SceneFile, SensorNumbers, SimulationInputs
+from hyperval.sensor import NoiseModel
+from hyperval.simulate import SceneFile, SimulationInputs
 from hyperval.spectra import SpectralAxis
 
 BANDS = 12
@@ -37,17 +38,17 @@ def terms() -> AtmosphericTerms:
     return AtmosphericTerms(AXIS.centre_nm, *parts, {"engine": "invented"})
 
 
-def numbers(**changes: Any) -> SensorNumbers:
-    """A sensor with every source of noise."""
-    values: dict[str, Any] = {
-        "name": "invented", "axis": AXIS, "noise_factor": 1.0, "bits": 14, "bit_error_rate": 0.0,
-        "electrons_per_radiance": np.full(BANDS, 5000.0), "fixed_noise_electrons": np.full(BANDS, 60.0),
-        "relative_calibration": np.full(BANDS, 0.005), "lsb_radiance": np.full(BANDS, 0.005),
+def noise_model(**changes: Any) -> NoiseModel:
+    """A sensor with every source of noise; one number stands for all bands."""
+    of_bands = {
+        "electrons_per_radiance": 5000.0, "fixed_noise": 60.0, "calibration_percent": 0.5, "lsb_electrons": 25.0,
     }  # fmt: skip
-    return SensorNumbers(**(values | changes))
+    values: dict[str, Any] = {"detector_gain": 1.0, "bits": 14, "bit_error_rate": 0.0, "bit_error_per": "bit"}
+    values |= {name: np.full(BANDS, changes.pop(name, value)) for name, value in of_bands.items()}
+    return NoiseModel(**(values | changes))
 
 
-INPUTS = SimulationInputs(numbers(), terms(), CLASSES)
+INPUTS = SimulationInputs("invented", AXIS, noise_model(), terms(), CLASSES)
 
 
 def area(surface: str, lines: list[int], samples: list[int], **more: Any) -> dict[str, Any]:

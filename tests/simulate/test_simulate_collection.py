@@ -18,7 +18,6 @@ from small_scene import CLASSES, INPUTS, SCENE, area, planks, scene_data, small_
 from hyperval.errors import UsageError
 from hyperval.imagery import read_regions
 from hyperval.simulate import (
-    SimulationInputs,
     SurfaceRenderer,
     detector,
     field_axis,
@@ -61,8 +60,8 @@ def test_spectral_python_and_rasterio_read_the_cube(found):
     values = stored(found)
     image = spectral.open_image(str(found.cube.with_suffix(".hdr")))
     assert np.array_equal(image.open_memmap(interleave="bip"), values)
-    assert np.allclose(image.bands.centers, INPUTS.sensor.axis.centre_nm)
-    assert np.allclose(image.bands.bandwidths, INPUTS.sensor.axis.fwhm_nm)
+    assert np.allclose(image.bands.centers, INPUTS.axis.centre_nm)
+    assert np.allclose(image.bands.bandwidths, INPUTS.axis.fwhm_nm)
     assert image.metadata["description"].startswith("SIMULATED")
     assert {int(b) for b in image.metadata["bbl"]} == {1}
     assert {float(g) for g in image.metadata["data gain values"]} == {0.001}
@@ -136,11 +135,13 @@ def test_a_scene_too_large_is_refused_before_anything_is_made(tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_inputs_on_other_bands_are_refused():
+def test_inputs_on_other_bands_and_averaged_readings_are_refused():
     g = CLASSES["grass"]
     few = replace(g, axis=g.axis.select(np.arange(3)), mean=g.mean[:3], covariance=g.covariance[:3, :3])
+    with pytest.raises(UsageError, match="averaged readings"):
+        replace(INPUTS, noise=replace(INPUTS.noise, readings=2.0))
     with pytest.raises(UsageError, match="bands"):
-        SimulationInputs(INPUTS.sensor, INPUTS.terms, {"grass": few})
+        replace(INPUTS, classes={"grass": few})
 
 
 def test_a_scene_file_becomes_a_folder_and_an_older_simulation_is_replaced(found, tmp_path, monkeypatch):

@@ -5,29 +5,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import skew
-from small_scene import BANDS, INPUTS, numbers
+from small_scene import BANDS, INPUTS, noise_model
 
 from hyperval.sensor import library_names, load_sensor
-from hyperval.simulate import Detector, detector, sensor_numbers
+from hyperval.simulate import Detector, detector
 
 N = 40_000
 
 
-def chain(sensor) -> Detector:
-    zero = np.zeros(len(sensor.axis), np.float32)
-    return Detector(sensor, zero, zero + 1, 1000.0)
+def chain(noise) -> Detector:
+    zero = np.zeros(noise.electrons_per_radiance.size, np.float32)
+    return Detector(noise, zero, zero + 1, 1000.0)
 
 
 def quiet(**changes):
-    """A sensor with shot noise alone, unless told otherwise; one number stands for all bands."""
-    silent = dict.fromkeys(("fixed_noise_electrons", "relative_calibration", "lsb_radiance"), 0.0) | changes
-    return numbers(**{name: np.full(BANDS, v) if isinstance(v, float) and name not in ("noise_factor", "bit_error_rate")
-                      else v for name, v in silent.items()})  # fmt: skip
+    """A sensor with shot noise alone, unless told otherwise."""
+    return noise_model(**{"fixed_noise": 0.0, "calibration_percent": 0.0, "lsb_electrons": 0.0} | changes)
 
 
-def measured(sensor, level: float, seed: int = 1, n: int = N) -> np.ndarray:
-    radiance = np.full((n, len(sensor.axis)), level, np.float32)
-    return chain(sensor).measured(radiance, np.random.default_rng(seed)).astype(float)
+def measured(noise, level: float, seed: int = 1, n: int = N) -> np.ndarray:
+    radiance = np.full((n, noise.electrons_per_radiance.size), level, np.float32)
+    return chain(noise).measured(radiance, np.random.default_rng(seed)).astype(float)
 
 
 def assert_same_spread(found: np.ndarray, expected: np.ndarray) -> None:
@@ -47,20 +45,20 @@ def assert_same_spread(found: np.ndarray, expected: np.ndarray) -> None:
 @pytest.mark.parametrize("electrons", [0.5, 4.0, 300.0, 900.0, 1100.0, 60_000.0])
 def test_shot_and_fixed_noise_agree_with_counting(electrons):
     gain, fixed = 5000.0, 7.0
-    found = measured(quiet(fixed_noise_electrons=fixed), electrons / gain)
+    found = measured(quiet(fixed_noise=fixed), electrons / gain)
     rng = np.random.default_rng(2)
     counted = rng.poisson(np.float64(np.float32(electrons / gain)) * gain, N * BANDS)
     assert_same_spread(found * gain, counted + fixed * rng.standard_normal(N * BANDS))
 
 
 def test_the_noise_factor_multiplies_the_noise_and_not_the_signal():
-    plain, doubled = measured(quiet(), 2.0), measured(quiet(noise_factor=2.0), 2.0)
+    plain, doubled = measured(quiet(), 2.0), measured(quiet(detector_gain=2.0), 2.0)
     assert np.allclose(doubled - 2.0, 2.0 * (plain - 2.0), atol=1e-6)
 
 
 def test_digital_numbers_are_whole_and_the_rounding_is_uniform():
     lsb = 0.05  # two and a half times the shot noise of 0.02: the rounding shows
-    found = measured(quiet(lsb_radiance=lsb), 2.0)
+    found = measured(quiet(lsb_electrons=5000.0 * lsb), 2.0)
     assert np.max(np.abs(found / lsb - np.rint(found / lsb))) < 1e-3
     rng = np.random.default_rng(3)
     raw = rng.poisson(2.0 * 5000.0, N * BANDS) / 5000.0
@@ -69,7 +67,7 @@ def test_digital_numbers_are_whole_and_the_rounding_is_uniform():
 
 @pytest.mark.parametrize("level", [1.0, 10.0])
 def test_relative_calibration_error_scales_with_the_signal_and_is_independent_from_band_to_band(level):
-    relative = measured(quiet(electrons_per_radiance=1e9, relative_calibration=0.02), level) / level - 1.0
+    relative = measured(quiet(electrons_per_radiance=1e9, calibration_percent=2.0), level) / level - 1.0
     # 5 standard errors of a standard deviation: sqrt(1/(2 n)).
     assert relative.std() == pytest.approx(0.02, rel=5 / np.sqrt(2 * N * BANDS) + 1e-3)
     assert np.max(np.abs(np.corrcoef(relative.T)[np.triu_indices(BANDS, 1)])) < 6 / np.sqrt(N)
@@ -77,7 +75,7 @@ def test_relative_calibration_error_scales_with_the_signal_and_is_independent_fr
 
 def test_bit_errors_flip_the_expected_share_by_powers_of_two():
     rate, bits, lsb = 1e-3, 8, 0.05
-    common = {"electrons_per_radiance": 1e12, "lsb_radiance": lsb, "bits": bits}
+    common = {"electrons_per_radiance": 1e12, "lsb_electrons": 1e12 * lsb, "bits": bits}
     found = measured(quiet(bit_error_rate=rate, **common), 100 * lsb)
     steps = np.rint(found / lsb - 100).astype(int)
     share = 1 - (1 - rate) ** bits
@@ -100,7 +98,7 @@ def test_radiance_is_the_sum_over_all_bounces_between_ground_and_sky():
 
 
 def test_full_scale_limits_the_numbers_and_is_counted():
-    sensor = quiet(bits=8, lsb_radiance=0.01)
+    sensor = quiet(bits=8, lsb_electrons=50.0)
     c = chain(sensor)
     radiance = np.full((5, BANDS), 3.0, np.float32)
     assert c.measured(radiance, np.random.default_rng(0)).max() == pytest.approx(2.55)
@@ -109,7 +107,7 @@ def test_full_scale_limits_the_numbers_and_is_counted():
 
 
 def test_stored_integers_round_and_count_what_does_not_fit():
-    values, clipped = chain(numbers()).stored(np.array([[1.2344, -0.0016, 32.7671, 33.0, -40.0]], np.float32))
+    values, clipped = chain(noise_model()).stored(np.array([[1.2344, -0.0016, 32.7671, 33.0, -40.0]], np.float32))
     assert values.tolist() == [[1234, -2, 32767, 32767, -32768]]
     assert values.dtype == np.dtype("<i2")
     assert clipped == 2
@@ -118,10 +116,9 @@ def test_stored_integers_round_and_count_what_does_not_fit():
 @pytest.mark.parametrize("name", library_names())
 @pytest.mark.parametrize("level", [0.5, 5.0])
 def test_every_sensor_of_the_library_draws_the_noise_that_its_model_predicts(name, level):
-    sensor = sensor_numbers(name)
-    bands, n = len(sensor.axis), 2000
-    found = measured(sensor, level, seed=6, n=n)
     noise = load_sensor(name).noise()
+    bands, n = noise.electrons_per_radiance.size, 2000
+    found = measured(noise, level, seed=6, n=n)
     variance = noise.variance(np.full(bands, level))
     # What lies beyond the full scale is cut there: the model's variance is that of bands that hold the level.
     held = np.full(bands, np.inf) if noise.full_scale is None else noise.full_scale

@@ -170,20 +170,15 @@ def terms(state: AtmosphericState) -> AtmosphericTerms:
 
 def rows_of(number: int, seed: int) -> list[Result]:
     """Simulate, observe, predict, compare and judge one campaign."""
-    from hyperval.simulate import SceneFile, simulate
-    from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
-    from hyperval.statistics_library import builtin_class
+    from hyperval.simulate import SceneFile, load_inputs, simulate
 
     files = world(number, seed)
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         for stem, data in files.items():
             (folder / f"{stem}.yaml").write_text(yaml.dump(data, Dumper=_Plain, sort_keys=False))
-        sensor = sensor_numbers(str(folder / "sensor.yaml"))
         scene = SceneFile.model_validate(files["scene"])
-        classes = {name: builtin_class(name, sensor.axis) for name in scene.materials()}
-        inputs = SimulationInputs(sensor, terms(scene.atmosphere).at_bands(sensor.axis), classes)
-        simulate(scene, folder / "collection", inputs=inputs, show_progress=False)
+        simulate(scene, folder / "collection", inputs=load_inputs(scene, folder, terms), show_progress=False)
         stack.enter_context(patch("hyperval.model.world.atmospheric_terms", lambda state, **_: terms(state)))
         stack.enter_context(patch.multiple(detection, REPLICATES=1000, POWER_DRAWS=20))
         stack.enter_context(patch.object(products, "compare_covariance", of_classes))

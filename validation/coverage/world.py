@@ -6,17 +6,21 @@ the prediction's propagation is used to make what it is judged by.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "shared"))
+from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
+
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.scenario import Scenario
-from hyperval.simulate.collection import Detector
-from hyperval.simulate.inputs import SensorNumbers, sensor_numbers
-from hyperval.simulate.surface import correlated_field
+from hyperval.sensor import load_sensor
+from hyperval.simulate import Detector, correlated_field
 from hyperval.spectra import SpectralAxis, in_window
 from hyperval.statistics_library import builtin_class
 
@@ -72,39 +76,21 @@ def scenario(method: str = "linear", samples: int = 400) -> Scenario:
 
 def engine(state: AtmosphericState) -> AtmosphericTerms:
     """A smooth stand-in for the radiative-transfer engine, shared by both sides as an input."""
-    w = np.arange(340.0, 2601.0, 10.0)
-    blue = (w / 550.0) ** -4
-    haze = state.aerosol_optical_depth * (w / 550.0) ** -1.3
-    water = (state.water_vapour_g_cm2 or 2.0) * np.exp(-(((w - 940) / 60) ** 2))
-    sun = 60 * np.exp(-(((w - 480) / 500) ** 2)) + 1.0
-    gas = np.exp(-0.3 * water)
-    direct = sun * np.exp(-0.5 * (haze + 0.1 * blue)) * gas / np.pi
-    return AtmosphericTerms(
-        wavelength_nm=w,
-        path_radiance=0.8 * blue + 0.5 * haze,
-        direct=direct,
-        adjacency=direct * (0.1 * haze + 0.05 * blue),
-        spherical_albedo=0.06 * blue + 0.15 * haze,
-        ground_irradiance=sun * gas,
-        gas_transmittance=gas,
-        provenance={"engine": "stand-in"},
-    )
+    blue, haze = blue_and_haze(state.aerosol_optical_depth)
+    gas = np.exp(-0.3 * (state.water_vapour_g_cm2 or 2.0) * line(940, 60))
+    direct = sunlight() * np.exp(-0.5 * (haze + 0.1 * blue)) * gas / np.pi
+    return smooth_terms(blue, haze, sunlight(), direct, gas)
 
 
-def _detector_numbers() -> SensorNumbers:
-    """The sensor in 40 of its bands, all in windows of the atmosphere."""
-    whole = sensor_numbers("prospectir-vs")
-    usable = np.flatnonzero(in_window(whole.axis.centre_nm) & (whole.axis.centre_nm > 430.0))
-    at = usable[np.linspace(0, usable.size - 1, 40).astype(int)]
-    cut = {
-        n: getattr(whole, n)[at]
-        for n in ("electrons_per_radiance", "fixed_noise_electrons", "relative_calibration", "lsb_radiance")
-    }
-    return replace(whole, axis=whole.axis.select(at), **cut)
+def _bands_in_windows() -> SpectralAxis:
+    """40 of the bands of the sensor, all in windows of the atmosphere."""
+    whole = load_sensor("prospectir-vs").axis
+    usable = np.flatnonzero(in_window(whole.centre_nm) & (whole.centre_nm > 430.0))
+    return whole.select(usable[np.linspace(0, usable.size - 1, 40).astype(int)])
 
 
-SENSOR = _detector_numbers()
-AXIS: SpectralAxis = SENSOR.axis
+AXIS = _bands_in_windows()
+NOISE = load_sensor("prospectir-vs").noise(AXIS)
 B = len(AXIS)
 _W = AXIS.centre_nm
 
@@ -201,8 +187,8 @@ def collect(t: Truth, rng: np.random.Generator, *, detection: bool = True, extra
     bounce = 1.0 - t.terms.spherical_albedo * average
     path = t.light * (t.terms.path_radiance + t.ground * t.terms.adjacency * average / bounce)
     slope = t.light * t.ground * t.terms.direct / bounce
-    numbers = replace(SENSOR, electrons_per_radiance=SENSOR.electrons_per_radiance * t.electrons)
-    detector = Detector(numbers, path.astype(np.float32), slope.astype(np.float32), 1.0)
+    noise = replace(NOISE, electrons_per_radiance=NOISE.electrons_per_radiance * t.electrons)
+    detector = Detector(noise, path.astype(np.float32), slope.astype(np.float32), 1.0)
 
     def seen(reflectance: Array) -> Array:
         flat = reflectance.reshape(-1, B).astype(np.float32)

@@ -8,12 +8,7 @@ from .collection import (
     simulate,
     simulate_to_folder,
 )
-from .inputs import (
-    SensorNumbers,
-    SimulationInputs,
-    load_inputs,
-    sensor_numbers,
-)
+from .inputs import SimulationInputs, load_inputs
 from .layout import (
     centred_fill,
     lay_out,
@@ -38,7 +33,6 @@ __all__ = [
     "Detector",
     "PaintedArea",
     "SceneFile",
-    "SensorNumbers",
     "SimulatedCollection",
     "SimulationInputs",
     "SurfaceRenderer",
@@ -53,7 +47,6 @@ __all__ = [
     "pixel_weights",
     "regions",
     "sampler",
-    "sensor_numbers",
     "side_for_fill",
     "simulate",
     "simulate_to_folder",

@@ -7,17 +7,17 @@ The truth beside a simulated cube: regions, targets, maps, panel spectra, and wh
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from affine import Affine
 from rasterio import features
 from rasterio.crs import CRS
@@ -26,8 +26,9 @@ from hyperval.errors import refusal
 from hyperval.executors import in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
+from hyperval.sensor import NoiseModel
 from hyperval.simulate import schema
-from hyperval.simulate.inputs import SensorNumbers, SimulationInputs, load_inputs
+from hyperval.simulate.inputs import SimulationInputs, load_inputs
 from hyperval.simulate.layout import GroundLayout, Mask, lay_out, regions, touched
 from hyperval.simulate.schema import SceneFile, load_scene
 from hyperval.simulate.surface import SurfaceRenderer
@@ -35,6 +36,7 @@ from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import builtin_mean
 from hyperval.storage import COLLECTION, whole_folder, write_text
 
+Array = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Above this many electrons a Poisson count is drawn from the normal law of the same mean and
@@ -50,10 +52,15 @@ class Detector:
     ``offset`` and ``slope`` (B,): radiance of a black pixel in this scene, and radiance per reflectance.
     """
 
-    sensor: SensorNumbers
+    noise: NoiseModel
     offset: Float32Array
     slope: Float32Array
     counts_per_radiance: float
+
+    @cached_property
+    def lsb(self) -> Array:
+        """(B,) radiance of one digital number; 0 without quantisation."""
+        return np.asarray(self.noise.lsb_electrons / self.noise.electrons_per_radiance)
 
     def radiance(self, reflectance: Float32Array) -> Float32Array:
         """(samples, B) at-sensor radiance without noise [uW cm-2 sr-1 nm-1]."""
@@ -63,8 +70,7 @@ class Detector:
 
     def saturated(self, radiance: Float32Array) -> int:
         """How many of the radiances lie beyond the full scale of the digital numbers."""
-        s = self.sensor
-        full = np.where(s.lsb_radiance > 0.0, s.lsb_radiance * (2**s.bits - 1), np.inf)
+        full = np.where(self.lsb > 0.0, self.lsb * (2 ** int(self.noise.bits) - 1), np.inf)
         return int(np.count_nonzero(radiance > full.astype(np.float32)))
 
     def measured(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
@@ -74,53 +80,55 @@ class Detector:
         factor g_d (3.16); the sum is rounded to digital numbers (3.18), bits are flipped at their error rate
         (3.19), and the calibration of every sample carries its own relative error (3.17).
         """
-        s = self.sensor
         out = self._detected(radiance, rng)
-        out *= np.float32(s.noise_factor)  # (3.16)
+        out *= np.float32(self.noise.detector_gain)  # (3.16)
         out += radiance
-        if np.any(s.lsb_radiance > 0.0):
+        if np.any(self.lsb > 0.0):
             out = self._digitised(out, rng)
-        if np.any(s.relative_calibration > 0.0):
+        relative = self.noise.calibration_percent / 100.0
+        if np.any(relative > 0.0):
             error = rng.standard_normal(out.shape, dtype=np.float32)
-            error *= s.relative_calibration.astype(np.float32)
+            error *= relative.astype(np.float32)
             error *= radiance
             out += error  # (3.17)
         return out
 
     def _detected(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
         """One draw of the detector's noise [radiance], before the noise factor."""
-        s = self.sensor
+        n = self.noise
         noise = rng.standard_normal(radiance.shape, dtype=np.float32)
-        if s.measured is not None:  # a sensor known by its noise alone: no electrons to count
-            a, b, c = (x.astype(np.float32) for x in s.measured)
+        if n.measured is not None:  # a sensor known by its noise alone: no electrons to count
+            a, b, c = (x.astype(np.float32) for x in n.measured)
             return np.asarray(noise * np.abs(a * np.sqrt(np.maximum(b + radiance, 0.0)) + c))
-        gain = s.electrons_per_radiance.astype(np.float32)
+        gain = n.electrons_per_radiance.astype(np.float32)
         electrons = radiance * gain  # (3.13)
         np.maximum(electrons, 0.0, out=electrons)  # a dark draw emits no photons
         noise *= np.sqrt(electrons)
         few = electrons < NORMAL_ABOVE_ELECTRONS
         noise[few] = (rng.poisson(electrons[few].astype(np.float64)) - electrons[few]).astype(np.float32)
         fixed = rng.standard_normal(radiance.shape, dtype=np.float32)
-        fixed *= s.fixed_noise_electrons.astype(np.float32)
+        fixed *= n.fixed_noise.astype(np.float32)
         noise += fixed  # (3.15)
         noise /= gain  # back in radiance
         return noise
 
     def _digitised(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
-        s = self.sensor
-        lsb = np.where(s.lsb_radiance > 0.0, s.lsb_radiance, 1.0).astype(np.float32)
+        n, bits = self.noise, int(self.noise.bits)
+        lsb = np.where(self.lsb > 0.0, self.lsb, 1.0).astype(np.float32)
         number = np.rint(radiance / lsb)  # (3.18)
-        np.minimum(number, np.float32(2**s.bits - 1), out=number)  # full scale
-        if s.bit_error_rate > 0.0:
-            flips = rng.binomial(number.size * s.bits, s.bit_error_rate)
+        np.minimum(number, np.float32(2**bits - 1), out=number)  # full scale
+        # An error rate per word is spread over the bits of the word.
+        rate = float(n.bit_error_rate) / (bits if n.bit_error_per == "word" else 1)
+        if rate > 0.0:
+            flips = rng.binomial(number.size * bits, rate)
             where = rng.integers(0, number.size, flips)
-            weight = 1 << rng.integers(0, s.bits, flips)
+            weight = 1 << rng.integers(0, bits, flips)
             # The flip of a set bit lowers the number; a negative number stands on a dark level, taken as 0 here.
-            words = np.clip(number, 0, 2**s.bits - 1).astype(np.int64).ravel()
+            words = np.clip(number, 0, 2**bits - 1).astype(np.int64).ravel()
             delta = np.zeros(words.size)
             np.add.at(delta, where, np.where(words[where] & weight, -weight, weight))
             number += delta.reshape(number.shape).astype(np.float32)  # (3.19)
-        return np.where(s.lsb_radiance > 0.0, number * lsb, radiance).astype(np.float32)
+        return np.where(self.lsb > 0.0, number * lsb, radiance).astype(np.float32)
 
     def stored(self, measured: Float32Array) -> tuple[npt.NDArray[np.int16], int]:
         """(samples, B) integers of the file and how many of them had to be clipped."""
@@ -142,17 +150,21 @@ def detector(
     t = inputs.terms
     bounce = 1.0 - t.spherical_albedo * average_reflectance
     return Detector(
-        inputs.sensor,
+        inputs.noise,
         (t.path_radiance + t.adjacency * average_reflectance / bounce).astype(np.float32),
         (t.direct / bounce).astype(np.float32),
         counts_per_radiance,
     )
 
 
-TARGET_COLUMNS = (
+FILES = {
+    "cube": "{}_rad.img", "class_map": "{}_class.img", "fill_map": "{}_fill.img", "regions": "regions.geojson",
+    "targets": "targets.csv", "panel_spectra": "panel_spectra.csv", "truth": "truth.json",
+}  # fmt: skip
+TARGET_COLUMNS = [
     "name", "group", "material", "host", "nominal_fill", "side_m", "area_m2", "line", "sample",
     "phase", "heading_deg", "best_line", "best_sample", "best_fill", "pixels",
-)  # fmt: skip
+]  # fmt: skip
 
 FIELD_AXIS_NM = (350.0, 2500.0, 1.0)  # what a field spectrometer delivers: first, last, step
 FIELD_FWHM_NM = 3.0
@@ -165,24 +177,18 @@ def write_regions(path: Path, scene: SceneFile, masks: Mapping[str, Mask]) -> No
     ``coordinates: pixel`` among the members says that this file is not.
     """
     records = []
+    surfaces = {p.name: p.surface for p in scene.panels} | {r.name: r.surface for r in scene.regions}
     for name, mask in masks.items():
         shapes = [shape for shape, value in features.shapes(mask.astype(np.uint8), mask=mask) if value == 1]
-        polygons = [shape["coordinates"] for shape in shapes]
-        geometry = (
-            {"type": "Polygon", "coordinates": polygons[0]}
-            if len(polygons) == 1
-            else {"type": "MultiPolygon", "coordinates": polygons}
-        )
-        surface = next((p.surface for p in scene.panels if p.name == name), None)
-        surface = surface or next(r.surface for r in scene.regions if r.name == name)
-        properties = {"name": name, "surface": surface, "pixels": int(mask.sum())}
+        geometry = {"type": "MultiPolygon", "coordinates": [shape["coordinates"] for shape in shapes]}
+        properties = {"name": name, "surface": surfaces[name], "pixels": int(mask.sum())}
         records.append({"type": "Feature", "properties": properties, "geometry": geometry})
     content = {"type": "FeatureCollection", "name": scene.name, "coordinates": "pixel", "features": records}
     write_text(path, json.dumps(content) + "\n")
 
 
-def target_rows(scene: SceneFile, ground: GroundLayout) -> list[dict[str, Any]]:
-    """One row per plank, with the fills as rendered and not as asked for.
+def write_targets(path: Path, scene: SceneFile, ground: GroundLayout) -> None:
+    """CSV with one row per plank, with the fills as rendered and not as asked for.
 
     ``line``, ``sample``: its centre, continuous; ``best_line``, ``best_sample``: the pixel it fills most, whole
     numbers; ``pixels``: how many hold at least 1e-4 of it.
@@ -192,23 +198,12 @@ def target_rows(scene: SceneFile, ground: GroundLayout) -> list[dict[str, Any]]:
         group, side = plank.group, plank.side_pixels * scene.gsd_m
         lines, samples, fill = touched(plank)
         best = int(np.argmax(fill))
-        values = (
-            plank.name, group.name, group.material, group.host, "" if group.fill is None else group.fill,
-            round(side, 6), round(side**2, 6), round(plank.centre_line, 4), round(plank.centre_sample, 4), group.phase,
-            round(plank.heading_deg, 3), int(lines[best]), int(samples[best]), round(float(fill[best]), 6),
-            int(fill.size),
-        )  # fmt: skip
-        rows.append(dict(zip(TARGET_COLUMNS, values, strict=True)))
-    return rows
-
-
-def write_table(path: Path, columns: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
-    """A CSV file with Unix line ends."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
+        rows.append((
+            plank.name, group.name, group.material, group.host, group.fill, round(side, 6), round(side**2, 6),
+            round(plank.centre_line, 4), round(plank.centre_sample, 4), group.phase, round(plank.heading_deg, 3),
+            int(lines[best]), int(samples[best]), round(float(fill[best]), 6), int(fill.size),
+        ))  # fmt: skip
+    write_text(path, pd.DataFrame(rows, columns=TARGET_COLUMNS).to_csv(index=False, lineterminator="\n"))
 
 
 def field_axis() -> SpectralAxis:
@@ -240,7 +235,6 @@ def write_panel_spectra(path: Path, scene: SceneFile) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-Array = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 WORKERS = 2
@@ -306,7 +300,7 @@ def simulate(
         beside = Path(scene).parent
         scene = load_scene(Path(scene))
     inputs = inputs or load_inputs(scene, beside)
-    bands = len(inputs.sensor.axis)
+    bands = len(inputs.axis)
     _check_size(scene, bands)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -315,27 +309,20 @@ def simulate(
     renderer = SurfaceRenderer(scene, ground, inputs.classes)
     average, dark = average_reflectance(renderer, show=show_progress)
     chain = detector(inputs, average, scene.counts_per_radiance)
-    files = {
-        "regions": folder / "regions.geojson",
-        "targets": folder / "targets.csv",
-        "panel_spectra": folder / "panel_spectra.csv",
-        "truth": folder / "truth.json",
-    }
-    ends = {"cube": "rad", "class_map": "class", "fill_map": "fill"}
-    files |= {part: folder / f"{scene.name}_{end}.img" for part, end in ends.items()}
+    files = {part: folder / name.format(scene.name) for part, name in FILES.items()}
     saturated = _write_cube(files["cube"], scene, inputs, renderer, chain, show_progress)
     write_regions(files["regions"], scene, masks)
-    write_table(files["targets"], TARGET_COLUMNS, target_rows(scene, ground))
+    write_targets(files["targets"], scene, ground)
     write_panel_spectra(files["panel_spectra"], scene)
     _write_maps(files["class_map"], files["fill_map"], scene, ground)
     facts = {
         "simulated": True,
         "scene": scene.model_dump(by_alias=True, mode="json"),
-        "sensor": inputs.sensor.name,
+        "sensor": inputs.sensor,
         "atmosphere": {k: str(v) for k, v in inputs.terms.provenance.items()},
         "classes": {name: c.source for name, c in inputs.classes.items()},
         "surfaces": {str(i): name for i, name in enumerate(ground.surfaces, start=1)},
-        "wavelength_nm": inputs.sensor.axis.centre_nm.tolist(),
+        "wavelength_nm": inputs.axis.centre_nm.tolist(),
         "average_reflectance": average.tolist(),
         "negative_reflectance_fraction": dark,
         "saturated_fraction": saturated,
@@ -381,7 +368,7 @@ def _write_cube(
             raise refusal("scene.radiance", scene.name, clipped=clipped, line=line)
         return values, chain.saturated(radiance)
 
-    axis = inputs.sensor.axis
+    axis = inputs.axis
     scale = 1.0 / scene.counts_per_radiance
     gains = ", ".join([repr(scale)] * len(axis))
     noun = "closure: surfaces drawn as the model assumes" if scene.mode == "closure" else "broken assumptions"
@@ -397,10 +384,9 @@ def _write_cube(
             f"SIMULATED at-sensor radiance, scene {scene.name} ({noun}), seed {scene.seed}, "
             f"stored integers x {scale:g} = uW cm-2 sr-1 nm-1; no instrument collected it"
         ),
-        transform=_transform(scene),
-        crs=_crs(scene),
+        **_place(scene),
         extra={
-            "sensor type": f"{inputs.sensor.name} (simulated)",
+            "sensor type": f"{inputs.sensor} (simulated)",
             **({"acquisition time": scene.acquired_utc} if scene.acquired_utc else {}),
             "data gain values": "{" + gains + "}",
             "data offset values": "{" + ", ".join(["0"] * len(axis)) + "}",
@@ -416,7 +402,7 @@ def _write_cube(
 
 
 def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: GroundLayout) -> None:
-    place = {"transform": _transform(scene), "crs": _crs(scene)}
+    names = ("Unclassified", *ground.surfaces)
     write_cube(
         class_path,
         ground.class_map[:, :, None] + np.uint8(1),  # 0 stands for "no class" in this format
@@ -424,42 +410,28 @@ def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: Gro
         interleave="bsq",
         description="SIMULATED truth: surface class",
         file_type="ENVI Classification",
-        extra={
-            "classes": str(len(ground.surfaces) + 1),
-            "class names": "{" + ", ".join(("Unclassified", *ground.surfaces)) + "}",
-        },
-        **place,
+        extra={"classes": str(len(names)), "class names": "{" + ", ".join(names) + "}"},
+        **_place(scene),
     )
-    write_cube(
-        fill_path,
-        ground.fill[:, :, None],
-        data_type=4,
-        interleave="bsq",
-        description="SIMULATED truth: share of planks in the pixel's signal",
-        **place,
-    )
+    words = "SIMULATED truth: share of planks in the pixel's signal"
+    write_cube(fill_path, ground.fill[:, :, None], data_type=4, interleave="bsq", description=words, **_place(scene))
 
 
-def _transform(scene: SceneFile) -> Affine:
-    return Affine(scene.gsd_m, 0.0, scene.map.easting_m, 0.0, -scene.gsd_m, scene.map.northing_m)
-
-
-def _crs(scene: SceneFile) -> CRS:
-    return CRS.from_epsg((32600 if scene.map.hemisphere == "north" else 32700) + scene.map.utm_zone)
+def _place(scene: SceneFile) -> dict[str, Any]:
+    """Where a map of the scene lies."""
+    origin = scene.map
+    transform = Affine(scene.gsd_m, 0.0, origin.easting_m, 0.0, -scene.gsd_m, origin.northing_m)
+    return {
+        "transform": transform,
+        "crs": CRS.from_epsg((32600 if origin.hemisphere == "north" else 32700) + origin.utm_zone),
+    }
 
 
 def _check_size(scene: SceneFile, bands: int) -> None:
     pixels = scene.lines * scene.samples
     if pixels > MAX_MAP_PIXELS or 2 * pixels * bands > MAX_CUBE_BYTES:
-        raise refusal(
-            "scene.large",
-            scene.name,
-            lines=scene.lines,
-            samples=scene.samples,
-            bands=bands,
-            most=MAX_MAP_PIXELS,
-            gib=MAX_CUBE_BYTES >> 30,
-        )
+        size = {"lines": scene.lines, "samples": scene.samples, "bands": bands}
+        raise refusal("scene.large", scene.name, **size, most=MAX_MAP_PIXELS, gib=MAX_CUBE_BYTES >> 30)
 
 
 def _in_order(work: Callable[[int], T], items: Iterable[int]) -> Iterator[T]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+from scipy import ndimage, optimize
 
 from hyperval.errors import UsageError, refusal
 from hyperval.simulate import schema
@@ -22,7 +22,6 @@ Array = npt.NDArray[np.float64]
 
 SUPERSAMPLING = 32  # fine cells per pixel side
 _CUT_SIGMA = 5.0  # the Gaussian beyond holds 6e-7 of its area
-_SIDE_STEPS = 60  # halvings of the bracket: beyond float64 resolution
 
 
 def _line_spread(psf_fwhm_pixels: float, cells: int) -> tuple[Array, int]:
@@ -108,15 +107,12 @@ def square_footprint(
     x = first_sample + (np.arange(samples * cells) + 0.5) / cells - centre_sample
     angle = math.radians(heading_deg)
     half, cell = 0.5 * side_pixels, 1.0 / cells
-    if math.sin(2.0 * angle) == 0.0:  # along the grid: the cover of a cell is a product
-        cover = _coverage(y, half, cell)[:, None] * _coverage(x, half, cell)[None, :]
-    else:
-        # In the square's own frame a cell is taken as unturned: exact but for cells on an edge, where
-        # the errors nearly average out; what is left (1e-3 of the area) is taken out as a whole.
-        u = math.cos(angle) * x[None, :] + math.sin(angle) * y[:, None]
-        v = -math.sin(angle) * x[None, :] + math.cos(angle) * y[:, None]
-        cover = _coverage(u, half, cell) * _coverage(v, half, cell)
-        cover *= (side_pixels * cells) ** 2 / cover.sum()
+    # In the square's own frame a cell is taken as unturned: exact but for cells on an edge of a turned square,
+    # where the errors nearly average out; what is left (1e-3 of the area) is taken out as a whole.
+    u = math.cos(angle) * x[None, :] + math.sin(angle) * y[:, None]
+    v = -math.sin(angle) * x[None, :] + math.cos(angle) * y[:, None]
+    cover = _coverage(u, half, cell) * _coverage(v, half, cell)
+    cover *= (side_pixels * cells) ** 2 / max(float(cover.sum()), 1e-300)
     vertical = _fine_response(first_line, lines, psf_fwhm_pixels, cells)
     across = _fine_response(first_sample, samples, psf_fwhm_pixels, cells)
     return Footprint(first_line, first_sample, vertical @ cover @ across.T)
@@ -129,17 +125,12 @@ def centred_fill(side_pixels: float, psf_fwhm_pixels: float, cells: int = SUPERS
 
 def side_for_fill(fill: float, psf_fwhm_pixels: float, cells: int = SUPERSAMPLING) -> float:
     """Side [pixels] of the square plank that gives ``fill`` when centred on a pixel, by bisection."""
-    low, high = 0.0, 1.0
+    high = 1.0
     while centred_fill(high, psf_fwhm_pixels, cells) < fill:
-        low, high = high, 2.0 * high
+        high *= 2.0
         if high > 64.0:
             raise ValueError(f"no square reaches a fill of {fill:g}")
-    for _ in range(_SIDE_STEPS):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        low, high = (middle, high) if centred_fill(middle, psf_fwhm_pixels, cells) < fill else (low, middle)
-    return 0.5 * (low + high)
+    return float(optimize.bisect(lambda side: centred_fill(side, psf_fwhm_pixels, cells) - fill, 0.0, high, xtol=1e-15))
 
 
 Mask = npt.NDArray[np.bool_]
@@ -221,19 +212,12 @@ def _place(scene: SceneFile, number: int, group: TargetGroup) -> list[Plank]:
     places = np.array([(r, c) for r in rows for c in columns])
     places = places[np.sort(rng.permutation(len(places))[: group.count])]
     planks = []
-    same: Footprint | None = None  # centred planks of one heading share one footprint
     for index, (row, column) in enumerate(places):
         shift = rng.uniform(-0.5, 0.5, 2) if group.phase == "random" else np.zeros(2)
         heading = float(rng.uniform(0.0, 90.0)) if group.heading_deg == "random" else group.heading_deg
         y, x = row + 0.5 + shift[0], column + 0.5 + shift[1]
-        if group.phase == "random" or group.heading_deg == "random" or same is None:
-            seen = square_footprint(y, x, side, heading, psf)
-            same, first = seen, (int(row), int(column))
-        else:
-            seen = Footprint(
-                same.first_line + int(row) - first[0], same.first_sample + int(column) - first[1], same.fill
-            )
-        planks.append(Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, seen))
+        footprint = square_footprint(y, x, side, heading, psf)
+        planks.append(Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, footprint))
     return planks
 
 

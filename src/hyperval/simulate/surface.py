@@ -83,66 +83,40 @@ _SMALLEST_VARIANCE = 1e-10  # of the mean variance of a band
 
 @dataclass(frozen=True)
 class Sampler:
-    """Draws spectra of a class: of each pixel one of its laws, mean + z factor, z standard normal.
+    """Draws spectra of a class: mean + z factor, z standard normal.
 
     Attributes
     ----------
-    weights : (K,) of the laws
-    mean : (K, B); factor : (K, R, B) with factor^T factor = covariance
-    dof : None, or draws are from multivariate t laws of the same means and covariances
+    mean : (B,); factor : (B, B) with factor^T factor = covariance
+    dof : None, or draws are from a multivariate t law of the same mean and covariance
     """
 
-    weights: npt.NDArray[np.float64]
     mean: Array
     factor: Array
     dof: float | None = None
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """(count, B) spectra."""
-        if self.weights.size == 1:
-            return self._of_law(0, count, rng)
-        which = rng.choice(self.weights.size, size=count, p=self.weights / self.weights.sum())
-        spectra = np.empty((count, self.mean.shape[1]), np.float32)
-        for k in range(self.weights.size):
-            spectra[which == k] = self._of_law(k, int(np.count_nonzero(which == k)), rng)
-        return spectra
-
-    def _of_law(self, k: int, count: int, rng: np.random.Generator) -> Array:
-        z = rng.standard_normal((count, self.factor.shape[1]), dtype=np.float32)
+        z = rng.standard_normal((count, self.mean.size), dtype=np.float32)
         if self.dof is not None:
             # A t vector is a normal one over sqrt(chi2/nu); its covariance is nu/(nu - 2) times larger.
             z *= np.sqrt((self.dof - 2.0) / rng.chisquare(self.dof, count))[:, None].astype(np.float32)
-        spectra: Array = z @ self.factor[k]
-        spectra += self.mean[k]
+        spectra: Array = z @ self.factor
+        spectra += self.mean
         return spectra
 
 
 def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler:
-    """Sampler of a class, from the Cholesky factor of its covariance, or of those of its components.
+    """Sampler of a class of one law, from the Cholesky factor of its covariance.
 
     The factor is unique, so that the draws do not depend on the linear algebra library as eigenvectors of
     near-equal eigenvalues would.
     """
-    parts = statistics.components
-    if parts is None:
-        weights, means, covariances = np.ones(1), statistics.mean[None], statistics.covariance[None]
-        tails = statistics.tail_dof
-    else:
-        weights, means, covariances = parts.weights, statistics.mean + parts.offsets, parts.covariances
-        tails = None if np.isinf(parts.dof) else parts.dof
-    factors = np.array([_factor(c) for c in covariances], np.float32)
-    return Sampler(weights, means.astype(np.float32), factors, tails if dof is None else dof)
-
-
-def _factor(covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(R, B) with factor^T factor = covariance (B, B)."""
-    variance = float(np.trace(covariance)) / covariance.shape[0]
-    try:
-        # A covariance of less than full rank gains a spread that float32 draws hardly resolve.
-        return np.linalg.cholesky(covariance + _SMALLEST_VARIANCE * variance * np.eye(covariance.shape[0])).T
-    except np.linalg.LinAlgError:  # semi-definite up to rounding
-        values, vectors = np.linalg.eigh(covariance)
-        return np.asarray(np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T)
+    covariance = statistics.covariance
+    # A covariance of less than full rank gains a spread that float32 draws hardly resolve.
+    least = _SMALLEST_VARIANCE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
+    factor = np.linalg.cholesky(covariance + least).T.astype(np.float32)
+    return Sampler(statistics.mean.astype(np.float32), factor, statistics.tail_dof if dof is None else dof)
 
 
 class SurfaceRenderer:
@@ -165,33 +139,21 @@ class SurfaceRenderer:
             sampler(classes[name], tails.dof if tails and name in (tails.surfaces or open_ground) else None)
             for name in covering
         ]
-        self.bands = int(self._samplers[0].mean.shape[1])
+        self.bands = int(self._samplers[0].mean.size)
         self._texture = texture_factor(scene)
         self._light = illumination(scene, ndimage.binary_dilation(ground.on_panel, iterations=3))
         self._shares = [admixture_share(scene, a, i) for i, a in enumerate(scene.broken.admixtures)]
-        self.target_spectra = self._draw_targets({n: sampler(classes[n]) for n in {g.material for g in scene.targets}})
-        self._seen_by = self._index_planks()
-
-    def _draw_targets(self, materials: Mapping[str, Sampler]) -> Array:
-        spectra = np.zeros((len(self.ground.planks), self.bands), np.float32)
-        at = 0
-        for number, group in enumerate(self.scene.targets):
-            rng = schema.generator(self.scene.seed, schema.TARGET_SPECTRA, number)
-            spectra[at : at + group.count] = materials[group.material].draw(group.count, rng)
-            at += group.count
-        return spectra
-
-    def _index_planks(self) -> dict[int, tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Array]]:
-        """Per line: samples, plank numbers and fills of everything a plank touches."""
-        planks: dict[int, list[tuple[int, int, float]]] = {}
-        for number, plank in enumerate(self.ground.planks):
-            for line, sample, fill in zip(*touched(plank), strict=True):
-                planks.setdefault(int(line), []).append((int(sample), number, float(fill)))
-        out = {}
-        for line, entries in planks.items():
-            samples, numbers, fills = zip(*entries, strict=True)
-            out[line] = (np.array(samples), np.array(numbers), np.array(fills, np.float32))
-        return out
+        drawn = [np.zeros((0, self.bands), np.float32)]
+        for number, group in enumerate(scene.targets):
+            rng = schema.generator(scene.seed, schema.TARGET_SPECTRA, number)
+            drawn.append(sampler(classes[group.material]).draw(group.count, rng))
+        self.target_spectra = np.concatenate(drawn)
+        # Of every pixel that sees a plank its line, sample, number of the plank and fill.
+        each, none = [touched(plank) for plank in ground.planks], np.zeros(0, np.intp)
+        self._lines = np.concatenate([none, *(lines for lines, _, _ in each)])
+        self._samples = np.concatenate([none, *(samples for _, samples, _ in each)])
+        self._numbers = np.repeat(np.arange(len(each)), [fills.size for _, _, fills in each])
+        self._fills = np.concatenate([none, *(fills for _, _, fills in each)]).astype(np.float32)
 
     def shares(self, line: int) -> Array:
         """(classes, samples) share of each surface in the pixels of one line, planks apart."""
@@ -228,12 +190,13 @@ class SurfaceRenderer:
         if self._texture is not None:
             factor = np.where(self.ground.on_panel[line], np.float32(1.0), self._texture[line])
             rho *= factor[:, None]
-        if line in self._seen_by:
-            samples, numbers, fills = self._seen_by[line]
+        at = np.flatnonzero(self._lines == line)
+        if at.size:
+            samples, fills = self._samples[at], self._fills[at]
             total = np.zeros(self.scene.samples, np.float32)
             np.add.at(total, samples, fills)
             rho *= (1.0 - total)[:, None]
-            np.add.at(rho, samples, fills[:, None] * self.target_spectra[numbers])
+            np.add.at(rho, samples, fills[:, None] * self.target_spectra[self._numbers[at]])
         if self.scene.mode == "broken":
             # Heavy tails reach where no surface can; in closure the model's own law is kept whole.
             np.clip(rho, 0.0, 1.0, out=rho)
