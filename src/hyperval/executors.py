@@ -4,66 +4,353 @@ Callers take any ``concurrent.futures.Executor``.  :func:`workers` makes one; :f
 and gives the results back in the order of the pieces, a bounded number on the way, so that what comes out does not
 depend on where the pieces ran.  Every piece has one BLAS thread: workers share the processors, and the last digits
 of a solve depend on the number of threads.
+
+:class:`TaskPool` is the one place that knows of workers which die, take too long or too much memory, or are called off.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 import multiprocessing
 import os
 import pickle
 import signal
+import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from itertools import islice
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from pathlib import Path
-from threading import Thread
+from queue import Empty, Full, Queue, SimpleQueue
 from types import FrameType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, Protocol, TypeVar
 
 import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are counted
 from threadpoolctl import ThreadpoolController
 
 from hyperval.errors import HypervalError, UsageError
+from hyperval.progress import set_listener
 from hyperval.storage import scratch_folder
 
 T = TypeVar("T")
 R = TypeVar("R")
-_RENEWALS = 3  # of a pool of processes that lost one
-_START_S = 20.0  # for a scheduler to answer
+Perform = Callable[[Any, Any], Any]
+Prepare = Callable[[], object]
+_RENEWALS = 3  # of a process that died with a piece
+_SCHEDULER_S = 20.0  # for a scheduler to answer
 _CONNECT_S = 5.0  # a worker that is gone is not called for longer
+_START_S = 600.0  # for a process to load what it needs: the first on a machine computes an atmosphere
 _UNWIND_S = 5.0  # for a piece to remove its temporary files when its run has ended
+_TICK_S = 0.1
+NOTHING: tuple[str, Any] = ("", None)
 
 
 class WorkersLostError(HypervalError):
     """Processes died again and again while they worked (exit code 4)."""
 
 
-class _RunEndedError(SystemExit):
-    """The run that a piece works for has ended: unwinds the piece, so that its temporary files go."""
+class TaskFailed(Exception):
+    """A task that came to no result; the message is for who asked."""
+
+
+class Cancelled(TaskFailed):
+    """A task that was called off."""
+
+
+class Lost(TaskFailed):
+    """A task whose process died."""
+
+
+@dataclass(eq=False)
+class WorkerTask:
+    """A task on its way: ``future`` gives what it returns, or raises its error or :class:`TaskFailed`."""
+
+    task: Any
+    arguments: Any
+    begun: Callable[[], None] | None = None
+    future: Future[Any] = field(default_factory=Future)
+    progress: tuple[str, int, int | None] = ("", 0, None)
+    started: float = 0.0
+    is_cancelled: bool = False
+
+    @property
+    def seconds_left(self) -> float | None:
+        """How long the stage that it is at goes on at its pace so far; None where that is not known."""
+        _, done, total = self.progress
+        if not total or not done or not self.started:
+            return None
+        return (time.monotonic() - self.started) / done * (total - done)
+
+
+class Worker(Protocol):
+    """What carries out one task after the other: a process, or a place on a scheduler."""
+
+    def is_alive(self) -> bool:
+        """Whether it can take a task."""
+
+    def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
+        """Hand a task in, and return when it has begun."""
+
+    def news(self) -> tuple[str, Any]:
+        """What comes in a moment: ("progress", how far it is), ("result", value), ("error", exception) or NOTHING."""
+
+    def end(self) -> None:
+        """End what is on its way, and whatever it started."""
+
+
+class TaskPool:
+    """Some workers that share a queue of tasks, each attended by a thread of this process.
+
+    Parameters
+    ----------
+    start : makes a worker; called again for each that has ended
+    count : of workers;  most : tasks that wait, 0: any number;  seconds : for a task;  renewals : of one that died
+    """
+
+    def __init__(
+        self, start: Callable[[], Worker], count: int, *, most: int = 0, seconds: float = math.inf, renewals: int = 0
+    ):
+        self._start, self._seconds, self._renewals = start, seconds, renewals
+        self._queue: Queue[WorkerTask | None] = Queue(most)
+        self._is_closed = False
+        self._threads = [threading.Thread(target=self._run, daemon=True) for _ in range(count)]
+        for thread in self._threads:
+            thread.start()
+
+    def submit(self, task: WorkerTask) -> WorkerTask:
+        """Take a task.
+
+        Raises
+        ------
+        Full : as many as may wait do, or the pool is closed.
+        """
+        if self._is_closed:
+            raise Full
+        self._queue.put_nowait(task)
+        return task
+
+    @property
+    def waiting(self) -> int:
+        """Tasks that wait."""
+        return self._queue.qsize()
+
+    def close(self) -> None:
+        """End every worker; tasks on their way are called off."""
+        self._is_closed = True
+        for _ in self._threads:
+            with suppress(Full):
+                self._queue.put_nowait(None)
+        for thread in self._threads:
+            thread.join(2 * _UNWIND_S)
+
+    def _run(self) -> None:
+        worker = self._start()
+        while not self._is_closed:
+            with suppress(Empty):
+                task = self._queue.get(timeout=5 * _TICK_S)
+                if task is not None and task.future.set_running_or_notify_cancel():
+                    worker = self._carried_out(task, worker)
+            if not worker.is_alive() and not self._is_closed:
+                worker = self._start()
+        worker.end()
+
+    def _carried_out(self, task: WorkerTask, worker: Worker) -> Worker:
+        """The worker that had the task to its end: another one where the first died."""
+        for left in reversed(range(self._renewals + 1)):
+            try:
+                task.future.set_result(self._result(task, worker))
+            except Lost as error:
+                worker.end()
+                if left and not self._is_closed:
+                    worker = self._start()
+                    continue
+                task.future.set_exception(error)
+            except Exception as error:
+                task.future.set_exception(error)
+            break
+        return worker
+
+    def _result(self, task: WorkerTask, worker: Worker) -> Any:
+        def is_over() -> bool:
+            return self._is_closed or task.is_cancelled
+
+        if is_over():
+            raise Cancelled("cancelled before it began")
+        worker.begin(task, is_over)
+        task.started = time.monotonic()
+        if task.begun is not None:
+            task.begun()
+        while not is_over():
+            if time.monotonic() - task.started > self._seconds:
+                worker.end()
+                raise TaskFailed(f"it took longer than {self._seconds:g} s, which is the limit of this server")
+            what, value = worker.news()
+            if what == "result":
+                return value
+            if what == "error":
+                raise value
+            if what == "progress":
+                task.progress = value
+        worker.end()
+        raise Cancelled("the server was stopped" if self._is_closed else "cancelled")
+
+
+class Process:
+    """A process that carries out tasks, warm, and ends with the one that made it.
+
+    Parameters
+    ----------
+    perform : called there with each task and its arguments
+    prepare : called there first;  memory_bytes : that it may take
+    """
+
+    def __init__(self, perform: Perform, prepare: Prepare | None = None, memory_bytes: int | None = None):
+        # Spawned, not forked: this process may hold threads of the linear-algebra library.
+        context = multiprocessing.get_context("spawn")
+        self._connection, other = context.Pipe()
+        arguments = other, perform, prepare, memory_bytes
+        self._process = context.Process(target=_serve, args=arguments, daemon=True)
+        self._process.start()
+        other.close()
+        self._is_ready = False
+
+    def is_alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process.is_alive()
+
+    def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
+        """Wait until the process has loaded what it needs, and hand a task in."""
+        end = time.monotonic() + _START_S
+        while not self._is_ready:
+            if is_over():
+                raise Cancelled("cancelled before it began")
+            if time.monotonic() > end:
+                raise Lost("a worker could not be started")
+            self._is_ready = self.news() == ("ready", None)
+        try:
+            self._connection.send((task.task, task.arguments))
+        except OSError:
+            raise Lost("its process was ended") from None
+
+    def news(self) -> tuple[str, Any]:
+        """What the process says in a moment."""
+        try:
+            return self._connection.recv() if self._connection.poll(_TICK_S) else NOTHING
+        except (EOFError, OSError):
+            raise Lost("its process was ended, most likely for want of memory") from None
+
+    def end(self) -> None:
+        """End the process, whose task unwinds first, and whatever it started."""
+        self._connection.close()  # which it sees
+        self._process.join(2 * _UNWIND_S)
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid or 0, signal.SIGKILL)
+
+
+def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, memory_bytes: int | None) -> None:
+    """In a process: carry out one task after the other until the other end of the pipe is closed."""
+    with suppress(OSError):
+        os.setpgid(0, 0)  # what it starts ends with it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # for the process that hands out the tasks
+    signal.signal(signal.SIGTERM, _unwind)
+    os.environ["HYPERVAL_WORKERS"] = "1"
+    calls: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_attend, args=(connection, calls), daemon=True).start()
+    if memory_bytes is not None:
+        _bound_memory(memory_bytes)
+    if prepare is not None:
+        prepare()
+    latest = [0.0]
+
+    def report(what: str, done: int, total: int | None) -> None:
+        if time.monotonic() - latest[0] > _TICK_S:
+            latest[0] = time.monotonic()
+            connection.send(("progress", (what, done, total)))
+
+    set_listener(report)
+    connection.send(("ready", None))
+    while True:
+        answer = _answer(perform, calls.get())
+        try:
+            connection.send(answer)
+        except OSError:
+            return
+        except Exception as error:  # it cannot be packed
+            connection.send(("error", TypeError(f"{type(error).__name__}: {error}")))
+
+
+def _answer(perform: Perform, call: Any) -> tuple[str, Any]:
+    try:
+        if isinstance(call, Exception):  # it could not be unpacked
+            raise call
+        return "result", perform(*call)
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        return "error", error
+    finally:
+        if _ended.is_set():  # also where what the piece called kept it from unwinding
+            os._exit(1)
+
+
+_ended = threading.Event()
+
+
+def _unwind(signum: int, frame: FrameType | None) -> NoReturn:
+    """End this process: a task unwinds first, so that its temporary files go."""
+    _ended.set()
+    raise SystemExit(1)
+
+
+def _attend(connection: Connection, calls: SimpleQueue[Any]) -> None:
+    """In a process: take calls until the other end is closed, by its run or by the end of that, however it came."""
+    while True:
+        try:
+            calls.put(connection.recv())
+        except (EOFError, OSError):
+            break
+        except Exception as error:
+            calls.put(error)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(_UNWIND_S)
+    os.killpg(0, signal.SIGKILL)
+
+
+def _bound_memory(bytes_: int) -> None:
+    try:
+        import resource
+    except ImportError:  # another system
+        return
+    with suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_DATA, (bytes_, bytes_))
 
 
 @dataclass
 class Workers:
-    """What runs pieces, how many at a time, and how to get another one when a process of it died.
+    """What runs pieces, and how many at a time.
 
     Attributes
     ----------
     executor : None: this process, each piece when its result is asked for
-    renew : None where the executor looks after its workers itself, as a cluster's scheduler does
     losses : what a piece raises whose worker died
     """
 
-    executor: Executor | None = None
+    executor: Executor | TaskPool | None = None
     width: int = 1
-    renew: Callable[[], Executor] | None = None
-    losses: tuple[type[Exception], ...] = (BrokenExecutor, CancelledError)
+    losses: tuple[type[Exception], ...] = (BrokenExecutor, CancelledError, Lost)
+
+    def submit(self, function: Callable[[T], R], piece: T) -> Future[R]:
+        """Hand a piece in, which has one BLAS thread."""
+        assert self.executor is not None  # noqa: S101
+        if isinstance(self.executor, TaskPool):
+            return self.executor.submit(WorkerTask(function, piece)).future
+        return self.executor.submit(_single_threaded, function, piece)
 
 
 @dataclass(frozen=True)
@@ -100,7 +387,7 @@ def parcel(where: Workers | Executor, value: Any) -> Iterator[Parcel]:
     """
     content = pickle.dumps(value, protocol=5)
     digest = hashlib.sha256(content).hexdigest()
-    if not isinstance(where, Workers) or where.renew is None:
+    if not isinstance(where, Workers) or not isinstance(where.executor, TaskPool):
         yield Parcel(digest, content)
         return
     with scratch_folder("parcel") as folder:
@@ -163,7 +450,8 @@ def workers(count: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
     elif count <= 1:
         yield Workers()
     else:
-        yield from _processes(count)
+        with closing(TaskPool(partial(Process, _single_threaded), count, renewals=_RENEWALS)) as pool:
+            yield Workers(pool, count)
 
 
 def in_order(
@@ -183,31 +471,18 @@ def in_order(
     if at.executor is None:
         yield from (_single_threaded(function, piece) for piece in pieces)
         return
-    left, most = _RENEWALS, ahead or 2 * at.width
-    source = iter(pieces)
-    waiting, futures = deque[T](), deque[Future[R]]()
+    source, futures = iter(pieces), deque[Future[R]]()
     try:
         while True:
-            waiting.extend(islice(source, most - len(waiting)))
-            if not waiting:
-                return
-            try:  # handing a piece in can be what finds the pool broken
-                futures.extend(
-                    at.executor.submit(_single_threaded, function, piece)
-                    for piece in islice(waiting, len(futures), None)
-                )
-                result = futures[0].result()
+            try:  # handing a piece in can be what finds a pool broken
+                left = (ahead or 2 * at.width) - len(futures)
+                futures.extend(at.submit(function, piece) for piece in islice(source, left))
+                if not futures:
+                    return
+                result = futures.popleft().result()
             except at.losses as error:
-                if at.renew is None or left == 0:
-                    raise WorkersLostError(
-                        f"a worker process died: {error}", mend="give it more memory, or fewer workers"
-                    ) from error
-                left -= 1
-                at.executor = at.renew()
-                futures.clear()
-                continue
-            waiting.popleft()
-            futures.popleft()
+                mend = "give it more memory, or fewer workers"
+                raise WorkersLostError(f"a worker process died: {error}", mend=mend) from error
             yield result
     finally:
         for future in futures:
@@ -215,75 +490,8 @@ def in_order(
 
 
 def _single_threaded(function: Callable[[T], R], piece: T) -> R:
-    try:
-        try:
-            _signals.in_piece = True
-            with single_blas_thread():
-                return function(piece)
-        finally:
-            _signals.in_piece = False
-            if _signals.ended:  # what the piece called kept it from unwinding
-                os._exit(1)
-    except _RunEndedError:
-        os._exit(1)  # the pool would take it for the piece's result, and hand out the next one
-
-
-def _processes(count: int) -> Iterator[Workers]:
-    made: list[ProcessPoolExecutor] = []
-    # Spawned, not forked: this process may hold threads of the linear-algebra library.
-    context = multiprocessing.get_context("spawn")
-    ended, end = context.Pipe(duplex=False)
-
-    def pool() -> Executor:
-        made.append(ProcessPoolExecutor(count, mp_context=context, initializer=_attend, initargs=(ended,)))
-        return made[-1]
-
-    try:
-        yield Workers(pool(), count, pool)
-        for each in made:
-            each.shutdown()
-    except BaseException:
-        end.close()  # the workers see it; the pool would let them finish their pieces
-        for each in made:
-            each.shutdown(wait=False, cancel_futures=True)
-        raise
-    finally:
-        end.close()
-        ended.close()
-
-
-def _attend(ended: Connection) -> None:
-    """In a worker: leave interrupts to the process that hands out the pieces, and end when its run does."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _unwind)
-    Thread(target=_end_with_run, args=(ended,), daemon=True).start()
-
-
-@dataclass
-class _Signals:
-    """In a worker: whether the main thread is in a piece, and whether the worker was told to end."""
-
-    in_piece: bool = False
-    ended: bool = False
-
-
-_signals = _Signals()
-
-
-def _unwind(signum: int, frame: FrameType | None) -> NoReturn:
-    """End this worker: a piece unwinds first; outside one the pool would keep what is raised, and wait for ever."""
-    _signals.ended = True
-    if not _signals.in_piece:
-        os._exit(1)
-    raise _RunEndedError
-
-
-def _end_with_run(ended: Connection) -> None:
-    """Wait until the other end is closed, by the run or by the end of its process, however that came."""
-    wait([ended])
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(_UNWIND_S)
-    os._exit(1)
+    with single_blas_thread():
+        return function(piece)
 
 
 def _dask(address: str) -> Iterator[Workers]:
@@ -296,7 +504,7 @@ def _dask(address: str) -> Iterator[Workers]:
         ) from error
     with dask.config.set({"distributed.comm.timeouts.connect": f"{_CONNECT_S:g}s"}):
         try:
-            client = Client(address, timeout=f"{_START_S:g}s", set_as_default=False)
+            client = Client(address, timeout=f"{_SCHEDULER_S:g}s", set_as_default=False)
         except (OSError, ValueError) as error:
             raise UsageError(
                 f"no Dask scheduler answers at {address}", expected="an address such as tcp://node:8786"

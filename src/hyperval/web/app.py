@@ -17,8 +17,9 @@ from starlette.responses import JSONResponse, Response
 
 import hyperval
 from hyperval.errors import HypervalError
+from hyperval.executors import TaskPool
 from hyperval.web import api_v1, bring, pages_predict, reference, runs, sensors, trade
-from hyperval.web.desk import Crew, Desk
+from hyperval.web.desk import Desk
 from hyperval.web.guard import Guard
 from hyperval.web.pages import page, static
 from hyperval.web.refusal import FieldMistake, Refused, field_name, said, sentence, without_paths
@@ -27,7 +28,7 @@ from hyperval.web.store import RunStore, ServerSettings
 _THREADS = 128  # requests that wait for a worker hold one each
 
 
-def make_app(settings: ServerSettings, pools: tuple[Crew, Crew] | None = None) -> FastAPI:
+def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None = None) -> FastAPI:
     """The application of one server; its workers run while it is served.
 
     Raises

@@ -11,13 +11,15 @@ from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from queue import Full
+from typing import Any
 
 import hyperval
+from hyperval.executors import Cancelled, TaskFailed, TaskPool, WorkerTask
 from hyperval.storage import write_text
 from hyperval.web.refusal import Refused
 from hyperval.web.store import COLLECTION, ENDED, RunStore, ServerSettings, WebRun
-from hyperval.web.workers import Cancelled, Full, TaskFailed, WorkerPool, WorkerTask
+from hyperval.web.workers import WorkerPool
 
 _TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "pipeline": "pipeline"}
 _QUICK = ("prediction",)
@@ -35,16 +37,6 @@ class Order:
     arguments: Mapping[str, Any] | None = None
 
 
-class Crew(Protocol):
-    """What carries tasks out."""
-
-    def submit(self, job: WorkerTask) -> WorkerTask:
-        """Take a task; raises :class:`Full`."""
-
-    def close(self) -> None:
-        """Take no more, and end."""
-
-
 class Desk:
     """Runs of one server, from order to result.
 
@@ -53,7 +45,7 @@ class Desk:
     pools : what carries out quick tasks, and long ones; default: processes, as the limits say
     """
 
-    def __init__(self, settings: ServerSettings, store: RunStore, pools: tuple[Crew, Crew] | None = None):
+    def __init__(self, settings: ServerSettings, store: RunStore, pools: tuple[TaskPool, TaskPool] | None = None):
         limits = settings.limits
         self.limits, self.store = limits, store
         self.quick, self.long = pools or (
