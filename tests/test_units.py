@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hyperval import units
 from hyperval.errors import UsageError
@@ -25,31 +23,17 @@ def in_si(unit: str) -> float:
     return total
 
 
-@pytest.mark.parametrize("unit", sorted(units._RADIANCE_TO_INTERNAL))
-def test_radiance_factor_follows_from_the_prefixes(unit):
-    assert units.radiance_to_internal(unit) == pytest.approx(in_si(unit) / in_si(units.RADIANCE_UNIT), rel=1e-12)
+@pytest.mark.parametrize("unit", sorted({*units._RADIANCE_TO_INTERNAL, *units._IRRADIANCE_TO_INTERNAL}))
+def test_factors_follow_from_the_prefixes(unit):
+    of_radiance = (units.radiance_to_internal, units.RADIANCE_UNIT)
+    factor, own = of_radiance if "sr" in unit else (units.irradiance_to_internal, units.IRRADIANCE_UNIT)
+    assert factor(unit) == pytest.approx(in_si(unit) / in_si(own), rel=1e-12)
 
 
-@pytest.mark.parametrize("unit", sorted(units._IRRADIANCE_TO_INTERNAL))
-def test_irradiance_factor_follows_from_the_prefixes(unit):
-    assert units.irradiance_to_internal(unit) == pytest.approx(in_si(unit) / in_si(units.IRRADIANCE_UNIT), rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("unit", "factor"),
-    [
-        ("nm", 1),
-        ("Nanometers", 1),
-        ("um", 1000),
-        ("µm", 1000),
-        ("μm", 1000),
-        (" Micrometers ", 1000),
-        ("micron", 1000),
-        ("Angstroms", 0.1),
-    ],
-)
-def test_wavelength_factor(unit, factor):
-    assert units.wavelength_to_nm(unit) == factor
+def test_wavelength_factor():
+    spelled = {1: ["nm", "Nanometers"], 1000: ["um", "µm", "μm", " Micrometers ", "micron"], 0.1: ["Angstroms"]}
+    for factor, names in spelled.items():
+        assert {units.wavelength_to_nm(name) for name in names} == {factor}
 
 
 @pytest.mark.parametrize("factor", [units.wavelength_to_nm, units.radiance_to_internal, units.irradiance_to_internal])
@@ -91,10 +75,3 @@ def test_radiance_per_wavelength_conserves_the_integral():
     wavelength_nm = 1e7 / nu
     per_nm = units.radiance_per_wavelength(np.ones_like(nu), nu)
     assert -np.trapezoid(per_nm, wavelength_nm) == pytest.approx(1e6, rel=1e-6)
-
-
-@given(st.floats(1e-12, 1e3), st.floats(500, 50000))
-def test_radiance_per_wavelength_is_linear_and_positive(radiance, nu):
-    one = units.radiance_per_wavelength(radiance, nu)
-    assert one > 0
-    assert units.radiance_per_wavelength(2 * radiance, nu) == pytest.approx(2 * one, rel=1e-12)

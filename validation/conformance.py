@@ -5,7 +5,8 @@ python validation/conformance.py --renew         # write the numbers of the seco
 
 ``conformance.yaml`` names each file with its SHA-256 below the data directory (HYPERVAL_DATA).  Sizes, values at some
 pixels and wavelengths of images are those of rasterio (GDAL) or SciPy, and of the header's own text; of spectra they
-are those accepted when the file was listed.  What opened and is refused now, or gives other numbers, is an error.
+are those accepted when the file was listed, and under ``second`` those of the program that is named there.  What
+opened and is refused now, or gives other numbers, is an error.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import yaml
 from hyperval.envi_header import read_header
 from hyperval.errors import HypervalError
 from hyperval.imagery import crs_of, open_cube, open_raster, read_regions
+from hyperval.spectra import read_records
 
 MANIFEST = Path(__file__).with_name("conformance.yaml")
 LEVEL = 1e-6  # relative, as single precision and the digits of a text allow
@@ -95,13 +97,21 @@ def wavelengths_of_text(path: Path) -> list[float] | None:
 
 
 def spectra(path: Path, entry: dict[str, Any]) -> Numbers:
-    """Number of the spectra of a file, their range of wavelengths and the mean of their values."""
-    from hyperval.spectra import read_records
-
+    """Number of the spectra of a file, their wavelengths and mean; one of them where a second reader has it."""
     found = read_records(path, **entry.get("options", {}))
     whole = np.concatenate([s.values[np.isfinite(s.values)] for s in found])
     edges = [float(min(s.wavelength_nm[0] for s in found)), float(max(s.wavelength_nm[-1] for s in found))]
-    return {"spectra": len(found), "nm": edges, "mean": float(whole.mean())}
+    out: Numbers = {"spectra": len(found), "nm": edges, "mean": float(whole.mean())}
+    if second := entry.get("second"):
+        chosen = next(s for s in found if s.name == second.get("record", s.name))
+        columns = {"values": chosen.values, "sd": chosen.standard_deviation}
+        at = {
+            key: np.interp(second["nm"], chosen.wavelength_nm, v).tolist()
+            for key, v in columns.items()
+            if v is not None
+        }
+        out["second"] = {**at, "n": chosen.n}
+    return out
 
 
 def regions(path: Path, entry: dict[str, Any]) -> Numbers:
@@ -115,12 +125,13 @@ READERS: dict[str, Callable[[Path, dict[str, Any]], Numbers]] = {
 }  # fmt: skip
 
 
-def equal(accepted: Any, now: Any) -> bool:
-    """Whether two sets of numbers are the same, those that only one has left aside."""
+def equal(accepted: Any, now: Any, level: float = LEVEL) -> bool:
+    """Whether two sets of numbers are the same to their ``level``, those that only one has left aside."""
     if isinstance(accepted, dict) and isinstance(now, dict):
-        return all(equal(accepted[key], now[key]) for key in accepted.keys() & now.keys())
+        level = accepted.get("level", level)
+        return all(equal(accepted[key], now[key], level) for key in accepted.keys() & now.keys())
     if isinstance(accepted, list | float | int):
-        return bool(np.shape(accepted) == np.shape(now) and np.allclose(accepted, now, rtol=LEVEL, equal_nan=True))
+        return bool(np.shape(accepted) == np.shape(now) and np.allclose(accepted, now, rtol=level, equal_nan=True))
     return bool(accepted == now)
 
 
@@ -135,8 +146,8 @@ def outcome(path: Path, entry: dict[str, Any]) -> tuple[str, str]:
         return ("refused as expected", "") if fits else ("changed", f"refused: {words[:200]}")
     if "refused" in entry:
         return "opens now", "renew the manifest"
-    same = equal(entry.get("numbers", {}), now)
-    return ("equal", "") if same else ("changed", f"{now} for {entry['numbers']}")
+    accepted = {**entry.get("numbers", {}), "second": entry.get("second", {})}
+    return ("equal", "") if equal(accepted, now) else ("changed", f"{now} for {accepted}")
 
 
 def renewed(path: Path, entry: dict[str, Any]) -> dict[str, Any]:
@@ -150,6 +161,7 @@ def renewed(path: Path, entry: dict[str, Any]) -> dict[str, Any]:
     second = second_image(path, entry) if entry["reader"] == "image" else {}
     if not equal(second, now):
         print(f"{entry['path']}: {now}, the second reader has {second}")
+    now.pop("second", None)
     return entry | {"numbers": now | second}
 
 

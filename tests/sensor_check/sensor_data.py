@@ -3,50 +3,29 @@
 from __future__ import annotations
 
 import copy
+from pathlib import Path
 from typing import Any
+
+import yaml
 
 from hyperval.sensor import Sensor, SensorSpecification
 
 SHEET = "data sheet"
+Q = {"source": SHEET}
 
 
 def good_sensor() -> dict[str, Any]:
-    """One arm of 60 bands; every number is from a data sheet, so that nothing is varied."""
-    q = {"source": SHEET}
-    table = [[425, 0.35], [550, 0.5], [700, 0.5], [910, 0.25]]
-    return {
-        "schema": 1,
-        "name": "good",
-        "title": "A sensor for tests",
-        "source": SHEET,
-        "bands": {"table": [[430.0 + 8 * i, 9.0, 1] for i in range(60)], "source": SHEET},
-        "arms": [
-            {
-                "name": "VNIR",
-                "range_nm": [425, 910],
-                "throughput": {"convention": "value", "cm2_sr": 3.9e-7, "source": SHEET},
-                "optical_transmittance": {"value": 0.5, **q},
-                "quantum_efficiency": {"table": table, **q},
-                "degradation": {"value": 1.0, **q},
-                "integration_time_s": {"value": 0.004, **q},
-                "fixed_noise_electrons": {"value": 40, **q},
-                "bits": 12,
-                "bits_source": SHEET,
-                "full_well_electrons": {"value": 350000, **q},
-                "bit_error_rate": {"value": 0.0, **q},
-            }
-        ],
-        "calibration_error_percent": {"value": 0.5, **q},
-        "published_snr": [{"table": [[550, 300]], "radiance": {"value": 10, **q}, **q}],
-    }
+    """One arm of 60 bands."""
+    data = yaml.safe_load(Path(__file__).with_name("good.yaml").read_text("utf-8"))
+    return {**data, "bands": {"table": [[430.0 + 8 * i, 9.0, 1] for i in range(60)], **Q}}
 
 
-def measured_sensor() -> dict[str, Any]:
+def measured_sensor(c: float = 0.0) -> dict[str, Any]:
     """The same bands with measured noise, full scale stated."""
     data = good_sensor()
     del data["arms"], data["published_snr"]
-    rows = [[425.0, 0.01, 0.16, 0.0], [910.0, 0.01, 0.16, 0.0]]
-    data["measured_noise"] = {"table": rows, "saturation_radiance": {"value": 40, "source": SHEET}, "source": SHEET}
+    rows = [[nm, 0.01, 0.16, c] for nm in (425.0, 910.0)]
+    data["measured_noise"] = {"table": rows, "saturation_radiance": {"value": 40, **Q}, **Q}
     return data
 
 

@@ -11,6 +11,8 @@ import numpy as np
 
 from hyperval.spectra import FieldSpectrum, read_spectrum
 
+WAVE = np.array([400.0, 500.0, 600.0, 700.0])
+RHO = np.array([0.05, 0.1, 0.2, 0.4])
 NM = np.arange(400.0, 461.0, 2.0)
 # Eight channels correlated by 0.9, the rest by 0.3: to two decimals it has no negative eigenvalue.
 CORRELATION = np.where(np.equal.outer(NM < 416.0, NM < 416.0), 0.9, 0.3) + 0.1 * np.eye(NM.size)

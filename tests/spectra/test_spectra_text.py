@@ -7,102 +7,34 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from spectra_shells import SED, SVC, asd, read, rows
+from spectra_shells import RHO, SED, SVC, WAVE, asd, read, rows
 
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.spectra import read_records, read_spectrum
 
-WAVE = np.array([400.0, 500.0, 600.0, 700.0])
-RHO = np.array([0.05, 0.1, 0.2, 0.4])
-SPLIB06 = (
-    "USGS Digital Spectral Library splib06a\n\n      wavelength    reflectance    standard deviation\n\n"
-    "(standard deviation of 0.000000 means not measured)\n-------\nOlivine GDS70.a Fo89 W1R1Bb AREF\n"
-)
-OCEAN = "SpectraSuite Data File\n++++++++++\nIntegration Time (usec): 100000 (USB2C)\n"
-ECOSTRESS = (
-    "Name: Paint\nX Units: Wavelength (micrometers)\nY Units: Reflectance (percentage)\n"
-    "First X Value: 0.7\nLast X Value: 0.4\nNumber of X Values: 4\n\n"
-)
-FALLING = rows(WAVE[::-1] / 1000, RHO[::-1] * 100, sep="\t")
+TEXTS = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text("utf-8"))
+PLAIN = "nm,rho\n" + rows(WAVE, RHO)
+GER = "///GER SIGNATUR FILE///\nname= lawn\ninstrument= 3700: 1234\naveraging= 1, 1\ncomm= \ndata= \n"
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "# Wavelength in nm, reflectance\n" + rows(WAVE, RHO, sep=" "),
-        "wavelength [nm]\treflectance\r\n" + rows(WAVE, RHO, sep="\t", end="\r\n"),
-        "\ufeffnm, value\n" + rows(WAVE, RHO, sep=", "),
-        "Wavelength (nm);rho\n" + rows(WAVE, RHO, sep="; ").replace(".", ","),
-        "Wavelength\tplot1.asd\n" + rows(WAVE, RHO, sep="\t").replace(".", ","),
-        "wavelength [µm], rho\n" + rows(WAVE / 1000, RHO),
-        "nm,reflectance [%]\n" + rows(WAVE, RHO * 100),
-        "nm,refl [%*100]\n" + rows(WAVE, RHO * 10000),
-        '"nm","rho"\n' + "".join(f'"{w:g}","{r:g}"\n' for w, r in zip(WAVE, RHO, strict=True)),
-        "nm,rho\n\n" + rows(WAVE[::-1], RHO[::-1], end="\n\n"),
-        "nm,rho\n" + rows(WAVE, RHO) + "800,NaN\n900,-1.23e34\n",
-        SPLIB06 + rows(WAVE / 1000, RHO, ["0.000000"] * 4, sep="     "),
-        f"{OCEAN}>>>>>Begin Processed Spectral Data<<<<<\n{rows(WAVE, RHO)}>>>>>End Processed Spectral Data<<<<<\n",
-        '"","wavelength","reflectance"\n' + rows(["1", "2", "3", "4"], WAVE, RHO),
-        ",wavelength,reflectance\n" + rows(range(4), WAVE, RHO),
-        "4\n" + rows(WAVE, RHO, sep="\t"),
-        "id;400;500;600;700\nA;" + ";".join(map(str, RHO)).replace(".", ",") + "\n",
-        "id\t400\t500\t600\t700\nA\t" + "\t".join(map(str, RHO)) + "\n",
-        "id,Wave_400,Wave_500,Wave_600,Wave_700\nA," + ",".join(map(str, RHO)) + "\n",
-        "Wavelength,400,500,600,700\nleaf," + ",".join(map(str, RHO)) + "\n",
-        b"a comment" + bytes(40) + b"\r\nnm rho\r\n" + rows(WAVE, RHO, sep=" ").encode(),  # as ViewSpec pads it
-        ECOSTRESS + FALLING,
-    ],
-)
+@pytest.mark.parametrize("text", TEXTS["read"])
 def test_text_with_one_meaning_is_read(tmp_path, text):
     found = read(tmp_path, text)
     np.testing.assert_allclose(found.wavelength_nm, WAVE, rtol=1e-12)
     np.testing.assert_allclose(found.values, RHO, rtol=1e-12)
     assert found.standard_deviation is None
-    assert found.name == ("Paint" if str(text).startswith("Name") else found.name)
+    assert found.name == ("Paint" if text.startswith("Name") else found.name)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("", "empty"),
-        ("words only\nmore words\n", "holds no numbers"),
-        ("nm,rho\n400,0.1\n", "1 channels"),
-        ("nm,rho\n400,0.1\n500,0.1,0.3\n", r"s\.txt:3: 3 columns"),
-        ("nm,rho\n400,0.1\n500;x\n", r"s\.txt:3: not a row of numbers"),
-        ("400\n500\n600\n", "single column"),
-        ("nm,rho\n400,nan\n500,nan\n600,1\n", "fewer than two channels"),
-        ("nm,rho\n400,1\n400,1\n500,1\n", "no detectors overlap"),
-        ("nm,rho,standard deviation\n400,0.1,-1\n500,0.1,1\n", "deviations below 0"),
-        (b"\x89PNG\r\n\x1a\n\0\0\0", "binary file of unknown format"),
-        (b"a\x01b" + bytes(40) + rows(WAVE, RHO).encode(), "binary file of unknown format"),
-        ("1 2\n" * 100_001, "more than 100000 rows"),
-        ("5\n" + rows(WAVE, RHO, sep=" "), "4 rows(?s:.*)5, as it states"),
-        (f"{rows(WAVE, RHO)}>>>>>End Spectral Data<<<<<\n800 0.4\n", "not a row of numbers: '800"),
-        ("##TITLE= gypsum\n##XYDATA= (X++(Y..Y))\n400 0.1 0.2\n", "JCAMP-DX(?s:.*)save it as text"),
-        ("PE UV       SUBTECH     SPECTRUM    ASCII\n#DATA\n400 0.1\n", "PerkinElmer"),
-        ("id,Band_101,Band_102,Band_103,Band_104\nA,1,2,3,4\n", "no numbers(?s:.*)titles that are"),
-        (ECOSTRESS + FALLING[: FALLING.rindex("\n", 0, -1) + 1], "3 rows\n  expected: 4"),
-        (ECOSTRESS.replace("Value: 0.7", "Value: 2.5") + FALLING, "from 0.4 to 0.7\n  expected: 0.4 to 2.5"),
-        ("nm,rho\n" + rows(WAVE, (0.4 + RHO) * 100), "looks like percent"),
-        ("nm,rho\n" + rows(WAVE, (0.4 + RHO) * 10000), "looks like scaled:10000"),
-        ("nm,rho\n400,0.1\n500,-9999\n600,0.3\n", "marks a missing value"),
-        ("name,400,500,600,700\na,0.1,0.2,0.3\n", r"s\.txt:2: 4 cells"),
-        ("name,400,500,600,700\na,0.1,x,0.3,0.4\n", r"s\.txt:2: the cell under '500' is no number"),
-        ("name,400,500,600,700\n", "no spectrum"),
-        ("X Units: Wavenumber (cm-1)\nY Units: Reflectance\n" + rows(WAVE, RHO), "(?s)wavenumbers.*1e7 over"),
-        ("cm⁻¹\tR\n" + rows(WAVE, RHO, sep="\t"), "(?s)wavenumbers.*1e7 over"),
-        ("# wavenumber [cm^-1] and a reflectance factor\n" + rows(WAVE, RHO), "(?s)wavenumbers.*1e7 over"),
-        ("ENVI ASCII Plot File [x]\nColumn 1: Wavenumber\nColumn 2: a\n" + rows(WAVE, RHO), "wavenumbers"),
-        ("ENVI ASCII Plot File [x]\nColumn 1: Wavelength\n" + rows(WAVE, RHO), "1 titles for 2 columns"),
-        ("name,Wavelength Units,4000,5000,6000,7000\na,cm-1,0.1,0.2,0.3,0.4\n", "wavenumbers"),
-    ],
-)
-def test_damaged_and_unknown_text_is_refused_by_name(tmp_path, content, message):
-    with pytest.raises(InputError, match=message) as caught:
-        read(tmp_path, content)
-    assert "s.txt" in str(caught.value)
+@pytest.mark.parametrize("case", [*TEXTS["refused"], {"message": "more than 100000 rows", "text": "1 2\n" * 100_001}])
+def test_damaged_and_unknown_text_is_refused_by_name(tmp_path, case):
+    name = case.get("name", "s.txt")
+    with pytest.raises(InputError, match=case["message"]) as caught:
+        read(tmp_path, case["text"], name, quantity=case.get("quantity", "reflectance"))
+    assert name in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -142,10 +74,9 @@ def test_the_unit_of_a_radiance_stands_in_its_title(tmp_path, unit, factor):
 
 
 def test_a_radiance_needs_its_unit(tmp_path):
-    text = "nm,L\n" + rows(WAVE, RHO * 100)
     with pytest.raises(UsageError, match="unit of the radiance"):
-        read(tmp_path, text, quantity="radiance")
-    assert np.allclose(read(tmp_path, text, quantity="radiance", unit="W m-2 sr-1 um-1").values, RHO * 10)
+        read(tmp_path, PLAIN, quantity="radiance")
+    assert np.allclose(read(tmp_path, PLAIN, quantity="radiance", unit="W m-2 sr-1 um-1").values, RHO / 10)
     # A spectrum cut out of an image of radiance is known by the name of its file, where its text says nothing.
     name = "ang20171108t184227_rdn_v2p11_lawn.txt"
     with pytest.raises(InputError, match="the file holds radiance, not reflectance"):
@@ -157,8 +88,8 @@ def test_units_that_nobody_states_or_that_disagree(tmp_path):
     found = read(tmp_path, rows(WAVE / 1000, RHO))
     assert found.wavelength_nm[0] == pytest.approx(400.0)
     assert found.notes == ("the file states no wavelength unit: 0.4 to 0.7 can only be um",)
-    percent, stated = rows(WAVE, (0.4 + RHO) * 100), {"reflectance_unit": "percent"}
-    assert np.allclose(read(tmp_path, percent, **stated).values, 0.4 + RHO, rtol=1e-5)
+    percent = read(tmp_path, rows(WAVE, (0.4 + RHO) * 100), reflectance_unit="percent")
+    assert np.allclose(percent.values, 0.4 + RHO, rtol=1e-5)
     for text, options, message in (
         (rows([4.0, 500.0, 700.0], RHO[:3]), {}, r"nm, or um \(then they are 4000 to 700000 nm\)"),
         (rows(WAVE / 1000, RHO), {"wavelength_unit": "nm"}, "cannot be in nm"),
@@ -188,15 +119,17 @@ def test_a_mean_has_its_standard_deviation_and_number(tmp_path):
 
 def test_columns_by_name_and_number(tmp_path):
     text = "temp,nm,rho,err\n" + rows(WAVE * 0 + 20, WAVE, RHO, RHO / 5)
-    by_name = read(tmp_path, text, columns=("nm", "rho", "err"))
-    by_number = read(tmp_path, text, columns=(1, 2, 3))
-    assert np.array_equal(by_name.values, RHO)
-    assert np.array_equal(by_name.standard_deviation, by_number.standard_deviation)
+    for columns in (("nm", "rho", "err"), (1, 2, 3)):
+        found = read(tmp_path, text, columns=columns)
+        assert np.array_equal([found.values, found.standard_deviation], [RHO, RHO / 5])
     for columns in (("nm", "x"), (1, 9), (1,)):
         with pytest.raises(UsageError, match="column"):
             read(tmp_path, text, columns=columns)
     units = "Wave;Dark;Reflectance\n[nm];[counts];[%]\n" + rows(WAVE, [10] * 4, 100 * RHO, sep=";")
     np.testing.assert_allclose(read(tmp_path, units, record="Reflectance [%]").values, RHO)
+    plot = "ENVI ASCII Plot File [x]\r\nColumn 1: Wavelength\r\nColumn 2: Mean 'Tile'~~1\r\nColumn 3: Grass~~2\r\n"
+    found = read(tmp_path, plot + rows(WAVE / 1000, RHO, RHO * 2, sep=" ", end="\r\n"), record="Tile")
+    assert np.allclose(found.values, RHO)
 
 
 def test_records_by_name_part_number_and_mean(tmp_path):
@@ -220,8 +153,8 @@ def test_one_spectrum_a_row_with_metadata_before_it(tmp_path):
     text = 'site,name,Wavelength Units,400,500,600,700,\n"a, b",oak,Nanometers,0.1,0.2,0.3,0.4,\n'
     text += "c,elm,nm,0.2,NA,0.4,0.5,\n"
     assert read(tmp_path, text, "r.csv", record="elm").values.tolist() == [0.2, 0.4, 0.5]
-    assert [s.name for s in read_records(tmp_path / "r.csv")] == ["oak", "elm"]
-    assert read_records(tmp_path / "r.csv")[1].wavelength_nm.tolist() == [400, 600, 700]
+    oak, elm = read_records(tmp_path / "r.csv")
+    assert (oak.name, elm.name, elm.wavelength_nm.tolist()) == ("oak", "elm", [400, 600, 700])
     detectors = [*range(400, 700, 10), *range(655, 1000, 10)]  # whose ranges overlap, as in libraries of EMIT
     table = f"Class,{','.join(map(str, detectors))}\nSoil,{','.join(['0.3'] * len(detectors))}\n"
     found = read(tmp_path, table, "e.csv")
@@ -229,15 +162,9 @@ def test_one_spectrum_a_row_with_metadata_before_it(tmp_path):
     assert found.wavelength_nm[[0, -1]].tolist() == [400.0, 995.0]
 
 
-def test_an_envi_plot_names_its_columns(tmp_path):
-    text = "ENVI ASCII Plot File [x]\r\nColumn 1: Wavelength\r\nColumn 2: Mean 'Tile'~~1\r\nColumn 3: Grass~~2\r\n"
-    found = read(tmp_path, text + rows(WAVE / 1000, RHO, RHO * 2, sep=" ", end="\r\n"), record="Tile")
-    assert np.allclose(found.values, RHO)
-
-
 def test_paths_and_sizes_are_checked_before_memory_is_taken(tmp_path):
     (tmp_path / "root").mkdir()
-    (tmp_path / "a.txt").write_text("nm,rho\n" + rows(WAVE, RHO))
+    (tmp_path / "a.txt").write_text(PLAIN)
     (tmp_path / "big.txt").touch()
     os.truncate(tmp_path / "big.txt", 50 * 10**9)  # 50 GB in name only
     for path, options, kind, message in (
@@ -264,3 +191,59 @@ def test_any_bytes_give_spectra_or_a_clear_error(tmp_path_factory, data: bytes, 
     except HypervalError:  # anything else fails the test
         found = []
     assert all(np.all(np.diff(f.wavelength_nm) > 0) for f in found)
+
+
+def test_svc_joins_three_detectors_and_converts_percent(tmp_path):
+    wave = np.array([400, 700, 900, 1000, 1010, 970, 985, 995, 1500, 1900, 1890, 1895, 2500.0])
+    rho = np.linspace(0.1, 0.7, wave.size)
+    body = rows(wave, wave * 0 + 9, rho * 9, rho * 100, sep="  ", end="\r\n")
+    keep = [0, 1, 2, 7, 8, 12]  # joined at (1010 + 970) / 2 = 990 and (1900 + 1890) / 2 = 1895
+    for head in (SVC, SVC.replace("comm=", "\r\ncomm=")):  # an empty line in it is none
+        found = read(tmp_path, head + body, "a.sig")
+        assert found.wavelength_nm.tolist() == wave[keep].tolist()
+        assert np.allclose(found.values, rho[keep], rtol=1e-4)
+        assert found.name == "plank_1"
+        assert any("990.0, 1895.0" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("percent", [True, False])
+def test_ger_is_percent_or_target_over_reference(tmp_path, percent):
+    columns = [WAVE, 5000 * RHO, [5000.0] * 4] + ([100 * RHO] if percent else [])
+    found = read(tmp_path, GER + rows(*columns, sep="  "), "gr070601.001")
+    assert found.name == "lawn"
+    np.testing.assert_allclose(found.values, RHO)
+
+
+@pytest.mark.parametrize(("title", "factor"), [("Reflect. %", 100), ("Reflect. [1.0]", 1)])
+def test_spectral_evolution_is_as_long_as_it_says(tmp_path, title, factor):
+    head = SED.format(title).replace("Columns", "Wavelength Range: 400,700\r\nChannels: 4\r\nColumns")
+    table = zip(WAVE, factor * RHO, strict=True)
+    body = "".join(f"{w:6.1f}\t{w:E}\t{w:E}\t{r:.5f}\r\n" for w, r in table)
+    for end in (len(body), -2):  # only the end of the line lacks
+        assert np.allclose(read(tmp_path, head + body[:end], "a.sed").values, RHO)
+    for text, message in (
+        (head + body[: body.rindex("\r\n", 0, -2) + 2], "3 rows\n  expected: 4, as it states"),
+        (head.replace("Channels: 4", "Channels: x4") + body, "4 rows\n  expected: x4"),
+        (head.replace("[4]", "[5]") + body, "4 columns under 4 titles\n  expected: 5 of both"),
+        (head + body[:-4], "the last line is cut: '700.0 7.0"),
+        (head + body.replace("700.0", "600.5"), "wavelengths from 400 to 600.5\n  expected: 400 to 700"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read(tmp_path, text, "a.sed")
+
+
+def test_radiance_of_the_target(tmp_path):
+    # 15000e-10 W cm-2 sr-1 nm-1 = 1.5 uW cm-2 sr-1 nm-1, the unit that the maker says.
+    targets = "400 30000 15000 {0}\n500 40000 10000 {0}\n600 50000 5000 {0}\n"
+    for quantity, percent in (("radiance", "50"), ("irradiance", "0")):
+        text = SVC.replace(", Radiance", f", {quantity.title()}") + targets.format(percent)
+        found = read(tmp_path, text, "a.sig", quantity=quantity)
+        assert np.allclose(found.values, [1.5, 1.0, 0.5])
+        assert any("maker's unit" in note for note in found.notes)
+    assert np.allclose(read(tmp_path, SVC + targets.format("50"), "a.sig").values, 0.5)
+    head = "Comment:\nInstrument: PSR\nMeasurement: RADIANCE\nUnits: {}\nColumns [2]:\nData:\nWvl\tRad. (Target)\n"
+    text = head + "400\t0.1\n500\t0.2\n"
+    found = read(tmp_path, text.format("W/m^2/sr/nm"), "a.sed", quantity="radiance")
+    assert np.allclose(found.values, [10.0, 20.0])
+    with pytest.raises(UsageError, match="unit of the radiance is not stated"):
+        read(tmp_path, text.format("None"), "a.sed", quantity="radiance")

@@ -1,15 +1,11 @@
 """How far a table of the embedded engine is from the engine itself, between its nodes.
 
-    python validation/atmosphere/table_error.py [--write validation/atmosphere/README.md]
+    python validation/atmosphere/table_error.py
 
 One axis at a time, with the node counts that a study would take; the engine is run at states between the nodes.
 """
 
 from __future__ import annotations
-
-import argparse
-import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -32,7 +28,6 @@ AXES = {
     "solar_zenith_deg": ([0.0, 15.0, 30.0, 45.0, 60.0, 70.0], [8.0, 38.0, 65.0]),
     "water_vapour_g_cm2": ([0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0], [0.33, 1.2, 3.5]),
 }
-BEGIN, END = "<!-- table_error.py: begin -->", "<!-- table_error.py: end -->"
 
 
 def error(axis: str) -> tuple[float, float, dict[str, float] | None]:
@@ -57,28 +52,14 @@ def _total(terms) -> np.ndarray:
 
 
 def main() -> None:
-    """Print the table, or put it into a document."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", type=Path, help="document with the marks between which the table stands")
-    chosen = parser.parse_args()
-    lines = [
-        "| axis | nodes | worst between | rms between | stated: worst, rms |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    """Print the table."""
+    print("| axis | nodes | worst between | rms between | stated: worst, rms |")
+    print("| --- | --- | --- | --- | --- |")
     for axis, (nodes, _) in AXES.items():
         worst, rms, stated = error(axis)
         said = f"{stated['worst']:.2%}, {stated['rms']:.2%}" if stated else "none"
         span = f"{len(nodes)}, {min(nodes):.3g} to {max(nodes):.3g}"
-        lines.append(f"| `{axis}` | {span} | {worst:.2%} | {rms:.2%} | {said} |")
-        print(lines[-1], file=sys.stderr)
-    text = "\n".join(lines)
-    print(text)
-    if chosen.write:
-        document = chosen.write.read_text("utf-8")
-        if document.count(BEGIN) != 1 or document.count(END) != 1:
-            sys.exit(f"{chosen.write} lacks the marks {BEGIN} and {END}")
-        before, rest = document.split(BEGIN)
-        chosen.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", "utf-8")
+        print(f"| `{axis}` | {span} | {worst:.2%} | {rms:.2%} | {said} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,156 @@
+"""Files of RadCalNet and HYPERNETS: what they say, errors by kind with their correlation, and what is refused."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from spectra_shells import CORRELATION, NM, hypernets
+
+from hyperval.errors import InputError, UsageError
+from hyperval.model import Sources, covariance_in_bands
+from hyperval.scenario import SpectrumSource
+from hyperval.spectra import (
+    SpectralAxis,
+    band_average,
+    read_hypernets,
+    read_radcalnet,
+    read_records,
+    read_spectrum,
+)
+
+STATE = "P:\t900\t901\nT:\t290.5\t291.5\nWV:\t0.5\t0.6\nO3:\t280\t281\nAOD:\t0.1\t0.2\nAng:\t1.1\t9997\n"
+ERRORS = STATE.replace("9997", "0.1") + "400\t0.01\t0.02\n410\t9998\t0.03\n420\t0.02\t0.02\n"
+GOOD = (
+    "Site:\tXXXX01\nLat:\t40.5\nLon:\t-109.5\nAlt:\t1270\n\nYear:\t2020\t2020\t\nDOY(U):\t60\t60\t\n"
+    "UTC:\t03:30\t04:00\nDOY(L):\t60\t60\t\nLocal:\t11:30\t12:00\n"
+    f"{STATE}Type:\tR\tR\n400\t0.10\t0.20\t\n410\t  9998\t0.21\n420\t0.12\t0.22\n\n{ERRORS}"
+)
+
+
+def day_file(folder: Path, text: str = GOOD, name: str = "day.input") -> Path:
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
+    path = day_file(tmp_path)
+    day = read_radcalnet(path)
+    assert (day.site, day.latitude_deg, day.longitude_deg, day.altitude_m) == ("XXXX01", 40.5, -109.5, 1270.0)
+    assert day.quantity == "reflectance"
+    assert day.times == (datetime(2020, 2, 29, 3, 30, tzinfo=UTC), datetime(2020, 2, 29, 4, 0, tzinfo=UTC))
+    assert day.wavelength_nm.tolist() == [400.0, 410.0, 420.0]
+    np.testing.assert_array_equal(day.values, [[0.10, np.nan, 0.12], [0.20, 0.21, 0.22]])
+    np.testing.assert_array_equal(day.uncertainty, [[0.01, np.nan, 0.02], [0.02, 0.03, 0.02]])
+    assert day.valid == ("03:30",)  # the Angstrom exponent of the other is no value
+    at = day.at("03:30")
+    assert (at["pressure_hpa"], at["ozone_atm_cm"], at["u_aot550"]) == (900.0, 0.28, 0.1)
+    for clock, words in (("04:00", "04:00 holds no value"), ("05:00", "05:00 is none of the file")):
+        with pytest.raises(UsageError, match=words):
+            day.at(clock)
+    (found,) = read_records(path)
+    assert (found.name, found.wavelength_nm.tolist()) == ("03:30", [400.0, 420.0])
+    assert found.standard_deviation.tolist() == [0.01, 0.02]
+    with pytest.raises(InputError, match=r"holds top-of-atmosphere reflectance, not reflectance"):
+        read_spectrum(day_file(tmp_path, name="day.output"), record="03:30")
+    with pytest.raises(UsageError, match=r"\.input \(surface\)"):
+        read_radcalnet(day_file(tmp_path, name="day.txt"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("Lat:\t40.5", "Lat:\tforty", r":2: not a row of numbers"),
+        ("Alt:", "Height:", r":4: 'Height:' where 'Alt' belongs"),
+        ("UTC:\t03:30\t04:00", "UTC:\t03:30", r":8: 1 values of UTC"),
+        ("UTC:\t03:30\t04:00", "UTC:\t04:00\t03:30", "do not follow each other"),
+        ("UTC:\t03:30\t04:00", "UTC:\t03:30\t25:00", "not a time"),
+        ("DOY(U):\t60\t60", "DOY(U):\t60\t600", "day 600"),
+        ("400\t0.10\t0.20", "400\t0.10", r":18: 1 values"),
+        ("400\t0.10\t0.20", "400\t0.10\t20", "neither a reflectance nor a mark"),
+        ("400\t0.10\t0.20", "430\t0.10\t0.20", "no increasing wavelengths"),
+        ("400\t0.01\t0.02", "400\t0.01\t-0.02", "uncertainties below 0"),
+        ("400\t0.01\t0.02\n", "", "uncertainties at other wavelengths"),
+        (ERRORS, "", "end of the file"),
+        ("0.10\t0.20", "0.10\tnan", "a number is missing"),
+    ],
+)
+def test_a_day_that_cannot_be_is_refused(tmp_path, old, new, words):
+    assert old in GOOD
+    with pytest.raises(InputError, match=words):
+        read_radcalnet(day_file(tmp_path, GOOD.replace(old, new, 1)))
+
+
+def sequence(folder: Path, **changes) -> Path:
+    return hypernets(folder / "sequence.nc", **changes)
+
+
+def test_a_series_and_its_errors(tmp_path):
+    path = sequence(tmp_path)
+    found = read_hypernets(path)
+    assert (found.site, found.latitude_deg) == ("XXXX", -23.6)
+    assert found.names == ("series 1: zenith 30 azimuth 263", "series 2: zenith 0 azimuth 98")
+    covariance = found.errors(0).covariance()
+    assert np.diag(covariance) == pytest.approx(0.04 * (0.01**2 + 0.03**2))
+    assert covariance[0, [1, -1]] == pytest.approx(np.array([0.9, 0.3]) * 0.006**2)
+    assert len(read_records(path)) == 2
+    nadir = read_spectrum(path, record="zenith 0")
+    assert (nadir.n, nadir.notes) == (12, ("quality flags 0x10",))
+    assert nadir.errors.random == pytest.approx(0.01 * nadir.values)
+
+
+def test_rounding_of_the_correlation_leaves_no_negative_variance(tmp_path):
+    rounded = np.round(np.exp(-0.5 * (np.subtract.outer(NM, NM) / 40.0) ** 2), 2)
+    assert np.linalg.eigvalsh(rounded)[0] < -1e-3
+    found = read_hypernets(sequence(tmp_path, err_corr_systematic_reflectance=rounded))
+    assert np.linalg.eigvalsh(found.correlation)[0] > -1e-12
+    assert np.diag(found.correlation) == pytest.approx(1.0)
+    assert found.correlation == pytest.approx(rounded, abs=0.01)
+
+
+def test_errors_go_into_bands_as_the_mean_does(tmp_path):
+    """Draws averaged over bands have the covariance that the formula gives (seed 4; 1 in 1e4 fails)."""
+    path = sequence(tmp_path)
+    covariance, axis = read_hypernets(path).errors(1).covariance(), SpectralAxis(np.array([410.0, 430.0, 450.0]), 10.0)
+    expected = covariance_in_bands(NM, covariance, axis)
+    draws = np.random.default_rng(4).multivariate_normal(np.zeros(NM.size), covariance, 40_000)
+    assert np.cov(band_average(NM, draws, axis).T) == pytest.approx(expected, rel=0.05)
+    surface = Sources(axis, {}, Path).spectrum(SpectrumSource(file=str(path), record="zenith 0"), "sand")
+    assert surface.mean_error == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"quality_flag": None}, "holds no quality_flag"),
+        ({"wavelength": NM[::-1].copy()}, "do not increase"),
+        ({"u_rel_random_reflectance": np.full((NM.size, 2), -1.0)}, "below 0"),
+        ({"err_corr_systematic_reflectance": 2.0 * CORRELATION}, "beyond -1 to 1"),
+        ({"acquisition_time": np.array([1e300, 0.0])}, "place or time"),
+        (None, "cannot be read"),  # cut
+    ],
+)
+def test_a_sequence_that_cannot_be_is_refused(tmp_path, changes, words):
+    path = sequence(tmp_path, **(changes or {}))
+    if changes is None:
+        path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(InputError, match=words):
+        read_hypernets(path)
+
+
+@pytest.mark.data
+def test_real_files(data_dir):
+    day = read_radcalnet(data_dir("radcalnet/BTCN02_2018_148_v00.03.input"))
+    assert day.valid == ("04:00", "04:30", "05:00", "05:30", "06:00", "06:30", "07:00")
+    assert day.at("05:30")["angstrom_exponent"] == 0.196
+    top = read_radcalnet(data_dir("radcalnet/BTCN02_2018_148_v02.03.output"))
+    assert (top.quantity, top.values[top.column("05:30"), 0]) == ("top-of-atmosphere reflectance", 0.1784)
+    name = "hypernets/HYPERNETS_L_GHNA_L2A_REF_20231103T0901_20240124T2246_v2.0.nc"
+    found = read_hypernets(data_dir(name))
+    assert (found.site, found.reflectance.shape) == ("GHNA", (45, 1554))
+    assert np.flatnonzero(found.flags).tolist() == [7, 9]
+    nadir = read_spectrum(data_dir(name), record="series 24: zenith 0 azimuth 293")
+    total = np.sqrt(np.diag(nadir.errors.covariance())) / nadir.values
+    assert 0.028 < np.median(total) < 0.04  # the systematic part is 3 %
