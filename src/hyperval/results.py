@@ -63,7 +63,6 @@ class Cause(StrEnum):
     FEW_PIXELS = "too few pixels"
     FEW_ALARMS = "background too small for that rate"
     BEYOND_CURVE = "a curve does not reach that far"
-    NO_SCORES = "curves without scores"
     VACUOUS = "the interval accepts nearly any value"
     NO_GROUND_AREA = "ground area unknown"
     NOT_POSITIVE = "a value is not positive"

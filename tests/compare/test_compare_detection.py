@@ -146,10 +146,11 @@ def test_areas_with_and_without_estimates():
     t, b = rng.normal(2, 1, 200), rng.normal(0, 1, 50000)
     whole, truth = model_curve(2.0), norm.cdf(2 / np.sqrt(2))
     assert curve_area(whole, WHOLE) == pytest.approx(truth, abs=1e-5)
-    # A curve that stops at P_FA 0.6 is joined to (1, 1); one that stops at 0.3 has no area.
-    long, short = (curve(whole.pfa[whole.pfa <= end], whole.pd[whole.pfa <= end]) for end in (0.6, 0.3))
-    assert roc(long, whole)["auc_difference"].value == pytest.approx(0, abs=5e-3)
-    assert roc(short, whole)["auc_difference"].outcome is Outcome.SKIPPED
+    # A curve that stops early is joined to (1, 1); one that begins above P_FA 0.01 has no area.
+    for low, high, value in ((0.0, 0.6, 0.0), (0.0, 0.3, 0.0), (0.02, 1.0, None)):
+        kept = (whole.pfa >= low) & (whole.pfa <= high)
+        row = roc(curve(whole.pfa[kept], whole.pd[kept]), whole)["auc_difference"]
+        assert (row.outcome is Outcome.SKIPPED) if value is None else row.value == pytest.approx(value, abs=5e-3)
     row = roc(whole, with_summary(empirical_roc(t, b, unit="object"), t, b))["auc_difference"]
     assert row.lower < row.value < row.upper
     assert row.value == pytest.approx(truth - roc_area(counts_of(t, b)), abs=1e-5)

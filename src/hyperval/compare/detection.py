@@ -556,10 +556,12 @@ def samples_per_km2(curve: RocCurve) -> float:
     return curve.n_background / curve.background_area_km2
 
 
-def on_grid(curve: RocCurve, pfa: float) -> int | None:
-    """Index of a point of the curve, None where it has no such point or does not know its alarms."""
+def counted(curve: RocCurve, pfa: float) -> tuple[int, int, float] | None:
+    """Alarms, background samples and P_D at a point of a curve; None where it has no such point or no counts."""
     at = np.flatnonzero(np.abs(curve.pfa - pfa) <= 1e-9 * pfa)
-    return int(at[-1]) if curve.alarms is not None and at.size else None
+    if curve.alarms is None or not curve.n_background or not at.size:
+        return None
+    return int(curve.alarms[at[-1]]), curve.n_background, float(curve.pd[at[-1]])
 
 
 def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
@@ -577,13 +579,12 @@ def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
     >>> [(r.metric, r.value) for r in far_row(RowMaker("roc", "panel", "cem/pixel"), curve, 1e-2)]
     [('far_measured@1e-2', 2500.0)]
     """
-    name, at, n = f"far_measured@{scientific(pfa)}", on_grid(observed, pfa), observed.n_background
-    density, area = samples_per_km2(observed), observed.background_area_km2 or math.nan
-    if at is None or observed.alarms is None or n is None:
+    name, density = f"far_measured@{scientific(pfa)}", samples_per_km2(observed)
+    if (found := counted(observed, pfa)) is None:
         return []
     if math.isnan(density):
         return make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, name)
-    alarms = int(observed.alarms[at])
+    (alarms, n, _), area = found, observed.background_area_km2 or math.nan
     low, high = (float(x) * density for x in clopper_pearson(alarms, n))
     return [make.row(name, alarms / area, (low, high), n=n, reason=f"{alarms} alarms on {area:.4g} km2")]
 
@@ -673,10 +674,11 @@ def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, p
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('joint_pfa@1e-2', 0.01), ('joint_pd@1e-2', 0.6), ('pd_inside_joint_region@1e-2', 1.0)]
     """
-    at, n, m = on_grid(observed, pfa), observed.n_background, observed.n_target
-    if at is None or observed.alarms is None or not m or not n:
+    found, m, label = counted(observed, pfa), observed.n_target, scientific(pfa)
+    if found is None or not m:
         return []
-    label, alarms, detected = scientific(pfa), int(observed.alarms[at]), round(float(observed.pd[at]) * m)
+    alarms, n, pd = found
+    detected = round(pd * m)
     region = joint_region(detected, m, alarms, n)
     reason = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; both at 95 % together"
     span = region.pfa_lower, region.pfa_upper
@@ -719,6 +721,19 @@ def predicted_area(curve: RocCurve, area: RocArea) -> Valued:
     return Valued(value, (min(low, value), max(high, value)) if known else (value, value))
 
 
+def _measured_area(observed: RocCurve, full: str, area: RocArea) -> tuple[Valued | Lack, int | None, str]:
+    """Area of a measured curve, how many targets it is of, and how its interval was made."""
+    n, found = observed.n_background, observed.areas.get(full)
+    if found is not None:
+        return Valued(found.value, (found.lower, found.upper)), observed.n_target, found.method
+    if observed.areas and area.logarithmic and n is not None:
+        words = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {full.partition('@')[2]}"
+        return Lack(Cause.FEW_ALARMS, f"{words}; {LEAST_EXPECTED_ALARMS:g} are needed"), observed.n_target, ""
+    if math.isnan(value := curve_area(observed, area)):
+        return Lack(Cause.BEYOND_CURVE, "the measured curve does not reach its range of P_FA"), observed.n_target, ""
+    return Valued(value, (math.nan, math.nan)), observed.n_target, "of the curve without its scores: no interval"
+
+
 def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | None) -> list[Result]:
     """``auc_predicted``, ``auc_measured``, ``auc_difference`` and the same of the partial and log-weighted areas.
 
@@ -747,26 +762,13 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
         left: Valued | Lack | None = None if predicted is None else predicted_area(predicted, area)
         if isinstance(left, Valued) and math.isnan(left.value):
             left = Lack(Cause.BEYOND_CURVE, f"the predicted curve does not reach the range P_FA {span or '0..1'}")
-        right: Valued | Lack | None = None if observed is None else _why_not(observed, area, span)
-        found = None if observed is None else observed.areas.get(full)
-        if found is not None:
-            right = Valued(found.value, (found.lower, found.upper))
-        n, reason = None if observed is None else observed.n_target, "" if found is None else found.method
+        right, n, reason = (None, None, "") if observed is None else _measured_area(observed, full, area)
         rows += make.side_by_side(names, left, right, n, reason)
     return rows
 
 
-def _why_not(observed: RocCurve, area: RocArea, span: str) -> Lack:
-    n = observed.n_background
-    if area.logarithmic and n is not None and observed.areas:
-        words = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {span}; 10 are needed"
-        return Lack(Cause.FEW_ALARMS, words)
-    return Lack(Cause.NO_SCORES, "the measured curve comes without its scores, so its area has no interval")
-
-
 ALWAYS = (1e-1, 1e-2, 1e-3)
 IF_BACKGROUND_ALLOWS = (1e-4, 1e-5, 1e-6)
-LEAST_END = 0.5  # a curve that stops below this P_FA has no area to speak of
 # A measured interval wider than this accepts nearly any prediction: one target alone gives 0.975 or more.
 WIDEST_INTERVAL = 0.9
 METRICS = (
@@ -833,9 +835,7 @@ def compare_roc(
     expect 10 alarms.  A probability that the background or a curve does not reach gives SKIPPED rows.
     The verdicts (but not the values) are SKIPPED too where the measured interval is wider than 0.9, as with a
     single target object: a test that nothing can fail is no test.
-    With what a measured curve knows beyond its points come the areas, false
-    alarms per km2 and joint regions; ``auc_difference`` of bare curves is over
-    their common range of P_FA and has no interval.
+    With what a measured curve knows beyond its points come the areas, false alarms per km2 and joint regions.
 
     Examples
     --------
@@ -860,7 +860,7 @@ def compare_roc(
             yield from joint_rows(make, predicted, observed, level)
     yield from far_at_detection_rows(make, predicted, observed)
     yield from first_detection_rows(make, observed)
-    yield from (area_rows if observed.areas else _bare)(make, predicted, observed)
+    yield from area_rows(make, predicted, observed)
 
 
 def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> Iterator[Result]:
@@ -933,15 +933,3 @@ def _preset_rows(
         yield make.row(f"pd_predicted_preset@{scientific(pfa)}", *preset, reason=words)
         inside, about = _inside(preset, measured)
         yield make.row(f"pd_inside_interval_preset@{scientific(pfa)}", inside, n=n, reason=words, about=about)
-
-
-def _bare(make: RowMaker, predicted: RocCurve, observed: RocCurve) -> list[Result]:
-    """The difference of areas of curves without scores."""
-    low = max(float(predicted.pfa[0]), float(observed.pfa[0]))
-    if low >= 0.1 or min(float(predicted.pfa[-1]), float(observed.pfa[-1])) < LEAST_END:
-        why = f"the curves do not both reach from P_FA below 0.1 to {LEAST_END:g}"
-        return make.skipped(Cause.BEYOND_CURVE, why, "auc_difference")
-    area = RocArea(low, 1.0)
-    gap = curve_area(predicted, area) - curve_area(observed, area)
-    why = f"area of both curves over P_FA {low:.2g} to 1; no interval from curves alone"
-    return [make.row("auc_difference", gap, n=observed.n_target, reason=why)]

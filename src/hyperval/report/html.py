@@ -187,11 +187,8 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
 
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
-PICTURES = (
-    "scene",
-    "score-map-1",
-    "score-map-1-expected",
-)  # of a run, beside each other, before everything else, embedded whatever happens
+# Of a run, beside each other, before everything else, embedded whatever happens.
+PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
 _MOST_OPEN_FIGURES = 2  # of spectra and curves; the others are folded in their sections
 _MOST_OPEN = 12  # rows of a table before it is folded

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,22 +53,13 @@ def difference_table(pairs: Sequence[Pair]) -> ResultTable:
     rows = []
     for p in pairs:
         r = p.either
-        names = (r.campaign, r.product, r.subject, r.method, f"{r.metric}_change")
+        row = Result(r.campaign, r.product, r.subject, r.method, f"{r.metric}_change", unit=r.unit, band_nm=r.band_nm)
         if p.a and p.b:
             words = f"A {v.value_text(p.a)} ({p.a.outcome}), B {v.value_text(p.b)} ({p.b.outcome})"
-            rows.append(Result(*names, value=p.difference, unit=r.unit, band_nm=r.band_nm, reason=words))
+            rows.append(replace(row, value=p.difference, reason=words))
         else:
             only = f"only in run {'A' if p.a else 'B'}"
-            rows.append(
-                Result(
-                    *names,
-                    unit=r.unit,
-                    band_nm=r.band_nm,
-                    outcome=Outcome.SKIPPED,
-                    cause=Cause.ONE_RUN,
-                    reason=only,
-                )
-            )
+            rows.append(replace(row, outcome=Outcome.SKIPPED, cause=Cause.ONE_RUN, reason=only))
     return ResultTable(rows)
 
 
@@ -80,7 +72,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     labels = zip("AB", (a, b), _names(a.folder or Path(), b.folder or Path()), strict=True)
     return page(
         "pair.html.j2", charts,
-        runs=[{"label": label, "folder": name, "verdict": v.verdict(run.table),
+        runs=[{"label": label, "folder": name, "screen": v.first_screen(list(run.table)),
                "counts": v.outcome_words(run.table)} for label, run, name in labels],
         changed=changed,
         moved=whole[:_MOST_MOVED],
