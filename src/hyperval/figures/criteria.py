@@ -24,8 +24,7 @@ from hyperval.figures.spec import (
     of_rows,
     row_names,
 )
-from hyperval.metrics import Evidence, Kind, metric_of, plain_words
-from hyperval.metrics import product_words as _product_words
+from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import WORST_FIRST, Outcome, Result
 
 WORDS = {
@@ -46,7 +45,6 @@ _REGIONS = {
     "windows": "",
 }  # fmt: skip
 _SHORT = {"%": " %", "nm": " nm", "percentage points": " pp", "difference / stated": " ×", "standard dev": " sd"}
-_PRODUCTS = {"roc": "detection", "scores": "detector scores", "abundance": "target area"}
 
 
 def told(row: Result) -> Result:
@@ -109,11 +107,6 @@ def short_text(value: float, sign: str = "") -> str:
     digits = 0 if magnitude >= 20 else 1 if magnitude >= 2 else 2 if magnitude >= 0.02 else 3
     text = f"{value:{sign}.{digits}f}"
     return (text.rstrip("0").removesuffix(".") if digits else text).replace("-", "−")
-
-
-def product_words(product: str) -> str:
-    """A product as a reader of a figure calls it."""
-    return _PRODUCTS.get(product) or _product_words(product)
 
 
 def ranked(rows: Sequence[Result]) -> list[Result]:

@@ -191,7 +191,10 @@ _PART_WORDS = {
 }  # fmt: skip
 
 
-_PRODUCT_WORDS = {"toa_reflectance": "top-of-atmosphere reflectance", "snr": "signal-to-noise ratio"}
+_PRODUCT_WORDS = {
+    "toa_reflectance": "top-of-atmosphere reflectance", "snr": "signal-to-noise ratio", "roc": "detection",
+    "scores": "detector scores", "abundance": "target area",
+}  # fmt: skip
 
 
 def product_words(product: str) -> str:

@@ -7,16 +7,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from hyperval.figures.criteria import (
-    WORDS,
-    criteria_of,
-    effect_text,
-    product_words,
-    ranked,
-    row_label,
-    short_text,
-)
-from hyperval.metrics import Evidence, Kind, metric_of, plain_words
+from hyperval.figures.criteria import WORDS, criteria_of, effect_text, ranked, row_label, short_text
+from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import WORST_FIRST, Cause, Outcome, Result
 
 _MOST_NAMED = 9
