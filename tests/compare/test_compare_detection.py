@@ -147,10 +147,9 @@ def test_areas_with_and_without_estimates():
     whole, truth = model_curve(2.0), norm.cdf(2 / np.sqrt(2))
     assert curve_area(whole, WHOLE) == pytest.approx(truth, abs=1e-5)
     # A curve that stops early is joined to (1, 1); one that begins above P_FA 0.01 has no area.
-    for low, high, value in ((0.0, 0.6, 0.0), (0.0, 0.3, 0.0), (0.02, 1.0, None)):
-        kept = (whole.pfa >= low) & (whole.pfa <= high)
+    for kept, value in ((whole.pfa <= 0.6, 0.0), (whole.pfa <= 0.3, 0.0), (whole.pfa >= 0.02, np.nan)):
         row = roc(curve(whole.pfa[kept], whole.pd[kept]), whole)["auc_difference"]
-        assert (row.outcome is Outcome.SKIPPED) if value is None else row.value == pytest.approx(value, abs=5e-3)
+        assert row.value == pytest.approx(value, abs=5e-3, nan_ok=True)
     row = roc(whole, with_summary(empirical_roc(t, b, unit="object"), t, b))["auc_difference"]
     assert row.lower < row.value < row.upper
     assert row.value == pytest.approx(truth - roc_area(counts_of(t, b)), abs=1e-5)

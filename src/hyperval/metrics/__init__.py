@@ -261,11 +261,13 @@ def range_text(metric: Metric) -> str:
     >>> range_text(metric_of("pd_difference")), range_text(metric_of("z"))
     ('-1 to 1', '')
     """
-    if math.isinf(metric.low) and math.isinf(metric.high):
-        return ""
-    if math.isinf(metric.high):
-        return f"{metric.low:g} and more"
-    return f"{metric.low:g} to {metric.high:g}"
+    return _span(metric.low, metric.high)
+
+
+def _span(low: float, high: float) -> str:
+    if math.isinf(high):
+        return "" if math.isinf(low) else f"{low:g} and more"
+    return f"{low:g} to {high:g}"
 
 
 def tolerance_text(metric: Metric) -> str:
@@ -302,7 +304,7 @@ def entry(m: Metric) -> list[str]:
         ("judged as", m.kind),
         ("95 % interval", "" if m.interval == "none" else m.interval),
         ("told as an effect in", m.effect.unit if m.effect else ""),
-        ("judged unasked by", _usual(m)),
+        ("judged unasked by", _span(*m.usual) if m.usual else ""),
         ("power wanted against", m.departure),
         ("moves with", "the prediction" if m.evidence == "model" else "the pipeline alone"),
         ("accepted numbers may move by", tolerance_text(m)),
@@ -310,13 +312,6 @@ def entry(m: Metric) -> list[str]:
         ("example", _example(m)),
     ]
     return [*lines, *(f"- {name}: {text}" for name, text in facts if text), ""]
-
-
-def _usual(m: Metric) -> str:
-    if m.usual is None:
-        return ""
-    low, high = m.usual
-    return f"at least {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
 
 
 def _example(m: Metric) -> str:
