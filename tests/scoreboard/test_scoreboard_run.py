@@ -172,16 +172,8 @@ def test_a_broken_campaign_is_an_error_row_beside_the_others(make_small, tmp_pat
     [
         (None, 3, "no such file"),
         ("raise ValueError('oops')", 2, "ValueError: oops"),
-        (
-            "from hyperval.pixels import register_detector\nregister_detector('cem', print)",
-            2,
-            "'cem'",
-        ),
-        (
-            "from hyperval.pixels import register_detector\nregister_detector('A b', print)",
-            2,
-            "'A b'",
-        ),
+        ("from hyperval.pixels import register_detector\nregister_detector('cem', print)", 2, "'cem'"),
+        ("from hyperval.pixels import register_detector\nregister_detector('A b', print)", 2, "'A b'"),
         ("import hyperval.scoreboard.engines", 2, "hyperval compare A B"),
     ],
     ids=["missing", "fails", "taken", "unfit", "engine"],

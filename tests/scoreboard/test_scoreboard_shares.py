@@ -15,14 +15,8 @@ def one_detector(targets: np.ndarray, background: np.ndarray, block: np.ndarray)
     blocks = int(block.max()) + 1
     alike = np.zeros(blocks, dtype=np.int64)
     over, tie = counts_by_block(targets, AlarmBlocks(background, block, sparse.eye_array(blocks), alike))
-    return BlockCounts(
-        ("a",),
-        over[:, None],
-        tie[:, None],
-        np.bincount(block),
-        np.arange(targets.size),
-        {"all": range(targets.size)},
-    )
+    number = np.arange(targets.size)
+    return BlockCounts(("a",), over[:, None], tie[:, None], np.bincount(block), number, {"all": number})
 
 
 @pytest.fixture

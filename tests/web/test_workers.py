@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -15,38 +15,51 @@ from processes import awaited, is_at_work
 pytest.importorskip("fastapi", reason="needs the extra web")
 
 from hyperval.cli import keep_caches
-from hyperval.web import Cancelled, TaskFailed, WorkerPool, WorkerTask
+from hyperval.web import Cancelled, Cluster, Full, TaskFailed, WorkerPool, WorkerTask
 
 HERE = Path(__file__).parent
+pytestmark = pytest.mark.filterwarnings("default")  # of the libraries behind the scheduler
 
 
-@pytest.fixture(scope="module")
-def pool():
-    with pytest.MonkeyPatch.context() as patch:
+@pytest.fixture(scope="module", params=["processes", "scheduler"])
+def pool(request):
+    """Processes of this machine, or a worker of a Dask scheduler: who hands tasks out sees no difference."""
+    with ExitStack() as stack:
+        patch = stack.enter_context(pytest.MonkeyPatch.context())
         patch.syspath_prepend(str(HERE))
-        one = WorkerPool(1, 8, seconds=2.0, memory_bytes=1_500_000_000, module="web_tasks")
+        patch.setenv("HYPERVAL_WORKERS", "1")
+        if request.param == "processes":
+            one = WorkerPool(1, 8, seconds=2.0, memory_bytes=1_500_000_000, module="web_tasks")
+        else:
+            distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
+            options = {"processes": False, "threads_per_worker": 1, "dashboard_address": None}
+            cluster = stack.enter_context(distributed.LocalCluster(1, **options))
+            one = Cluster(cluster.scheduler_address, most=1, seconds=2.0, module="web_tasks")
         yield one
         one.close()
+        with pytest.raises(Full):
+            one.submit(WorkerTask("add", {"a": 1, "b": 2}))
 
 
-def result(pool, task, timeout=30.0, **arguments):
-    return pool.submit(WorkerTask(task, arguments)).future.result(timeout)
+def result(pool, task, **arguments):
+    return pool.submit(WorkerTask(task, arguments)).future.result(30.0)
 
 
 def test_what_ends_a_process_ends_its_task_alone(pool):
     assert result(pool, "add", a=1, b=2) == 3
-    first = result(pool, "pid")
-    assert result(pool, "pid") == first  # it stays warm
-    with pytest.raises(TaskFailed, match="process was ended"):
-        result(pool, "die")
-    assert result(pool, "pid") != first
+    if isinstance(pool, WorkerPool):
+        first = result(pool, "pid")
+        assert result(pool, "pid") == first  # it stays warm
+        with pytest.raises(TaskFailed, match="process was ended"):
+            result(pool, "die")
+        assert result(pool, "pid") != first
+        with pytest.raises(TaskFailed, match="more memory"):
+            result(pool, "hoard")
 
 
-def test_task_that_takes_too_long_or_too_much_is_ended(pool):
+def test_task_that_takes_too_long_is_ended(pool, tmp_path):
     with pytest.raises(TaskFailed, match="longer than 2 s"):
-        pool.submit(WorkerTask("write", {"path": os.devnull})).future.result(30.0)
-    with pytest.raises(TaskFailed, match="more memory"):
-        result(pool, "hoard")
+        result(pool, "count", folder=str(tmp_path), seconds=60.0)
     assert result(pool, "add", a=1, b=1) == 2
 
 
@@ -59,17 +72,19 @@ def test_failure_is_told_without_paths(pool, capfd):
     assert "secret" not in str(told.value)
 
 
-def test_task_is_called_off(pool):
-    running, waiting = WorkerTask("write", {"path": os.devnull}), WorkerTask("add", {"a": 1, "b": 1})
+def test_task_tells_how_far_it_is_and_is_called_off(pool, tmp_path):
+    begun = []
+    running = WorkerTask("count", {"folder": str(tmp_path), "seconds": 60.0}, begun=lambda: begun.append(True))
     pool.submit(running)
-    pool.submit(waiting)
-    waiting.is_cancelled = True
-    while not running.started:
-        time.sleep(0.01)
-    running.is_cancelled = True
+    awaited(lambda: running.progress[1])
+    assert running.progress[0] == "counting"
+    assert begun == [True]
+    waiting = pool.submit(WorkerTask("add", {"a": 1, "b": 1}))
+    waiting.is_cancelled = running.is_cancelled = True
     for job in (running, waiting):
         with pytest.raises(Cancelled):
             job.future.result(30.0)
+    assert result(pool, "add", a=2, b=2) == 4  # the worker is free again
 
 
 def test_processes_end_with_a_server_that_was_killed(tmp_path):
