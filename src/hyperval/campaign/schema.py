@@ -252,4 +252,8 @@ class Campaign(Outline):
             raise ValueError("by_number knows no windows of the atmosphere: detection.bands is good or all")
         if self.classification and not self.collection.cube:
             raise ValueError("classification needs a cube")
+        named = [(g.product, g.metric, g.method, g.bands_nm, s) for g in self.comparisons for s in g.subjects]
+        if twice := [name for name in named if named.count(name) > 1]:
+            product, metric, *_, subject = twice[0]
+            raise ValueError(f"comparisons: {product} {metric} of {subject} is compared twice")
         return self
