@@ -15,13 +15,13 @@ import json
 import math
 import os
 import platform
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +33,7 @@ from hyperval.errors import HypervalError, UsageError, reader
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model import Origins, predict
 from hyperval.model.roc import detection_at
-from hyperval.results import WORST_FIRST, Outcome, Result, Role
+from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, Role
 from hyperval.scenario import builtin_scenarios, load_scenario
 from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
 from hyperval.sensor.specification import Sensor
@@ -190,32 +190,25 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Result]:
     """
     whole = [row for row in rows if not row.per_band]
     planned = [row for row in whole if row.planned]
-    subjects = {
-        (r.product, pattern.strip(), r.method) for r in planned for pattern in (r.subject, *r.subject.split(","))
-    }
-    named = {row.product: BEHIND[row.product] for row in planned if row.product in BEHIND}
-    behind = [
-        row
-        for row in whole
-        if any(fnmatchcase(row.metric, m) for m in named.get(row.product, ()))
-        and any(
-            row.product == product and fnmatchcase(row.subject, subject) and fnmatchcase(row.method, method)
-            for product, subject, method in subjects
+    subjects = {(r.product, s.strip(), r.method) for r in planned for s in (r.subject, *r.subject.split(","))}
+
+    def is_behind(row: Result) -> bool:
+        planned_here = [named[1:] for named in subjects if named[0] == row.product]
+        return any(fnmatchcase(row.metric, metric) for metric in BEHIND.get(row.product, ())) and any(
+            fnmatchcase(row.subject, subject) and fnmatchcase(row.method, method) for subject, method in planned_here
         )
-    ]
+
     metrics: dict[str, Result] = {}
-    for row in [*planned, *behind]:
+    for row in [*planned, *filter(is_behind, whole)]:
         old = metrics.setdefault(key_of(row), row)
         metrics[key_of(row)] = replace(old, outcome=min(old.outcome, row.outcome, key=WORST_FIRST.index))
     return dict(sorted(metrics.items()))
 
 
-def skipped_reason(rows: Iterable[Result]) -> str | None:
+def skipped_reason(rows: Sequence[Result] | ResultTable) -> str | None:
     """Why a campaign as a whole was skipped, None when any of its rows was made."""
-    rows = list(rows)
-    if rows and all(row.outcome is Outcome.SKIPPED for row in rows):
-        return rows[0].reason
-    return None
+    reasons = [row.reason for row in rows if row.outcome is Outcome.SKIPPED]
+    return reasons[0] if reasons and len(reasons) == len(rows) else None
 
 
 Array = npt.NDArray[np.float64]
@@ -362,16 +355,9 @@ def _accepted(new: Result, old: Accepted | None) -> Accepted:
     limit = old.limit if old else default_tolerance(new.metric, half)
     if limit.of == "interval" and half is None:  # the interval is gone: its part of it means nothing any more
         limit = default_tolerance(new.metric)
-    return Accepted.model_validate(
-        {
-            "accepted": value,
-            "tolerance": limit.tolerance,
-            "of": limit.of,
-            "half_width": half if limit.of == "interval" else None,
-            "outcome": new.outcome.value,
-            "why": old.why if old else None,
-        }
-    )
+    half = half if limit.of == "interval" else None
+    more: dict[str, Any] = {"half_width": half, "outcome": new.outcome.value, "why": old.why if old else None}
+    return Accepted(accepted=value, tolerance=limit.tolerance, of=limit.of, **more)
 
 
 def versions(packages: Mapping[str, str] | None = None, python: str | None = None) -> dict[str, str]:

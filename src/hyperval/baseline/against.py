@@ -123,16 +123,9 @@ class RunNumbers:
 
     def baseline(self, reason: str, before: Mapping[str, Accepted]) -> Baseline:
         """Its numbers as accepted today; tolerances that stand in ``before`` are kept."""
-        numbers, used = accepted_of(self.metrics, before), dict(self.versions or versions())
-        return Baseline.model_construct(
-            schema_version=1,
-            kind=self.kind,
-            name=self.name,
-            reason=reason,
-            date=today(),
-            versions=used,
-            metrics=numbers,
-        )
+        more: dict[str, Any] = {"versions": dict(self.versions or versions()), "schema_version": 1}
+        more["metrics"] = accepted_of(self.metrics, before)
+        return Baseline.model_construct(kind=self.kind, name=self.name, reason=reason, date=today(), **more)
 
     @property
     def owner(self) -> str:
@@ -332,11 +325,7 @@ def _write(outcome: Checks, folder: Path) -> None:
             kind="Accepted numbers of",
             sentence=accepted_words(item.rows) if item.is_compared else next(row.reason for row in item.rows),
             table=item.rows,
-            provenance={
-                "command": command_without_output(),
-                "versions": dict(item.run.versions),
-                "inputs": _inputs(item.baseline),
-            },
+            provenance={"command": command_without_output(), **_made_with(item)},
         )
         for item in outcome.checked
     ]
@@ -348,10 +337,10 @@ def _write(outcome: Checks, folder: Path) -> None:
     write_index(reports, folder, "Accepted numbers")
 
 
-def _inputs(path: Path) -> list[dict[str, str | None]]:
-    if not path.is_file():
-        return []
-    return [{"reference": path.name, "sha256": sha256_of(path), "licence": None, "citation": None}]
+def _made_with(item: Checked) -> dict[str, Any]:
+    path, about = item.baseline, {"licence": None, "citation": None}
+    inputs = [{"reference": path.name, "sha256": sha256_of(path), **about}] if path.is_file() else []
+    return {"versions": dict(item.run.versions), "inputs": inputs}
 
 
 Change = tuple[str, str, Accepted | None, Accepted | None]  # owner, name, before and after: None where there is none

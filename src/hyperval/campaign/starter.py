@@ -11,6 +11,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -592,37 +593,30 @@ def _scale(raster: Raster, draft: Draft) -> None:
             factor = float(entries["reflectance scale factor"])  # the reader has found it a number
             because = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
             tried = {1.0 / factor: because}
-    try:
-        draft.opened()
-    except InputError as error:
-        if "state scale" not in (error.mend or ""):
-            raise
-        for scale, because in tried.items():
-            cube["scale"] = scale
-            try:
-                draft.opened()
-            except InputError:
-                continue
-            draft.guess("collection", "cube", "scale", because=because)
-            return
-        raise
+    scale = _stated(cube, "scale", list(tried), draft)
+    if scale is not None:
+        draft.guess("collection", "cube", "scale", because=tried[scale])
 
 
 def _coordinates(entry: dict[str, Any], draft: Draft) -> None:
     """State what the coordinates of a file of regions are, where they are not those that its format has."""
-    first: HypervalError | None = None
-    for kind in ({}, {"coordinates": "pixel"}, {"coordinates": "map"}):
-        try:
-            draft.opened(regions=[entry | kind])
-        except HypervalError as error:
-            first = first or error
-            continue
-        entry |= kind
-        if kind:
-            draft.guess("collection", "regions", because=f"{entry['file']}: {kind['coordinates']} coordinates")
-        return
-    assert first is not None  # noqa: S101 - each way failed
-    raise first
+    kind = _stated(entry, "coordinates", ["pixel", "map"], draft, regions=[entry])
+    if kind is not None:
+        draft.guess("collection", "regions", because=f"{entry['file']}: {kind} coordinates")
+
+
+def _stated(entry: dict[str, Any], key: str, values: Sequence[Any], draft: Draft, **parts: Any) -> Any:
+    """The first value of a key, stated in the entry, with which the collection opens; None where it opens without."""
+    try:
+        draft.opened(**parts)
+    except HypervalError as first:
+        for value in values:
+            entry[key] = value
+            with suppress(HypervalError):
+                draft.opened(**parts)
+                return value
+        raise first from None
+    return None
 
 
 def _place(sources: StarterSources, draft: Draft) -> Place:
