@@ -10,7 +10,7 @@ import pytest
 
 from hyperval import api
 from hyperval.imagery import open_cube, write_cube
-from small_campaign import SmallCampaign
+from small_campaign import SmallCampaign, data_of
 
 FLIGHT = {"latitude_deg": 42.9, "longitude_deg": -77.75, "time_utc": "2012-07-18T17:00:00Z"}
 SQUARE = {"side_m": 0.38, "gsd_m": 1.0, "pixels": "ranked", "n": 1}
@@ -29,15 +29,7 @@ def at(small: SmallCampaign, **flight: Any) -> None:
     given |= FLIGHT | flight
 
 
-@pytest.mark.parametrize(
-    ("entry", "flight", "words"),
-    [
-        ("gps start time = 13:00:02", {}, "is 240 minutes before the time of scenario 'small'"),
-        ("acquisition time = 2011-01-01T03:00:00Z", {}, "is not the day of scenario 'small', 2012-07-18"),
-        ("", {"latitude_deg": 43.9}, r"latitude 42\.9.*, 111 km from the place of scenario 'small' \(43\.9, -77\.75\)"),
-        ("gps start time = 17:00:02", {"longitude_deg": 282.25 - 360.0}, None),
-    ],
-)
+@pytest.mark.parametrize(("entry", "flight", "words"), data_of("other_flights"))
 def test_another_place_or_time_is_a_warning(small, entry, flight, words):
     at(small, **flight)
     small.edit("small_rad.hdr", lambda text: text + entry + "\n")
