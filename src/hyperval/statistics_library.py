@@ -6,30 +6,21 @@ Variables: ``wavelength`` and ``fwhm`` (band) [nm], ``class_name`` (class), ``me
 beyond their own number), ``component_offset`` (class, component, band) [1], ``component_covariance`` (class,
 component, band, band_2) [1] and ``component_dof`` (class; NaN = normal laws).  docs/formats.md has an example.
 
-Surfaces that ship with the project: smooth parametric curves and a few modes of variation.
-
-They are our own curves, drawn to have the well known features of each material at plausible
-depths; they are no measurement.  A class is its mean curve and smooth modes (brightness, slope,
-and what the material adds, such as chlorophyll or water) with a standard deviation each, plus a
-small independent spread per band that keeps the covariance of full rank.
+Surfaces that ship with the project (``surfaces.toml``): a mean curve and smooth modes (brightness, slope, and what
+the material adds, such as chlorophyll or water) with a standard deviation each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import lru_cache
 
 from hyperval.data import MOST_COMPONENTS, ClassStatistics, Components, statistics_of
 from hyperval.errors import InputError, UsageError, reader
@@ -37,6 +28,9 @@ from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = npt.NDArray[np.float64]
 
@@ -232,18 +226,12 @@ def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 1
     )  # fmt: skip
 
 
-Curve = Callable[[Array], Array]
 RANGE_NM = (340.0, 2600.0)
+_TABLE: dict[str, dict[str, Any]] = tomllib.loads((Path(__file__).with_name("surfaces.toml")).read_text("utf-8"))
+_CURVES, _SURFACES, _PANELS = (_TABLE[name] for name in ("curves", "surfaces", "panels"))
+_GREY = re.compile(r"^grey-panel-(\d{1,2})$")
 
-
-@dataclass(frozen=True)
-class BuiltinSurface:
-    """Mean curve, modes and band spread of a surface; all take wavelength (B,) [nm] and give (B,)."""
-
-    mean: Curve
-    modes: Mapping[str, Curve]
-    band_spread: float
-    words: str
+BUILTIN_NAMES = (*_SURFACES, *_PANELS["level"], "grey-panel-NN")
 
 
 def _bump(w: Array, centre: float | Array, sd: float) -> Array:
@@ -254,147 +242,51 @@ def _rise(w: Array, centre: float, width: float) -> Array:
     return np.asarray(1.0 / (1.0 + np.exp(-(w - centre) / width)))
 
 
-def _leaf_water(w: Array) -> Array:
-    """Absorbance of leaf water, relative: dips at 970, 1200, 1450 and 1940 nm and beyond 2300 nm."""
-    return (
-        0.05 * _bump(w, 970, 22) + 0.17 * _bump(w, 1195, 45) + 1.05 * _bump(w, 1450, 55)
-        + 1.75 * _bump(w, 1940, 70) + 0.45 * _rise(w, 1350, 60) + 0.35 * _rise(w, 1880, 60)
-        + 1.0 * _rise(w, 2420, 60)
-    )  # fmt: skip
-
-
-def _chlorophyll(w: Array) -> Array:
-    """Absorbance of leaf pigments, relative: blue and red bands with the green window between them."""
-    return 2.0 * _rise(-w, -505, 14) + 1.75 * _bump(w, 670, 28) + 0.75 * _bump(w, 610, 35) + 0.95 * _bump(w, 555, 70)
-
-
-def _grass(w: Array) -> Array:
-    plateau = 0.50 - 0.03 * _rise(-w, -760, 30)
-    return np.asarray(plateau * np.exp(-_chlorophyll(w) - 0.55 * _leaf_water(w)))
-
-
-def _asphalt(w: Array) -> Array:
-    return np.asarray(0.075 + 0.095 * (1 - np.exp(-(w - 340) / 650)) - 0.008 * _bump(w, 2310, 25))
-
-
-def _soil(w: Array) -> Array:
-    continuum = 0.06 + 0.33 * (1 - np.exp(-(w - 340) / 480))
-    dips = 0.12 * _bump(w, 480, 40) + 0.05 * _bump(w, 880, 60) + 0.10 * _bump(w, 1415, 25)
-    dips = dips + 0.24 * _bump(w, 1920, 35) + 0.12 * _bump(w, 2205, 22) + 0.20 * _rise(w, 2400, 60)
-    return np.asarray(continuum * (1 - dips))
-
-
-def _painted_wood(w: Array) -> Array:
-    """Relative dips of binder and wood in the short-wave infrared."""
-    dips = 0.05 * _bump(w, 1200, 25) + 0.10 * _bump(w, 1445, 40) + 0.16 * _bump(w, 1725, 25)
-    return dips + 0.22 * _bump(w, 1935, 45) + 0.15 * _bump(w, 2140, 50) + 0.30 * _bump(w, 2310, 40)
-
-
-def _yellow(w: Array) -> Array:
-    level = 0.06 + 0.56 * _rise(w, 515, 12) + 0.05 * _rise(w, 800, 60) - 0.30 * _rise(w, 1750, 260)
-    return np.asarray(level * (1 - _painted_wood(w)))
-
-
-def _green(w: Array) -> Array:
-    level = 0.045 + 0.075 * _bump(w, 530, 32) + 0.36 * _rise(w, 735, 20) - 0.17 * _rise(w, 1600, 220)
-    return np.asarray(level * (1 - _painted_wood(w)))
-
-
-def _tilt(w: Array) -> Array:
-    return np.asarray((w - 1200.0) / 1000.0)
-
-
-def _scaled(curve: Curve, by: Curve | float, sd: float) -> Curve:
-    """A mode: ``sd`` times the mean curve times ``by``."""
-    return lambda w: sd * curve(w) * (by(w) if callable(by) else by)
-
-
-def _mottle(curve: Callable[[Array], Array], sd: float, width_nm: float) -> dict[str, Callable[[Array], Array]]:
-    """Modes of everything unnamed that varies on the ground: relative spread ``sd`` at every wavelength,
-    correlated over about ``width_nm``.  Without it a handful of smooth modes would leave a background so
-    simple that one part in a thousand of a foreign material is found in it.
-    """
-    centres = np.arange(RANGE_NM[0], RANGE_NM[1] + width_nm, width_nm)
-
-    def mode(centre: float) -> Callable[[Array], Array]:
-        def value(w: Array) -> Array:
-            total = np.sqrt(np.sum(_bump(w[:, None], centres, width_nm) ** 2, axis=1))
-            return np.asarray(sd * curve(w) * _bump(w, centre, width_nm) / total)
-
-        return value
-
-    return {f"mottle {centre:.0f} nm": mode(float(centre)) for centre in centres}
-
-
-def _painted(curve: Curve, words: str) -> BuiltinSurface:
-    return BuiltinSurface(
-        curve,
-        {
-            "brightness": _scaled(curve, 1.0, 0.07),
-            "slope": _scaled(curve, _tilt, 0.03),
-            "wear": lambda w: 0.012 * (0.25 + 0.3 * (1 - np.exp(-(w - 340) / 500)) - curve(w)),
-        },
-        0.003,
-        words,
-    )
-
-
-def _panel(level: float, slope: float) -> BuiltinSurface:
-    def curve(w: Array) -> Array:
-        return np.asarray(level * (1 - slope * (w - 400) / 2100 - 0.05 * _rise(-w, -385, 12)))
-
-    return BuiltinSurface(
-        curve,
-        {"brightness": _scaled(curve, 1.0, 0.012), "slope": _scaled(curve, _tilt, 0.006)},
-        # A painted sheet has no structure of single bands; more than this would pass for sensor noise in its SNR.
-        5e-4 * level,
-        f"a grey panel of reflectance {level:g}",
-    )
-
-
-_SURFACES: dict[str, BuiltinSurface] = {
-    "grass": BuiltinSurface(
-        _grass,
-        {
-            "brightness": _scaled(_grass, 1.0, 0.12),
-            "slope": _scaled(_grass, _tilt, 0.04),
-            "chlorophyll": _scaled(_grass, _chlorophyll, -0.13),
-            "water": _scaled(_grass, _leaf_water, -0.07),
-            "bare ground": lambda w: 0.05 * (_soil(w) - _grass(w)),
-            **_mottle(_grass, 0.06, 40.0),
-        },
-        0.003,
-        "green vegetation",
-    ),
-    "asphalt": BuiltinSurface(
-        _asphalt,
-        {
-            "brightness": _scaled(_asphalt, 1.0, 0.10),
-            "slope": _scaled(_asphalt, _tilt, 0.05),
-            "dust": lambda w: 0.03 * (_soil(w) - _asphalt(w)),
-            **_mottle(_asphalt, 0.10, 25.0),
-        },
-        0.002,
-        "worn asphalt",
-    ),
-    "soil": BuiltinSurface(
-        _soil,
-        {
-            "brightness": _scaled(_soil, 1.0, 0.13),
-            "slope": _scaled(_soil, _tilt, 0.05),
-            "moisture": _scaled(_soil, lambda w: 0.3 * _rise(w, 1300, 300) + _bump(w, 1920, 60), -0.10),
-        },
-        0.003,
-        "bare soil",
-    ),
-    "yellow-paint-plank": _painted(_yellow, "wood painted yellow"),
-    "green-paint-plank": _painted(_green, "wood painted green"),
-    "white-panel": _panel(0.62, 0.08),
-    "black-panel": _panel(0.05, 0.02),
+_SHAPES: dict[str, Callable[..., Array]] = {
+    "level": np.ones_like,
+    "bump": _bump,
+    "rise": _rise,
+    "fall": lambda w, centre, width: _rise(-w, -centre, width),
+    "growth": lambda w, width: 1 - np.exp(-(w - 340) / width),
+    "tilt": lambda w: (w - 1200.0) / 1000.0,
 }
-_GREY = re.compile(r"^grey-panel-(\d{1,2})$")
 
-BUILTIN_NAMES = (*_SURFACES, "grey-panel-NN")
+
+def _curve(terms: str | list[list[Any]], w: Array) -> Array:
+    """(B,) the sum of the terms of a curve, or of the curve of that name, at ``w`` (B,) [nm]."""
+    total = np.zeros_like(w)
+    for height, shape, *where in _CURVES[terms] if isinstance(terms, str) else terms:
+        total = total + height * _SHAPES[shape](w, *where)
+    return total
+
+
+def _mean(name: str, w: Array) -> Array:
+    """(B,) mean reflectance of a surface."""
+    grey = _GREY.match(name)
+    if grey or name in _PANELS["level"]:
+        level = int(grey[1]) / 100.0 if grey else _PANELS["level"][name]
+        slope = _PANELS["slope"]["grey" if grey else name]
+        return np.asarray(level * (1 - slope * (w - 400) / 2100 - 0.05 * _rise(-w, -385, 12)))
+    surface = _SURFACES[name]
+    mean, exponent = _curve(surface["level"], w), np.zeros_like(w)
+    for factor, curve in surface.get("absorbance", ()):
+        exponent = exponent - factor * _curve(curve, w)
+    return np.asarray(mean * np.exp(exponent) * (1 - _curve(surface.get("dips", []), w)))
+
+
+def _modes(surface: dict[str, Any], mean: Array, w: Array) -> Iterator[Array]:
+    """(B,) each mode of the variation of a surface with its standard deviation."""
+    for mode in surface["modes"]:
+        if "times" in mode:
+            yield mode["sd"] * mean * _curve(mode["times"], w)
+        else:
+            other = mode["towards"]
+            yield mode["sd"] * ((_mean(other, w) if other in _SURFACES else _curve(other, w)) - mean)
+    if "mottle" in surface:
+        sd, width = surface["mottle"]
+        centres = np.arange(RANGE_NM[0], RANGE_NM[1] + width, width)
+        total = np.sqrt(np.sum(_bump(w[:, None], centres, width) ** 2, axis=1))
+        yield from (sd * mean * _bump(w, float(centre), width) / total for centre in centres)
 
 
 def builtin_class(name: str, axis: SpectralAxis) -> ClassStatistics:
@@ -416,29 +308,24 @@ def builtin_mean(name: str, axis: SpectralAxis) -> Array:
     ------
     UsageError : as by :func:`builtin_class`.
     """
-    return _surface(name, axis).mean(axis.centre_nm)
-
-
-def _surface(name: str, axis: SpectralAxis) -> BuiltinSurface:
-    grey = _GREY.match(name)
-    if grey is None and name not in _SURFACES:
+    if not _GREY.match(name) and name not in BUILTIN_NAMES[:-1]:
         raise UsageError(f"unknown built-in surface {name!r}", expected="one of " + ", ".join(BUILTIN_NAMES))
     w = axis.centre_nm
     if w[0] < RANGE_NM[0] or w[-1] > RANGE_NM[1]:
         raise UsageError(f"built-in surfaces cover {RANGE_NM[0]:g}-{RANGE_NM[1]:g} nm, the bands {w[0]:g}-{w[-1]:g} nm")
-    return _panel(int(grey.group(1)) / 100.0, 0.04) if grey else _SURFACES[name]
+    return _mean(name, w)
 
 
 @lru_cache(maxsize=64)
 def _evaluated(name: str, centre: bytes, fwhm: bytes, good: bytes) -> ClassStatistics:
     axis = SpectralAxis(np.frombuffer(centre), np.frombuffer(fwhm), np.frombuffer(good, bool))
-    surface, w = _surface(name, axis), axis.centre_nm
-    modes = np.stack([mode(w) for mode in surface.modes.values()])
-    covariance = modes.T @ modes + surface.band_spread**2 * np.eye(len(axis))
-    return ClassStatistics(
-        name,
-        axis,
-        surface.mean(w),
-        covariance,
-        source=f"built-in parametric curve of {surface.words}; a definition of this project, not a measurement",
-    )
+    mean, surface = builtin_mean(name, axis), _SURFACES.get(name)
+    if surface is None:
+        level = int(grey[1]) / 100.0 if (grey := _GREY.match(name)) else _PANELS["level"][name]
+        words, spread = f"a grey panel of reflectance {level:g}", _PANELS["band_spread"] * level
+    else:
+        words, spread = surface["words"], surface["band_spread"]
+    modes = np.stack(list(_modes(surface or _PANELS, mean, axis.centre_nm)))
+    covariance = modes.T @ modes + spread**2 * np.eye(len(axis))
+    source = f"built-in parametric curve of {words}; a definition of this project, not a measurement"
+    return ClassStatistics(name, axis, mean, covariance, source=source)
