@@ -8,26 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sensor_data import SHEET, changed, good_sensor, measured_sensor, sensor_of
+from sensor_data import Q, changed, good_sensor, measured_sensor, sensor_of
 from solver_nodes import run_solver_at
 
 from hyperval.errors import UsageError
 from hyperval.model import predict
 from hyperval.results import Outcome, Role
 from hyperval.sensor import NoiseModel, ReferenceScene, load_sensor
-from hyperval.sensor_check import (
-    SensorCheck,
-    check_sensor,
-    numbers,
-    scaled,
-    scene_radiance,
-    sunlit_radiance,
-)
+from hyperval.sensor_check import SensorCheck, check_sensor, numbers, scaled, scene_radiance, sunlit_radiance
 from hyperval.spectra import SpectralAxis, band_average
 from small_campaign import stand_in_atmosphere
 
 Patch = pytest.MonkeyPatch
-Q = {"source": SHEET}
 
 
 def run(data: dict[str, Any]) -> SensorCheck:
@@ -38,66 +30,43 @@ def failures(check: SensorCheck) -> set[str]:
     return {f"{r.product}/{r.metric}" for r in check.table if r.outcome in (Outcome.DISAGREES, Outcome.ERROR)}
 
 
-def rows_of(table: list[list[float]]) -> dict[str, Any]:
-    return {"table": table, **Q}
-
-
-def good_rows() -> list[list[float]]:
-    return [list(r) for r in good_sensor()["bands"]["table"]]
-
-
 # --- defects of the file: entries that differ from those of the good sensor ------------------------------------
 
 
-def entry(**entries: Any) -> Callable[[], dict[str, Any]]:
-    return lambda: changed(good_sensor(), **entries)
+def bands(change: Callable[[list[list[float]]], list[list[float]]]) -> dict[str, Any]:
+    return {"bands": {"table": change(good_sensor()["bands"]["table"]), **Q}}
 
 
-def bands(change: Callable[[list[list[float]]], list[list[float]]]) -> Callable[[], dict[str, Any]]:
-    return lambda: changed(good_sensor(), bands=rows_of(change(good_rows())))
-
-
-def widths(factor: float) -> Callable[[], dict[str, Any]]:
+def widths(factor: float) -> dict[str, Any]:
     return bands(lambda rows: [[c, factor * f, g] for c, f, g in rows])
 
 
-swapped_bands = bands(lambda rows: [*rows[:10], rows[11], rows[10], *rows[12:]])
+def quantity(name: str, value: float) -> dict[str, Any]:
+    return {f"arm_{name}": {"value": value, **Q}}
 
 
-def quantity(name: str, value: float) -> Callable[[], dict[str, Any]]:
-    return entry(**{f"arm_{name}": {"value": value, **Q}})
+def published(snr: float, at: float = 550, says: str = "value", **reference: Any) -> dict[str, Any]:
+    entry = {"table": [[at, snr]], "says": says, **(reference or {"radiance": {"value": 10, **Q}}), **Q}
+    return {"published_snr": [entry]}
 
 
-def empty_arm() -> dict[str, Any]:
-    data = changed(good_sensor())
-    data["arms"].append({**data["arms"][0], "name": "SWIR", "range_nm": [1000, 2500]})
-    return data
+SWAPPED = bands(lambda rows: [*rows[:10], rows[11], rows[10], *rows[12:]])
+NO_LIGHT = {"arm_throughput": {"convention": "value", "cm2_sr": 1e-320, **Q}}
+SHORT_TABLE = {"arm_quantum_efficiency": {"table": [[425, 0.4], [800, 0.4]], **Q}}
+STALE = {"known_discrepancies": [{"check": "snr/lowest_snr", "reason": "it was too low once"}]}
+EMPTY_ARM = {**good_sensor()["arms"][0], "name": "SWIR", "range_nm": [1000, 2500]}
+# Noise |a sqrt(b + L) + c| that vanishes at one radiance: beyond it the SNR falls.
+ZERO_CROSSING = {"arms": [], "published_snr": [], "measured_noise": measured_sensor(c=-0.02)["measured_noise"]}
 
-
-no_light = entry(arm_throughput={"convention": "value", "cm2_sr": 1e-320, **Q})
-short_table = entry(arm_quantum_efficiency={"table": [[425, 0.4], [800, 0.4]], **Q})
-STALE = {"check": "snr/lowest_snr", "reason": "it was too low once"}
-
-
-def published(snr: float) -> dict[str, Any]:
-    return {"table": [[550, snr]], "radiance": {"value": 10, **Q}, **Q}
-
-
-def zero_crossing() -> dict[str, Any]:
-    """Noise |a sqrt(b + L) + c| that vanishes at one radiance: beyond it the SNR falls."""
-    data = measured_sensor()
-    data["measured_noise"]["table"] = [[425.0, 0.01, 0.16, -0.02], [910.0, 0.01, 0.16, -0.02]]
-    return data
-
-
-FILE_DEFECTS: dict[str, tuple[Callable[[], dict[str, Any]], str]] = {
-    "swapped bands": (swapped_bands, "response/bands_out_of_order"),
+# Entries of the file that are others, and the check that fails.
+FILE_DEFECTS: dict[str, tuple[dict[str, Any], str]] = {
+    "swapped bands": (SWAPPED, "response/bands_out_of_order"),
     "a band without width": (bands(lambda rows: [[*rows[0][:1], 0.0, 1], *rows[1:]]), "response/bands_without_width"),
     "sigma for FWHM": (widths(1 / 2.3548), "response/fwhm_over_spacing_median"),
     "FWHM times 2.35": (widths(2.3548), "response/fwhm_over_spacing_median"),
     "a band lacks": (bands(lambda rows: rows[:20] + rows[21:]), "response/widest_gap_fwhm"),
-    "arm too short": (entry(arm_range_nm=[425, 700]), "throughput/bands_outside_arms"),
-    "arm without bands": (empty_arm, "throughput/bands_of_arm"),
+    "arm too short": ({"arm_range_nm": [425, 700]}, "throughput/bands_outside_arms"),
+    "arm without bands": ({"arms": [good_sensor()["arms"][0], EMPTY_ARM]}, "throughput/bands_of_arm"),
     "negative transmittance": (quantity("optical_transmittance", -0.5), "throughput/lowest_optical_transmittance"),
     "transmittance in %": (quantity("optical_transmittance", 50), "throughput/highest_optical_transmittance"),
     "negative efficiency": (quantity("quantum_efficiency", -0.1), "throughput/lowest_quantum_efficiency"),
@@ -108,16 +77,16 @@ FILE_DEFECTS: dict[str, tuple[Callable[[], dict[str, Any]], str]] = {
     "time in us": (quantity("integration_time_s", 4000.0), "throughput/highest_integration_time_s"),
     "negative noise": (quantity("fixed_noise_electrons", -40), "throughput/lowest_fixed_noise_electrons"),
     "absurd noise": (quantity("fixed_noise_electrons", 1e10), "throughput/highest_fixed_noise_electrons"),
-    "table too short": (short_table, "throughput/bands_beyond_table_of_quantum_efficiency"),
-    "throughput of nothing": (no_light, "throughput/lowest_electrons_per_radiance"),
-    "noise gain off by 2 %": (entry(detector_gain=1.02), "throughput/gain_error_by_photon_transfer"),
-    "too few bits": (entry(arm_bits=6), "noise/quantisation_over_other_noise"),
+    "table too short": (SHORT_TABLE, "throughput/bands_beyond_table_of_quantum_efficiency"),
+    "throughput of nothing": (NO_LIGHT, "throughput/lowest_electrons_per_radiance"),
+    "noise gain off by 2 %": ({"detector_gain": 1.02}, "throughput/gain_error_by_photon_transfer"),
+    "too few bits": ({"arm_bits": 6}, "noise/quantisation_over_other_noise"),
     "noise above the signal": (quantity("fixed_noise_electrons", 1e6), "snr/lowest_snr"),
     "small well": (quantity("full_well_electrons", 1e5), "saturation/highest_part_of_full_scale"),
     "small well in the scenes": (quantity("full_well_electrons", 1e5), "scenario/highest_part_of_full_scale"),
-    "SNR that falls with light": (zero_crossing, "monotone/lowest_relative_growth_of_snr"),
-    "SNR not met": (entry(published_snr=[published(400)]), "published_snr/computed_over_published"),
-    "stale discrepancy": (entry(known_discrepancies=[STALE]), "file/known_discrepancy"),
+    "SNR that falls with light": (ZERO_CROSSING, "monotone/lowest_relative_growth_of_snr"),
+    "SNR not met": (published(400), "published_snr/computed_over_published"),
+    "stale discrepancy": (STALE, "file/known_discrepancy"),
 }  # fmt: skip
 
 
@@ -133,9 +102,9 @@ def test_the_good_sensors_pass(good):
 
 
 @pytest.mark.parametrize("name", FILE_DEFECTS)
-def test_a_defect_of_the_file_fails(name, good):
-    make, expected = FILE_DEFECTS[name]
-    check = run(make())
+def test_a_defect_of_the_file_fails(name):
+    entries, expected = FILE_DEFECTS[name]
+    check = run(changed(good_sensor(), **entries))
     assert expected in failures(check)
     assert check.exit_code == 1
     bad = next(r for r in check.table if f"{r.product}/{r.metric}" == expected and r.outcome is Outcome.DISAGREES)
@@ -237,7 +206,7 @@ def test_the_numbers_name_the_size_of_the_defect(monkeypatch):
 
 
 def test_what_depends_on_a_failed_part_is_skipped():
-    check = run(swapped_bands())
+    check = run(changed(good_sensor(), **SWAPPED))
     skipped = {r.product for r in check.table if r.outcome is Outcome.SKIPPED}
     assert {"throughput", "noise", "scenario", "sensitivity"} <= skipped
     assert not check.usable
@@ -264,37 +233,31 @@ def test_scene_radiance_is_that_of_a_uniform_ground():
 
 
 def test_published_ratio_by_hand():
-    sensor = sensor_of(good_sensor())
-    at = 15  # 550 nm
-    g = sensor.noise().electrons_per_radiance[at]
-    lsb = 350000 / 4096
-    expected = 10 * g / np.sqrt(10 * g + 1600 + lsb**2 / 12)
-    (point,) = check_sensor(sensor, engine=stand_in_atmosphere).points
+    g = sensor_of(good_sensor()).noise().electrons_per_radiance[15]  # 550 nm
+    expected = 10 * g / np.sqrt(10 * g + 1600 + (350000 / 4096) ** 2 / 12)
+    (point,) = run(good_sensor()).points
     assert point.computed == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(
     ("entry", "status"),
     [
-        ({"table": [[550, 300]], "radiance": {"value": 10, **Q}}, Outcome.AGREES),
-        ({"table": [[550, 240]], "radiance": {"value": 10, **Q}}, Outcome.DISAGREES),  # 28 % above a value
-        ({"table": [[550, 240]], "says": "at least", "radiance": {"value": 10, **Q}}, Outcome.AGREES),
-        ({"table": [[550, 315]], "says": "at least", "radiance": {"value": 10, **Q}}, Outcome.DISAGREES),
-        ({"table": [[550, 5000]]}, Outcome.NONE),  # no radiance stated: not judged
-        ({"table": [[1500, 300]], "radiance": {"value": 10, **Q}}, Outcome.DISAGREES),  # no such band
+        (published(300), Outcome.AGREES),
+        (published(240), Outcome.DISAGREES),  # 28 % above a value
+        (published(240, says="at least"), Outcome.AGREES),
+        (published(315, says="at least"), Outcome.DISAGREES),
+        (published(5000, radiance=None), Outcome.NONE),  # no radiance stated: not judged
+        (published(300, at=1500), Outcome.DISAGREES),  # no such band
     ],
 )
 def test_how_published_ratios_are_judged(entry, status):
-    sensor = sensor_of(changed(good_sensor(), published_snr=[{**entry, **Q}]))
-    table = check_sensor(sensor, engine=stand_in_atmosphere).table
+    table = run(changed(good_sensor(), **entry)).table
     assert [r.outcome for r in table.where(metric="computed_over_published")] == [status]
 
 
 def test_a_known_discrepancy_informs_with_its_reason():
     known = [{"check": "published_snr/computed_over_published/550 nm", "reason": "the sheet averages two frames"}]
-    entry = [{"table": [[550, 450]], "radiance": {"value": 10, **Q}, **Q}]
-    data = changed(good_sensor(), published_snr=entry, known_discrepancies=known)
-    check = check_sensor(sensor_of(data), engine=stand_in_atmosphere)
+    check = run(changed(good_sensor(), **published(450), known_discrepancies=known))
     (row,) = check.table.where(product="published_snr")
     assert (row.outcome, row.role) == (Outcome.DISAGREES, Role.INFORM)
     assert row.reason.startswith("as known: the sheet averages two frames")
@@ -304,9 +267,9 @@ def test_a_known_discrepancy_informs_with_its_reason():
 def test_snr_moves_with_the_root_of_the_throughput_where_photons_rule():
     quiet = {
         "arm_throughput": {"convention": "value", "cm2_sr": 3.9e-7, "source": "assumed: for tests"},
-        "arm_fixed_noise_electrons": {"value": 0, **Q},
+        **quantity("fixed_noise_electrons", 0),
+        **quantity("lsb_electrons", 0.001),
         "arm_full_well_electrons": None,
-        "arm_lsb_electrons": {"value": 0.001, **Q},
         "calibration_error_percent": {"value": 0.0, **Q},
     }
     check = check_sensor(sensor_of(changed(good_sensor(), **quiet)), vary=0.2, engine=stand_in_atmosphere)
@@ -332,27 +295,16 @@ def test_scaling_reaches_every_kind_of_number():
 def test_measured_noise_without_full_scale_says_so():
     data = measured_sensor()
     del data["measured_noise"]["saturation_radiance"]
-    check = check_sensor(sensor_of(data), engine=stand_in_atmosphere)
-    (row,) = check.table.where(product="saturation")
+    (row,) = run(data).table.where(product="saturation")
     assert row.outcome is Outcome.NONE
     assert "does not say" in row.reason
 
 
 def test_bands_part_by_part_and_stated_gaps():
-    data = changed(good_sensor())
-    data["bands"] = {
-        "parts": [
-            {"first_nm": 430, "step_nm": 8, "count": 30, "fwhm_nm": 9},
-            {"first_nm": 740, "step_nm": 8, "count": 20, "fwhm_nm": 9},
-        ],
-        **Q,
-    }
-    failed = [
-        r for r in check_sensor(sensor_of(data), engine=stand_in_atmosphere).table if r.outcome is Outcome.DISAGREES
-    ]
-    assert [r.metric for r in failed] == ["widest_gap_fwhm"]
-    data["bands"]["gaps"] = [{"range_nm": [662, 740], **Q}]
-    assert check_sensor(sensor_of(data), engine=stand_in_atmosphere).exit_code == 0
+    parts = [{"first_nm": first, "step_nm": 8, "count": n, "fwhm_nm": 9} for first, n in ((430, 30), (740, 20))]
+    assert failures(run(changed(good_sensor(), bands={"parts": parts, **Q}))) == {"response/widest_gap_fwhm"}
+    gaps = [{"range_nm": [662, 740], **Q}]
+    assert run(changed(good_sensor(), bands={"parts": parts, "gaps": gaps, **Q})).exit_code == 0
 
 
 @pytest.mark.slow
@@ -363,7 +315,5 @@ def test_published_ratios_of_the_library_in_their_own_scene(name, tmp_path, monk
     run_solver_at(monkeypatch, 350.0, 412.5, 470.0, 550.0, 670.0, 860.0, 1240.0, 1650.0, 2250.0, 2600.0)
     points = SensorCheck(load_sensor(name)).points
     assert {point.judged for point in points} == {True}
-    met = [p.computed >= p.published if p.item.says == "at least" else abs(p.computed / p.published - 1) <= 0.2
-           for p in points]  # fmt: skip
-    assert met
-    assert all(met)
+    for p in points:
+        assert p.computed >= p.published if p.item.says == "at least" else abs(p.computed / p.published - 1) <= 0.2
