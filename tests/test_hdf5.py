@@ -16,7 +16,7 @@ from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery import open_cube, sun_of_observation
 from hyperval.run import write_table
-from hyperval.spectra import read_hypernets
+from hyperval.spectra import read_records
 from hyperval.statistics_library import read_statistics_library
 
 HEAP_HEADER, OBJECT_SIZE = 16, 8  # bytes before the first object of a global heap, and before its size
@@ -60,7 +60,7 @@ def test_a_file_that_the_library_follows_for_ever_is_refused(before, tmp_path, m
         lambda path: sun_of_observation(path, (2, 2)),
         read_table,
         lambda path: read_statistics_library(path, "grass"),
-        read_hypernets,
+        read_records,  # of HYPERNETS
         lambda path: api.open(path.parent),
     ],
 )
@@ -68,6 +68,7 @@ def test_every_reader_of_hdf5_asks_first(read, tmp_path, monkeypatch):
     path = tmp_path / "products.nc"
     with h5py.File(path, "w") as file:
         file["a"] = 1.0
+        file.attrs["processor_name"] = "hypernets_processor"
     write_table([], tmp_path)
     monkeypatch.setattr(hdf5, "_trial", lambda *file: f"fails on {Path(file[0]).name}")
     with pytest.raises(InputError, match=r"the HDF5 library fails on products\.nc"):

@@ -12,7 +12,7 @@ from .axis import (
     in_window,
 )
 from .libraries import library_to_spy, library_to_xarray
-from .networks import SURFACE, TOP, RadCalNetDay, read_hypernets, read_radcalnet
+from .networks import SURFACE, TOP, RadCalNetDay, read_radcalnet
 from .read import read_records, read_spectrum
 from .record import FieldSpectrum
 from .text import number_table
@@ -20,6 +20,6 @@ from .text import number_table
 __all__ = [
     "ABSORPTION_BANDS_NM", "CUT_SIGMA", "SIGMA_PER_FWHM", "SPECTRAL_REGIONS_NM", "SURFACE", "TOP", "FieldSpectrum",
     "RadCalNetDay", "SpectralAxis", "band_average", "band_weights", "fwhm_from_spacing", "in_window",
-    "library_to_spy", "library_to_xarray", "number_table", "read_hypernets", "read_radcalnet", "read_records",
+    "library_to_spy", "library_to_xarray", "number_table", "read_radcalnet", "read_records",
     "read_spectrum",
 ]  # fmt: skip

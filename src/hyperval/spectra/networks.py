@@ -18,7 +18,6 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -39,66 +38,8 @@ MAX_WAVELENGTHS, MAX_SERIES = 5000, 2000
 _SHAPES = {
     "wavelength": "w", "reflectance": "ws", "std_reflectance": "ws", "u_rel_random_reflectance": "ws",
     "u_rel_systematic_reflectance": "ws", "err_corr_systematic_reflectance": "ww", "viewing_zenith_angle": "s",
-    "viewing_azimuth_angle": "s", "solar_zenith_angle": "s", "solar_azimuth_angle": "s", "acquisition_time": "s",
-    "quality_flag": "s", "n_valid_scans": "s",
+    "viewing_azimuth_angle": "s", "quality_flag": "s", "n_valid_scans": "s",
 }  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class HypernetsSequence:
-    """One sequence.
-
-    Attributes
-    ----------
-    site, latitude_deg, longitude_deg : where
-    wavelength_nm : (W,)
-    reflectance : (S, W) hemispherical-conical, by series [1]
-    scan_deviation : (S, W) standard deviation between the scans of a series [1]
-    random, systematic : (S, W) standard uncertainties [1]
-    stored_correlation : (W, W) of the systematic errors between wavelengths, as it stands in the file
-    view_zenith_deg, view_azimuth_deg, solar_zenith_deg, solar_azimuth_deg : (S,) azimuths east of north
-    times : (S,) UTC
-    flags : (S,) quality flags, 0 where nothing is amiss
-    scans : (S,) valid scans behind each
-    """
-
-    site: str
-    latitude_deg: float
-    longitude_deg: float
-    wavelength_nm: Array
-    reflectance: Array
-    scan_deviation: Array
-    random: Array
-    systematic: Array
-    stored_correlation: Array
-    view_zenith_deg: Array
-    view_azimuth_deg: Array
-    solar_zenith_deg: Array
-    solar_azimuth_deg: Array
-    times: tuple[datetime, ...]
-    flags: npt.NDArray[np.int64]
-    scans: npt.NDArray[np.int64]
-    source: str
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(S,) names of the series: number and direction of view."""
-        pairs = zip(self.view_zenith_deg, self.view_azimuth_deg, strict=True)
-        return tuple(f"series {i}: zenith {z:.0f} azimuth {a:.0f}" for i, (z, a) in enumerate(pairs, start=1))
-
-    @cached_property
-    def correlation(self) -> Array:
-        """(W, W) the stored correlation without the negative eigenvalues of its rounding, the diagonal 1."""
-        values, vectors = np.linalg.eigh(0.5 * (self.stored_correlation + self.stored_correlation.T))
-        made = (vectors * np.clip(values, 0.0, None)) @ vectors.T
-        scale = np.sqrt(np.diag(made))
-        made /= np.outer(scale, scale)
-        made.setflags(write=False)
-        return np.asarray(made)
-
-    def errors(self, series: int) -> SpectrumErrors:
-        """Errors of one series by kind; ``series`` counts from 0."""
-        return SpectrumErrors(self.random[series], self.systematic[series], self.correlation)
 
 
 def is_hypernets(raw: bytes) -> bool:
@@ -107,65 +48,67 @@ def is_hypernets(raw: bytes) -> bool:
 
 
 def hypernets_records(path: Path) -> list[Record]:
-    """The series as spectra, named by number and direction of view, with their errors; flagged ones say so."""
-    sequence, records = read_hypernets(path), []
-    for i, name in enumerate(sequence.names):
-        spread, n, errors = sequence.scan_deviation[i], int(sequence.scans[i]) or None, sequence.errors(i)
-        notes = (f"quality flags {sequence.flags[i]:#x}",) if sequence.flags[i] else ()
-        record = Record(name, sequence.wavelength_nm, sequence.reflectance[i], spread, n, str(path), notes=notes)
+    """The series of an L2A file as spectra, named by number and direction of view; flagged ones say so.
+
+    Raises
+    ------
+    InputError : not an L2A file of the network, or values that cannot be.
+    """
+    values = _variables(path)
+    nm, rho, matrix = values["wavelength"], values["reflectance"].T, values["err_corr_systematic_reflectance"]
+    disorder = nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0)
+    refuse(disorder, "wavelengths do not increase within 200 to 3000 nm", path)
+    beyond = not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01)
+    refuse(beyond, "a correlation beyond -1 to 1, or other than 1 with itself", path)
+    random, systematic = (0.01 * values[f"u_rel_{kind}_reflectance"].T for kind in ("random", "systematic"))
+    refuse(np.any(random < 0.0) or np.any(systematic < 0.0), "uncertainties below 0", path)
+    flags, scans = (np.nan_to_num(values[name]).astype(np.int64) for name in ("quality_flag", "n_valid_scans"))
+    views = zip(values["viewing_zenith_angle"], values["viewing_azimuth_angle"], strict=True)
+    correlation, records = _without_rounding(matrix), []
+    for i, (zenith, azimuth) in enumerate(views):
+        name = f"series {i + 1}: zenith {zenith:.0f} azimuth {azimuth:.0f}"
+        size, spread = np.abs(rho[i]), values["std_reflectance"][:, i]
+        notes = (f"quality flags {flags[i]:#x}",) if flags[i] else ()
+        record = Record(name, nm, rho[i], spread, int(scans[i]) or None, str(path), notes=notes)
+        errors = SpectrumErrors(random[i] * size, systematic[i] * size, correlation)
         records.append(replace(record, errors=errors, wavelength_unit="nm", unit="fraction"))
     return records
 
 
-@reader
-def read_hypernets(path: Path | str) -> HypernetsSequence:
-    """Read an L2A file.
-
-    Raises
-    ------
-    InputError : missing, too large, not an L2A file of the network, or values that cannot be.
-    """
+def _variables(path: Path) -> dict[str, Array]:
+    """The variables of a HYPERNETS file that spectra are made of, each of its size."""
     import xarray as xr
 
-    path = checked_file(path, what="HYPERNETS file", most=MAX_BYTES)
     check_hdf5(path)
-    where, expected = str(path), "a HYPERNETS file of level L2A"
+    expected = "a HYPERNETS file of level L2A"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the dimension that stands twice
             with xr.open_dataset(path, engine="h5netcdf") as data:
                 lacking = next((name for name in _SHAPES if name not in data.variables), "")
-                refuse(lacking, f"holds no {lacking}", where, expected)
-                sizes = {"w": data["wavelength"].size, "s": data["acquisition_time"].size}
+                refuse(lacking, f"holds no {lacking}", path, expected)
+                sizes = {"w": data["wavelength"].size, "s": data["quality_flag"].size}
                 many = sizes["w"] > MAX_WAVELENGTHS or sizes["s"] > MAX_SERIES
-                refuse(many, "too many wavelengths or series", where, "one sequence")
+                refuse(many, "too many wavelengths or series", path, "one sequence")
                 values = {name: np.asarray(data[name].values, dtype=float) for name in _SHAPES}
-                about = {k: data.attrs.get(k) for k in ("site_id", "site_latitude", "site_longitude")}
     except HypervalError:
         raise
     except Exception as error:  # whatever a damaged file makes of the libraries
-        raise InputError(f"cannot be read: {error}", where=where, expected=expected) from error
+        raise InputError(f"cannot be read: {error}", where=str(path), expected=expected) from error
     for name, axes in _SHAPES.items():
         shape = tuple(sizes[axis] for axis in axes)
-        refuse(values[name].shape != shape, f"{name} has shape {values[name].shape}", where, str(shape))
-    nm, rho, matrix = values["wavelength"], values["reflectance"].T, values["err_corr_systematic_reflectance"]
-    random, systematic = (0.01 * values[f"u_rel_{kind}_reflectance"].T for kind in ("random", "systematic"))
-    disorder = nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0)
-    refuse(disorder, "wavelengths do not increase within 200 to 3000 nm", where)
-    beyond = not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01)
-    refuse(beyond, "a correlation beyond -1 to 1, or other than 1 with itself", where)
-    refuse(np.any(random < 0.0) or np.any(systematic < 0.0), "uncertainties below 0", where)
-    flags, scans = (np.nan_to_num(values[name]).astype(np.int64) for name in ("quality_flag", "n_valid_scans"))
-    try:
-        latitude, longitude = float(str(about["site_latitude"])), float(str(about["site_longitude"]))
-        times = tuple(datetime.fromtimestamp(t, UTC) for t in values["acquisition_time"])
-    except (ValueError, OverflowError, OSError) as error:
-        raise InputError(f"place or time is missing: {error}", where=where, expected=expected) from error
-    return HypernetsSequence(
-        str(about["site_id"]), latitude, longitude, nm, rho, values["std_reflectance"].T, random * np.abs(rho),
-        systematic * np.abs(rho), matrix, values["viewing_zenith_angle"], values["viewing_azimuth_angle"],
-        values["solar_zenith_angle"], values["solar_azimuth_angle"], times, flags, scans, str(path),
-    )  # fmt: skip
+        refuse(values[name].shape != shape, f"{name} has shape {values[name].shape}", path, str(shape))
+    return values
+
+
+def _without_rounding(stored: Array) -> Array:
+    """A correlation (W, W) without the negative eigenvalues of its rounding, the diagonal 1."""
+    values, vectors = np.linalg.eigh(0.5 * (stored + stored.T))
+    made = (vectors * np.clip(values, 0.0, None)) @ vectors.T
+    scale = np.sqrt(np.diag(made))
+    made /= np.outer(scale, scale)
+    made.setflags(write=False)
+    return np.asarray(made)
 
 
 NO_VALUE = 9996.0  # and above, up to 9999: night, bad weather, outside the instrument's range, other causes
