@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import reader, refusal
+from hyperval.errors import reader, refusal, refuse
 from hyperval.storage import decoded
 
 MAX_HEADER_BYTES = 1 << 20
@@ -149,8 +149,7 @@ def header_beside(data: Path) -> Path | None:
     headers = sorted(p for p in candidates - {data} if p.is_file())
     # One file under two names on a file system that ignores case is one header.
     unique = {p.resolve().stat().st_ino: p for p in reversed(headers)}
-    if len(unique) > 1:
-        raise refusal("header.two", data, names=", ".join(p.name for p in headers))
+    refuse(len(unique) > 1, "header.two", data, names=", ".join(p.name for p in headers))
     return next(iter(unique.values()), None)
 
 
@@ -179,8 +178,7 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
     except OSError as error:
         none = isinstance(error, FileNotFoundError)
         raise refusal("header.none" if none else "file.unreadable", path, why=error.strerror) from error
-    if len(raw) > MAX_HEADER_BYTES:
-        raise refusal("header.large", path, most=MAX_HEADER_BYTES)
+    refuse(len(raw) > MAX_HEADER_BYTES, "header.large", path, most=MAX_HEADER_BYTES)
     wide = next((name for name, start in _WIDE.items() if raw.startswith(start)), None)
     if wide is None:
         return parse_header(decoded(raw), path, sidecar=sidecar)
@@ -213,8 +211,7 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     byte_order, remark = _byte_order(entries.get("byte order"), where("byte order"))
     if remark and data_type not in (0, 1):  # a single byte has no order
         notes.append(remark)
-    if "interleave" not in entries and bands > 1 and not sidecar:
-        raise refusal("header.missing", path, key="interleave")
+    refuse("interleave" not in entries and bands > 1 and not sidecar, "header.missing", path, key="interleave")
     # A single band has one order only.
     interleave = _bare(entries.get("interleave", "tif" if sidecar else "bsq")).lower().replace("tiff", "tif")
     allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
@@ -256,12 +253,10 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
         else:
             told = _difference(entries[key], value)
             raise refusal("header.twice", f"{name}:{number}", key=key, first=line_of[key], told=told)
-        if len(entries) > MAX_KEYS:
-            raise refusal("header.keys", f"{name}:{number}", most=MAX_KEYS)
+        refuse(len(entries) > MAX_KEYS, "header.keys", f"{name}:{number}", most=MAX_KEYS)
 
     lines = text.rstrip("\0\x1a \t\r\n").splitlines()  # some programs fill up a block, or mark the end of the text
-    if not lines or lines[0].strip() != "ENVI":
-        raise refusal("header.first", f"{name}:1")
+    refuse(not lines or lines[0].strip() != "ENVI", "header.first", f"{name}:1")
     key, start, depth = "", 0, 0
     parts: list[str] = []
     for number, line in enumerate(map(str.strip, lines[1:]), start=2):
@@ -275,8 +270,7 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
             else:
                 key, equals, value = line.partition("=")
                 key, value = " ".join(key.split()).lower(), value.strip()
-                if not equals or not key:
-                    raise refusal("header.form", f"{name}:{number}", text=line[:60])
+                refuse(not equals or not key, "header.form", f"{name}:{number}", text=line[:60])
                 if not value.startswith("{"):
                     add(key, value, number)
                     continue
@@ -286,11 +280,9 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
         if depth <= 0:
             depth, whole = 0, "\n".join(parts)
             listed, rest = whole[: whole.rindex("}")], whole[whole.rindex("}") + 1 :].strip()
-            if rest and not rest.startswith(";"):
-                raise refusal("header.behind", f"{name}:{number}", text=rest[:40])
+            refuse(rest and not rest.startswith(";"), "header.behind", f"{name}:{number}", text=rest[:40])
             add(key, listed[1:].strip(), start)
-    if depth:
-        raise refusal("header.open", f"{name}:{start}", key=key)
+    refuse(depth, "header.open", f"{name}:{start}", key=key)
     return entries, line_of, notes
 
 

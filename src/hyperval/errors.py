@@ -64,26 +64,28 @@ def refusal(name: str, where: object = None, /, **values: object) -> HypervalErr
     >>> str(refusal("header.missing", "a.hdr", key="bands"))
     "a.hdr: the key 'bands' is missing"
     """
-    words = _refusals()[name]
+    words = package_table("refusals.yaml")[name]
     parts = {key: str(words[key]).format(**values) for key in ("expected", "mend") if key in words}
     kind = UsageError if words.get("usage") else InputError
     return kind(words["what"].format(**values), where=None if where is None else str(where), **parts)
 
 
 @cache
-def _refusals() -> dict[str, dict[str, Any]]:
-    import yaml  # of the few runs that end in an error
+def package_table(name: str) -> dict[str, Any]:
+    """The content of a YAML file of the package, by its path below it."""
+    import yaml  # of the few runs that need one
 
-    text = (_OWN / "refusals.yaml").read_text("utf-8")
-    found: dict[str, dict[str, Any]] = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506
+    found: dict[str, Any] = yaml.load((_OWN / name).read_text("utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506
     return found
 
 
 def refuse(
     wrong: object, what: str, where: object = None, expected: str | None = None, mend: str | None = None,
-    kind: type[HypervalError] = InputError,
+    kind: type[HypervalError] = InputError, **values: object,
 ) -> None:  # fmt: skip
-    """Raise ``kind``, an InputError by default, where something is wrong."""
+    """Raise where something is wrong: the error of a name in ``refusals.yaml``, else ``kind`` in these words."""
+    if wrong and what in package_table("refusals.yaml"):
+        raise refusal(what, where, **values)
     if wrong:
         raise kind(what, where=None if where is None else str(where), expected=expected, mend=mend)
 

@@ -17,7 +17,7 @@ from .placing import (
     sun_zenith_deg,
     table_of,
 )
-from .products import layouts, lookup_raster, sun_of_observation
+from .products import layouts, sun_of_observation
 from .regions import (
     Region,
     guard,
@@ -59,7 +59,6 @@ __all__ = [
     "intersected_objects",
     "layouts",
     "location_table",
-    "lookup_raster",
     "map_to_spy",
     "map_to_xarray",
     "metres_per_degree",

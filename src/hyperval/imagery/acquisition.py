@@ -11,20 +11,23 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
+from hyperval.errors import package_table
 from hyperval.spectra.axis import SpectralAxis
 
+_WORDS = "imagery/acquisition.yaml"
 _CO2_NM = 2010.0  # the carbon dioxide bands that a shift is fitted to lie at about 2000-2070 nm
 MINUTES_APART = 10.0  # the sun moves 2.5 degrees in ten minutes
-_TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
-# Entries of a header and what is said of them; None: where the level and a spectral shift are told.
-_SAID: dict[str | None, str] = {
-    r"^(sensor|instrument)( (type|name|id|model|serial number))?$|^(sensor|instrument)id$": "{}",
-    None: "",
-    r"(gain|calibration|\bcal\b|dark|flat).*\bfiles?\b|\bcal(ibration)? file": "calibration from {}",
-    _TIMES: "acquired {}; the times of the scenario should agree",
-    r"^fps$|^frame ?rate$|^tint[0-9]*$|^binning[0-9]*$": "{} (integration times have no unit; milliseconds are usual)",
-}
+_LEVELS = r"^(processing|product) ?level$|^level$|^data ?(units?|type name)$|^z plot titles$"
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+
+
+def _said(sentence: str, text: str = "", **values: object) -> str:
+    """A sentence, filled."""
+    return str(package_table(_WORDS)["sentences"][sentence]).format(text=_short(text), **values)
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def acquisition_notes(
@@ -45,50 +48,41 @@ def acquisition_notes(
     quantity : what the campaign takes the cube for, against which the processing level is held
     """
     notes = []
-    for pattern, words in _SAID.items():
-        if pattern is None:
+    for kind in package_table(_WORDS)["listed"]:
+        if "says" not in kind:
             notes += _level(entries, quantity) + _spectral_shift(entries, axis)
-        elif listed := ", ".join(f"{key} {_short(text)}" for key, text in _matching(entries, pattern) if text):
-            notes.append("header: " + words.format(listed))
+        elif listed := ", ".join(f"{k} {_short(t)}" for k, t in _matching(entries, kind["keys"]) if t):
+            notes.append("header: " + kind["says"].format(listed))
     return (*notes, *_frames(entries, lines), *_windows(entries, samples, stored_bands))
 
 
 def _level(entries: Mapping[str, str], quantity: str | None) -> list[str]:
     """Processing level and data units, and whether they are those of another quantity than the campaign's."""
-    listed = _matching(entries, r"^(processing|product) ?level$|^level$|^data ?(units?|type name)$|^z plot titles$")
+    listed = _matching(entries, _LEVELS)
     notes = [f"header: {key} {_short(text)}" for key, text in listed if text]
     for key, text in listed:
         named = {q for q in ("radiance", "reflectance") if re.search(rf"(?<![a-z]){q}", text.lower())}
         if quantity in ("radiance", "reflectance") and named and quantity not in named:
-            notes.append(
-                f"warning: header: '{key} = {_short(text)}' speaks of {' and '.join(sorted(named))}, the campaign "
-                f"takes the cube for {quantity}"
-            )
+            speaks = " and ".join(sorted(named))
+            notes.append(_said("other_level", key=key, text=text, named=speaks, quantity=quantity))
     return notes
 
 
 def _frames(entries: Mapping[str, str], lines: int | None) -> list[str]:
     """Frame rate against integration times, and against the times of start and stop."""
-    rate = next((v for _, t in _matching(entries, r"^fps$|^frame ?rate$") if (v := _first(t)) is not None), None)
-    if rate is None or rate <= 0:
+    rate = next((v for _, t in _matching(entries, r"^fps$|^frame ?rate$") if (v := _first(t)) is not None), 0.0)
+    if rate <= 0:
         return []
-    notes = []
     frame_ms = 1000.0 / rate
-    for key, text in _matching(entries, r"^tint[0-9]*$"):
-        if (_first(text) or 0.0) > 1.01 * frame_ms:
-            notes.append(
-                f"warning: header: {key} {_first(text):g} is longer than a frame at {rate:g} frames per second "
-                f"({frame_ms:.4g} ms): it is not in ms, or one of them is wrong"
-            )
+    times = {key: _first(text) or 0.0 for key, text in _matching(entries, r"^tint[0-9]*$")}
+    late = {key: tint for key, tint in times.items() if tint > 1.01 * frame_ms}
+    notes = [_said("tint", key=key, tint=tint, rate=rate, frame_ms=frame_ms) for key, tint in late.items()]
     ends = [t for end in ("start", "stop|end") for _, t in _matching(entries, rf"^gps ({end}) time$")[:1]]
     clock = [seconds for text in ends if (seconds := _clock(text)) is not None]
     if len(clock) == 2 and lines is not None:
         seconds = (clock[1] - clock[0]) % 86400.0
         if seconds > 0 and abs(lines / rate / seconds - 1.0) > 0.1:
-            notes.append(
-                f"header: {lines} lines at {rate:g} frames per second take {lines / rate:.4g} s, the GPS times are "
-                f"{seconds:.4g} s apart: a part of the line, binned or resampled lines, or a wrong rate"
-            )
+            notes.append(_said("lines", lines=lines, rate=rate, needed=lines / rate, seconds=seconds))
     return notes
 
 
@@ -102,19 +96,19 @@ def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[s
 
     GPS time runs ahead of UTC by less than 20 s, which is left aside; a header in local time is found too.
     """
-    utc = when.astimezone(UTC)
-    notes = []
-    for key, text in _matching(entries, _TIMES):
-        day, seconds, stated = _day(text), _clock(text), f"warning: header: '{key} = {_short(text)}' is"
+    utc, notes = when.astimezone(UTC), []
+    times = next(kind["keys"] for kind in package_table(_WORDS)["listed"] if "times" in kind.get("says", ""))
+    for key, text in _matching(entries, times):
+        day, seconds, told = _day(text), _clock(text), {"key": key, "name": name, "utc": utc}
         if day is not None and day != utc.date():
-            notes.append(f"{stated} not the day of scenario {name!r}, {utc:%Y-%m-%d}")
+            notes.append(_said("day", text, **told))
         elif seconds is not None:
             of_day = utc.hour * 3600.0 + utc.minute * 60.0 + utc.second
             apart = (seconds - of_day + 43200.0) % 86400.0 - 43200.0
             if abs(apart) > 60.0 * MINUTES_APART:
-                side = f"{abs(apart) / 60:.0f} minutes {'after' if apart > 0 else 'before'}"
-                scenario = f"the time of scenario {name!r}, {utc:%H:%M:%S} UTC"
-                notes.append(f"{stated} {side} {scenario}: local time, or the sun stands elsewhere")
+                notes.append(
+                    _said("time", text, minutes=abs(apart) / 60, side="after" if apart > 0 else "before", **told)
+                )
     return tuple(notes)
 
 
@@ -137,25 +131,15 @@ def _day(text: str) -> date | None:
 
 
 def _spectral_shift(entries: Mapping[str, str], axis: SpectralAxis) -> list[str]:
+    near = int(np.argmin(np.abs(axis.centre_nm - _CO2_NM)))
     notes = []
     for key, text in _matching(entries, r"(co2|wavelength|spectral).*shift|shift.*(co2|wavelength|spectral)"):
+        value, size = _first(text), ""
+        if value and abs(axis.centre_nm[near] - _CO2_NM) < 100.0:
+            size = _said("size", widths=abs(value) / axis.fwhm_nm[near], nm=axis.centre_nm[near])
         kind = "CO2 shift" if "co2" in key else "wavelength shift"
-        value = _first(text)
-        if value is None:
-            notes.append(f"warning: header: '{key} = {_short(text)}' is not understood")
-            continue
-        if value == 0.0:
-            notes.append(f"header: {key} is 0")
-            continue
-        near = int(np.argmin(np.abs(axis.centre_nm - _CO2_NM)))
-        size = ""
-        if abs(axis.centre_nm[near] - _CO2_NM) < 100.0:
-            size = f", {abs(value) / axis.fwhm_nm[near]:.2f} of a band width at {axis.centre_nm[near]:.0f} nm"
-        notes.append(
-            f"warning: header: {kind} {value:g} nm found ('{key}', unit taken as nm{size}): the band centres "
-            "may be off by as much where the producer did not correct them; "
-            "sensor_operation.wavelength_shift_nm of the scenario can tell what that would do"
-        )
+        sentence = "no_shift" if value is None else "shift" if value else "zero_shift"
+        notes.append(_said(sentence, key=key, text=text, kind=kind, value=value, size=size))
     return notes
 
 
@@ -165,27 +149,15 @@ def _windows(entries: Mapping[str, str], samples: int, stored_bands: int) -> lis
     bands = [w for _, text in _matching(entries, r"^vimg[0-9]+$") if (w := _pair(text)) is not None]
     if len(bands) > 1:
         listed = " and ".join(f"{first}-{last}" for first, last in bands)
-        last = max(last for _, last in bands)
-        if last == stored_bands:
-            notes.append(f"header: {len(bands)} detectors, bands {listed} (from 1)")
-        else:
-            notes.append(f"warning: header: detectors hold bands {listed} (from 1), the cube {stored_bands}")
+        sentence = "detectors" if max(last for _, last in bands) == stored_bands else "other_detectors"
+        notes.append(_said(sentence, count=len(bands), listed=listed, stored=stored_bands))
     across = {w for _, text in _matching(entries, r"^himg[0-9]*$") if (w := _pair(text)) is not None}
-    for first, last in sorted(across):
-        if last - first + 1 != samples:
-            notes.append(
-                f"header: {last - first + 1} samples across the track, {samples} in the cube: it was cut or "
-                "resampled to a map grid, where one measured pixel may stand several times"
-            )
-    return notes
+    wide = [last - first + 1 for first, last in sorted(across)]
+    return notes + [_said("across", wide=count, samples=samples) for count in wide if count != samples]
 
 
 def _matching(entries: Mapping[str, str], pattern: str) -> list[tuple[str, str]]:
     return [(key, " ".join(text.split())) for key, text in entries.items() if re.search(pattern, key)]
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _first(text: str) -> float | None:

@@ -25,11 +25,10 @@ import scipy
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import reader, refusal
+from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.imagery.description import (
     Description,
-    Index,
     ListedBands,
     Raster,
     crs_of_wkt,
@@ -249,12 +248,10 @@ class ArrayRaster(Raster):
     ----------
     store : reads parts of its arrays
     pieces : the arrays, in the order of the bands
-    zero_for : a value that is handed out as 0, as the fill of a lookup table is
     """
 
     store: Store = field(kw_only=True)
     pieces: tuple[Piece, ...] = field(kw_only=True)
-    zero_for: float | None = None
     _held: threading.local = field(default_factory=threading.local, repr=False)  # what this thread read last
     _unpacking: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -263,7 +260,7 @@ class ArrayRaster(Raster):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Without the lines that were read last."""
-        about = self.description, self.position, self.other_files, self.zero_for
+        about = self.description, self.position, self.other_files
         return array_raster, (self.path, self.store, self.pieces, *about)
 
     @contextmanager
@@ -347,15 +344,6 @@ class ArrayRaster(Raster):
             for bands in self._some_bands(piece):
                 yield at + bands.start, self._values(piece, {"l": lines, "s": samples, "b": bands})
 
-    def _together(self, rows: Index, cols: Index) -> Sequence[Index]:
-        """Those of a block of the first piece, or of lines that follow each other."""
-        block = self._block(self.pieces[0])
-        if block["l"] == 1:
-            return super()._together(rows, cols)
-        where = np.stack([rows // block["l"], cols // block["s"]])
-        order = np.lexsort(where)
-        return np.split(order, np.flatnonzero(np.any(np.diff(where[:, order]), axis=0)) + 1) if rows.size else []
-
     def _lines(self, first: int, count: int) -> dict[str, slice]:
         return {"l": slice(first, first + count), "s": slice(0, self.samples)}
 
@@ -393,8 +381,6 @@ class ArrayRaster(Raster):
                 total += np.float32(term.weight) * stored.astype(np.float32)
                 if term.ignore is not None:
                     total[stored == term.ignore] = np.nan
-        if self.zero_for is not None:
-            total = np.where(total == self.zero_for, 0, total)
         return np.asarray(total, piece.dtype)
 
 
@@ -405,7 +391,6 @@ def array_raster(
     description: Description = Description(),  # noqa: B008 - cannot be changed
     position: tuple[Affine | None, CRS | None] = (None, None),
     other_files: tuple[Path, ...] = (),
-    zero_for: float | None = None,
 ) -> ArrayRaster:
     """The image of some arrays of one size.
 
@@ -417,7 +402,7 @@ def array_raster(
         raise refusal("array.sizes", path, shapes=", ".join(str(p.shape) for p in pieces))
     size = pieces[0].size("l"), pieces[0].size("s"), sum(piece.size("b") for piece in pieces)
     about = path, size, np.result_type(*(piece.dtype for piece in pieces)), description, position, other_files
-    return ArrayRaster(*about, store=store, pieces=pieces, zero_for=zero_for)
+    return ArrayRaster(*about, store=store, pieces=pieces)
 
 
 # Arrays with labels: xarray -----------------------------------------------------------------------------------------
@@ -524,16 +509,13 @@ def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: P
         candidates = [_with_bands(c, groups) for c in candidates]
     if variable is not None:
         named = [c for c in candidates if variable.strip("/") in (c.array.name, c.path)]
-        if len(named) != 1:
-            raise refusal("array.unknown", where, count=len(named), variable=variable, listed=listed or "none")
+        refuse(len(named) != 1, "array.unknown", where, count=len(named), variable=variable, listed=listed or "none")
         if named[0].wave is None:
             raise refusal("array.no_coordinate", where, label=named[0].label)
         return named[0]
     cubes = [c for c in candidates if c.wave is not None]
-    if not cubes:
-        raise refusal("array.no_coordinates", where, listed=listed or "none of three axes")
-    if len(cubes) > 1:
-        raise refusal("array.several", where, count=len(cubes), labels="; ".join(c.label for c in cubes))
+    refuse(not cubes, "array.no_coordinates", where, listed=listed or "none of three axes")
+    refuse(len(cubes) > 1, "array.several", where, count=len(cubes), labels="; ".join(c.label for c in cubes))
     return cubes[0]
 
 
@@ -660,8 +642,7 @@ def open_matrix(
         listed = ", ".join(f"{name} {' x '.join(map(str, shape))}" for name, shape in shapes.items()) or "no numbers"
         wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
         raise refusal("array.none", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
-    if len(fits) > 1:
-        raise refusal("array.maps" if plane else "array.images", path, count=len(fits), names=", ".join(fits))
+    refuse(len(fits) > 1, "array.maps" if plane else "array.images", path, count=len(fits), names=", ".join(fits))
     name = fits[0]
     size = 8 * int(np.prod(shapes[name]))
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
@@ -674,8 +655,7 @@ def open_matrix(
 
     store = stored(name)
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
-    if dtype.kind not in "iufb":
-        raise refusal("array.type", path, name=name, dtype=dtype)
+    refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
     piece = Piece((Term(name),), axes.replace("b", "") if plane else axes, shape, dtype.newbyteorder("="))
     lists = {}
     for pattern in (_WAVE, _WIDTH):

@@ -17,7 +17,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.envi_header import header_beside
-from hyperval.errors import reader, refusal
+from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.arrays import MATRICES, check_own_values, open_labelled, open_matrix
 from hyperval.imagery.description import Bands, Raster, Scale, equals, given_bands, usable_pixels
 from hyperval.imagery.envi import open_envi, pixel_area_m2
@@ -170,18 +170,13 @@ class Cube:
         """(count, samples, n) values of a few bands of the axis, as for a picture; NaN for ignored values."""
         order = self.stored_band[list(bands)]
         stored = self.raster.read_some_bands(first_line, count, order.tolist()).transpose(1, 2, 0)
-        values = stored.astype(np.float32) * self.gain[list(bands)].astype(np.float32)
-        values += self.offset[list(bands)].astype(np.float32)
-        if self.ignore_value is not None:
-            values[equals(stored, self.ignore_value)] = np.nan
-        return np.asarray(values, np.float32)
+        return self._scaled(stored, np.dtype(np.float32), list(bands))
 
     def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
         """All lines in order, ``lines_per_block`` at a time (default: about 8 MiB of values)."""
         size = self.samples * self.bands * np.dtype(dtype).itemsize
         step = max(1, BLOCK_BYTES // size) if lines_per_block is None else int(lines_per_block)
-        if step < 1:
-            raise refusal("cube.blocks", lines=lines_per_block)
+        refuse(step < 1, "cube.blocks", lines=lines_per_block)
         for first in range(0, self.lines, step):
             yield self.read(first, min(step, self.lines - first), dtype)
 
@@ -254,13 +249,19 @@ class Cube:
         """Values (..., B) in the bands of the axis, and which pixels (...) are valid."""
         if self._reordered:
             stored = stored[..., self.stored_band]
+        return self._scaled(stored, dtype), self._usable(np.moveaxis(stored, -1, 0), self.axis.good)
+
+    def _scaled(
+        self, stored: npt.NDArray[Any], dtype: np.dtype, bands: list[int] | slice = slice(None)
+    ) -> npt.NDArray[Any]:
+        """Values (..., n) of stored numbers in some bands of the axis; NaN for ignored values."""
         values = np.empty(stored.shape, dtype)
-        np.multiply(stored, self.gain.astype(dtype), out=values, dtype=dtype, casting="unsafe")
+        np.multiply(stored, self.gain[bands].astype(dtype), out=values, dtype=dtype, casting="unsafe")
         if np.any(self.scaling.offset):
-            values += self.offset.astype(dtype)
+            values += self.offset[bands].astype(dtype)
         if self.ignore_value is not None:
             values[equals(stored, self.ignore_value)] = np.nan
-        return values, self._usable(np.moveaxis(stored, -1, 0), self.axis.good)
+        return values
 
     def _usable(self, stored: npt.NDArray[Any], needed: Mask | None) -> Mask:
         """Which pixels (...) of stored numbers (B, ...) hold data."""
@@ -277,16 +278,8 @@ class Cube:
         some = [self.spectra((np.full(cols.size, line), cols))[:, self.axis.good].ravel() for line in lines]
         high = float(np.percentile(np.concatenate(some), 95)) if any(part.size for part in some) else 0.0
         if high > limit:
-            unit = "" if self.unit == "1" else f" {self.unit}"
-            raise refusal(
-                "scale.implausible",
-                self.raster.path,
-                quantity=self.quantity,
-                high=high,
-                unit=unit,
-                limit=limit,
-                how=how,
-            )
+            of = {"quantity": self.quantity, "unit": "" if self.unit == "1" else f" {self.unit}"}
+            raise refusal("scale.implausible", self.raster.path, high=high, limit=limit, how=how, **of)
 
 
 _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
@@ -330,8 +323,7 @@ def open_raster(
         header, data = data, checked_file(_data_beside(data), root=root, what="image file")
     elif header is None and ending == ".xml":
         data = checked_file(image_of(data, variable), root=root, what="GeoTIFF")
-    if data.suffix.lower() == ".hdr":
-        raise refusal("image.is_header", data)
+    refuse(data.suffix.lower() == ".hdr", "image.is_header", data)
     kind = kind_of(data)
     if kind == _TIFF:
         return open_tiff(data, header, root)
@@ -368,8 +360,7 @@ def needs_header(path: Path) -> bool:
 def _data_beside(header: Path) -> Path:
     stem = header.with_suffix("")
     found = [p for end in _DATA_SUFFIXES if (p := stem.with_name(stem.name + end)).is_file()]
-    if len(found) != 1:
-        raise refusal("image.data_files", header, names=", ".join(p.name for p in found) or "none")
+    refuse(len(found) != 1, "image.data_files", header, names=", ".join(p.name for p in found) or "none")
     return found[0]
 
 
@@ -382,8 +373,7 @@ def raster_of_size(path: Path, shape: tuple[int, int], root: Path | None = None,
     kind = kind_of(path)
     matrix = kind in MATRICES.values() and header_beside(path) is None
     raster = open_matrix(path, str(kind), variable, shape) if matrix else open_raster(path, root=root)
-    if raster.size[:2] != shape:
-        raise refusal("image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
+    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
     return raster
 
 

@@ -20,7 +20,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.envi_header import EnviHeader
-from hyperval.errors import HypervalError, UsageError, reader, refusal
+from hyperval.errors import HypervalError, UsageError, reader, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.units import (
@@ -203,8 +203,7 @@ class Description:
         if bands is None:
             raise refusal("bands.none", where)
         has = np.flatnonzero(np.isfinite(bands.wavelength))
-        if not has.size:
-            raise refusal("bands.without", where)
+        refuse(not has.size, "bands.without", where)
         listed, notes = bands.wavelength[has], list(bands.notes)
         at = {key: bands.where.get(key, where) for key in ("wavelength", "wavelength units", "fwhm", "bbl")}
         unit, note = _stated_unit(bands.unit, given_unit, listed, at["wavelength units"])
@@ -253,8 +252,7 @@ class Description:
         if self.quantity is not None and quantity not in ("counts", "other", self.quantity):
             raise refusal("scale.quantity", where, holds=self.quantity, quantity=quantity)
         if scale is not None:
-            if not np.isfinite(scale) or scale <= 0:
-                raise refusal("scale.number", scale=scale)
+            refuse(not np.isfinite(scale) or scale <= 0, "scale.number", scale=scale)
             # It multiplies the packed values, and gives a reflectance as a fraction.
             own = self.unit if quantity == "radiance" else None
             stated = Scale(scale / self.packing[0], -scale * self.packing[1] / self.packing[0])
@@ -322,8 +320,7 @@ def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str)
     if axis == "numbers":
         note = "warning: bands go by their number: where nm are written, it is the number of a band"
         return BandTable(SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (note,))
-    if len(axis) != count:
-        raise refusal("bands.given", where, given=len(axis), count=count)
+    refuse(len(axis) != count, "bands.given", where, given=len(axis), count=count)
     return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))
 
 

@@ -19,7 +19,7 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning
 from rasterio.features import rasterize
 from rasterio.warp import transform as reproject
 
-from hyperval.errors import HypervalError, refusal
+from hyperval.errors import HypervalError, refusal, refuse
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -182,17 +182,14 @@ def named_crs(name: str, where: str) -> CRS:
 
 def _points(points: npt.ArrayLike, where: str) -> Array:
     xy = np.asarray(points, dtype=float)
-    if xy.size and (xy.ndim != 2 or xy.shape[1] != 2):
-        raise refusal("region.pairs", where)
-    if not np.all(np.isfinite(xy)):
-        raise refusal("region.not_finite", where)
+    refuse(xy.size and (xy.ndim != 2 or xy.shape[1] != 2), "region.pairs", where)
+    refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
     return xy.reshape(-1, 2)
 
 
 def _ring(ring: npt.ArrayLike, where: str) -> Array:
     """(n, 2) vertices of a ring, the closing one left out."""
-    if np.shape(ring)[:1] > (MAX_VERTICES,):
-        raise refusal("region.vertices", where, count=f"more than {MAX_VERTICES}")
+    refuse(np.shape(ring)[:1] > (MAX_VERTICES,), "region.vertices", where, count=f"more than {MAX_VERTICES}")
     xy = _points(ring, where)
     if len(xy) > 1 and np.array_equal(xy[0], xy[-1]):
         xy = xy[:-1]

@@ -18,7 +18,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.envi_header import EnviHeader, read_header
-from hyperval.errors import refusal
+from hyperval.errors import refusal, refuse
 from hyperval.imagery.arrays import Store
 from hyperval.imagery.description import Description, Index, Raster, crs_of_wkt
 from hyperval.paths import checked_file
@@ -176,8 +176,7 @@ class EnviRaster(Raster):
                     with self._file.lock:
                         stream.seek(at + done)
                         step = stream.readinto(view[done:])
-                if not step:
-                    raise refusal("image.shrunk", self.path)
+                refuse(not step, "image.shrunk", self.path)
                 done += step
 
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:

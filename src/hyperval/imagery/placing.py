@@ -23,18 +23,11 @@ import scipy
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import HypervalError, reader, refusal
+from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
 from hyperval.imagery.description import Raster
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
-from hyperval.imagery.products import (
-    SAMPLED_LINES,
-    SUN_ZENITH,
-    location_raster,
-    lookup_raster,
-    median_angle,
-    sun_of_observation,
-)
+from hyperval.imagery.products import SAMPLED_LINES, SUN_ZENITH, median_angle, sun_of_observation, table_in
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -84,8 +77,7 @@ class LookupTable:
         xy = np.asarray(points, dtype=float).reshape(-1, 2)
         if ring:
             xy = self._divided(xy, where)
-        if not np.all(np.isfinite(xy)):
-            raise refusal("region.not_finite", where)
+        refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
         return np.array([self._place(place, where) for place in xy]).reshape(-1, 2)
 
     @cached_property
@@ -146,6 +138,8 @@ class LookupTable:
     def _read(self, first: int, count: int) -> tuple[Index, Index]:
         """Stored sample and line (count, samples) of some lines of the table."""
         stored = self.raster.read_bands(first, count).astype(np.int64)
+        if (fill := self.raster.description.no_data()) is not None:
+            stored[stored == fill] = 0
         return (stored[1], stored[0]) if self.swapped else (stored[0], stored[1])
 
 
@@ -172,10 +166,8 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loo
         if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):
             raise refusal("place.signs", where, first=first, last=first + len(sample) - 1)
         greatest = np.maximum(greatest, [np.abs(line).max(), np.abs(sample).max()])
-    if not greatest.any():
-        raise refusal("place.empty", where)
-    if np.any(greatest > shape):
-        raise refusal("place.beyond", where, greatest=greatest, shape=shape)
+    refuse(not greatest.any(), "place.empty", where)
+    refuse(np.any(greatest > shape), "place.beyond", where, greatest=greatest, shape=shape)
     return opened
 
 
@@ -185,8 +177,7 @@ def divided(ring: Array, where: str) -> Array:
         ring = ring[:-1]
     ahead = np.roll(ring, -1, axis=0)
     length = np.hypot(*(ahead - ring).T)
-    if not np.all(np.isfinite(length)) or length.sum() / _SIDE_CELLS > MAX_VERTICES:
-        raise refusal("place.large", where)
+    refuse(not np.all(np.isfinite(length)) or length.sum() / _SIDE_CELLS > MAX_VERTICES, "place.large", where)
     parts = np.maximum(1, np.ceil(length / _SIDE_CELLS)).astype(int)
     share = np.concatenate([np.arange(p) / p for p in parts])
     return np.asarray(np.repeat(ring, parts, axis=0) + share[:, None] * np.repeat(ahead - ring, parts, axis=0))
@@ -248,8 +239,7 @@ class LocationTable(LookupTable):
             nodes.append(np.column_stack([np.full(good.size, line), good * step]))
             places.append(np.column_stack([x[good], y[good]]))
         place = np.concatenate(places)
-        if not len(place):
-            raise refusal("place.none", self.raster.path)
+        refuse(not len(place), "place.none", self.raster.path)
         geographic = self.crs is not None and self.crs.is_geographic
         scale = np.array([math.cos(math.radians(float(place[:, 1].mean()))) if geographic else 1.0, 1.0])
         return scipy.spatial.cKDTree(place * scale), np.concatenate(nodes), scale
@@ -325,14 +315,12 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     ------
     InputError : another size than the image, fewer than two bands, or no pixel with a place.
     """
-    if raster.size[:2] != shape or raster.bands < 2:
-        raise refusal("place.size", raster.path, size=raster.size, shape=shape)
+    refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     table = LocationTable(raster, Affine.identity(), None, shape)
     rows = [table._xy(int(line), 1) for line in _some_lines(shape[0], SAMPLED_LINES)]
     x, y = (np.concatenate([row[i].ravel() for row in rows]) for i in (0, 1))
     good = table._valid(x, y)
-    if not good.any():
-        raise refusal("place.none", raster.path)
+    refuse(not good.any(), "place.none", raster.path)
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
     return LocationTable(raster, Affine.identity(), CRS.from_epsg(4326) if degrees else raster.crs, shape)
 
@@ -379,10 +367,8 @@ def table_of(raster: Raster) -> tuple[LookupTable | None, tuple[str, ...]]:
     shape = raster.size[:2]
     if raster.transform is not None:
         return None, ()
-    if (own := lookup_raster(raster)) is not None:
-        return open_lookup_table(own, shape), ()
-    if (own := location_raster(raster)) is not None:
-        return location_table(own, shape), ()
+    if (own := table_in(raster)) is not None:
+        return open_lookup_table(own, shape) if own.dtype.kind == "i" else location_table(own, shape), ()
     for kind in ("glt", "igm", "loc") if isinstance(raster, EnviRaster) else ():
         path = companion(raster.path, kind)
         if path is None:

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,13 +16,12 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
-import yaml
 from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.envi_header import parse_header
-from hyperval.errors import InputError, reader, refusal
+from hyperval.errors import InputError, package_table, reader, refusal, refuse
 from hyperval.imagery.arrays import (
     MAX_CHUNK_BYTES,
     ArrayRaster,
@@ -66,9 +64,8 @@ class ProductLayout(dict[str, Any]):
 @cache
 def layouts() -> ProductLayout:
     """The layouts that come with the package: ``trees``, ``observations``, ``sidecars``."""
-    text = Path(__file__).with_name("products.yaml").read_text("utf-8")
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    found: ProductLayout = json.loads(json.dumps(yaml.load(text, loader)), object_hook=ProductLayout)  # noqa: S506
+    text = json.dumps(package_table("imagery/products.yaml"))
+    found: ProductLayout = json.loads(text, object_hook=ProductLayout)
     return found
 
 
@@ -98,12 +95,6 @@ class ProductTree:
             found = found[part]
         return found.attrs.get(attribute) if at else found
 
-    def has_all(self) -> bool:
-        """Whether the file has the images and the wavelengths of the layout."""
-        names = [name for array in self.layout.arrays for name in (array.path, array.wavelength)]
-        found = [(name, self.item(name)) for name in names]
-        return all(item is not None if "@" in name else isinstance(item, h5py.Dataset) for name, item in found)
-
     def raw(self, reference: str | None) -> Any:
         """The content of a small array or an attribute, None when the file has none."""
         found = None if reference is None else self.item(reference)
@@ -123,8 +114,7 @@ class ProductTree:
     def number(self, reference: Reference) -> float:
         """A number; InputError when the file has none there, or not a finite one."""
         found = self._floats(reference) if isinstance(reference, str) else np.array([float(reference)])
-        if not np.isfinite(found[:1]).any():
-            raise refusal("product.number", self.path, reference=reference)
+        refuse(not np.isfinite(found[:1]).any(), "product.number", self.path, reference=reference)
         return float(found[0])
 
     def numbers(self, reference: str, count: int, what: str) -> Array:
@@ -156,8 +146,13 @@ class ProductTree:
 
 def _tree(file: h5py.File, path: Path) -> ProductTree | None:
     """The file by the layout whose images and wavelengths it holds, None when it is none of them."""
-    trees = (ProductTree(file, path, layout) for layout in layouts().trees)
-    return next((tree for tree in trees if tree.has_all()), None)
+    for layout in layouts().trees:
+        tree = ProductTree(file, path, layout)
+        names = [name for array in layout.arrays for name in (array.path, array.wavelength)]
+        found = [(name, tree.item(name)) for name in names]
+        if all(item is not None if "@" in name else isinstance(item, h5py.Dataset) for name, item in found):
+            return tree
+    return None
 
 
 def _stated(attributes: Mapping[str, Any], *names: str) -> float | None:
@@ -189,37 +184,32 @@ def open_product(path: Path) -> ArrayRaster | None:
     return array_raster(path, store, pieces, about, (transform, crs))
 
 
-@contextmanager
-def _product_of(raster: Raster) -> Iterator[ProductTree | None]:
-    """The layout and the opened file of an image, None where it is no product."""
+def table_in(raster: Raster) -> ArrayRaster | None:
+    """What places the pixels of a product in scanner geometry, an image of two bands; None without.
+
+    Its geographic lookup table, of whole numbers on a map grid, else the longitude and latitude of every pixel.
+    """
     if not isinstance(raster, ArrayRaster) or raster.store.opener is not hdf5:
-        yield None
-        return
+        return None
     with raster.store.kept_open() as file:
-        yield _tree(file, raster.path)
-
-
-def lookup_raster(raster: Raster) -> ArrayRaster | None:
-    """The geographic lookup table in a product in scanner geometry, as an image of two bands; None without."""
-    with _product_of(raster) as tree:
-        if tree is None or tree.layout.lookup_table is None:
+        tree = _tree(file, raster.path)
+        cells, places = (tree.layout.lookup_table or (), tree.layout.location or ()) if tree is not None else ((), ())
+        if tree is not None and cells and all(isinstance(tree.item(name), h5py.Dataset) for name in cells):
+            columns, on_map = [tree.image(name, axes=2) for name in cells], True
+        elif (
+            tree is not None
+            and places
+            and all(getattr(tree.item(name), "shape", None) == raster.size[:2] for name in places)
+        ):
+            columns, on_map = [tree.item(name) for name in places], False
+        else:
             return None
-        if not all(isinstance(tree.item(name), h5py.Dataset) for name in tree.layout.lookup_table):
-            return None
-        columns = [tree.image(name, axes=2) for name in tree.layout.lookup_table]
-        pieces = tuple(Piece((Term(c.name.strip("/")),), "ls", c.shape, np.dtype(np.int32)) for c in columns)
-        fill, position = _stated(columns[0].attrs, *_FILLS), _position(tree, pieces[0])[:2]
-    return array_raster(raster.path, Store(raster.path, hdf5), pieces, position=position, zero_for=fill)
-
-
-def location_raster(raster: Raster) -> ArrayRaster | None:
-    """Longitude and latitude of every pixel of a product, as an image of two bands; None without."""
-    with _product_of(raster) as tree:
-        names, shape = (tree.layout.location or ()) if tree is not None else (), raster.size[:2]
-        if tree is None or not names or any(getattr(tree.item(n), "shape", None) != shape for n in names):
-            return None
-    pieces = tuple(Piece((Term(name),), "ls", shape, np.dtype(np.float64)) for name in names)
-    return array_raster(raster.path, Store(raster.path, hdf5), pieces)
+        dtype = np.dtype(np.int32 if on_map else np.float64)
+        pieces = tuple(Piece((Term(c.name.strip("/")),), "ls", c.shape, dtype) for c in columns)
+        position = _position(tree, pieces[0])[:2] if on_map else (None, None)
+        fill = _stated(columns[0].attrs, *_FILLS) if on_map else None
+    about = Description(ignore_value=fill)
+    return array_raster(raster.path, Store(raster.path, hdf5), pieces, about, position)
 
 
 def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore: float | None) -> Piece:
@@ -227,8 +217,7 @@ def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore:
     if array.plus is None:
         return Piece((first,), array.dimensions, image.shape, image.dtype.newbyteorder("="))
     second = tree.image(array.plus[0])
-    if second.shape != image.shape:
-        raise refusal("product.shape", tree.path, name=second.name, other=image.name)
+    refuse(second.shape != image.shape, "product.shape", tree.path, name=second.name, other=image.name)
     weight = 1.0 / tree.number(array.plus[1])
     terms = first._replace(ignore=ignore), Term(second.name.strip("/"), weight, _stated(second.attrs, *_FILLS))
     return Piece(terms, array.dimensions, image.shape, np.dtype(np.float32))
@@ -242,19 +231,9 @@ def _description(
     notes: tuple[str, ...],
 ) -> Description:
     layout = tree.layout
-    columns: dict[str, list[Array]] = {"wavelength": [], "fwhm": [], "good": [], "gain": [], "offset": []}
-    for array, image, piece in zip(layout.arrays, images, pieces, strict=True):
-        bands = piece.size("b")
-        for name, what in (("wavelength", "wavelengths"), ("fwhm", "widths"), ("good", "flags")):
-            reference = array.get(name)
-            if name == "wavelength" or tree.raw(reference) is not None:
-                columns[name].append(tree.numbers(str(reference), bands, what))
-            elif name == "good":
-                columns[name].append(np.ones(bands))
-        for name, number in zip(("gain", "offset"), _scale(tree, array, image), strict=True):
-            columns[name].append(np.full(bands, number))
-    complete = {name: np.concatenate(parts) for name, parts in columns.items() if len(parts) == len(pieces)}
-    wavelength, good = complete["wavelength"], complete["good"] != 0
+    parts = [_columns(tree, a, i, p.size("b")) for a, i, p in zip(layout.arrays, images, pieces, strict=True)]
+    wavelength, width, flags, gain, offset = np.concatenate(parts, axis=1)
+    good = flags != 0
     for reference in layout.bad_ranges_nm or ():
         low_high = tree.raw(reference)
         if low_high is not None and np.size(low_high) == 2:
@@ -266,8 +245,8 @@ def _description(
     centre = np.where(wavelength > 0, wavelength, np.nan)
     return Description(
         product=layout.product,
-        bands=ListedBands(centre, complete.get("fwhm"), layout.wavelength_unit, good),
-        scale=Scale(complete["gain"], complete["offset"], f"scale of the {layout.product}"),
+        bands=ListedBands(centre, None if np.isnan(width).all() else width, layout.wavelength_unit, good),
+        scale=Scale(gain, offset, f"scale of the {layout.product}"),
         quantity=layout.quantity,
         unit=unit,
         ignore_value=ignore,
@@ -277,6 +256,15 @@ def _description(
         notes=(*unit_notes, *notes, *([layout.remark] if layout.remark else [])),
         sun_zenith_deg=_sun(tree),
     )
+
+
+def _columns(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, bands: int) -> Array:
+    """(5, bands) wavelength, width (NaN without), flag (1 without), gain and offset of an array."""
+    columns = [tree.numbers(array.wavelength, bands, "wavelengths")]
+    for reference, what, lacking in ((array.fwhm, "widths", np.nan), (array.good, "flags", 1.0)):
+        stated = tree.raw(reference) is not None
+        columns.append(tree.numbers(reference, bands, what) if stated else np.full(bands, lacking))
+    return np.stack([*columns, *(np.full(bands, number) for number in _scale(tree, array, image))])
 
 
 def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tuple[float, float]:
@@ -289,8 +277,7 @@ def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tupl
         return (high - low) / _HIGHEST, low
     neutral = {"divisor": 1.0, "scale": 1.0, "offset": 0.0, "subtract": 0.0}
     divisor, scale, offset, subtract = (tree.number(array.get(key, value)) for key, value in neutral.items())
-    if divisor == 0:
-        raise refusal("product.divisor", tree.path, name=array.divisor)
+    refuse(divisor == 0, "product.divisor", tree.path, name=array.divisor)
     return scale / divisor, offset - subtract
 
 
@@ -397,17 +384,13 @@ def sun_of_observation(path: Path, shape: tuple[int, int]) -> Array | None:
     with Store(path, hdf5).kept_open() as file:
         for layout in layouts().observations:
             tree = ProductTree(file, path, layout)
-            array = tree.item(layout.sun_zenith or layout.image or "")
-            names = tree.item(layout.names) if layout.names is not None else None
-            if not isinstance(array, h5py.Dataset):
-                continue
-            if layout.sun_zenith is not None and array.shape == shape:
-                return _some_lines(array)
-            if isinstance(names, h5py.Dataset):
-                words = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].ravel()]
-                bands = [i for i, word in enumerate(words) if SUN_ZENITH.search(word)]
-                if len(bands) == 1 and array.shape == (*shape, len(words)):
-                    return _some_lines(array, bands[0])
+            array, names = tree.item(layout.sun_zenith), tree.raw(layout.names)
+            listed = [] if names is None else np.ravel(names).tolist()
+            words = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in listed]
+            bands = [i for i, word in enumerate(words) if SUN_ZENITH.search(word)]
+            size = shape if layout.names is None else (*shape, len(words))
+            if getattr(array, "shape", None) == size and len(bands) == len(size) - 2:
+                return _some_lines(array, *bands)
     return None
 
 

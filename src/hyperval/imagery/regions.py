@@ -15,7 +15,7 @@ from rasterio.crs import CRS
 from scipy import ndimage
 from skimage.measure import label
 
-from hyperval.errors import reader, refusal
+from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.drawing import WARNING, ImageGrid, Position, RegionDrawing
 from hyperval.imagery.regions_files import drawings_of
 from hyperval.paths import checked_file
@@ -41,10 +41,8 @@ class Region:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.mask.dtype != bool or self.mask.ndim != 2:
-            raise refusal("region.mask", name=self.name)
-        if not self.mask.any():
-            raise refusal("region.empty", self.source, name=self.name)
+        refuse(self.mask.dtype != bool or self.mask.ndim != 2, "region.mask", name=self.name)
+        refuse(not self.mask.any(), "region.empty", self.source, name=self.name)
 
     @property
     def n(self) -> int:
@@ -118,16 +116,13 @@ def _named(
     drawn: Mapping[Any, Mask | RegionDrawing], names: Mapping[str | int, str] | Sequence[str] | None, where: Path
 ) -> dict[str, Any]:
     """What is drawn under the names that are wanted."""
-    if not drawn:
-        raise refusal("region.none", where)
+    refuse(not drawn, "region.none", where)
     if names is None:
         return {str(key): made for key, made in drawn.items()}
     wanted: dict[Any, str] = dict(names) if isinstance(names, Mapping) else {name: name for name in names}
     missing = ", ".join(repr(key) for key in wanted if key not in drawn)
-    if missing:
-        raise refusal("region.missing", where, missing=missing, known=", ".join(str(key) for key in drawn))
-    if len(set(wanted.values())) < len(wanted):
-        raise refusal("region.same_name", where)
+    refuse(missing, "region.missing", where, missing=missing, known=", ".join(str(key) for key in drawn))
+    refuse(len(set(wanted.values())) < len(wanted), "region.same_name", where)
     return {wanted[key]: drawn[key] for key in wanted}
 
 
@@ -151,8 +146,7 @@ def half_region(name: str, region: Region, *, first: bool) -> Region:
     along = lines if np.ptp(lines) >= np.ptp(samples) else samples
     before = along < np.sort(along)[along.size // 2]
     chosen = before if first else ~before
-    if not chosen.any():
-        raise refusal("region.half", f"region {name!r}", of=region.name)
+    refuse(not chosen.any(), "region.half", f"region {name!r}", of=region.name)
     mask = np.zeros(region.mask.shape, bool)
     mask[lines[chosen], samples[chosen]] = True
     return Region(name, mask, f"half of {region.name}")
@@ -175,8 +169,7 @@ def ring_region(
         ]
         distance = ndimage.distance_transform_edt(~region.mask[part], sampling=pixel)
         mask[part] = (distance > inner) & (distance <= outer)
-    if not mask.any():
-        raise refusal("region.ring", f"region {name!r}", of=region.name)
+    refuse(not mask.any(), "region.ring", f"region {name!r}", of=region.name)
     return Region(name, mask, f"ring around {region.name}")
 
 
@@ -216,8 +209,7 @@ def patches(mask: Mask, name: str, *, whole: bool = False) -> Iterator[tuple[str
 
 def guard(mask: Mask, radius_pixels: float) -> Mask:
     """The mask grown by a disc: every pixel whose centre is within the radius of a centre in the mask."""
-    if not radius_pixels >= 0:
-        raise refusal("region.guard", radius=radius_pixels)
+    refuse(not radius_pixels >= 0, "region.guard", radius=radius_pixels)
     if not mask.any():
         return mask.copy()
     out, reach = np.zeros(mask.shape, bool), int(radius_pixels)

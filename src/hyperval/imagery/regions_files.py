@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.envi_header import header_beside
-from hyperval.errors import refusal
+from hyperval.errors import refusal, refuse
 from hyperval.imagery.arrays import MATRICES
 from hyperval.imagery.cube import raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
@@ -53,16 +53,14 @@ def xml_drawings(path: Path, grid: ImageGrid) -> Drawings:
     InputError : larger than 8 MiB, with a DOCTYPE or ENTITY, not such a file, or a region that cannot be placed.
     """
     root = read_xml(path, MAX_XML_BYTES)
-    if root.tag != "RegionsOfInterest":
-        raise refusal("roi.root", path, tag=root.tag)
+    refuse(root.tag != "RegionsOfInterest", "roi.root", path, tag=root.tag)
     drawings: Drawings = {}
     for number, region in enumerate(root.iter("Region"), start=1):
         name = region.get("name") or str(number)
         where = f"{path}: region {name!r}"
         drawing = _new(drawings, name, grid.shape, where)
         definitions = list(region.iter("GeometryDef"))
-        if not definitions:
-            raise refusal("roi.no_geometry", where)
+        refuse(not definitions, "roi.no_geometry", where)
         for definition in definitions:
             system = " ".join((definition.findtext("CoordSysStr") or "none").split())
             source = None if system.lower() == "none" else crs_of_wkt(system)
@@ -82,8 +80,7 @@ def _xml_geometries(element: ElementTree.Element, where: str) -> Iterator[dict[s
     elif element.tag in ("Polygon", "MultiPolygon"):
         for polygon in element.iter("Polygon"):
             outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
-            if len(outer) != 1:
-                raise refusal("roi.rings", where, count=len(outer))
+            refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
             yield {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
     elif element.tag != "CoordSysStr":
         yield {"type": element.tag}
@@ -95,8 +92,7 @@ def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
         values = np.array([float(v) for v in text.split()])
     except ValueError:
         raise refusal("roi.coordinates", where) from None
-    if values.size == 0 or values.size % 2:
-        raise refusal("roi.pairs", where, count=values.size)
+    refuse(values.size == 0 or values.size % 2, "roi.pairs", where, count=values.size)
     return values.reshape(-1, 2)
 
 
@@ -107,53 +103,42 @@ def ascii_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
     ------
     InputError : the file was made for an image of another size, or its counts do not add up.
     """
-    names: list[str] = []
-    counts: list[int] = []
+    told: dict[str, list[tuple[str, str]]] = {}  # what the comments say, by key, with its place
     rows: list[tuple[int, int]] = []
-    made_for = announced = None
     columns = (1, 2)
     for number, line in enumerate(read_text(path).splitlines(), start=1):
-        where = f"{path}:{number}"
-        text = line.strip("; \t\r\0")
-        if text and not line.strip().startswith(";"):
-            parts = text.split()
-            if len(parts) <= max(columns):
-                raise refusal("roi.columns", where, count=len(parts))
-            rows.append((_whole(parts[columns[1]], where) - 1, _whole(parts[columns[0]], where) - 1))
-            continue
-        key, _, value = (part.strip() for part in text.partition(":"))
+        where, text = f"{path}:{number}", line.strip("; \t\r\0")
         titles = text.lower().split()
-        match key.lower():
-            case "file dimension":
-                made_for = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
-                if made_for is None:
-                    raise refusal("roi.dimension", where, value=value)
-                _check_size((int(made_for[2]), int(made_for[1])), shape, where)
-            case "number of rois":
-                announced = _whole(value, where)
-            case "roi name":
-                names.append(value)
-            case "roi npts":
-                counts.append(_whole(value, where))
-            case _ if not value and {"x", "y"} <= set(titles):
-                columns = titles.index("x"), titles.index("y")
-            case _ if not value and re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text):
-                raise refusal("roi.no_pixels", where, text=text[:60])
-    if made_for is None:
-        raise refusal("roi.no_dimension", path)
-    if len(names) != len(counts) or announced not in (None, len(names)) or sum(counts) != len(rows):
-        told = {"announced": announced, "names": len(names), "points": sum(counts), "rows": len(rows)}
-        raise refusal("roi.counts", path, **told)
-    if len(set(names)) < len(names):
-        raise refusal("roi.names", path)
+        if text and not line.strip().startswith(";"):
+            refuse(len(titles) <= max(columns), "roi.columns", where, count=len(titles))
+            rows.append((_whole(titles[columns[1]], where) - 1, _whole(titles[columns[0]], where) - 1))
+        elif ":" in text:
+            key, _, value = text.partition(":")
+            told.setdefault(key.strip().lower(), []).append((value.strip(), where))
+        elif {"x", "y"} <= set(titles):
+            columns = titles.index("x"), titles.index("y")
+        else:
+            refuse(re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text), "roi.no_pixels", where, text=text[:60])
+    refuse("file dimension" not in told, "roi.no_dimension", path)
+    for value, where in told["file dimension"]:
+        made_for = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
+        if made_for is None:
+            raise refusal("roi.dimension", where, value=value)
+        _check_size((int(made_for[2]), int(made_for[1])), shape, where)
+    names = [name for name, _ in told.get("roi name", [])]
+    counts = [_whole(*count) for count in told.get("roi npts", [])]
+    announced = [_whole(*count) for count in told.get("number of rois", [(str(len(names)), "")])][-1]
+    if len(names) != len(counts) or announced != len(names) or sum(counts) != len(rows):
+        found = {"announced": announced, "names": len(names), "points": sum(counts), "rows": len(rows)}
+        raise refusal("roi.counts", path, **found)
+    refuse(len(set(names)) < len(names), "roi.names", path)
     starts = np.cumsum([0, *counts])
     return _pixel_drawings({name: rows[starts[i] : starts[i + 1]] for i, name in enumerate(names)}, shape, path)
 
 
 def _check_size(made_for: tuple[int, int], shape: tuple[int, int], where: str) -> None:
     """Raise InputError for regions of an image of another size than that of the cube."""
-    if made_for != shape:
-        raise refusal("roi.size", where, size=made_for, shape=shape)
+    refuse(made_for != shape, "roi.size", where, size=made_for, shape=shape)
 
 
 def _pixel_drawings(pixels: Mapping[str, Sequence[tuple[int, int]]], shape: tuple[int, int], path: Path) -> Drawings:
@@ -168,8 +153,7 @@ def _pixel_drawings(pixels: Mapping[str, Sequence[tuple[int, int]]], shape: tupl
 
 def _new(drawings: Drawings, name: str, shape: tuple[int, int], where: str) -> RegionDrawing:
     """A drawing under a name that none has yet."""
-    if name in drawings:
-        raise refusal("roi.twice", where)
+    refuse(name in drawings, "roi.twice", where)
     drawings[name] = RegionDrawing(shape)
     return drawings[name]
 
@@ -185,22 +169,19 @@ def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
 
     def words(count: int, kind: str = "i") -> tuple[int, ...]:
         nonlocal at
-        if count < 0 or at + 4 * count > len(raw):
-            raise refusal("roi.short", path)
+        refuse(count < 0 or at + 4 * count > len(raw), "roi.short", path)
         at += 4 * count
         return struct.unpack_from(f">{count}{kind}", raw, at - 4 * count)
 
     drawings: Drawings = {}
     for _ in range(words(1)[0]):
         length = words(2)[1]
-        if not 0 <= length <= 4096 or at + length > len(raw):
-            raise refusal("roi.name", path)
+        refuse(not 0 <= length <= 4096 or at + length > len(raw), "roi.name", path)
         name = raw[at : at + length].split(b"\0")[0].decode("latin-1").strip()
         at += -(-length // 4) * 4
         table, where = words(45), f"{path}: region {name!r}"
         _check_size((table[1], table[0]), shape, where)
-        if table[43]:
-            raise refusal("roi.polylines", where)
+        refuse(table[43], "roi.polylines", where)
         drawing = _new(drawings, name, shape, where)
         if table[44]:
             words(1)
@@ -215,8 +196,7 @@ def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
 
 
 def _whole(text: str, where: str) -> int:
-    if not re.fullmatch(r"[0-9]{1,12}", text.strip()):
-        raise refusal("roi.whole", where, text=text[:40])
+    refuse(not re.fullmatch(r"[0-9]{1,12}", text.strip()), "roi.whole", where, text=text[:40])
     return int(text)
 
 
@@ -237,8 +217,7 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
             numbers = {"first": row[pair[0]], "second": row[pair[1]]}
             raise refusal("region.row", f"{path}:{number}", pair=pair, **numbers)
         name = row[column] if column else path.stem
-        if not name:
-            raise refusal("region.no_name", f"{path}:{number}", column=column)
+        refuse(not name, "region.no_name", f"{path}:{number}", column=column)
         pixels.setdefault(name, []).append((int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]))
     return _pixel_drawings(pixels, shape, path)
 
@@ -263,8 +242,7 @@ def raster_masks(
         return {name: (stored[:, :, i] != 0) & valid[:, :, i] for i, name in enumerate(names)}
     classes = stored[:, :, 0]
     values = np.unique(classes[valid[:, :, 0]])
-    if np.any(values != np.round(values)) or values.size > MAX_CLASSES:
-        raise refusal("region.classes", path, most=MAX_CLASSES)
+    refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
     numbers = [int(v) for v in values if v != 0]
     if by_value:
         return {value: classes == value for value in numbers}
@@ -275,8 +253,7 @@ def raster_masks(
         name = listed[value] if 0 < value < len(listed) else ""
         name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
         name = name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}")
-        if name in out:
-            raise refusal("region.two_classes", path, name=name)
+        refuse(name in out, "region.two_classes", path, name=name)
         out[name] = classes == value
     return out
 
@@ -361,11 +338,6 @@ def _refuse(text: str) -> Any:
     raise ValueError(f"{text} is no JSON number")
 
 
-def is_vector(head: bytes) -> bool:
-    """True for the first bytes of a GeoPackage (an SQLite file), a Shapefile or a KML file."""
-    return head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a" or is_kml(head)
-
-
 def is_kml(head: bytes) -> bool:
     """True for the first bytes of a KML file."""
     return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
@@ -397,8 +369,7 @@ def vector_drawings(path: Path, grid: ImageGrid, root: Path | None = None) -> Dr
             layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
             for layer in layers:
                 count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
-                if count > MAX_FEATURES:
-                    raise refusal("vector.features", path, count=count, most=MAX_FEATURES)
+                refuse(count > MAX_FEATURES, "vector.features", path, count=count, most=MAX_FEATURES)
                 meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
                 fields = dict(zip((str(f) for f in meta["fields"]), columns, strict=True))
                 _layer_drawings(drawings, f"{path}: layer {layer!r}", layer, meta["crs"], shapes, fields, grid)
@@ -444,11 +415,9 @@ def _check_files(path: Path, root: Path | None) -> None:
     if path.suffix.lower() == ".shp":
         parts = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
         for end in (".dbf", ".shx"):
-            if end not in parts:
-                raise refusal("vector.part", path, end=end)
+            refuse(end not in parts, "vector.part", path, end=end)
         files += [checked_file(parts[end], root=root, what="region file") for end in _SIDECARS if end in parts]
-    if sum(f.stat().st_size for f in files) > MAX_BYTES:
-        raise refusal("vector.large", path, mib=MAX_BYTES >> 20)
+    refuse(sum(f.stat().st_size for f in files) > MAX_BYTES, "vector.large", path, mib=MAX_BYTES >> 20)
 
 
 def _wkb_geometry(wkb: bytes | None, where: str) -> dict[str, Any]:
@@ -463,8 +432,7 @@ def _wkb_geometry(wkb: bytes | None, where: str) -> dict[str, Any]:
         geometry = None
     if geometry is None:
         raise refusal("vector.geometry", where)
-    if geometry.is_empty:
-        raise refusal("vector.empty", where)
+    refuse(geometry.is_empty, "vector.empty", where)
     return dict(shapely.geometry.mapping(geometry))
 
 
@@ -489,7 +457,7 @@ def drawings_of(
         return ascii_drawings(path, shape)
     if head.startswith(b"JoeB"):
         return binary_drawings(path, shape)
-    if is_vector(head):
+    if head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a" or is_kml(head):
         return vector_drawings(path, grid, root)
     if stripped.startswith(b"{"):
         return geojson_drawings(path, grid)

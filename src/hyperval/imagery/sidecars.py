@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from hyperval.errors import refusal
+from hyperval.errors import refusal, refuse
 from hyperval.imagery.description import Description, ListedBands, Scale, is_radiance
 from hyperval.imagery.products import ProductLayout, layouts
 from hyperval.paths import checked_file, read_xml
@@ -69,8 +69,7 @@ def image_of(metadata: Path, detector: str | None = None) -> Path:
     start = (stem + sidecar.image).upper()
     tiffs = [p for p in sorted(metadata.parent.iterdir()) if p.suffix.upper() in (".TIF", ".TIFF")]
     fits = [p for p in tiffs if p.name.upper().startswith(start)]
-    if not fits:
-        raise refusal("sidecar.no_image", metadata, stem=stem + sidecar.image)
+    refuse(not fits, "sidecar.no_image", metadata, stem=stem + sidecar.image)
     # The same image may lie there again, cut into tiles for the cloud.
     fits.sort(key=lambda p: not p.stem.upper().endswith("_COG"))
     of_detector = {p.stem[len(start) :].upper().removesuffix("_COG").strip("_"): p for p in fits}
@@ -89,8 +88,7 @@ def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> De
         return None
     numbers = [_number(item.get("number"), "number of a band", path) for item in items if "number" in item.attrib]
     if numbers:  # of the band in the image, in whatever order the elements stand
-        if sorted(numbers) != list(range(1, len(items) + 1)):
-            raise refusal("sidecar.band_numbers", path, count=len(items))
+        refuse(sorted(numbers) != list(range(1, len(items) + 1)), "sidecar.band_numbers", path, count=len(items))
         items = [item for _, item in sorted(zip(numbers, items, strict=True), key=lambda pair: pair[0])]
     tags = (sidecar.wavelength, sidecar.fwhm, sidecar.gain, sidecar.offset)
     table = np.array([[_number(item.findtext(tag), tag, path) for tag in tags] for item in items])

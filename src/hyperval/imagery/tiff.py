@@ -20,7 +20,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from hyperval.envi_header import header_beside, read_header
-from hyperval.errors import reader, refusal
+from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.description import (
     MAX_READ_BYTES,
     Description,
@@ -108,22 +108,17 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
 def _checked_type(dataset: Any, path: Path) -> np.dtype:
     """The type of the values; InputError for what cannot be read by blocks of lines as plain numbers."""
     lines, samples, count = dataset.height, dataset.width, dataset.count
-    if count > MAX_BANDS:
-        raise refusal("tiff.bands", path, count=count, most=MAX_BANDS)
+    refuse(count > MAX_BANDS, "tiff.bands", path, count=count, most=MAX_BANDS)
     names = set(dataset.dtypes)
-    if len(names) != 1 or not np.issubdtype(np.dtype(names.pop()), np.number):
-        raise refusal("tiff.types", path)
+    refuse(len(names) != 1 or not np.issubdtype(np.dtype(names.pop()), np.number), "tiff.types", path)
     dtype: np.dtype = np.dtype(dataset.dtypes[0])
-    if dtype.kind == "c":
-        raise refusal("tiff.complex", path)
-    if any(MaskFlags.per_dataset in flags for flags in dataset.mask_flag_enums):
-        raise refusal("tiff.mask", path)
+    refuse(dtype.kind == "c", "tiff.complex", path)
+    refuse(any(MaskFlags.per_dataset in flags for flags in dataset.mask_flag_enums), "tiff.mask", path)
     stated, stored = lines * samples * count * dtype.itemsize, path.stat().st_size
     if stated > stored * (MOST_COMPRESSED if dataset.compression else 1):
         raise refusal("tiff.short", path, stored=stored, stated=stated, count=count, lines=lines, samples=samples)
     rows, cols = dataset.block_shapes[0]
-    if rows * cols * dtype.itemsize * count > MAX_TILE_BYTES:
-        raise refusal("tiff.block", path, mib=MAX_TILE_BYTES >> 20)
+    refuse(rows * cols * dtype.itemsize * count > MAX_TILE_BYTES, "tiff.block", path, mib=MAX_TILE_BYTES >> 20)
     return dtype
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from affine import Affine
 
-from hyperval.errors import reader, refusal
+from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, outside_error, point_mask, polygon_mask
 from hyperval.imagery.placing import LookupTable
 from hyperval.imagery.regions import Region, guard, patches
@@ -146,11 +146,9 @@ def read_targets(
     out: dict[str, TargetObject] = {}
     for line, row in rows:
         target = _target(row, place, image, line, f"{path}:{line}")
-        if target.name in out:
-            raise refusal("target.name", f"{path}:{line}")
+        refuse(target.name in out, "target.name", f"{path}:{line}")
         out[target.name] = target
-    if not out:
-        raise refusal("target.none", path)
+    refuse(not out, "target.none", path)
     return list(out.values())
 
 
@@ -169,16 +167,14 @@ def _pixel_size(stated: float | None, transform: Position, where: str) -> float:
     if size is None:
         area = transform.determinant if isinstance(transform, Affine) else getattr(transform, "pixel_area_m2", None)
         size = 0.0 if area is None else math.sqrt(abs(area))
-    if not size > 0:
-        raise refusal("target.pixel", where)
+    refuse(not size > 0, "target.pixel", where)
     return size
 
 
 def _target(row: Mapping[str, str], place: tuple[str, str], image: _Image, line: int, where: str) -> TargetObject:
     """The target of one row of the list."""
     name = row.get("name") or f"{row['material']} {line - 1}"
-    if not row["material"]:
-        raise refusal("target.name", where)
+    refuse(not row["material"], "target.name", where)
     number = {key: _number(row.get(key), key, where) for key in sorted(_NUMERIC)}
     width, length, doubt = _size(number, where)
     figure = _figure(row, width, length, where)
@@ -190,11 +186,10 @@ def _target(row: Mapping[str, str], place: tuple[str, str], image: _Image, line:
         mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
         raise outside_error(corners, image.shape, where, f"the target {name!r}", mend)
     if width > 0:
-        placed = cut_out(polygon_mask(corners, image.shape, where=where, touched=True))
+        mask = polygon_mask(corners, image.shape, where=where, touched=True)
     else:
-        placed = cut_out(point_mask([centre], image.shape, where=where))
-    if doubt > 0:
-        placed = _grown(placed, doubt / image.pixel_m, image.shape)
+        mask = point_mask([centre], image.shape, where=where)
+    placed = cut_out(guard(mask, doubt / image.pixel_m) if doubt > 0 else mask)
     side = width if width == length and width > 0 and figure is _SQUARE else math.nan
     pixel = (math.floor(centre[1]), math.floor(centre[0]))
     return TargetObject(name, row["material"], side, area, image.shape, *placed, pixel, dict(row))
@@ -211,8 +206,7 @@ def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]
     doubt = number["position_uncertainty_m"]
     if math.isnan(width) and math.isnan(length) and doubt > 0:
         return 0.0, 0.0, doubt  # a place known to so many metres, of a target whose size nobody states
-    if not width > 0 or not length > 0:
-        raise refusal("target.size", where)
+    refuse(not width > 0 or not length > 0, "target.size", where)
     return width, length, doubt
 
 
@@ -221,8 +215,7 @@ def _position(
 ) -> tuple[tuple[float, float], Array]:
     """Centre (sample, line) and corners (n, 2) of a target, in continuous pixel coordinates."""
     first, second = number[place[0]], number[place[1]]
-    if math.isnan(first) or math.isnan(second):
-        raise refusal("target.place", where, place=place)
+    refuse(math.isnan(first) or math.isnan(second), "target.place", where, place=place)
     heading = 0.0 if math.isnan(number["heading_deg"]) else number["heading_deg"]
     shift = _PLACES[place]
     if shift is not None:
@@ -234,17 +227,6 @@ def _position(
         on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
         return (x, y), map_to_pixel(on_map, image.transform, where=where)
     return (x, y), _outline((x, y), sides, image.pixel_m, heading)
-
-
-def _grown(placed: Placed, radius_pixels: float, shape: tuple[int, int]) -> Placed:
-    """The mask grown by a disc, in a window that has room for it within the image."""
-    (line, sample), part = placed
-    margin = math.ceil(min(radius_pixels, max(shape)))
-    first, start = max(line - margin, 0), max(sample - margin, 0)
-    end, stop = min(line + part.shape[0] + margin, shape[0]), min(sample + part.shape[1] + margin, shape[1])
-    room = np.zeros((end - first, stop - start), bool)
-    room[line - first : line - first + part.shape[0], sample - start : sample - start + part.shape[1]] = part
-    return (first, start), guard(room, radius_pixels)
 
 
 # Points (along, across) of figures of unit size.
@@ -267,8 +249,7 @@ def _outline(centre: tuple[float, float], sides: Array, scale: float, heading_de
 def _figure(row: Mapping[str, str], width: float, length: float, where: str) -> Array:
     """The figure of a target's outline; InputError for a shape that is none or that its sizes contradict."""
     shape = row.get("shape", "").lower()
-    if shape not in _FIGURES:
-        raise refusal("target.shape", where, shape=shape[:40])
+    refuse(shape not in _FIGURES, "target.shape", where, shape=shape[:40])
     if shape in ("square", "circle") and width != length:
         raise refusal("target.sides", where, shape=shape, width=width, length=length)
     return _FIGURES[shape]
@@ -288,8 +269,7 @@ def _number(text: str | None, key: str, where: str) -> float:
         value = float(text)
     except ValueError:
         value = math.inf
-    if not math.isfinite(value):
-        raise refusal("target.number", where, key=key, text=text[:40])
+    refuse(not math.isfinite(value), "target.number", where, key=key, text=text[:40])
     return value
 
 
@@ -315,12 +295,10 @@ def intersected_objects(
     classes = np.asarray(size_class)
     out = []
     for material, mask in materials.items():
-        if mask.shape != classes.shape:
-            raise refusal("target.classes", material=material, mask=mask.shape, classes=classes.shape)
+        refuse(mask.shape != classes.shape, "target.classes", material=material, mask=mask.shape, classes=classes.shape)
         for value, side in side_m.items():
             here = mask & (classes == value)
-            if not here.any():
-                raise refusal("target.class", material=material, value=value)
+            refuse(not here.any(), "target.class", material=material, value=value)
             attributes = {"material": material, "side_m": f"{side:g}"}
             of = f"{material} {side:g} m", material, float(side), float(side) ** 2, (here.shape[0], here.shape[1])
             out.append(TargetObject(*of, *cut_out(here), attributes=attributes))

@@ -14,7 +14,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.envi_header import BYTE_ORDERS, DATA_TYPES, INTERLEAVES, EnviHeader, parse_header
-from hyperval.errors import refusal
+from hyperval.errors import refusal, refuse
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file, write_text
 
@@ -39,8 +39,7 @@ class EnviWriter:
         block, header = np.asarray(block), self.header
         if block.ndim != 3 or block.shape[1:] != (header.samples, header.bands):
             raise refusal("write.shape", shape=block.shape, samples=header.samples, bands=header.bands)
-        if self.lines_written + block.shape[0] > header.lines:
-            raise refusal("write.many", lines=header.lines)
+        refuse(self.lines_written + block.shape[0] > header.lines, "write.many", lines=header.lines)
         stored, line_bytes = self._stored(block), header.samples * header.dtype.itemsize
         if header.interleave == "bsq":
             parts = [(band * header.lines + self.lines_written, stored[:, :, band]) for band in range(header.bands)]
@@ -107,8 +106,7 @@ def envi_writer(
     UsageError : an unknown type, interleave or byte order, both kinds of scale, too few lines.
     """
     path = Path(path)
-    if path.suffix.lower() == ".hdr":
-        raise refusal("write.header", path)
+    refuse(path.suffix.lower() == ".hdr", "write.header", path)
     if interleave not in INTERLEAVES or byte_order not in BYTE_ORDERS or data_type not in DATA_TYPES:
         known = f"{INTERLEAVES}, {tuple(BYTE_ORDERS)}, {tuple(DATA_TYPES)}"
         raise refusal("write.kind", interleave=interleave, order=byte_order, code=data_type, known=known)
@@ -147,8 +145,7 @@ def envi_writer(
             stream.truncate(header.expected_bytes)
             writer = EnviWriter(stream, header, factor, ignore_value)
             yield writer
-            if writer.lines_written != lines:
-                raise refusal("write.few", path, written=writer.lines_written, lines=lines)
+            refuse(writer.lines_written != lines, "write.few", path, written=writer.lines_written, lines=lines)
         # Without its header a cube cannot be read: an old header never describes new data.
         header.path.unlink(missing_ok=True)
     write_text(header.path, text)
@@ -171,8 +168,7 @@ def _listed(values: npt.NDArray[Any], form: str) -> str:
 def _georeference(transform: Affine | None, crs: CRS | None) -> dict[str, str]:
     if transform is None:
         return {}
-    if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
-        raise refusal("write.north_up")
+    refuse(transform.b or transform.d or transform.a <= 0 or transform.e >= 0, "write.north_up")
     place = f"1, 1, {transform.c!r}, {transform.f!r}, {transform.a!r}, {-transform.e!r}"
     epsg = crs.to_epsg() if crs is not None else None
     if epsg is not None and (32601 <= epsg <= 32660 or 32701 <= epsg <= 32760):
