@@ -1,4 +1,4 @@
-"""The state: what is accepted, what is refused and under which name; range, depth and share; its surroundings."""
+"""The state: what is accepted, what is refused and under which name; range, depth and share."""
 
 from __future__ import annotations
 
@@ -12,10 +12,6 @@ from stored_cases import CASES
 from hyperval.atmosphere import AtmosphericState, aot550_from_range, fraction_below, range_from_aot550
 from hyperval.config import load_model, parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.model import Origins, mean_radiance, predict
-from hyperval.scenario import Scenario
-from hyperval.spectra import SpectralAxis
-from small_campaign import stand_in_atmosphere
 
 AIR = {"aot550": 0.1, "sensor_altitude_km": 2.0}
 GOOD = {**AIR, "solar_zenith_deg": 40.0, "solar_azimuth_deg": 150.0, "day_of_year": 200}
@@ -114,14 +110,3 @@ def test_clearer_air_is_thinner_the_inverse_returns_and_the_share_rises_without_
         assert np.all(steps[1:] < 1.5 * steps[:-1] + 1e-6)
         assert 0.0 < fraction_below(aot, ground_km, ground_km + 0.1) < fraction_below(aot, ground_km, 40.0) < 1.0
         assert fraction_below(aot, ground_km, 100.0) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_stated_surroundings_take_the_place_of_the_classes_average():
-    axis = SpectralAxis(np.array([450.0, 550.0, 860.0, 1650.0]), np.full(4, 5.0))
-    terms = stand_in_atmosphere(state()).at_bands(axis)
-    dark = {"name": "dark", "fraction": 1.0, "spectrum": {"constant": 0.05}, "covariance": {"relative_sd": 0.1}}
-    for adjacency, average in (({}, 0.05), ({"spectrum": {"constant": 0.4}}, 0.4)):
-        scene = {"sites": [{"name": "lawn", "spectrum": {"constant": 0.3}}], "classes": [dark], "adjacency": adjacency}
-        content = {"name": "one", "atmosphere": GOOD, "sensor": "aviris-ng", "scene": scene}
-        found = predict(Scenario.model_validate(content), Origins(axis, engine=stand_in_atmosphere))
-        assert found.radiance["lawn"].mean == pytest.approx(mean_radiance(terms, 0.3, average), rel=1e-12)

@@ -36,7 +36,7 @@ def shape(card: str) -> np.ndarray:
         run = sixs.deck(
             sixs.SunAndView(0.0, 0.0, 0.0), "0\n", 0.0, None, f"-1\n{nm / 1e3:.4f}", sixs.Aerosol(card, 1.0, 1.0)
         )
-        depths.append(sixs.parse_monochromatic(sixs.run_sixs(run, cache_folder())).depth_aerosol)
+        depths.append(sixs.parse_monochromatic(sixs.run_sixs(run, cache_folder()))["depth_aerosol"])
     found, nm = np.array(depths), sixs.NODES_NM
     power = np.log(found[-1] / found[-2]) / np.log(nm[-1] / nm[-2])
     found[-1] = found[-2] * (LAST_NM / nm[-2]) ** power

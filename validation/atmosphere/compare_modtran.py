@@ -15,13 +15,11 @@ which part of the channels meets it one by one.
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from modtran_cases import Case, cases, matched, total_radiance
+from modtran_cases import cases, data_file, matched, put_between_marks, total_radiance
 
 from hyperval.atmosphere import AtmosphericTerms, atmospheric_terms
 
@@ -32,7 +30,6 @@ WINDOWS_NM = (
 )  # fmt: skip
 CLASSES = ((0.85, 1.01), (0.7, 0.85), (0.5, 0.7), (0.3, 0.5), (0.1, 0.3))
 TOTAL_IN_WINDOWS, TOTAL_ABOVE_07, PATH_BELOW_1100 = 0.02, 0.05, 0.10
-BEGIN, END = "<!-- compare_modtran.py: begin -->", "<!-- compare_modtran.py: end -->"
 
 
 @dataclass(frozen=True)
@@ -152,27 +149,15 @@ def _spread(x: np.ndarray) -> str:
     return f"{mid:+.2f} ({low:+.1f}, {high:+.1f})"
 
 
-def compared(case: Case) -> tuple[AtmosphericTerms, AtmosphericTerms]:
-    """(hyperval, MODTRAN) of one state."""
-    return matched(case, atmospheric_terms(case.state))
-
-
 def main() -> None:
     """Print the tables, or put them into a document."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", type=Path, help="document with the marks between which the tables stand")
     chosen = parser.parse_args()
-    root = os.environ.get("HYPERVAL_DATA")
-    if not root:
-        sys.exit("set HYPERVAL_DATA to the data directory")
-    text = tables(differences([compared(case) for case in cases(lambda relative: Path(root) / relative)]))
+    text = tables(differences([matched(case, atmospheric_terms(case.state)) for case in cases(data_file)]))
     print(text)
     if chosen.write:
-        document = chosen.write.read_text("utf-8")
-        if document.count(BEGIN) != 1 or document.count(END) != 1:
-            sys.exit(f"{chosen.write} lacks the marks {BEGIN} and {END}")
-        before, rest = document.split(BEGIN)
-        chosen.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", "utf-8")
+        put_between_marks(chosen.write, "compare_modtran.py", text)
 
 
 if __name__ == "__main__":

@@ -15,15 +15,13 @@ Each state is predicted from numbers made without it, without its amount of wate
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 from compare_modtran import CLASSES, differences
-from modtran_cases import Case, cases, matched
+from modtran_cases import Case, cases, data_file, matched, put_between_marks
 
 from hyperval.atmosphere import AtmosphericTerms, EngineRatio, sixs_terms, ways
 from hyperval.atmosphere.cache import cache_folder
@@ -39,7 +37,6 @@ SMOOTH_NM = 30.0
 PATH_NM = (600.0, 700.0, 1700.0)  # scalar and vector Rayleigh light differ below; emission counts beyond
 LEAST_AOT = 0.1  # for the path: thinner haze is mostly above the aircraft
 PASSES = 2
-BEGIN, END = "<!-- engine_ratio.py: begin -->", "<!-- engine_ratio.py: end -->"
 
 
 @dataclass(frozen=True)
@@ -201,7 +198,7 @@ def text_of(ratio: EngineRatio) -> str:
         "# isofit/isofit examples/topoflux/lut and isofit/isofit-tutorials 20171108_Pasadena (Apache-2.0).",
         "# dry: optical depth per slanted atm; water: per slanted g cm-2; path: factor on rural aerosol;",
         "# albedo: factor on the part that rural aerosol below the free troposphere has in S.",
-        ",".join(f.name for f in fields(EngineRatio)),
+        "# " + ",".join(f.name for f in fields(EngineRatio)),
     ]
     columns = [getattr(ratio, f.name) for f in fields(EngineRatio)]
     lines += [",".join(f"{x:.5g}" for x in row) for row in zip(*columns, strict=True)]
@@ -214,10 +211,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="the numbers that the package ships, and no table")
     parser.add_argument("--document", type=Path, help="document with the marks between which the table stands")
     chosen = parser.parse_args()
-    root = os.environ.get("HYPERVAL_DATA")
-    if not root:
-        sys.exit("set HYPERVAL_DATA to the data directory")
-    pairs = pairs_of(lambda relative: Path(root) / relative)
+    pairs = pairs_of(data_file)
     if chosen.write:
         place = Path(__file__).parents[2] / "src" / "hyperval" / "atmosphere" / FILE
         place.write_text(text_of(fitted(pairs)), "utf-8")
@@ -225,11 +219,7 @@ def main() -> None:
     text = table(pairs)
     print(text)
     if chosen.document:
-        document = chosen.document.read_text("utf-8")
-        if document.count(BEGIN) != 1 or document.count(END) != 1:
-            sys.exit(f"{chosen.document} lacks the marks {BEGIN} and {END}")
-        before, rest = document.split(BEGIN)
-        chosen.document.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", "utf-8")
+        put_between_marks(chosen.document, "engine_ratio.py", text)
 
 
 if __name__ == "__main__":

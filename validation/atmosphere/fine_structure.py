@@ -10,15 +10,12 @@ gases, and how the rest, in units of the budget, hangs together between channels
 
 from __future__ import annotations
 
-import os
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from compare_modtran import RHO
 from engine_ratio import Pair, fitted, pairs_of
-from modtran_cases import total_radiance
+from modtran_cases import data_file, total_radiance
 
 SMOOTH_NM = 50.0
 RANGE_NM = (400.0, 2450.0)
@@ -61,10 +58,7 @@ def correlations(rest: np.ndarray, depth: np.ndarray) -> dict[int, float]:
 
 def main() -> None:
     """Print the figures."""
-    root = os.environ.get("HYPERVAL_DATA")
-    if not root:
-        sys.exit("set HYPERVAL_DATA to the data directory")
-    pairs = pairs_of(lambda relative: Path(root) / relative)
+    pairs = pairs_of(data_file)
     smooth, rest, depth = residuals(pairs)
     print("| optical depth of gases | channels | smooth [%] | rest [%] | budget of the rest [%] |")
     print("| --- | --- | --- | --- | --- |")

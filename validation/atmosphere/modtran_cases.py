@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +14,23 @@ from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_channel
 from hyperval.spectra import SpectralAxis
 
 ALBEDOS = (0.0, 0.1, 0.5)
+
+
+def data_file(relative: str) -> Path:
+    """A file below HYPERVAL_DATA."""
+    root = os.environ.get("HYPERVAL_DATA")
+    if not root:
+        sys.exit("set HYPERVAL_DATA to the data directory")
+    return Path(root) / relative
+
+
+def put_between_marks(document: Path, script: str, text: str) -> None:
+    """Write what a script made between its marks in a document."""
+    begin, end = f"<!-- {script}: begin -->", f"<!-- {script}: end -->"
+    whole = document.read_text("utf-8")
+    if whole.count(begin) != 1 or whole.count(end) != 1:
+        sys.exit(f"{document} lacks the marks {begin} and {end}")
+    document.write_text(f"{whole.split(begin)[0]}{begin}\n{text}\n{end}{whole.split(end)[1]}", "utf-8")
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ from hyperval.atmosphere.state import (
     AtmosphericState,
     column_g_cm2,
     fraction_below,
-    standard_profile,
+    scaled_profile,
 )
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError, refuse
@@ -72,10 +72,6 @@ def _secant(degrees: Array) -> Array:
     return np.asarray(1.0 / np.cos(np.deg2rad(degrees)))
 
 
-def _of_secant(secant: Array) -> Array:
-    return np.asarray(np.rad2deg(np.arccos(1.0 / secant)))
-
-
 @dataclass(frozen=True)
 class Rule:
     """How a quantity runs along an input.
@@ -85,43 +81,40 @@ class Rule:
     method : linear between the two nodes beside, a cubic spline (a parabola through three nodes), or monotone cubic
         (Fritsch & Carlson, SIAM J. Numer. Anal. 17, 1980)
     scale : of the input, monotone
-    back : from the scale to the input
     logarithm : whether the logarithm of the quantity is interpolated
     """
 
     method: Literal["linear", "cubic", "monotone"]
     scale: Callable[[Array], Array] = _same
-    back: Callable[[Array], Array] = _same
     logarithm: bool = False
 
 
-# Cubic rules by field of the state, on its scale; any other field is its own scale.
+# Scales of fields of the state on which they are cubic, and back again; any other field is its own scale.
 _SCALES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "meteorological_range_km": (np.reciprocal, np.reciprocal),
     "water_vapour_g_cm2": (np.sqrt, np.square),
     "sensor_altitude_km": (np.log, np.exp),
-    "solar_zenith_deg": (_secant, _of_secant),
 }
 
 
 def smooth_rule(name: str) -> Rule:
     """The rule of a field of the state that is run at a few nodes, for terms on bands."""
-    return Rule("cubic", *_SCALES.get(name, (_same, _same)))
+    return Rule("cubic", _secant if name == "solar_zenith_deg" else _SCALES.get(name, (_same, _same))[0])
 
 
 def spaced(name: str, low: float, high: float, count: int) -> Array:
-    """``count`` nodes from ``low`` to ``high``, evenly in the scale in which the input is interpolated."""
-    if name == "solar_zenith_deg":  # the secant runs away at a low sun: even angles leave fewer of them there
-        return np.linspace(low, high, count)
-    rule = smooth_rule(name)
-    ends = rule.scale(np.array([low, high]))
-    nodes = np.asarray(rule.back(np.linspace(ends[0], ends[1], count)))
+    """``count`` nodes from ``low`` to ``high``, evenly in the scale in which the input is interpolated.
+
+    But for the sun: the secant runs away where it is low, and even angles leave fewer of them there.
+    """
+    scale, back = _SCALES.get(name, (_same, _same))
+    nodes = np.array(back(np.linspace(scale(np.array(low)), scale(np.array(high)), count)))
     nodes[[0, -1]] = low, high
     return nodes
 
 
 def node_weights(nodes: Array, x: npt.ArrayLike, rule: Rule) -> Array:
-    """Weight (n, K) of each node (K,) at the points ``x`` (n,) by a rule that is linear in the values.
+    """Weight (n, K) of each node (K,) at the points ``x`` (n,) by a rule that is linear in the values: not monotone.
 
     They sum to 1 at each point.  Beyond the nodes the outermost piece goes on.
     """
@@ -134,12 +127,10 @@ def node_weights(nodes: Array, x: npt.ArrayLike, rule: Rule) -> Array:
         w = (points - at[low]) / (at[high] - at[low])
         rows = np.arange(points.size)
         weights[rows, low], weights[rows, high] = 1.0 - w, w
-    elif rule.method == "cubic":
+    else:
         from scipy.interpolate import CubicSpline  # a quarter of a second, which terms of one state do not need
 
         weights[:, order] = CubicSpline(at[order], np.eye(at.size))(points)
-    else:
-        raise ValueError(f"a {rule.method} rule has no weights")
     return weights
 
 
@@ -308,7 +299,7 @@ _MONOTONE, _CUBIC, _STRAIGHT = Rule("monotone"), Rule("cubic"), Rule("linear")
 # Rule of each axis, and by how much a state may miss a value that the table holds only once.
 AXES: dict[str, tuple[Rule | None, float]] = {
     "aot550": (AEROSOL_RULE, 1e-3),
-    "water_vapour_g_cm2": (Rule("linear", np.sqrt, np.square, logarithm=True), 5e-3),
+    "water_vapour_g_cm2": (Rule("linear", np.sqrt, logarithm=True), 5e-3),
     "ozone_atm_cm": (Rule("linear", logarithm=True), 2e-3),
     "ground_altitude_km": (_MONOTONE, 0.02),
     "sensor_altitude_km": (_MONOTONE, 0.02),
@@ -444,18 +435,13 @@ class AtmosphericTable:
 
 def coordinates(state: AtmosphericState) -> dict[str, float]:
     """Where a state lies on every axis that a table can have."""
-    profile = standard_profile(state.model)
-    water, ozone = state.water_vapour_g_cm2, state.ozone_atm_cm
-    if water is None:
-        water = column_g_cm2(profile, profile.water_g_m3, state.ground_altitude_km)
-    if ozone is None:
-        ozone = column_g_cm2(profile, profile.ozone_g_m3, state.ground_altitude_km) / OZONE_G_CM2_PER_ATM_CM
-    zenith, azimuth = state.sun
+    ground, (zenith, azimuth) = state.ground_altitude_km, state.sun
+    profile = scaled_profile(state.model, ground, state.water_vapour_g_cm2, state.ozone_atm_cm)
     return {
         "aot550": state.aerosol_optical_depth,
-        "water_vapour_g_cm2": water,
-        "ozone_atm_cm": ozone,
-        "ground_altitude_km": state.ground_altitude_km,
+        "water_vapour_g_cm2": column_g_cm2(profile, profile.water_g_m3, ground),
+        "ozone_atm_cm": column_g_cm2(profile, profile.ozone_g_m3, ground) / OZONE_G_CM2_PER_ATM_CM,
+        "ground_altitude_km": ground,
         "sensor_altitude_km": min(state.sensor_altitude_km, SPACE_KM),
         "solar_zenith_deg": zenith,
         "view_zenith_deg": state.view_zenith_deg,

@@ -79,19 +79,14 @@ def cache_folder(given: Path | None = None) -> Path:
     return Path(from_environment or platformdirs.user_cache_dir("hyperval"))
 
 
-def cache_key(inputs: Mapping[str, Any]) -> str:
-    """Hash of the inputs, independent of their order."""
-    text = json.dumps(inputs, sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
 def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable[[], Arrays]) -> Arrays:
     """The arrays stored for ``inputs``, computed and stored first where there are none.
 
     An entry that cannot be read, belongs to other inputs or holds other content than was written counts as none.
     A cache that cannot be written (a read-only home) is no error: the result is computed every time.
     """
-    path, about = folder / kind / f"{cache_key(inputs)[:40]}.npz", json.dumps(inputs, sort_keys=True)
+    about = json.dumps(inputs, sort_keys=True, allow_nan=False)
+    path = folder / kind / f"{hashlib.sha256(about.encode()).hexdigest()[:40]}.npz"
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as entry:
             stored = {n: np.asarray(entry[n], dtype=float) for n in entry.files if n not in ("inputs", "content")}

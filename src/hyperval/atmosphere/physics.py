@@ -23,10 +23,8 @@ validation/atmosphere/README.md tells how well they predict states that they wer
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, fields
 from functools import cache
-from importlib import resources
 from typing import Final
 
 import numpy as np
@@ -159,10 +157,7 @@ def ways(state: AtmosphericState) -> tuple[Way, Way]:
 @cache
 def engine_ratio() -> EngineRatio:
     """The numbers that the package ships."""
-    text = resources.files("hyperval.atmosphere").joinpath(FILE).read_text("utf-8")
-    rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
-    next(rows)  # the heading
-    return EngineRatio(*np.array([[float(x) for x in row] for row in rows]).T)
+    return EngineRatio(*visibility.shipped_numbers(FILE).T)
 
 
 def _strong_line(amount: float, greatest: float) -> float:

@@ -28,11 +28,9 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import resources
 from os import cpu_count
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -42,6 +40,7 @@ import numpy.typing as npt
 import scipy
 
 from hyperval.atmosphere import solar
+from hyperval.atmosphere.between import Rule, node_weights
 from hyperval.atmosphere.cache import Arrays, cached, run_program
 from hyperval.atmosphere.physics import EngineRatio, continuum_depth, engine_ratio, low_share, molecular_albedo, ways
 from hyperval.atmosphere.state import (
@@ -52,6 +51,7 @@ from hyperval.atmosphere.state import (
     air_column,
     altitude_of_air_column,
     scaled_profile,
+    shipped_numbers,
     standard_profile,
 )
 from hyperval.atmosphere.terms import AtmosphericTerms
@@ -136,38 +136,26 @@ def deck(
     return geometry.card() + atmosphere + haze + ground
 
 
-@dataclass(frozen=True)
-class Monochromatic:
-    """What one single-wavelength run says.
+def parse_monochromatic(text: str) -> dict[str, float]:
+    """What one single-wavelength run says [1].
 
-    Attributes
-    ----------
-    reflectance : apparent reflectance at the sensor (path reflectance over black ground) [1]
-    down, up : scattering transmittances, direct and diffuse [1]
-    spherical_albedo : [1]
-    depth_rayleigh, depth_aerosol : optical depths between ground and sensor [1]
-    gas : two-way gas transmittance [1]
+    reflectance: apparent, at the sensor (path reflectance over black ground); down, up: scattering transmittances,
+    direct and diffuse; spherical_albedo; depth_rayleigh, depth_aerosol: optical depths between ground and sensor.
+
+    Raises
+    ------
+    EngineError : a number is missing, NaN or asterisks.
     """
-
-    reflectance: float
-    down: float
-    up: float
-    spherical_albedo: float
-    depth_rayleigh: float
-    depth_aerosol: float
-    gas: float
-
-
-def parse_monochromatic(text: str) -> Monochromatic:
-    """Read a single-wavelength run; raises EngineError when a number is missing, NaN or asterisks."""
     number = r"\s+(\S+)"
     reflectance = _all(text, r"apparent reflectance" + number)[0]
     total = _all(text, r"total\s+sca\.\s+\"\s+:" + 3 * number)
     albedo = _all(text, r"spherical albedo\s+:" + 3 * number)
-    plane = re.search(r"optical depth plane:" + 3 * number, text)
-    depth = _numbers(plane.groups()) if plane else _all(text, r"optical depth total:" + 3 * number)
-    gas = _all(text, r"global gas\. trans\. :" + 3 * number)
-    return Monochromatic(reflectance, total[0], total[1], albedo[2], depth[0], depth[1], gas[2])
+    plane = "optical depth plane" in text
+    depth = _all(text, f"optical depth {'plane' if plane else 'total'}:" + 3 * number)
+    return {
+        "reflectance": reflectance, "down": total[0], "up": total[1], "spherical_albedo": albedo[2],
+        "depth_rayleigh": depth[0], "depth_aerosol": depth[1],
+    }  # fmt: skip
 
 
 def parse_steps(text: str) -> tuple[Array, Array]:
@@ -323,6 +311,7 @@ _SOLVED_NM = np.array(
     [350.0, 400.0, 412.0, 443.0, 470.0, 488.0, 515.0, 550.0, 590.0, 633.0, 670.0, 694.0, 760.0, 860.0,
      1240.0, 1536.0, 1650.0, 1950.0, 2250.0, 3750.0]
 )  # fmt: skip
+_LOG = Rule("linear", np.log)
 SCATTERED = ("down", "up", "spherical_albedo", "reflectance")  # as the columns of a table
 _INFRARED_NM = 1000.0
 # Tables of haze, the second to the step before a wavelength at which 6S solves: beyond it a path of 1e-4 is printed
@@ -351,8 +340,8 @@ _MIXES = {  # the last three as 6S has them itself
 }
 
 
-class _Setting(NamedTuple):
-    """What the runs of one state share."""
+class Setting(NamedTuple):
+    """What the runs of one state share: sun and view, ground above the sea and sensor above it (None: space) [km]."""
 
     geometry: SunAndView
     ground_km: float
@@ -381,44 +370,53 @@ def sixs_terms(
     ------
     EngineError : 6S cannot be started or printed no numbers.
     """
+    setting = setting_of(state)
+    scattering = _scattering(state, setting, folder, show_progress)
+    gas = _gas(state, setting, folder, show_progress)
+    return assembled(state, setting, scattering, gas, oxygen_continuum=oxygen_continuum, ratio=ratio)
+
+
+def setting_of(state: AtmosphericState) -> Setting:
+    """What the runs of a state share."""
     zenith, azimuth = state.sun
     geometry = SunAndView(round(zenith, 4), state.view_zenith_deg, round((azimuth - state.view_azimuth_deg) % 360.0, 4))
     if state.view_zenith_deg == 0.0:
         geometry = SunAndView(geometry.solar_zenith, 0.0, 0.0)  # every azimuth is the same: share the cache
     height = None if state.in_space else state.sensor_altitude_km - state.ground_altitude_km
-    setting = _Setting(geometry, state.ground_altitude_km, height)
-    scattering = _scattering(state, setting, folder, show_progress)
-    gas = _gas(state, setting, folder, show_progress)
+    return Setting(geometry, state.ground_altitude_km, height)
+
+
+def assembled(
+    state: AtmosphericState,
+    setting: Setting,
+    node: Arrays,
+    gas: Arrays,
+    *,
+    oxygen_continuum: bool = True,
+    ratio: EngineRatio | Literal["shipped"] | None = "shipped",
+    engine: str = "",
+) -> AtmosphericTerms:
+    """The terms of a state from scattering at the nodes and gas on the grid; see :func:`sixs_terms`."""
+    factors = engine_ratio() if ratio == "shipped" else ratio
     if oxygen_continuum:
         gas = _with_oxygen_continuum(gas, state, setting)
-    factors = engine_ratio() if ratio == "shipped" else ratio
     if factors is not None:
         gas = _with_ratio(gas, state, factors)
-    terms = _assemble(state, setting, scattering, gas, factors)
-    said = {"oxygen_continuum": oxygen_continuum, "engine_ratio": factors is not None}
-    return replace(terms, provenance={**terms.provenance, **said})
-
-
-def _assemble(
-    state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arrays, ratio: EngineRatio | None
-) -> AtmosphericTerms:
-    mu0 = np.cos(np.deg2rad(setting.geometry.solar_zenith))
-    mu_v = np.cos(np.deg2rad(setting.geometry.view_zenith))
+    mu0, mu_v = np.cos(np.deg2rad([setting.geometry.solar_zenith, setting.geometry.view_zenith]))
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
     unit_radiance = mu0 * solar_irradiance / np.pi
     value = {name: _log_log(values, GRID_NM) for name, values in node.items()}
-    tau = value["depth_rayleigh"] + value.get("depth_aerosol", 0.0)
-    direct_up = np.exp(-tau / mu_v)
+    molecules, haze = _whole_air(state, setting, value), value.get("depth_aerosol", np.zeros(GRID_NM.size))
+    beam = np.exp(-(molecules + haze / state.aerosol_fraction_below) / mu0)
+    direct_up = np.exp(-(value["depth_rayleigh"] + haze) / mu_v)
     diffuse_up = np.maximum(value["up"] - direct_up, 0.0)
-    beam = np.exp(-_whole_depth(state, setting, value) / mu0)
     # Molecules and aerosol follow different powers of the wavelength, so each is interpolated by itself: their sum,
     # which 6S interpolates, comes out up to 2 % too large between distant nodes.
-    aerosol_path, albedo = value.get("reflectance_aerosol", np.zeros(GRID_NM.size)), value["spherical_albedo"]
+    aerosol_path, albedo = value.get("reflectance_aerosol", 0.0 * haze), value["spherical_albedo"]
     # Path and albedo were compared for the rural aerosol with the colour that its type has.
-    if ratio is not None and state.aerosol == "rural" and state.angstrom_exponent is None:
-        aerosol_path = aerosol_path * ratio.aerosol_path(GRID_NM)
-        molecules = molecular_albedo(_whole_air(state, setting, value))
-        albedo = ratio.spherical_albedo(GRID_NM, albedo, molecules, low_share(state))
+    if factors is not None and state.aerosol == "rural" and state.angstrom_exponent is None:
+        aerosol_path = aerosol_path * factors.aerosol_path(GRID_NM)
+        albedo = factors.spherical_albedo(GRID_NM, albedo, molecular_albedo(molecules), low_share(state))
     path = value["reflectance_rayleigh"] * gas["dry"] + aerosol_path * gas["half"]
     return AtmosphericTerms(
         wavelength_nm=GRID_NM.copy(),
@@ -432,8 +430,10 @@ def _assemble(
         diffuser_radiance=unit_radiance,
         solar_lines=solar.lines_between(state.solar_spectrum, GRID_NM),
         provenance={
-            "engine": sixs_fingerprint(),
+            "engine": engine or sixs_fingerprint(),
             "scheme": SCHEME,
+            "oxygen_continuum": oxygen_continuum,
+            "engine_ratio": factors is not None,
             "solar_spectrum": state.solar_spectrum,
             "earth_sun_distance_au": state.distance_au,
             "solar_zenith_deg": setting.geometry.solar_zenith,
@@ -443,16 +443,8 @@ def _assemble(
     )
 
 
-def _whole_depth(state: AtmosphericState, setting: _Setting, value: Arrays) -> Array:
-    """Scattering optical depth from the ground to space: the parts below the sensor over their shares."""
-    depth = _whole_air(state, setting, value)
-    if "depth_aerosol" in value:
-        depth = depth + value["depth_aerosol"] / state.aerosol_fraction_below
-    return depth
-
-
-def _whole_air(state: AtmosphericState, setting: _Setting, value: Arrays) -> Array:
-    """That of the molecules alone."""
+def _whole_air(state: AtmosphericState, setting: Setting, value: Arrays) -> Array:
+    """Scattering optical depth of the molecules from the ground to space: the part below the sensor over its share."""
     if setting.height_km is None:
         return value["depth_rayleigh"]
     model, ground = standard_profile(state.model), setting.ground_km
@@ -460,7 +452,7 @@ def _whole_air(state: AtmosphericState, setting: _Setting, value: Arrays) -> Arr
     return np.asarray(value["depth_rayleigh"] / below)
 
 
-def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | None) -> Arrays:
+def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: bool | None) -> Arrays:
     """Scattering quantities at the nodes, without gas: path reflectance, transmittances, albedo, depths.
 
     Without gas 6S takes the air of the US standard 1962: ground and sensor are put where
@@ -484,7 +476,7 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
 
     def molecules() -> Arrays:
         runs = [parse_monochromatic(t) for t in outputs([(_one_wavelength(nm), None) for nm in NODES_NM], "molecules")]
-        return {name: np.array([getattr(run, name) for run in runs]) for name in (*SCATTERED, "depth_rayleigh")}
+        return {name: np.array([run[name] for run in runs]) for name in (*SCATTERED, "depth_rayleigh")}
 
     clear = cached(folder, "molecules", air, molecules)
     node = {("reflectance_rayleigh" if name == "reflectance" else name): values for name, values in clear.items()}
@@ -495,8 +487,9 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
     as_typed = np.full(NODES_NM.size, depth)  # 6S follows the aerosol type from 550 nm
     if state.angstrom_exponent is not None:
         as_typed = depth * angstrom_law(NODES_NM, state.angstrom_exponent) / extinction
-    stand_ins = [_stand_in(d, fraction, height, nm) for d, nm in zip(as_typed, NODES_NM, strict=True)]
-    aerosols = [Aerosol(card, round(d, 6), round(d * f, 6)) for d, f in stand_ins]
+    used, share = trusted_stand_ins(as_typed, fraction, height)
+
+    aerosols = [Aerosol(card, round(d, 6), round(d * f, 6)) for d, f in zip(used, share, strict=True)]
 
     def haze() -> Arrays:
         pieces: list[tuple[slice, str]] = []
@@ -512,7 +505,6 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
 
     asked = {"aerosol": [[a.card, a.depth_550, a.depth_550_below] for a in aerosols]}
     hazy = cached(folder, "haze", air | asked, haze)
-    used, share = np.array(stand_ins).T
     total = as_typed / used  # 1 where 6S was run with the depth itself
     below = as_typed * fraction / (used * share)
     molecular = clear["reflectance"]
@@ -525,7 +517,7 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
         def trace() -> Arrays:
             runs = [(_one_wavelength(nm), aerosol) for aerosol in (None, least) for nm in _TRACE_NM]
             texts = outputs(runs, "molecules in haze")
-            return {"reflectance": np.array([parse_monochromatic(t).reflectance for t in texts]).reshape(2, -1)}
+            return {"reflectance": np.array([parse_monochromatic(t)["reflectance"] for t in texts]).reshape(2, -1)}
 
         alone, seen = cached(folder, "trace", air | {"trace": [least.card, *_TRACE_NM]}, trace)["reflectance"]
         its_own = _TRACE * trace_share / float(np.interp(550.0, NODES_NM, used * share))
@@ -556,19 +548,12 @@ def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
     rows = _table_rows(text)
     if not rows.size:
         run = parse_monochromatic(text)
-        return {name: np.array([getattr(run, name)]) for name in SCATTERED}
+        return {name: np.array([run[name]]) for name in SCATTERED}
     nm = np.round(rows[:, 0] * 1e3, 1)
     first, last = np.searchsorted(_SOLVED_NM, nm[0], "right") - 1, np.searchsorted(_SOLVED_NM, nm[-1])
-    solved = np.log(_SOLVED_NM[max(first, 0) : last + 1])
+    solved = _SOLVED_NM[max(first, 0) : last + 1]
 
-    def between(at_nm: Array) -> Array:
-        """(rows, solved) weights of straight lines, carried on beyond the ends."""
-        x, one = np.log(at_nm), np.eye(solved.size)
-        i = np.clip(np.searchsorted(solved, x, "right") - 1, 0, solved.size - 2)
-        share = ((x - solved[i]) / (solved[i + 1] - solved[i]))[:, None]
-        return np.asarray((1.0 - share) * one[i] + share * one[i + 1])
-
-    lines, pull = between(nm), 1e-6 * np.diff(np.eye(solved.size), 2, axis=0)
+    lines, pull = node_weights(solved, nm, _LOG), 1e-6 * np.diff(np.eye(solved.size), 2, axis=0)
     values = {}
     for name, printed in zip(SCATTERED, rows[:, 2:6].T, strict=True):
         logs = np.linalg.lstsq(lines, np.log(np.maximum(printed, 2.5e-5)), rcond=None)[0]
@@ -576,7 +561,7 @@ def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
             model = np.exp(lines @ logs)
             miss = np.concatenate([printed - model, -pull @ logs])
             logs = logs + np.linalg.lstsq(np.vstack([lines * model[:, None], pull]), miss, rcond=None)[0]
-        values[name] = np.exp(between(nodes_nm) @ logs)
+        values[name] = np.exp(node_weights(solved, nodes_nm, _LOG) @ logs)
     return values
 
 
@@ -591,33 +576,25 @@ def angstrom_law(wavelength_nm: Array, exponent: float) -> Array:
 
 def aerosol_extinction(aerosol: AerosolMix | str) -> Array:
     """(nodes,) optical depth of an aerosol type over that at 550 nm [1]: its components' by their volume."""
-    nm, *components, desert = _components().T
+    nm, *components, desert = shipped_numbers("aerosol_extinction.csv").T  # by volume
     mix, together = _mix(aerosol), desert
     if mix is not None:
         together = np.asarray([mix.dust, mix.water_soluble, mix.oceanic, mix.soot]) @ np.array(components)
     return _log_log(together, NODES_NM, nm) / _log_log(together, np.array([550.0]), nm)
 
 
-@lru_cache(maxsize=1)
-def _components() -> Array:
-    """(nodes, 6) wavelength [nm], extinction of dust, water-soluble, oceanic and soot by volume, and of desert."""
-    text = resources.files("hyperval.atmosphere").joinpath("aerosol_extinction.csv").read_text("utf-8")
-    return np.loadtxt(text.splitlines(), delimiter=",")
-
-
-def _stand_in(depth: float, fraction: float, height_km: float | None, nm: float) -> tuple[float, float]:
-    """Optical depth and share below the sensor that 6S can be trusted with."""
+def trusted_stand_ins(depth: Array, fraction: float, height_km: float | None) -> tuple[Array, Array]:
+    """(nodes,) optical depths and shares below the sensor that 6S can be trusted with."""
     if height_km is None:
-        return depth, 1.0  # from space nothing is split, and nothing goes wrong
-    used = max(depth, _LEAST_DEPTH)
+        return depth, np.ones_like(depth)  # from space nothing is split, and nothing goes wrong
     lowest = 1.0 - np.exp(-height_km / _GREATEST_SCALE_HEIGHT_KM)
     share = max(fraction, lowest * (1.0 + 1e-6) + 1e-6)
-    above = _LEAST_ABOVE if nm < _INFRARED_NM else _LEAST_ABOVE_INFRARED
-    used = max(used, min(above / max(1.0 - share, 1e-9), _GREATEST_STAND_IN))
-    return used, float(min(share, 1.0 - _LEAST_ABOVE / used))
+    above = np.where(NODES_NM < _INFRARED_NM, _LEAST_ABOVE, _LEAST_ABOVE_INFRARED)
+    used = np.maximum(np.maximum(depth, _LEAST_DEPTH), np.minimum(above / max(1.0 - share, 1e-9), _GREATEST_STAND_IN))
+    return used, np.minimum(share, 1.0 - _LEAST_ABOVE / used)
 
 
-def _gas(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | None) -> Arrays:
+def _gas(state: AtmosphericState, setting: Setting, folder: Path, show: bool | None) -> Arrays:
     """Gas transmittance on the grid: full water, half water and dry two-way, and sun to ground."""
     profile = scaled_profile(state.model, setting.ground_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
     spectral, above = f"-2\n{GRID_NM[0] / 1e3:.4f} {GRID_NM[-1] / 1e3:.4f}", setting.height_km
@@ -638,7 +615,7 @@ def _gas(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | 
     return cached(folder, "gas", inputs, compute)
 
 
-def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: _Setting) -> Arrays:
+def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: Setting) -> Arrays:
     """Gas transmittances times that of the collision-induced bands, over the same slanted paths (Beer's law).
 
     Like 6S's other dry gases it dims what the air scatters by the whole way down and up.  It is not in the cache,
@@ -646,8 +623,7 @@ def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: _Setti
     """
     profile, ground = standard_profile(state.model), setting.ground_km
     sensor = None if setting.height_km is None else ground + setting.height_km
-    mu0 = np.cos(np.deg2rad(setting.geometry.solar_zenith))
-    mu_v = np.cos(np.deg2rad(setting.geometry.view_zenith))
+    mu0, mu_v = np.cos(np.deg2rad([setting.geometry.solar_zenith, setting.geometry.view_zenith]))
     down = np.exp(-continuum_depth(GRID_NM, profile, ground) / mu0)
     both = down * np.exp(-continuum_depth(GRID_NM, profile, ground, sensor) / mu_v)
     way = {"full": both, "half": both, "dry": both, "ground": down}
@@ -666,10 +642,9 @@ def _with_ratio(gas: Arrays, state: AtmosphericState, ratio: EngineRatio) -> Arr
 
 def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:
     """Outputs of all decks in their order; one process per processor at a time."""
-    run: Callable[[str], str] = lambda text: run_sixs(text, folder)  # noqa: E731
     with ThreadPoolExecutor(max_workers=cpu_count() or 1) as pool:
         try:
-            return list(track(pool.map(run, decks), what, total=len(decks), show=show))
+            return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks), show=show))
         except BaseException:
             pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
             raise
@@ -687,6 +662,5 @@ def _mix(aerosol: AerosolMix | str) -> AerosolMix | None:
 
 def _log_log(values: Array, at_nm: Array, nodes_nm: Array | None = None) -> Array:
     """Values of nodes at other wavelengths: straight lines in the logarithms, carried on beyond the ends."""
-    x, y, at = np.log(NODES_NM if nodes_nm is None else nodes_nm), np.log(np.maximum(values, 1e-7)), np.log(at_nm)
-    i = np.clip(np.searchsorted(x, at) - 1, 0, x.size - 2)
-    return np.asarray(np.exp(y[i] + (at - x[i]) * (y[i + 1] - y[i]) / (x[i + 1] - x[i])))
+    nodes = NODES_NM if nodes_nm is None else nodes_nm
+    return np.asarray(np.exp(node_weights(nodes, at_nm, _LOG) @ np.log(np.maximum(values, 1e-7))))

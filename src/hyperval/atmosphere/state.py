@@ -20,12 +20,11 @@ to 1/2 at p = 1.  Here the straight line itself is integrated, p - p^2 / 2, whic
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -61,11 +60,8 @@ class Profile:
 
 
 def standard_profile(model: str) -> Profile:
-    """The standard atmosphere named ``model``; raises UsageError for an unknown name."""
-    tables = _tables()
-    if model not in tables:
-        raise UsageError(f"unknown standard atmosphere {model!r}", expected="one of " + ", ".join(tables))
-    return tables[model]
+    """The standard atmosphere named ``model``, one of ``AtmosphereModel``."""
+    return _tables()[model]
 
 
 def column_g_cm2(profile: Profile, density_g_m3: Array, above_km: float) -> float:
@@ -144,13 +140,14 @@ def root_between(falling: Callable[[float], float], low: float, high: float) -> 
 
 @cache
 def _tables() -> dict[str, Profile]:
-    text = resources.files("hyperval.atmosphere").joinpath("standard_atmospheres.csv").read_text("utf-8")
-    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    tables: dict[str, list[list[float]]] = {}
-    for row in rows:
-        model = row.pop("model")
-        tables.setdefault(model, []).append([float(v) for v in row.values()])
-    return {model: Profile(*np.array(levels).T) for model, levels in tables.items()}
+    levels = shipped_numbers("standard_atmospheres.csv", usecols=range(1, 6)).reshape(len(_MODELS), -1, 5)
+    return {model: Profile(*rows.T) for model, rows in zip(_MODELS, levels, strict=True)}
+
+
+def shipped_numbers(name: str, **columns: Any) -> Array:
+    """The rows of a table that the package ships, lines with # aside."""
+    text = resources.files("hyperval.atmosphere").joinpath(name).read_text("utf-8")
+    return np.loadtxt(text.splitlines(), delimiter=",", **columns)
 
 
 SHORTEST_KM, LONGEST_KM = 2.0, 300.0
@@ -262,6 +259,7 @@ AtmosphereModel = Literal[
     "subarctic-winter",
     "us-standard-1962",
 ]
+_MODELS: tuple[str, ...] = get_args(AtmosphereModel)
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 # How the sun is stated: by angles and one date, or by place and time.
 _ANGLES, _DATES = ("solar_zenith_deg", "solar_azimuth_deg"), ("day_of_year", "earth_sun_distance_au")
@@ -405,10 +403,8 @@ class AtmosphericState(Model):
         """Solar zenith and azimuth, east of north [deg]."""
         if self.solar_zenith_deg is not None and self.solar_azimuth_deg is not None:
             return self.solar_zenith_deg, self.solar_azimuth_deg
-        assert self.latitude_deg is not None  # noqa: S101
-        assert self.longitude_deg is not None  # noqa: S101
-        assert self.time_utc is not None  # noqa: S101
-        return solar.solar_position(self.latitude_deg, self.longitude_deg, solar.parse_utc(self.time_utc))
+        latitude, longitude, time = (getattr(self, name) for name in _PLACE)
+        return solar.solar_position(latitude, longitude, solar.parse_utc(time))
 
     @property
     def distance_au(self) -> float:
