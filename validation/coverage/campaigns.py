@@ -8,6 +8,7 @@ criterion looks at how often it lies above the truth, and how often below.
 from __future__ import annotations
 
 import contextlib
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -17,10 +18,10 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import yaml
 from counts import Key
-from world import engine
+from world import engine  # with the shared parts of the tests on the path
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.campaign import job_of, run_campaign
 from hyperval.compare import compare_covariance, detection, products
@@ -29,6 +30,7 @@ from hyperval.metrics import Kind, metric_of
 from hyperval.products import background_of
 from hyperval.results import Outcome, Result, Role
 from hyperval.spectra import in_window
+from small_campaign import data_of, write_yaml
 
 TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
 PANELS = ("white-panel", "black-panel")
@@ -37,11 +39,6 @@ PLANKS = {"yellow": "asphalt", "green": "grass"}
 LAYOUTS = ("lines", "samples", "unequal", "stripes", "quarters")
 MEANS = "score_mean_difference"
 BANDS = (12, 16, 24, 32, 48)
-ASSUMED = "assumed: for the study of coverage"
-ATMOSPHERE = {
-    "aot550": 0.2, "water_vapour_g_cm2": 2.0, "sensor_altitude_km": 1.0, "solar_zenith_deg": 30.0,
-    "solar_azimuth_deg": 0.0, "day_of_year": 200,
-}  # fmt: skip
 
 
 def painted(layout: str, lines: int, samples: int) -> list[tuple[str, list[int], list[int]]]:
@@ -71,15 +68,11 @@ def world(number: int, seed: int) -> dict[str, dict[str, Any]]:
     layout = LAYOUTS[number % len(LAYOUTS)]
     areas = painted(layout, lines, samples)
     noise = float(rng.uniform(0.5, 3.0))
-    sensor = {
-        "schema": 1, "name": "small-sensor", "title": "A sensor of few bands", "source": ASSUMED,
-        "bands": {"table": [[float(c), 10.0, 1] for c in centres], "source": ASSUMED},
-        "measured_noise": {
-            "table": [[nm, a * noise, 0.5, 0.0] for nm, a in ((400.0, 0.004), (1000.0, 0.003), (2500.0, 0.001))],
-            "source": ASSUMED,
-        },
-        "calibration_error_percent": {"value": float(rng.uniform(0.05, 0.3)), "source": ASSUMED},
-    }  # fmt: skip
+    sensor = data_of("small_sensor")
+    sensor["bands"]["table"] = [[float(c), 10.0, 1] for c in centres]
+    for row in sensor["measured_noise"]["table"]:
+        row[1] *= noise
+    sensor["calibration_error_percent"]["value"] = float(rng.uniform(0.05, 0.3))
     where = {name: next((a, b) for surface, a, b in areas if surface == name) for name in CLASSES}
     groups, subjects = [], {}
     for colour, host in PLANKS.items():
@@ -94,10 +87,8 @@ def world(number: int, seed: int) -> dict[str, dict[str, Any]]:
         )  # fmt: skip
         subjects[colour] = [{"name": f"{colour}-plank", "fill": {"fixed": fill}}]
     grass = where["grass"]
-    scene = {
-        "schema": 1, "name": "small", "mode": "closure", "seed": int(rng.integers(1 << 40)), "lines": lines,
-        "samples": samples, "gsd_m": 1.0, "map": {"utm_zone": 18, "easting_m": 275400.0, "northing_m": 4753700.0},
-        "atmosphere": ATMOSPHERE, "sensor": "sensor.yaml", "psf_fwhm_pixels": 1.0, "counts_per_radiance": 1000.0,
+    scene = data_of("small_scene") | {
+        "seed": int(rng.integers(1 << 40)), "lines": lines, "samples": samples, "targets": groups,
         "layout": [{"surface": name, "lines": a, "samples": b} for name, a, b in areas],
         "panels": [
             {"name": name, "surface": name, "lines": [grass[0][0] + 2, grass[0][0] + 10],
@@ -105,25 +96,20 @@ def world(number: int, seed: int) -> dict[str, dict[str, Any]]:
             for i, name in enumerate(PANELS)
         ],
         "regions": [{"name": name, "surface": surface, "border_pixels": 0} for surface, name in CLASSES.items()],
-        "target_guard_pixels": 2, "targets": groups,
     }  # fmt: skip
-    scenario = {
-        "schema": 1, "name": "small", "atmosphere": ATMOSPHERE, "sensor": "sensor.yaml",
-        "scene": {
-            "classes": [
-                {"name": region, "fraction": 0.5, "spectrum": {"builtin": surface}}
-                for surface, region in CLASSES.items()
-            ],
-            "fractions": "measured",
-            "adjacency": {"effective_neighbours": None},
-            "panels": [{"name": name, "spectrum": {"builtin": name}} for name in PANELS],
-            "targets": [
-                {"name": colour, "spectrum": {"builtin": f"{colour}-paint-plank"}, "host": CLASSES[host],
-                 "subjects": subjects[colour]}
-                for colour, host in PLANKS.items()
-            ],
-        },
-        "processing": {"elm": {"reflectances": [0.1, 0.6]}, "detectors": ["cem", "cem-correlation"]},
+    scenario = data_of("small_scenario")
+    scenario["processing"]["detectors"] = ["cem", "cem-correlation"]
+    scenario["scene"] |= {
+        "classes": [
+            {"name": region, "fraction": 0.5, "spectrum": {"builtin": surface}} for surface, region in CLASSES.items()
+        ],
+        "fractions": "measured",
+        "panels": [{"name": name, "spectrum": {"builtin": name}} for name in PANELS],
+        "targets": [
+            {"name": colour, "spectrum": {"builtin": f"{colour}-paint-plank"}, "host": CLASSES[host],
+             "subjects": subjects[colour]}
+            for colour, host in PLANKS.items()
+        ],
     }  # fmt: skip
     return {"sensor": sensor, "scene": scene, "scenario": scenario, "campaign": campaign(groups, centres)}
 
@@ -176,7 +162,7 @@ def rows_of(number: int, seed: int) -> list[Result]:
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         for stem, data in files.items():
-            (folder / f"{stem}.yaml").write_text(yaml.dump(data, Dumper=_Plain, sort_keys=False))
+            write_yaml(folder / f"{stem}.yaml", data)
         scene = SceneFile.model_validate(files["scene"])
         simulate(scene, folder / "collection", inputs=load_inputs(scene, folder, terms), show_progress=False)
         stack.enter_context(patch("hyperval.model.world.atmospheric_terms", lambda state, **_: terms(state)))
@@ -208,10 +194,3 @@ def counted(rows: Iterable[Result]) -> Iterator[tuple[Key, list[float]]]:
     for (product, metric), found in sides.items():
         for side, which in enumerate(("above", "below")):
             yield (product, metric, f"95 % interval {which} its truth", "small"), [float(f[side]) for f in found]
-
-
-class _Plain(yaml.SafeDumper):
-    """Writes every entry out: the strict reader refuses anchors."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True

@@ -53,29 +53,35 @@ def background(rng: np.random.Generator, clustered: bool, side: int = SIDE) -> A
     return np.asarray(np.sqrt(CORRELATION) * common + np.sqrt(1.0 - CORRELATION) * own)
 
 
+def rates(
+    scores: Array, levels: tuple[float, ...], tail: Callable[[float], float], words: str = "", classes: object = None
+) -> tuple[AlarmBlocks, list[tuple[str, bool]]]:
+    """A map's blocks, and whether the intervals of its P_FA at thresholds near some levels hold ``tail`` there."""
+    blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool), classes=classes)
+    curve, found = exceedance_curve(blocks), []
+    for level in levels:
+        at = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
+        if np.isfinite(curve.lower[at]):
+            inside = curve.lower[at] <= tail(float(curve.threshold[at])) <= curve.upper[at]
+            found.append((f"P_FA near {level:g}{words}", bool(inside)))
+    return blocks, found
+
+
 def detection(rng: np.random.Generator, clustered: bool) -> Intervals:
     """P_D at preset P_FA, P_FA at a threshold and areas, of targets that lie above the background."""
-    scores = background(rng, clustered)
-    blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
-    curve = exceedance_curve(blocks)
-    for level in LEVELS:
-        at = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
-        true = float(stats.norm.sf(curve.threshold[at]))
-        if np.isfinite(curve.lower[at]):
-            yield f"P_FA near {level:g}", bool(curve.lower[at] <= true <= curve.upper[at])
-    levels = np.array(LEVELS)
+    blocks, found = rates(background(rng, clustered), LEVELS, lambda x: float(stats.norm.sf(x)))
+    yield from found
     separation = float(rng.uniform(*SEPARATIONS))
-    true_pd, true_areas = stats.norm.sf(stats.norm.isf(levels) - separation), _true_areas(separation)
+    true_pd, true_areas = stats.norm.sf(stats.norm.isf(LEVELS) - separation), _true_areas(separation)
     for count in TARGETS:
         target = rng.normal(separation, 1.0, count)
         for level, true in zip(LEVELS, true_pd, strict=True):
             rate = empirical_roc(target, blocks, level)
             yield f"P_D at {level:g}, {count} targets", bool(rate.pd_lower[0] <= true <= rate.pd_upper[0])
         counts = counts_of(target, blocks.scores)
-        unit = "object" if count < 50 else "pixel"
-        estimates = area_estimates(counts, AREAS, unit, 200, rng, blocks)
-        for name, found in estimates.items():
-            yield f"{name}, {count} targets", bool(found.lower <= true_areas[name] <= found.upper)
+        estimates = area_estimates(counts, AREAS, "object" if count < 50 else "pixel", 200, rng, blocks)
+        for name, area in estimates.items():
+            yield f"{name}, {count} targets", bool(area.lower <= true_areas[name] <= area.upper)
 
 
 def _true_areas(separation: float) -> dict[str, float]:
@@ -165,18 +171,14 @@ def layouts(rng: np.random.Generator, clustered: bool) -> Intervals:
     cases = [(name, own + APART * at(*grid), at(*grid), 0.5, APART) for name, at in LAYOUTS.items()]
     cases += [] if clustered else [("rare clusters", own + HEAT * hot, None, HOT, HEAT)]
     for name, scores, classes, share, apart in cases:
-        blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool), classes=classes)
-        curve = exceedance_curve(blocks)
 
-        def true(x: float, share: float = share, apart: float = apart) -> float:
+        def tail(x: float, share: float = share, apart: float = apart) -> float:
             return float((1.0 - share) * stats.norm.sf(x) + share * stats.norm.sf(x - apart))
 
-        for level in (1e-2, 1e-3):
-            at = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
-            if np.isfinite(curve.lower[at]):
-                inside = curve.lower[at] <= true(float(curve.threshold[at])) <= curve.upper[at]
-                yield f"P_FA near {level:g}, {name}", bool(inside)
-            threshold = optimize.brentq(lambda x, level=level: true(x) - level, -9.0, 30.0)
+        blocks, found = rates(scores, LEVELS[1:], tail, f", {name}", classes)
+        yield from found
+        for level in LEVELS[1:]:
+            threshold = optimize.brentq(lambda x, level=level, tail=tail: tail(x) - level, -9.0, 30.0)
             rate = empirical_roc(rng.normal(threshold, 1.0, 100), blocks, level)
             yield f"P_D at {level:g}, {name}", bool(rate.pd_lower[0] <= 0.5 <= rate.pd_upper[0])
 

@@ -3,7 +3,7 @@
     python validation/coverage/study.py [--campaigns 200] [--collections 1000] [--spectra 1000] [--maps 2000]
                                         [--output DIR]
 
-Writes coverage.csv and coverage.json.  The first line is the share of whole campaigns without any error that find a
+Writes coverage.csv.  The first line is the share of whole campaigns without any error that find a
 criterion "not met" (campaigns.py).  Then, for every product, the share of comparisons whose stated interval of
 predicted minus measured holds 0, and how often the consistency test rejects true cases and tilted ones.  Worlds
 are counted in batches, on every processor; counts of a batch are kept in DIR, so that a run goes on where the last
@@ -269,12 +269,6 @@ def main() -> int:
         interval = f"{o.share:.3f} ({o.lower:.3f} to {o.upper:.3f})"
         print(f"{o.product:12} {o.subject:11} {o.what:32} {o.method:12} {interval} {o.worlds:5} {o.outcome}")
     write_text(args.output / "coverage.csv", "\n".join(lines) + "\n")
-    record = {
-        "seed": args.seed,
-        "draws": args.draws,
-        "outcomes": [{**asdict(o), "outcome": o.outcome} for o in result],
-    }
-    write_text(args.output / "coverage.json", json.dumps(record, indent=1) + "\n")
     return 1 if any(o.outcome == "outside" for o in result) else 0
 
 
