@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.errors import UsageError
-from hyperval.model import Evaluation, World, evaluations, reads_again, with_values
+from hyperval.model import Evaluation, World, evaluations, with_values
 from hyperval.model.detection import detect
 from hyperval.model.roc import WHOLE, RocArea, curve_area, detection_at, log10_false_alarm_at
-from hyperval.model.world import distinct
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis, in_window
 from hyperval.study.schema import Output
@@ -138,10 +137,7 @@ class Evaluator:
         """
         n = len(next(iter(columns.values())))
         values, problems = np.full((n, len(outputs)), np.nan), dict[int, str]()
-        again = [c for p, c in columns.items() if p != PFA and reads_again(self.world.stated, p, c)]
-        first, which = distinct(again, n)
-        for group in range(first.size):
-            self._fill(values, problems, np.flatnonzero(which == group), columns, outputs)
+        self._fill(values, problems, np.arange(n), columns, outputs)
         return values, problems
 
     def _fill(

@@ -17,6 +17,7 @@ from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, M
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
+from hyperval.study.evaluate import detector_of
 from hyperval.study.plan import Plan
 from hyperval.study.schema import Input, Knee, Output, Plot, Required, StudyFile
 from hyperval.study.tables import StudyTable, listed, plain_value
@@ -435,42 +436,27 @@ def _input(item: Input) -> dict[str, str]:
         m.path + (f" = {m.offset:g} + {m.factor:g} x" if (m.factor, m.offset) != (1.0, 0.0) else "")
         for m in item.targets
     ]
-    if item.grid is not None:
-        g = item.grid
-        values = f"{g.count} from {g.start:g} to {g.stop:g}, {g.spacing}"
-    elif (given := listed(item)) is not None:
+    given = listed(item) if item.grid is None else None
+    if given is not None:
         shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in given.tolist()]
-        values = ", ".join(shown[:_MOST_VALUES]) + (
-            f" and {len(shown) - _MOST_VALUES} more" if len(shown) > _MOST_VALUES else ""
-        )
+        values = ", ".join(shown[:_MOST_VALUES])
+        values += f" and {len(shown) - _MOST_VALUES} more" if len(shown) > _MOST_VALUES else ""
     else:
-        assert item.random is not None  # noqa: S101 - the model's own check
-        kind = next(n for n in ("uniform", "log_uniform", "normal") if getattr(item.random, n) is not None)
-        values = f"{kind.replace('_', '-')} from {item.random.ends[0]:g} to {item.random.ends[1]:g}"
-        if item.random.normal:
-            values = f"normal, {item.random.normal[0]:g} ± {item.random.normal[1]:g}, cut at {item.random.ends}"
+        stated = (item.grid or item.random).model_dump(exclude_none=True)  # type: ignore[union-attr]
+        values = ", ".join(f"{key.replace('_', ' ')} {_text(value)}" for key, value in stated.items())
     return {"words": item.words, "moves": "; ".join(moves), "taken": values}
 
 
 def _meaning(plan: Plan, o: Output) -> str:
-    detector = o.detector or next(iter(plan.scenario.processing.detectors), "")
-    if o.kind == "pd":
-        at = f"P_FA {o.pfa:g}" if o.pfa is not None else "the P_FA of the input"
-        return f"P_D of {o.subject} at {at}, {detector}, by {o.by}"
-    if o.kind == "log10-pfa":
-        return f"log10 of P_FA at which P_D of {o.subject} is {o.pd:g}, {detector}"
-    if o.kind == "auc":
-        return f"area under the ROC of {o.subject}, {detector}"
-    if o.kind == "log-auc":
-        return (
-            f"mean P_D of {o.subject} over P_FA {o.pfa_range[0]:g} to {o.pfa_range[1]:g}, "
-            f"evenly in its logarithm, {detector}"
-        )
-    where = (
-        f"at {o.band_nm:g} nm"
-        if o.range_nm is None
-        else f"mean of the windows in {o.range_nm[0]:g}-{o.range_nm[1]:g} nm"
-    )
-    if o.kind == "snr":
-        return f"SNR of {o.subject} {where}" + ("" if o.calibration_error else ", without calibration error")
-    return f"radiance of {o.subject} {where} [{o.unit}]"
+    at = f"P_FA {o.pfa:g}" if o.pfa is not None else "the P_FA of the input"
+    where = "" if o.band_nm is None else f"at {o.band_nm:g} nm"
+    where = where if o.range_nm is None else "mean of the windows in {:g}-{:g} nm".format(*o.range_nm)
+    words = {
+        "pd": f"P_D of {o.subject} at {at}, by {o.by}",
+        "log10-pfa": f"log10 of P_FA at which P_D of {o.subject} is {o.pd:g}",
+        "auc": f"area under the ROC of {o.subject}",
+        "log-auc": "mean P_D of {} over P_FA {:g} to {:g}, evenly in its logarithm".format(o.subject, *o.pfa_range),
+        "snr": f"SNR of {o.subject} {where}" + ("" if o.calibration_error else ", without calibration error"),
+        "radiance": f"radiance of {o.subject} {where} [{o.unit}]",
+    }[o.kind]
+    return words if o.kind in ("snr", "radiance") else f"{words}, {detector_of(o, plan.scenario)}"

@@ -70,14 +70,11 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     if study.folder is not None and study.scenario not in builtin_scenarios():
         log.add((study.folder / study.scenario).resolve(), study.scenario)
     points = StudyPoints(study)
-    try_values(study, scenario)
     states, nodes = _states(study, scenario)
-    world = read(scenario, Origins(show_progress=False), nodes=nodes)
-    try_moves(study, world)
+    world = read(scenario, Origins(resolve=log.resolve, show_progress=False), nodes=nodes)
+    try_values(study, world)
     world.stated.atmosphere.prepare(states, show_progress)
     check_outputs(study.outputs, scenario, world.stated.axis)
-    for reference in _references(scenario):
-        log.resolve(reference)
     plan = Plan(study, scenario, points, Evaluator(world), (), {}, log)
     plan = replace(plan, sky_error=_sky_error(plan) if nodes else {})
     return replace(plan, notes=tuple(_notes(plan)))
@@ -91,36 +88,28 @@ def _scenario(study: StudyFile) -> Scenario:
     return with_settings(scenario, study.settings) if study.settings else scenario
 
 
-def try_values(study: StudyFile, scenario: Scenario) -> None:
-    """Refuse values that the scenario does not take: every listed one, or the ends where there are many.
+def try_values(study: StudyFile, world: World) -> None:
+    """Refuse values that the scenario does not take, and those beyond the limits of a path of the model (``PATHS``).
 
-    Limits of numbers are intervals, so that the ends speak for what lies between.
+    Tried is every listed one, or the ends where there are many: limits of numbers are intervals, so that the ends
+    speak for what lies between.
     """
     for item in study.moving:
         for value in _values_to_try(item):
             point = moved({item.name: item}, {item.name: column_of([value])})
-            changes = {p: plain(c[0]) for p, c in point.items() if in_file(p)}
-            at = changes.pop(PFA, None)
-            if at is not None and not 0.0 < at < 1.0:
-                raise UsageError(f"input {item.name!r}: a false-alarm probability of {at:g}", expected="0 to 1")
+            changes = {path: plain(column[0]) for path, column in point.items()}
             try:
+                if (at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0:
+                    raise UsageError(f"a false-alarm probability of {at:g}", expected="0 to 1")
+                for path in [path for path in changes if not in_file(path)]:
+                    entry, number = find(world.stated, path)[0], changes.pop(path)
+                    if entry.shape == "matrix" or not entry.low <= number <= entry.high:
+                        expected = f"a number from {entry.low:g} to {entry.high:g}"
+                        raise UsageError(f"{path} at {value!r}", expected=expected)
                 if changes:
-                    with_settings(scenario, changes)
+                    with_settings(world.stated.scenario, changes)
             except UsageError as error:
                 raise UsageError(f"input {item.name!r} at {value!r}: {error}") from error
-
-
-def try_moves(study: StudyFile, world: World) -> None:
-    """Refuse what leads to no array of the world, and values beyond its limits (``PATHS``)."""
-    for item in study.moving:
-        for value in _values_to_try(item):
-            for path, column in moved({item.name: item}, {item.name: column_of([value])}).items():
-                if in_file(path):
-                    continue
-                entry, number = find(world.stated, path)[0], plain(column[0])
-                if entry.shape == "matrix" or not entry.low <= number <= entry.high:
-                    expected = f"a number from {entry.low:g} to {entry.high:g}"
-                    raise UsageError(f"input {item.name!r}: {path} at {value!r}", expected=expected)
 
 
 def _values_to_try(item: Input | Required) -> list[Any]:
@@ -181,22 +170,6 @@ def _notes(plan: Plan) -> list[str]:
     if any(i.random for i in plan.study.inputs):
         notes.append(f"random inputs: Sobol sequence, scrambled, seed {plan.study.design.seed}")
     return notes
-
-
-def _references(scenario: Scenario) -> list[str]:
-    """Files that a scenario names."""
-    from hyperval.sensor.specification import library_names
-
-    scene = scenario.scene
-    surfaces = (*scene.classes, *scene.panels, *scene.sites, *scene.targets)
-    named = [s.spectrum.file or s.spectrum.library for s in surfaces]
-    named += [s.covariance.library for s in surfaces if s.covariance is not None]
-    named += [t.filter_spectrum.file for t in scene.targets if t.filter_spectrum is not None]
-    if scenario.sensor is not None and scenario.sensor not in library_names():
-        named.append(scenario.sensor)
-    if scenario.atmosphere is not None:
-        named.append(scenario.atmosphere.table)
-    return sorted({n for n in named if n is not None})
 
 
 def _sky_error(plan: Plan) -> dict[str, float]:

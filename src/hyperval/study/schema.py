@@ -9,6 +9,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError, reader
+from hyperval.scenario import exactly_one
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$", max_length=60)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
@@ -43,9 +44,7 @@ class Random(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Random:
-        given = [n for n in ("uniform", "log_uniform", "normal") if getattr(self, n) is not None]
-        if len(given) != 1:
-            raise ValueError("give exactly one of uniform, log_uniform, normal")
+        exactly_one(self, ("uniform", "log_uniform", "normal"))
         if (self.within is not None) != (self.normal is not None):
             raise ValueError("within and normal go together: a normal distribution is cut at stated ends")
         low, high = self.ends
@@ -112,8 +111,7 @@ class Input(Moving):
 
     @model_validator(mode="after")
     def _check(self) -> Input:
-        if sum(x is not None for x in (self.values, self.grid, self.random)) != 1:
-            raise ValueError("give exactly one of values, grid, random")
+        exactly_one(self, ("values", "grid", "random"))
         plain = all(m.factor == 1.0 and m.offset == 0.0 for m in self.moves)
         if self.values is not None and not plain and not all(isinstance(v, int | float) for v in self.values):
             raise ValueError("factor and offset go with numbers")
@@ -155,10 +153,10 @@ class Output(Model):
     @model_validator(mode="after")
     def _check(self) -> Output:
         spectral = self.kind in ("snr", "radiance")
-        if spectral != ((self.band_nm is not None) or (self.range_nm is not None)):
+        if spectral:
+            exactly_one(self, ("band_nm", "range_nm"))
+        elif self.band_nm is not None or self.range_nm is not None:
             raise ValueError("snr and radiance are asked at a band_nm or over a range_nm, and nothing else is")
-        if self.band_nm is not None and self.range_nm is not None:
-            raise ValueError("give band_nm or range_nm")
         if self.kind in ("log10-pfa", "auc", "log-auc") and self.by == "object":
             raise ValueError(f"{self.kind} is of pixels")
         if self.kind != "pd" and self.pfa is not None:
