@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -62,27 +63,27 @@ class InjectedError:
 def injected_errors() -> tuple[InjectedError, ...]:
     """The standard errors, in the order of the power table."""
     return (
-        InjectedError("sunlight x 0.95", _times("light.irradiance", 0.95)),
-        InjectedError("sunlight x 1.05", _times("light.irradiance", 1.05)),
-        InjectedError("path radiance x 1.1", _times("light.path", 1.1)),
-        InjectedError("spherical albedo x 1.5", _times("light.spherical_albedo", 1.5)),
-        InjectedError("spectral shift of 0.1 band", _shifted(bands=0.1)),
-        InjectedError("spectral shift of 0.5 band", _shifted(bands=0.5)),
-        InjectedError("wavelengths + 5 nm", _shifted(nm=5.0)),
-        InjectedError("noise x 1.5", _times("sensor.noise", 1.5)),
-        InjectedError("electrons x 1.05", _times("sensor.electrons", 1.05)),
-        InjectedError("class spread x 0.8", _spread(0.8)),
-        InjectedError("class spread x 1.25", _spread(1.25)),
+        InjectedError("sunlight x 0.95", partial(_times, path="light.irradiance", factor=0.95)),
+        InjectedError("sunlight x 1.05", partial(_times, path="light.irradiance", factor=1.05)),
+        InjectedError("path radiance x 1.1", partial(_times, path="light.path", factor=1.1)),
+        InjectedError("spherical albedo x 1.5", partial(_times, path="light.spherical_albedo", factor=1.5)),
+        InjectedError("spectral shift of 0.1 band", partial(_shifted, bands=0.1)),
+        InjectedError("spectral shift of 0.5 band", partial(_shifted, bands=0.5)),
+        InjectedError("wavelengths + 5 nm", partial(_shifted, nm=5.0)),
+        InjectedError("noise x 1.5", partial(_times, path="sensor.noise", factor=1.5)),
+        InjectedError("electrons x 1.05", partial(_times, path="sensor.electrons", factor=1.05)),
+        InjectedError("class spread x 0.8", partial(_spread, factor=0.8)),
+        InjectedError("class spread x 1.25", partial(_spread, factor=1.25)),
         InjectedError("tails left out", _without_tails),
         InjectedError("class means exchanged", _class_means_exchanged),
         InjectedError("target spectra x 0.8", _darker_targets),
         InjectedError("target spectra exchanged", _target_spectra_exchanged),
         InjectedError("target spectra of another material", _other_material),
         InjectedError("target covariance by f, not f squared", _fine_texture),
-        InjectedError("fill x 0.8", _times("fill", 0.8)),
-        InjectedError("blur x 1.5", _times("blur", 1.5)),
-        InjectedError("empirical line gain x 1.02", _line(1.02, 0.0)),
-        InjectedError("empirical line offset + 0.005", _line(1.0, 0.005)),
+        InjectedError("fill x 0.8", partial(_times, path="fill", factor=0.8)),
+        InjectedError("blur x 1.5", partial(_times, path="blur", factor=1.5)),
+        InjectedError("empirical line gain x 1.02", partial(_line, gain=1.02, offset=0.0)),
+        InjectedError("empirical line offset + 0.005", partial(_line, gain=1.0, offset=0.005)),
     )
 
 
@@ -104,34 +105,26 @@ def injected_prediction(
     return prediction, truth
 
 
-def _times(path: str, factor: float) -> Callable[[World], Truth]:
-    def values(world: World) -> Truth:
-        nominal = np.asarray(value_at(world, path)[0], dtype=float)
-        if not np.any(nominal):
-            raise NotInjectable(f"{path} is 0")
-        return {path: factor * nominal}
-
-    return values
+def _times(world: World, *, path: str, factor: float) -> Truth:
+    nominal = np.asarray(value_at(world, path)[0], dtype=float)
+    if not np.any(nominal):
+        raise NotInjectable(f"{path} is 0")
+    return {path: factor * nominal}
 
 
-def _shifted(*, bands: float = 0.0, nm: float = 0.0) -> Callable[[World], Truth]:
+def _shifted(world: World, *, bands: float = 0.0, nm: float = 0.0) -> Truth:
     """True band centres off by a part of each band's width, or by so much; spectra may end before such a band."""
-
-    def values(world: World) -> Truth:
-        moves: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * world.stated.axis.fwhm_nm + nm}
-        scene = world.stated.scenario.scene
-        for key in ("classes", "panels", "sites", "targets"):
-            for s in getattr(scene, key):
-                if s.spectrum.measured is None:
-                    moves[f"scene.{key}.[{s.name}].spectrum.gaps"] = "allowed"
-        return moves
-
-    return values
+    moves: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * world.stated.axis.fwhm_nm + nm}
+    for key in ("classes", "panels", "sites", "targets"):
+        for s in getattr(world.stated.scenario.scene, key):
+            if s.spectrum.measured is None:
+                moves[f"scene.{key}.[{s.name}].spectrum.gaps"] = "allowed"
+    return moves
 
 
-def _spread(factor: float) -> Callable[[World], Truth]:
+def _spread(world: World, *, factor: float) -> Truth:
     """Standard deviation of every class."""
-    return lambda world: {f"surfaces.[{c.name}].spread": factor for c in world.stated.scenario.scene.classes}
+    return {f"surfaces.[{c.name}].spread": factor for c in world.stated.scenario.scene.classes}
 
 
 def _without_tails(world: World) -> Truth:
@@ -199,17 +192,13 @@ def _means(world: World, taken: Mapping[str, str]) -> Truth:
     return moves
 
 
-def _line(gain: float, offset: float) -> Callable[[World], Truth]:
+def _line(world: World, *, gain: float, offset: float) -> Truth:
     """An empirical line that is off for the detectors; where reflectance was collected, in the surfaces' own."""
-
-    def values(world: World) -> Truth:
-        if world.stated.scenario.atmosphere is None:
-            return {"sensor.gain": gain, "sensor.offset": offset}
-        if world.stated.scenario.processing.elm == "none":
-            raise NotInjectable("there is no empirical line")
-        return {"line.gain": gain, "line.offset": offset}
-
-    return values
+    if world.stated.scenario.atmosphere is None:
+        return {"sensor.gain": gain, "sensor.offset": offset}
+    if world.stated.scenario.processing.elm == "none":
+        raise NotInjectable("there is no empirical line")
+    return {"line.gain": gain, "line.offset": offset}
 
 
 def _through_line(estimate: SpectralEstimate, gain: float, offset: float) -> SpectralEstimate:

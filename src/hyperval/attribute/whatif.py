@@ -68,35 +68,26 @@ class AlarmRatio(NamedTuple):
 
 
 class WhatIfOutcome(NamedTuple):
-    """What one experiment did.
-
-    Attributes
-    ----------
-    item : the experiment as the campaign has it
-    before, after : residuals over their uncertainty
-    gaps : name of a gap -> (before, after)
-    alarms : predicted over measured false alarms (before, after), filter by filter
-    """
+    """What one experiment leaves: residuals over their uncertainty, summary gaps by name, ratios of false alarms."""
 
     item: WhatIf
-    before: Whitened
-    after: Whitened
-    gaps: Mapping[str, tuple[float, float]]
-    alarms: Mapping[Key, tuple[AlarmRatio, AlarmRatio]]
+    residuals: Whitened
+    gaps: Mapping[str, float]
+    alarms: Mapping[Key, AlarmRatio]
 
-    def rows(self) -> Iterator[Result]:
+    def rows(self, before: WhatIfOutcome) -> Iterator[Result]:
         """``reduced_chi_square`` after it, ``likelihood_gain`` and each gap after it.
 
         The gain is the fall of the chi-square: twice the log-likelihood gained under the same covariance.
         """
-        make, n = RowMaker("what-if", "all", self.item.name), self.before.dof
-        before, after = (side.chi_square / side.dof for side in (self.before, self.after))
-        yield make.row("reduced_chi_square", after, n=n, reason=f"{before:.4g} before; {self.item.question}")
-        why = f"p = {self.after.p_value:.2g} after"
-        yield make.row("likelihood_gain", (before - after) * n, n=n, reason=why)
-        for name, (first, second) in self.gaps.items():
+        make, n = RowMaker("what-if", "all", self.item.name), before.residuals.dof
+        first, after = (side.residuals.chi_square / side.residuals.dof for side in (before, self))
+        yield make.row("reduced_chi_square", after, n=n, reason=f"{first:.4g} before; {self.item.question}")
+        why = f"p = {self.residuals.p_value:.2g} after"
+        yield make.row("likelihood_gain", (first - after) * n, n=n, reason=why)
+        for name, gap in before.gaps.items():
             words = name.replace("|", "").replace("@", " at ").split()
-            yield make.row("_".join(words), second, n=n, reason=f"{first:.4g} before")
+            yield make.row("_".join(words), self.gaps[name], n=n, reason=f"{gap:.4g} before")
 
 
 def run_what_ifs(
@@ -117,36 +108,32 @@ def run_what_ifs(
     ------
     UsageError : an experiment that fits no scenario, or wants a collection measured again that cannot be.
     """
-    outcomes = []
-    for item in track(what_ifs, "reasons: what-ifs", show=show_progress):
-        scenarios, seen = changed_scenarios(model.scenarios, item), observed
-        if item.observe:
-            if model.observe is None:
-                raise UsageError(f"what-if {item.name!r}: this collection cannot be measured again")
-            seen = model.observe(item.observe)
-        predicted = model.assuming(scenarios)
-        after, cov_after, numbers_after = stack, covariance, list(numbers)
-        if item.observe:
+    if not what_ifs:
+        return []
+
+    def left(item: WhatIf, predicted: Products, seen: Products) -> WhatIfOutcome:
+        after, spread, known = stack, covariance, numbers
+        if seen is not observed:
             after = stacked(predicted, seen)
             if [b.observed.shape for b in after.blocks] != [b.observed.shape for b in stack.blocks]:
                 raise UsageError(
                     f"what-if {item.name!r} compares other things than the campaign does",
                     mend="change what is measured, not which subjects there are",
                 )
-            cov_after, numbers_after = covariance - stack.covariance + after.covariance, _renewed(numbers, seen)
-        first, second = gaps_of(numbers, base), gaps_of(numbers_after, predicted)
-        ratios, there = alarm_ratios(base, observed), alarm_ratios(predicted, seen)
-        outcomes.append(
-            WhatIfOutcome(
-                item,
-                Whitened(stack.observed - stack.predicted(base), covariance),
-                Whitened(after.observed - after.predicted(predicted), cov_after),
-                {name: (value, second[name]) for name, value in first.items()},
-                {key: (ratio, there[key]) for key, ratio in ratios.items() if key in there},
-            )
-        )
-    outcomes.sort(key=lambda o: o.after.chi_square / o.after.dof)
-    return [*(row for o in outcomes for row in o.rows()), *_alarm_rows(outcomes)]
+            spread, known = covariance - stack.covariance + after.covariance, _renewed(numbers, seen)
+        residuals = Whitened(after.observed - after.predicted(predicted), spread)
+        return WhatIfOutcome(item, residuals, gaps_of(known, predicted), alarm_ratios(predicted, seen))
+
+    before, outcomes = left(what_ifs[0], base, observed), []
+    for item in track(what_ifs, "reasons: what-ifs", show=show_progress):
+        scenarios, seen = changed_scenarios(model.scenarios, item), observed
+        if item.observe:
+            if model.observe is None:
+                raise UsageError(f"what-if {item.name!r}: this collection cannot be measured again")
+            seen = model.observe(item.observe)
+        outcomes.append(left(item, model.assuming(scenarios), seen))
+    outcomes.sort(key=lambda o: o.residuals.chi_square / o.residuals.dof)
+    return [*(row for o in outcomes for row in o.rows(before)), *_alarm_rows(before.alarms, outcomes)]
 
 
 def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scenario]:
@@ -229,19 +216,17 @@ def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> s
     return f"{size}; {best[0]!r} leaves {best[1].value:.2g}: {end}"
 
 
-def _alarm_rows(outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
+def _alarm_rows(before: Mapping[Key, AlarmRatio], outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
     """Every ratio of false alarms with its reason, then the ratio after each experiment."""
-    tried: dict[Key, list[tuple[str, AlarmRatio]]] = {}
-    before: dict[Key, AlarmRatio] = {}
-    for outcome in outcomes:
-        for key, (first, after) in outcome.alarms.items():
-            before[key] = first
-            tried.setdefault(key, []).append((outcome.item.name, after))
-    for (subject, detector, metric), first in before.items():
-        make, why = RowMaker("attribution", subject, detector), reason_for(first, tried[subject, detector, metric])
+    tried = {key: [(o.item.name, o.alarms[key]) for o in outcomes if key in o.alarms] for key in before}
+    tried = {key: each for key, each in tried.items() if each}
+    for (subject, detector, metric), each in tried.items():
+        first = before[subject, detector, metric]
+        make, why = RowMaker("attribution", subject, detector), reason_for(first, each)
         yield make.row(metric, first.value, first[1:], reason=why)
-    for (subject, detector, metric), first in before.items():
+    for (subject, detector, metric), each in tried.items():
+        first = before[subject, detector, metric]
         words = f"{first.value:.3g} before ({first.lower:.2g} to {first.upper:.2g})"
-        for name, after in tried[subject, detector, metric]:
+        for name, after in each:
             make = RowMaker("what-if", subject, f"{name} / {detector}")
             yield make.row(metric, after.value, after[1:], reason=words)
