@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 from pydantic import ValidationError
 
+from hyperval import sensor as door
 from hyperval.envi_header import read_header
 from hyperval.errors import InputError, UsageError
-from hyperval.sensor import (
-    Bands,
-    Blur,
-    NoiseModel,
-    PublishedSnr,
-    Quantity,
-    Sensor,
-    SensorOperation,
-    SensorSpecification,
-    SpectralShift,
-    Throughput,
-    library_names,
-    load_sensor,
-)
+from hyperval.sensor import NoiseModel, Sensor, SensorOperation, SensorSpecification, library_names, load_sensor
 from hyperval.spectra import SpectralAxis
 
 # Radiance of a 0.25 reflector under a 45 degree sun without atmosphere, 0.25 E0 cos 45 / pi.
@@ -201,30 +192,10 @@ def test_bands_of_prospectir_against_the_published_ones(data_dir):
         assert own[axis.good] == pytest.approx(stated * 1000, abs=1e-6)
 
 
-SCENE = {"reflectance": 0.3, "solar_zenith_deg": 30.0, "sensor_altitude_km": 700.0, **Q}
+REFUSED = yaml.safe_load(Path(__file__).with_name("refused.yaml").read_text("utf-8"))
 
 
-@pytest.mark.parametrize(
-    ("kind", "entries", "words"),
-    [
-        (Quantity, {}, "give either value or table"),
-        (Quantity, {"value": 1.0, "table": [[400.0, 1.0], [500.0, 1.0]]}, "give either value or table"),
-        (Quantity, {"table": [[400.0, 1.0]]}, "at least two rows in rising wavelength"),
-        (Quantity, {"table": [[400.0, 1.0], [400.0, 1.0]]}, "at least two rows in rising wavelength"),
-        (Bands, {}, "give either table, regular or parts"),
-        (Blur, {}, "give either fwhm_pixels or mtf_at_nyquist"),
-        (Blur, {"fwhm_pixels": [1.0, 1.0], "mtf_at_nyquist": [0.3, 0.3]}, "give either fwhm_pixels or"),
-        (Blur, {"fwhm_pixels": [1.0, 5.1]}, "fwhm_pixels lies between 0 and 5"),
-        (Blur, {"fwhm_pixels": [-0.1, 1.0]}, "fwhm_pixels lies between 0 and 5"),
-        (Blur, {"mtf_at_nyquist": [0.3, 0.64]}, "mtf_at_nyquist lies between 0.01 and 0.6366"),
-        (Blur, {"mtf_at_nyquist": [0.009, 0.3]}, "mtf_at_nyquist lies between 0.01 and 0.6366"),
-        (PublishedSnr, {"table": [[500.0, 100.0]], "radiance": ONE, "scene": SCENE}, "radiance or scene, not both"),
-        (Throughput, {}, "the convention square-ifov needs aperture_m, ifov_mrad"),
-        (Throughput, {"convention": "slit", "f_number": 2.0}, "slit needs slit_width_um, slit_height_um"),
-        (SpectralShift, {"smile_nm": [1.0]}, "smile_nm and columns go together"),
-        (SpectralShift, {"columns": 100}, "smile_nm and columns go together"),
-    ],
-)  # fmt: skip
-def test_entries_that_contradict_themselves_are_refused(kind, entries, words):
-    with pytest.raises(ValidationError, match=words):
-        kind(**entries, source=SOURCE)
+@pytest.mark.parametrize("case", REFUSED, ids=lambda case: case["words"])
+def test_entries_that_contradict_themselves_are_refused(case):
+    with pytest.raises(ValidationError, match=case["words"]):
+        getattr(door, case["kind"])(**case["entries"], source=SOURCE)

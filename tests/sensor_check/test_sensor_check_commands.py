@@ -93,18 +93,13 @@ def test_a_sensor_without_order_still_gets_its_page(here):
     assert not (here / "sheet" / "figures").exists()
 
 
-def test_without_output_nothing_is_written(here):
-    write(here / "good.yaml", good_sensor())
-    assert run(["sensor", "check", "good.yaml"]) == 0
-    assert [p.name for p in here.iterdir()] == ["good.yaml"]
-
-
 @pytest.mark.parametrize(
-    ("arguments", "code"), [(["nosuch"], 2), (["none.yaml"], 3), (["good.yaml", "--vary", "0"], 2)]
+    ("arguments", "code"), [(["good.yaml"], 0), (["nosuch"], 2), (["none.yaml"], 3), (["good.yaml", "--vary", "0"], 2)]
 )
-def test_exit_codes_of_wrong_input(here, arguments, code):
+def test_without_output_nothing_is_written_and_wrong_input_has_its_exit_code(here, arguments, code):
     write(here / "good.yaml", good_sensor())
     assert run(["sensor", "check", *arguments]) == code
+    assert [p.name for p in here.iterdir()] == ["good.yaml"]
 
 
 @pytest.mark.slow

@@ -61,17 +61,12 @@ def hypernets(path: Path, **changes: np.ndarray | None) -> Path:
         "err_corr_systematic_reflectance": CORRELATION,
         "viewing_zenith_angle": np.array([30.0, 0.0]),
         "viewing_azimuth_angle": np.array([263.0, 98.0]),
-        "solar_zenith_angle": np.array([20.0, 20.0]),
-        "solar_azimuth_angle": np.array([10.0, 10.0]),
-        "acquisition_time": np.array([1699002224, 1699002230]),
         "quality_flag": np.array([0, 16]),
         "n_valid_scans": np.array([10, 12]),
         **changes,
     }
     with h5py.File(path, "w") as file:
-        file.attrs.update(
-            processor_name="hypernets_processor", site_id="XXXX", site_latitude=-23.6, site_longitude=15.1
-        )
+        file.attrs["processor_name"] = "hypernets_processor"
         for name, array in values.items():
             if array is not None:
                 file[name] = array

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from spectra_shells import CORRELATION, NM, hypernets
 
 from hyperval.errors import InputError, UsageError
@@ -58,28 +59,16 @@ def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
         read_radcalnet(day_file(tmp_path, name="day.txt"))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("Lat:\t40.5", "Lat:\tforty", r":2: not a row of numbers"),
-        ("Alt:", "Height:", r":4: 'Height:' where 'Alt' belongs"),
-        ("UTC:\t03:30\t04:00", "UTC:\t03:30", r":8: 1 values of UTC"),
-        ("UTC:\t03:30\t04:00", "UTC:\t04:00\t03:30", "do not follow each other"),
-        ("UTC:\t03:30\t04:00", "UTC:\t03:30\t25:00", "not a time"),
-        ("DOY(U):\t60\t60", "DOY(U):\t60\t600", "day 600"),
-        ("400\t0.10\t0.20", "400\t0.10", r":18: 1 values"),
-        ("400\t0.10\t0.20", "400\t0.10\t20", "neither a reflectance nor a mark"),
-        ("400\t0.10\t0.20", "430\t0.10\t0.20", "no increasing wavelengths"),
-        ("400\t0.01\t0.02", "400\t0.01\t-0.02", "uncertainties below 0"),
-        ("400\t0.01\t0.02\n", "", "uncertainties at other wavelengths"),
-        (ERRORS, "", "end of the file"),
-        ("0.10\t0.20", "0.10\tnan", "a number is missing"),
-    ],
-)
-def test_a_day_that_cannot_be_is_refused(tmp_path, old, new, words):
-    assert old in GOOD
-    with pytest.raises(InputError, match=words):
-        read_radcalnet(day_file(tmp_path, GOOD.replace(old, new, 1)))
+@pytest.mark.parametrize("case", yaml.safe_load(Path(__file__).with_name("days.yaml").read_text("utf-8")))
+def test_a_day_that_cannot_be_is_refused(tmp_path, case):
+    assert case["old"] in GOOD
+    with pytest.raises(InputError, match=case["words"]):
+        read_radcalnet(day_file(tmp_path, GOOD.replace(case["old"], case["new"], 1)))
+
+
+def test_a_day_without_its_uncertainties_is_refused(tmp_path):
+    with pytest.raises(InputError, match="end of the file"):
+        read_radcalnet(day_file(tmp_path, GOOD.replace(ERRORS, "")))
 
 
 def sequence(folder: Path, **changes) -> Path:
