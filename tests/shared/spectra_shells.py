@@ -81,6 +81,16 @@ def hypernets(path: Path, **changes: np.ndarray | None) -> Path:
     return path
 
 
+STATE = "P:\t900\t901\nT:\t290.5\t291.5\nWV:\t0.5\t0.6\nO3:\t280\t281\nAOD:\t0.1\t0.2\nAng:\t1.1\t9997\n"
+RADCALNET_ERRORS = STATE.replace("9997", "0.1") + "400\t0.01\t0.02\n410\t9998\t0.03\n420\t0.02\t0.02\n"
+# A day of two half hours, of which the second lacks its Angstrom exponent.
+RADCALNET = (
+    "Site:\tXXXX01\nLat:\t40.5\nLon:\t-109.5\nAlt:\t1270\n\nYear:\t2020\t2020\t\nDOY(U):\t60\t60\t\n"
+    "UTC:\t03:30\t04:00\nDOY(L):\t60\t60\t\nLocal:\t11:30\t12:00\n"
+    f"{STATE}Type:\tR\tR\n400\t0.10\t0.20\t\n410\t  9998\t0.21\n420\t0.12\t0.22\n\n{RADCALNET_ERRORS}"
+)
+
+
 def rows(*columns, sep: str = ",", end: str = "\n") -> str:
     """Columns of numbers or words as lines of text."""
     text = lambda v: v if isinstance(v, str) else f"{v:g}"  # noqa: E731

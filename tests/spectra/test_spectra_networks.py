@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from spectra_shells import CORRELATION, NM, hypernets
+from spectra_shells import CORRELATION, NM, RADCALNET, RADCALNET_ERRORS, hypernets
 
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Sources, covariance_in_bands
@@ -21,16 +21,8 @@ from hyperval.spectra import (
     read_spectrum,
 )
 
-STATE = "P:\t900\t901\nT:\t290.5\t291.5\nWV:\t0.5\t0.6\nO3:\t280\t281\nAOD:\t0.1\t0.2\nAng:\t1.1\t9997\n"
-ERRORS = STATE.replace("9997", "0.1") + "400\t0.01\t0.02\n410\t9998\t0.03\n420\t0.02\t0.02\n"
-GOOD = (
-    "Site:\tXXXX01\nLat:\t40.5\nLon:\t-109.5\nAlt:\t1270\n\nYear:\t2020\t2020\t\nDOY(U):\t60\t60\t\n"
-    "UTC:\t03:30\t04:00\nDOY(L):\t60\t60\t\nLocal:\t11:30\t12:00\n"
-    f"{STATE}Type:\tR\tR\n400\t0.10\t0.20\t\n410\t  9998\t0.21\n420\t0.12\t0.22\n\n{ERRORS}"
-)
 
-
-def day_file(folder: Path, text: str = GOOD, name: str = "day.input") -> Path:
+def day_file(folder: Path, text: str = RADCALNET, name: str = "day.input") -> Path:
     (folder / name).write_text(text)
     return folder / name
 
@@ -61,14 +53,14 @@ def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
 
 @pytest.mark.parametrize("case", yaml.safe_load(Path(__file__).with_name("days.yaml").read_text("utf-8")))
 def test_a_day_that_cannot_be_is_refused(tmp_path, case):
-    assert case["old"] in GOOD
+    assert case["old"] in RADCALNET
     with pytest.raises(InputError, match=case["words"]):
-        read_radcalnet(day_file(tmp_path, GOOD.replace(case["old"], case["new"], 1)))
+        read_radcalnet(day_file(tmp_path, RADCALNET.replace(case["old"], case["new"], 1)))
 
 
 def test_a_day_without_its_uncertainties_is_refused(tmp_path):
     with pytest.raises(InputError, match="end of the file"):
-        read_radcalnet(day_file(tmp_path, GOOD.replace(ERRORS, "")))
+        read_radcalnet(day_file(tmp_path, RADCALNET.replace(RADCALNET_ERRORS, "")))
 
 
 def sequence(folder: Path, **changes) -> Path:

@@ -5,19 +5,17 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import product_shells
 import rasterio
 import scipy.io
-import spectra_shells
 import xarray as xr
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.atmosphere import RADIANCE_COLUMNS, AtmosphericTable, write_table
+from hyperval.atmosphere import AtmosphericTable, write_table
 from hyperval.atmosphere.between import QUANTITIES
 from hyperval.imagery import write_cube
 from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
@@ -30,84 +28,6 @@ NM = np.arange(400.0, 1000.0, 50.0)
 RHO = 0.3 + 0.1 * np.sin(NM / 90.0)
 MAP = Affine(2.0, 0, 300000.0, 0, -2.0, 4700000.0)
 UTM = CRS.from_epsg(32618)
-
-
-def rows(*columns: Any, sep: str = "\t", end: str = "\n") -> str:
-    return "".join(sep.join(f"{v:.5f}" for v in row) + end for row in zip(*columns, strict=True))
-
-
-def texts() -> dict[str, tuple[str, str]]:
-    """File name and text of spectra in every text format."""
-    titles = ",".join(f"{nm:g}" for nm in NM)
-    across = "".join(f"s{i},{','.join(map(str, RHO + i / 99))}\n" for i in (0, 1))
-    sed = (
-        "Comment:\r\nVersion: 2.0\r\nInstrument: PSR-3500\r\nMeasurement: REFLECTANCE\r\n"
-        f"Wavelength Range: 400,950\r\nChannels: {NM.size}\r\nColumns [4]:\r\n"
-        "Data:\r\nWvl\tRef.\tTarget\tReflect. [1.0]\r\n"
-    )
-    sig = "/*** Spectra Vista SIG Data ***/\nname= x.sig\nunits= Radiance, Radiance\ndata=\n"
-    ecostress = (
-        "Name: Paint\nX Units: Wavelength (micrometers)\nY Units: Reflectance (percentage)\nFirst X Value: 0.95\n"
-        f"Last X Value: 0.4\nNumber of X Values: {NM.size}\nAdditional Information: none\n\n"
-    )
-    plot = "ENVI ASCII Plot File [Mon]\nColumn 1: Wavelength (nm)\nColumn 2: grass~~2\n"
-    return {
-        "columns": ("a.csv", "wavelength_nm,reflectance [1],std\n" + rows(NM, RHO, RHO / 10, sep=",")),
-        "ger": (
-            "a.001",
-            "///GER SIGNATUR FILE///\nname= lawn\ndata= \n" + rows(NM, 5000 * RHO, NM * 0 + 5000, sep="  "),
-        ),
-        "decimal comma": ("a.txt", "Wavelength (nm);rho\n" + rows(NM, RHO, sep="; ").replace(".", ",")),
-        "envi plot": ("a.txt", plot + rows(NM, RHO, sep="  ")),
-        "ecostress": ("a.txt", ecostress + rows(NM[::-1] / 1000, RHO[::-1] * 100)),
-        "sig": ("a.sig", sig + rows(NM, 1000 + NM, 500 + NM, RHO * 100, sep="  ")),
-        "sed": ("a.sed", sed + rows(NM, NM, NM, RHO, end="\r\n")),
-        "rows": (
-            "a.csv",
-            f"name,{titles}\n{across}",
-        ),
-    }
-
-
-def asd(version: bytes, dtype: str, kind: int = 1) -> bytes:
-    head = bytearray(484)
-    head[:3], head[186], head[199] = version, kind, {"<f4": 0, "<i4": 1, "<f8": 2}[dtype]
-    struct.pack_into("<2f", head, 191, NM[0], NM[1] - NM[0])
-    struct.pack_into("<H", head, 204, NM.size)
-    white = (1000.0 * NM).astype(dtype)
-    return (
-        bytes(head) + (RHO * white).astype(dtype).tobytes() + struct.pack("<H", 65535) + b"\0" * 16
-        + struct.pack("<H", 5) + b"white" + white.tobytes()
-    )  # fmt: skip
-
-
-def chn(rho: float = 0.0) -> str:
-    """A channel file of the closed form: L = L_a + F (A + B) rho / (1 - S rho)."""
-    widths = (12, 3, 3, 13, 13, 8, 13, 9, 9, 9, 9, *([13] * 10), *([10] * 5), 11)
-    lines = ["", "HEAD", "  ".join("-" * w for w in widths)]
-    for number, nm in enumerate(NM, 1):
-        f, a, b, s, width = 40.0 * 500 / nm, 0.75 + nm / 5000, 40 / nm, 80 / nm, 10.0
-        ground, path = f * a * rho / (1 - s * rho), 2.0 * (450 / nm) ** 4 + f * b * rho / (1 - s * rho)
-        total = (ground + path) * 1e-6
-        values = [nm, 1, number, 0.0, total, 300.0, total * width, 1.0, width, nm - 9, nm + 9, 0.0, 0.0, 0.0]
-        values += [0.4 * path * width * 1e-6, 0.6 * path * width * 1e-6, ground * width * 1e-6, 0.0]
-        values += [f * width * 1e-6, 0.0, 0.0, a, b, s, 0.9, 1.0]
-        lines.append("  ".join(f"{v:>{w}.6E}" if w == 13 else f"{v:>{w}.7g}" for v, w in zip(values, widths)))  # noqa: B905
-    return "\n".join(line + "  CENTER" * (i > 2) for i, line in enumerate(lines)) + "\n\n"
-
-
-def tape7() -> str:
-    """A tape7 of one case over black ground."""
-    widths = (8, *([11] * 9), 9, 9, 8, 7, 11, 11)
-    card = "T F 2    2    2   -1    0    0    0    0    0    0    0    0    1   0.000  0.0000"
-    lines = [card, "    1    0    0", "".join(f"{n:>{w}}" for n, w in zip(RADIANCE_COLUMNS, widths, strict=True))]
-    for nu in np.linspace(4000.0, 25000.0, 8):
-        numbers = [nu, 0.9, 0.0, None, 0.0, 1e-7, 7e-8, 0.0, 0.0, 1e-7, None, None, 0.105, 1.0, 8e-6, 300.0]
-        forms = ["8.2f", "11.8f", *["11.4E"] * 8, "9", "9", "8.3f", "7.4f", "11.4E", "11.3f"]
-        lines.append(
-            "".join(" " * w if v is None else f"{v:{form}}" for v, w, form in zip(numbers, widths, forms, strict=True))
-        )
-    return "\n".join([*lines, " -9999."]) + "\n"
 
 
 def roi_text() -> str:
@@ -154,17 +74,6 @@ def drawn() -> dict[str, tuple[str, bytes]]:
     }
 
 
-def radcalnet() -> str:
-    """A day of a RadCalNet site: heads, the state of the air, reflectances and their errors."""
-    state = "P:\t900\t901\nT:\t290.5\t291.5\nWV:\t0.5\t0.6\nO3:\t280\t281\nAOD:\t0.1\t0.2\nAng:\t1.1\t1.2\n"
-    return (
-        "Site:\tXXXX01\nLat:\t40.5\nLon:\t-109.5\nAlt:\t1270\n\nYear:\t2020\t2020\t\nDOY(U):\t60\t60\t\n"
-        f"UTC:\t03:30\t04:00\nDOY(L):\t60\t60\t\nLocal:\t11:30\t12:00\n{state}Type:\tR\tR\n"
-        f"400\t0.10\t0.20\t\n410\t  9998\t0.21\n420\t0.12\t0.22\n\n{state}"
-        "400\t0.01\t0.02\n410\t9998\t0.03\n420\t0.02\t0.02\n"
-    )
-
-
 def prediction() -> PredictedProducts:
     """A prediction of two spectra, a curve and scores."""
     grid = np.linspace(-1.0, 2.0, 9)
@@ -178,12 +87,6 @@ def prediction() -> PredictedProducts:
         scores={("planks", "cem"): ScoreDistribution(1.0, 0.3, None, grid, np.exp(-(grid**2)))},
         roc={("planks", "cem", "pixel"): curve},
     )
-
-
-def libraries(folder: Path) -> dict[str, dict[str, bytes]]:
-    """Files of many spectra that come with their errors."""
-    path = spectra_shells.hypernets(folder / "sequence.nc")
-    return {"specpr": {"splib": spectra_shells.specpr()}, "hypernets": {path.name: path.read_bytes()}}
 
 
 def with_text_beside(folder: Path) -> dict[str, dict[str, bytes]]:

@@ -12,28 +12,15 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import yaml
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "imagery"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "shared"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "atmosphere"))
 
-from contents import (
-    MAP,
-    NM,
-    SHAPE,
-    UTM,
-    asd,
-    chn,
-    drawn,
-    libraries,
-    products_of_imagers,
-    radcalnet,
-    rows,
-    run_products,
-    tape7,
-    texts,
-    with_text_beside,
-    written,
-)
+from contents import MAP, NM, SHAPE, UTM, drawn, products_of_imagers, run_products, with_text_beside, written
+from modtran_samples import channels, spectrum, tape7
+from spectra_shells import RADCALNET, asd, hypernets, specpr
 
 from hyperval.atmosphere import read_channels, read_chn, read_modtran_json, read_table, read_tape7, terms_from_runs
 from hyperval.baseline import load_baseline
@@ -48,11 +35,13 @@ from hyperval.run import read_pair, read_rows, results_json
 from hyperval.scenario import load_scenario
 from hyperval.sensor import load_sensor
 from hyperval.simulate.schema import load_scene
-from hyperval.spectra import read_records, read_spectrum
+from hyperval.spectra import read_records
 from hyperval.statistics_library import read_statistics_library
 from hyperval.study import load_study
 
 ROOT = Path(__file__).parents[2]
+# Texts of spectra that are known to be read.
+TEXTS = yaml.safe_load((ROOT / "tests" / "spectra" / "texts.yaml").read_text("utf-8"))["read"]
 
 
 @dataclass(frozen=True)
@@ -90,18 +79,12 @@ def finite(values: Any, name: str) -> None:
         raise ImplausibleError(f"{name} is not finite")
 
 
-def _spectrum(path: Path) -> None:
-    found = read_spectrum(path)
-    increasing(found.wavelength_nm, "wavelength_nm")
-    finite(found.values, "values")
-    if found.values.shape != found.wavelength_nm.shape:
-        raise ImplausibleError("values and wavelengths differ in number")
-
-
 def _spectra(path: Path) -> None:
     for found in read_records(path):
         increasing(found.wavelength_nm, "wavelength_nm")
         finite(found.values, "values")
+        if found.values.shape != found.wavelength_nm.shape:
+            raise ImplausibleError("values and wavelengths differ in number")
 
 
 def _terms(path: Path) -> None:
@@ -186,20 +169,17 @@ def _yaml() -> dict[str, tuple[Path, Callable[[Path], Any], float]]:
 def samples(folder: Path) -> list[Sample]:
     """Every sample; ``folder`` is where files are made that need writers."""
     out = [
-        Sample(f"spectrum: {kind}", {name: text.encode()}, lambda f, n=name: _spectrum(f / n))
-        for kind, (name, text) in texts().items()
-        if kind != "rows"
+        Sample(f"spectra: text {i}", {"a.txt": text.encode()}, lambda f: _spectra(f / "a.txt"), 0.3)
+        for i, text in enumerate(TEXTS)
     ]
-    name, text = texts()["rows"]
-    out.append(Sample("spectra: rows", {name: text.encode()}, lambda f: _spectra(f / name)))
-    for version, dtype in ((b"as7", "<f8"), (b"as6", "<f4"), (b"as8", "<i4")):
-        raw = {"a.asd": asd(version, dtype)}
-        out.append(Sample(f"spectrum: asd {dtype}", raw, lambda f: _spectrum(f / "a.asd")))
+    for version, code in ((b"as7", 2), (b"as6", 0), (b"as8", 1)):
+        raw = {"a.asd": asd(version=version, code=code)}
+        out.append(Sample(f"spectra: asd {code}", raw, lambda f: _spectra(f / "a.asd")))
     for kind, (file, content) in drawn().items():
         out.append(Sample(f"regions: {kind}", {file: content}, lambda f, n=file: _regions(f / n)))
     targets = "name,material,easting,northing,side_m\np1,plank,300010,4699990,1.5\np2,plank,300016,4699986,0.5\n"
-    bands = "# centre,fwhm\n" + rows(NM, np.full(NM.size, 20.0), sep=",")
-    three = "".join(chn(rho) for rho in (0.5, 0.0, 0.1))
+    bands = "# centre,fwhm\n" + "".join(f"{nm:g},20\n" for nm in NM)
+    three = "".join(channels(rho=rho) for rho in (0.5, 0.0, 0.1))
     deck = {"MODTRAN": [{"MODTRANINPUT": {"ATMOSPHERE": {"MODEL": "ATM_TROPICAL", "H2OSTR": 1.5, "H2OUNIT": "g"},
             "AEROSOLS": {"IHAZE": "AER_RURAL", "VIS": -0.1}, "SURFACE": {"SURREF": 0.1, "GNDALT": 0.3},
             "GEOMETRY": {"H1ALT": 3.0, "IDAY": 100, "IPARM": 12, "PARM1": 30.0, "PARM2": 40.0}}}]}  # fmt: skip
@@ -208,10 +188,10 @@ def samples(folder: Path) -> list[Sample]:
     out += [
         Sample("targets", {"t.csv": targets.encode()}, lambda f: _targets(f / "t.csv")),
         Sample("band table", {"b.csv": bands.encode()}, lambda f: _band_table(f / "b.csv")),
-        Sample("chn", {"a.chn": chn(0.2).encode()}, lambda f: _terms(f / "a.chn")),
+        Sample("chn", {"a.chn": channels(rho=0.2).encode()}, lambda f: _terms(f / "a.chn")),
         Sample("chn, three runs", {"a.chn.gz": packed}, lambda f: _terms(f / "a.chn.gz")),
         Sample("chn, three runs unpacked", {"a.chn": three.encode()}, lambda f: _terms(f / "a.chn"), 0.5),
-        Sample("tape7", {"tape7": tape7().encode()}, lambda f: read_tape7(f / "tape7")),
+        Sample("tape7", {"tape7": tape7([0.0], terms=spectrum(8)).encode()}, lambda f: read_tape7(f / "tape7")),
         Sample(
             "modtran json",
             {"a.json": json.dumps(deck, indent=1).encode()},
@@ -246,22 +226,18 @@ def samples(folder: Path) -> list[Sample]:
         holds = "reflectance" if kind in ("neon reflectance", "prisma l2d", "oci") else "radiance"
         out.append(Sample(f"product: {kind}", content, lambda f, n=image, q=holds: _cube(f / n, q), share))
     beside = with_text_beside(folder)
-    many = libraries(folder)
+    sequence = {"sequence.nc": hypernets(folder / "sequence.nc").read_bytes()}
     out += [
-        Sample("spectra: specpr", many["specpr"], lambda f: _spectra(f / "splib"), 0.5),
-        Sample("spectra: hypernets", many["hypernets"], lambda f: _spectra(f / "sequence.nc"), 0.03),
-    ]
-    out += [
+        Sample("spectra: specpr", {"splib": specpr()}, lambda f: _spectra(f / "splib"), 0.5),
+        Sample("spectra: hypernets", sequence, lambda f: _spectra(f / "sequence.nc"), 0.03),
         Sample("aviris gain", beside["aviris gain"], lambda f: _cube(f / "f1rdn_img.dat", "radiance"), 0.5),
         Sample("stac item", beside["stac item"],
                lambda f, n=list(beside["stac item"])[1]: _cube(f / n, "radiance"), 0.3),
         Sample("dirsig header", beside["dirsig header"], lambda f: _truth(f / "truth.img"), 0.5),
         Sample("dirsig truth", beside["dirsig truth"], lambda f: _truth(f / "truth.img"), 0.3),
-    ]  # fmt: skip
-    out += [
-        Sample("radcalnet", {"a.input": radcalnet().encode()}, lambda f: _spectra(f / "a.input")),
+        Sample("radcalnet", {"a.input": RADCALNET.encode()}, lambda f: _spectra(f / "a.input")),
         Sample("products.nc", run_products(folder), read_pair, 0.03),
-    ]
+    ]  # fmt: skip
     for kind, (path, read, share) in _yaml().items():
         content = {"a.yaml": path.read_bytes()}
         out.append(Sample(f"yaml: {kind}", content, lambda f, r=read: r(f / "a.yaml"), share))
