@@ -4,7 +4,7 @@ A line is marked as such in the description of its header.  Ground comes in thre
 a felt is a square of the area that the mask marks, about its middle, through the square of a pixel and a Gaussian of
 one pixel.
 
-    python tests/felt_stand_in.py DATA OUT    every line below OUT, from headers, masks and spectra below DATA
+    PYTHONPATH=tests/shared python tests/felt_stand_in.py DATA OUT    every line below OUT, from files below DATA
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import shutil
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -21,41 +22,14 @@ from scipy import ndimage
 from hyperval.envi_header import read_header
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
+from small_campaign import data_of
 
 MARK = "Stand-in: simulated pixels under a real header."
 FINE = 10  # parts of a pixel, along and across
 SURFACES = ("grass", "soil", "asphalt")
 
 
-@dataclass(frozen=True)
-class Line:
-    """Where the files of a line stand below the data directory, and its felts."""
-
-    cube: str
-    header: str
-    felts: dict[str, str]  # mask: spectrum
-    others: tuple[str, ...] = ()
-
-
-FELT = "share2012-felt/targetspectra/{}felt_from_share2012_asdmeasurements.txt"
-CHIP = "share2010-felt/chip/001_0729-1919_rad_GeoRef_THOR_ELM_smoothed 146x84"
-LINES = {
-    "share2012-felt": Line(
-        "share2012-felt/images/avon_reflectance.img",
-        "share2012-felt/images/avon_reflectance.hdr",
-        {f"share2012-felt/truthmasks/{c}felt_avon.img": FELT.format(c) for c in ("blue", "red")},
-    ),
-    "share2010-felt": Line(
-        "share2010-felt/images/ritcampus_reflectance.img",
-        "share2010-felt/images/ritcampus_reflectance.hdr",
-        {f"share2010-felt/truthmasks/{c}felt_ritcampus.img": FELT.format(c) for c in ("blue", "red")},
-    ),
-    "share2010-felt-chip": Line(
-        CHIP,
-        CHIP + ".hdr",
-        {"share2010-felt/chip/class_map_envi": "share2010-felt/chip/Red Felt Refl ASD Reseamp 360 ASCII.txt"},
-    ),
-}
+LINES: dict[str, dict[str, Any]] = data_of("felt_lines")
 
 
 @dataclass(frozen=True)
@@ -72,7 +46,7 @@ class Departures:
         """Errors of one level over all bands: the bands of the stated 300 nm are few."""
         return cls(
             max(0.0, 1.0 + 0.3 * rng.standard_normal()),
-            {mask: 1.0 + 0.10 * rng.standard_normal() for mask in LINES[name].felts},
+            {mask: 1.0 + 0.10 * rng.standard_normal() for mask in LINES[name]["felts"]},
             0.04 * rng.standard_normal(),
             0.01 * rng.standard_normal(),
         )
@@ -86,22 +60,22 @@ def stand_in(
     ``every`` : of so many bands one is kept, in the header too, which a test can afford
     """
     line, departs = LINES[name], departs or Departures()
-    for mask, spectrum in line.felts.items():
+    for mask, spectrum in line["felts"].items():
         header = Path(mask).with_suffix(".hdr").as_posix() if mask.endswith(".img") else mask + ".hdr"
         for file in (mask, header, spectrum):
             (data / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(real / file, data / file)
-    (data / line.header).parent.mkdir(parents=True, exist_ok=True)
-    text = (real / line.header).read_text("latin-1")
+    (data / line["header"]).parent.mkdir(parents=True, exist_ok=True)
+    text = (real / line["header"]).read_text("latin-1")
     marked, count = re.subn(r"description = \{[^}]*\}", f"description = {{{MARK}}}", text, count=1)
     assert count == 1
-    (data / line.header).write_text(thinned(marked, every), "latin-1")
-    header = read_header(data / line.header)
+    (data / line["header"]).write_text(thinned(marked, every), "latin-1")
+    header = read_header(data / line["header"])
     factor = 1000.0 if np.max(header.numbers("wavelength")) < 100 else 1.0
     axis = SpectralAxis(header.numbers("wavelength") * factor, header.numbers("fwhm") * factor)
     rng = np.random.default_rng(seed)
     pixels = ground(rng, header.lines, header.samples, axis)
-    for mask, spectrum in line.felts.items():
+    for mask, spectrum in line["felts"].items():
         truth = np.fromfile(real / mask, np.uint8).reshape(header.lines, header.samples) > 0
         part = felt_fractions(truth, departs.blur)
         on = part > 0
@@ -113,7 +87,7 @@ def stand_in(
         noise = 0.001 * rng.standard_normal((share.size, len(axis)))
         pixels[on] = (1.0 - share) * pixels[on] + share * (felt * spread + noise)
     stored = pixels if header.dtype.kind == "f" else np.round(pixels * 10_000.0)
-    stored.transpose(0, 2, 1).astype(header.dtype).tofile(data / line.cube)  # by line
+    stored.transpose(0, 2, 1).astype(header.dtype).tofile(data / line["cube"])  # by line
 
 
 def thinned(header: str, every: int) -> str:

@@ -18,24 +18,13 @@ from hyperval.results import Outcome, Role
 from hyperval.run import Run
 
 CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
-FILES = {
-    "share2012-felt": "share2012-felt/campaign.yaml",
-    "share2010-felt": "share2010-felt/campaign.yaml",
-    "share2010-felt-chip": "share2010-felt/campaign-chip.yaml",
-}
-# Patches of the masks, their different sizes, and the pixels that they mark.
-FELTS = {
-    "share2012-felt": {"blue-felt": (9, 9, 76), "red-felt": (7, 5, 68)},
-    "share2010-felt": {"blue-felt": (8, 4, 57), "red-felt": (8, 7, 96)},
-    "share2010-felt-chip": {"red-felt": (4, 4, 61)},
-}
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", LINES)
 def test_without_images_a_campaign_is_skipped_with_the_command_that_fetches_them(name, tmp_path, monkeypatch):
     monkeypatch.delenv("HYPERVAL_DATA", raising=False)
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path))
-    (job,) = jobs_of(CAMPAIGNS / FILES[name])
+    (job,) = jobs_of(CAMPAIGNS / LINES[name]["campaign"])
     run = run_campaign(job)
     assert {row.outcome for row in run.table} == {Outcome.SKIPPED}
     assert "hyperval data fetch " + name.removesuffix("-chip") in run.notes[0]
@@ -43,7 +32,7 @@ def test_without_images_a_campaign_is_skipped_with_the_command_that_fetches_them
 
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", LINES)
 def test_stand_in_lines_close(name, tmp_path, data_dir, monkeypatch):
     """P_D, alarms, areas and the joint scores of felts that were put where the masks have them, each of its size.
 
@@ -58,21 +47,21 @@ def test_stand_in_lines_close(name, tmp_path, data_dir, monkeypatch):
     stand_in(name, real, tmp_path / "data", every=6, departs=departs)
     monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path / "data"))
     monkeypatch.setattr("hyperval.datasets.DataFile.matches", lambda *_: True)  # they stand in for registered files
-    cube = open_cube(tmp_path / "data" / LINES[name].cube, quantity="reflectance", scale=None, check_values=False)
+    cube = open_cube(tmp_path / "data" / LINES[name]["cube"], quantity="reflectance", scale=None, check_values=False)
     assert cube.description == MARK
     if name.endswith("chip"):
-        assert cli.run(["-q", "validate", str(CAMPAIGNS / FILES[name]), "-o", str(tmp_path / "out")]) == 0
+        assert cli.run(["-q", "validate", str(CAMPAIGNS / LINES[name]["campaign"]), "-o", str(tmp_path / "out")]) == 0
         table = Run.open(tmp_path / "out").table
     else:
         folder = tmp_path / "campaign"
-        shutil.copytree((CAMPAIGNS / FILES[name]).parent, folder)
+        shutil.copytree((CAMPAIGNS / LINES[name]["campaign"]).parent, folder)
         for path in folder.glob("*.yaml"):
             text = re.sub(r"(?ms)^attribution:.*\Z", "", path.read_text())
             path.write_text(text.replace("cem, ace]", "cem]").replace("  psf_fwhm_pixels: 0.3\n", ""))
         (job,) = jobs_of(folder / "campaign.yaml")
         table = run_campaign(job, show_progress=False).table
     rows = {(r.subject, r.method, r.metric): r for r in table}
-    for felt, (objects, sizes, pixels) in FELTS[name].items():
+    for felt, (objects, sizes, pixels) in LINES[name]["holds"].items():
         by_pixel = rows[felt, "matched-filter/pixel", "pd_difference@1e-3"]
         # Some of the marked pixels hardly hold any felt: the model counts the fullest, the mask what was drawn.
         assert (by_pixel.outcome, by_pixel.value) == (Outcome.AGREES, pytest.approx(0.03, abs=0.06))

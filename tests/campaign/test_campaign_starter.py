@@ -19,6 +19,7 @@ from hyperval.imagery import write_cube
 from hyperval.sensor import load_sensor
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
+from small_campaign import data_of
 
 UNIT = "uW cm-2 sr-1 nm-1"
 
@@ -182,16 +183,7 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys):
     assert "is there already" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("region", "records", "matched"),
-    [
-        ("blueFabric", ["Mean of Blue Fabric 4 readings", "Red Fabric"], "Mean of Blue Fabric 4 readings"),
-        ("blue fabric 2", ["Blue Fabric", "Red Fabric"], "Blue Fabric"),
-        ("fabric", ["Blue Fabric", "Red Fabric"], None),
-        ("road", ["road", "road wet"], "road"),
-        ("road", ["...", "grass"], None),
-    ],
-)
+@pytest.mark.parametrize(("region", "records", "matched"), data_of("names_of_spectra"))
 def test_spectra_go_with_names_only_where_one_alone_fits(tmp_path, region, records, matched):
     stored = np.random.default_rng(3).normal(3000.0, 200.0, (20, 20, W.size)).round()
     cube = written(tmp_path / "line_refl.img", stored)
