@@ -12,6 +12,7 @@ import json
 import shutil
 import sys
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
@@ -316,19 +317,15 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
 
 
 def _write(path: Path, content: Any) -> None:
-    part = path.with_name(f"{path.name}.part")
-    part.write_text(json.dumps(content, separators=(",", ":")), "utf-8")
-    part.replace(path)
+    write_text(path, json.dumps(content, separators=(",", ":")))
 
 
 def _verdicts(results: Path) -> dict[str, Any]:
     rows = list(read_rows(results))
     planned = [row for row in rows if row.planned]
-    counts: dict[str, int] = {}
-    for row in planned:
-        counts[str(row.outcome)] = counts.get(str(row.outcome), 0) + 1
+    counts = Counter(str(row.outcome) for row in planned)
     tone, words = verdict(rows) if planned else ("none", "One side alone: nothing is compared.")
-    return {"tone": str(tone), "verdict": words, "counts": counts, "rows": len(rows)}
+    return {"tone": str(tone), "verdict": words, "counts": dict(counts), "rows": len(rows)}
 
 
 TASKS: Mapping[str, Callable[..., Any]] = {
