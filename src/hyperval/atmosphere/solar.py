@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.datasets import resolve
-from hyperval.errors import InputError, MissingDataError, UsageError
+from hyperval.errors import MissingDataError, UsageError
 from hyperval.paths import read_text
+from hyperval.spectra.text import number_table
 from hyperval.storage import installed_file
 from hyperval.units import irradiance_to_internal
 
@@ -179,21 +180,5 @@ def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
             where=error.where,
             mend=f"{error.mend}; or choose solar_spectrum: tsis-1, which is in every installation",
         ) from error
-    return _read_two_columns(path, irradiance_to_internal("mW m-2 nm-1"))
-
-
-def _read_two_columns(path: Path, to_internal: float) -> tuple[Array, Array]:
-    rows = []
-    for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), 1):
-        parts = line.split("#")[0].split()
-        if not parts:
-            continue
-        try:
-            rows.append((float(parts[0]), float(parts[1])))
-        except (ValueError, IndexError) as error:
-            raise InputError(
-                f"not a row of two numbers: {line.strip()[:60]!r}", where=f"{path}:{number}",
-                expected="wavelength [nm] and irradiance",
-            ) from error  # fmt: skip
-    table = np.array(rows)
-    return table[:, 0], table[:, 1] * to_internal
+    nm, irradiance = number_table(read_text(path, _MAX_BYTES), path)[1][:, :2].T
+    return nm, irradiance * irradiance_to_internal("mW m-2 nm-1")
