@@ -25,7 +25,7 @@ from hyperval.imagery.regions import objects
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
 from hyperval.model import PositiveDefinite, Sources, UnmixedSubject, fully_constrained, labelled, own_mean_sampling
 from hyperval.model.filters import whitened
-from hyperval.observe.open import IMAGE, SCENE, Place
+from hyperval.observe.open import IMAGE, SCENE, Place, number_rows
 from hyperval.pixels import (
     ANOMALY_DETECTORS,
     ANOMALY_LEVELS,
@@ -221,17 +221,11 @@ def _by_number(target: DetectionTarget, bands: int, resolve: Resolve) -> Array:
             f"the spectrum of {target.name!r} goes by wavelength, the bands of the cube by number",
             expected="a text file with one row for each band",
         )
-    path, values = resolve(target.spectrum.file), []
-    for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), start=1):
-        words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
-        try:
-            values += [float(words[-1])] if words else []
-        except ValueError as error:
-            expected = "a number; a heading begins with #"
-            raise InputError("not a row of numbers", where=f"{path}:{number}", expected=expected) from error
+    path = resolve(target.spectrum.file)
+    values = number_rows(path, "spectrum by band")[0][:, -1]
     if len(values) != bands or not np.all(np.isfinite(values)):
         raise InputError(f"{len(values)} values for {bands} bands", where=str(path), expected="one row a band")
-    return np.array(values)
+    return values
 
 
 def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array]) -> FilterBank:

@@ -31,9 +31,8 @@ from hyperval.pixels import (
     drawn_pixels,
     factor_covariance,
     fit_tail_dof,
-    independent_for_mean,
-    independent_for_variance,
     independent_pixels,
+    independent_values,
     lag_correlation,
     leading_count,
     leading_tail_dof,
@@ -151,9 +150,8 @@ def _independence(
     windows = _projected_windows(place, region, bands, rng, project, centred)
     correlation = lag_correlation(windows, REACH).significant()
     shares = neighbour_shares(region, REACH, rng)
-    independent = np.array([independent_for_variance(n, rho, shares) for rho in correlation[:count]])
-    every, few = (independent_for_mean(n, rho, shares) / n for rho in correlation[count:])
-    return independent, (every, few)
+    every, few = independent_values(n, correlation[count:], shares) / n
+    return independent_values(n, correlation[:count] ** 2, shares), (every, few)
 
 
 def _projected_windows(

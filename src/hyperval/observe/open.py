@@ -277,17 +277,23 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | Non
 
 
 @reader
-def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
-    """The spectral axis of a whitespace-separated text table."""
-    checked_file(path, what="table of bands", most=MAX_TABLE_BYTES)
-    needed = max(table.centre_column, table.fwhm_column or 0)
+def number_rows(path: Path, what: str) -> tuple[Array, int]:
+    """Rows (n, columns) of a text table whose headings begin with #, and the line of the first."""
+    checked_file(path, what=what, most=MAX_TABLE_BYTES)
     lines = [line.split("#")[0] for line in path.read_text("utf-8", errors="replace").splitlines()]
     start = next((number for number, line in enumerate(lines, start=1) if line.strip()), None)
     if start is None:
-        raise InputError("holds no band", where=str(path), expected="a table of band centres and widths")
+        raise InputError("holds no band", where=str(path), expected="a row of numbers for each band")
     header, rows, first = number_table("\n".join(lines), path)
     if header:
         raise InputError("not a row of numbers", where=f"{path}:{start}", expected="numbers; a heading begins with #")
+    return rows, first
+
+
+def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
+    """The spectral axis of a whitespace-separated text table."""
+    needed = max(table.centre_column, table.fwhm_column or 0)
+    rows, first = number_rows(path, "table of bands")
     if rows.shape[1] <= needed:
         raise InputError(f"{rows.shape[1]} columns", where=f"{path}:{first}", expected=f"{needed + 1} or more")
     factor = wavelength_to_nm(table.wavelength_unit)

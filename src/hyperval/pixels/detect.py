@@ -22,8 +22,7 @@ and d = W (t - mu) - m.
 from __future__ import annotations
 
 import re
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -42,10 +41,10 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
 MOST_VALUES = 50_000_000  # of what detectors see of an image at once: 0.4 GB, twice that while they score it
 LEAST_PIXELS = 10  # fewer make no mean to speak of; the global one stands in
-_VALUES_AT_ONCE = 4_000_000  # that are held for the lines of a window
-_LINES_AT_ONCE = 8
+_VALUES_AT_ONCE = 1_000_000  # of the pixels of a strip and what the window reaches beyond them
 _RANK = 1e-10  # a direction of the undesired spectra below this part of the greatest adds nothing but rounding
 
 
@@ -56,9 +55,7 @@ def _ratio(a: Array | float, b: Array | float) -> Array:
 
 # The score from the products of d and z in the metric of the detector: d z, d d and z z.
 SCORES: Mapping[str, Callable[[Array, Array | float, Array], Array]] = {
-    "cem": lambda dz, dd, zz: _ratio(dz, dd),
-    "matched-filter": lambda dz, dd, zz: _ratio(dz, dd),
-    "cem-correlation": lambda dz, dd, zz: _ratio(dz, dd),
+    **dict.fromkeys(("cem", "matched-filter", "cem-correlation"), lambda dz, dd, zz: _ratio(dz, dd)),
     "smf": lambda dz, dd, zz: _ratio(dz, np.sqrt(dd)),
     "ace": lambda dz, dd, zz: _ratio(dz**2, dd * zz),
     "sam": lambda dz, dd, zz: -np.arccos(np.clip(_ratio(dz, np.sqrt(dd * zz)), -1.0, 1.0)),
@@ -404,87 +401,65 @@ def score_cube_locally(
     rows = np.vstack([whitener.matrix * slope, np.zeros(slope.size)])
     constant = np.append(whitener.whitened(level), 1.0)[:, None]
     around = window.outer // 2
-    width = max(16, _VALUES_AT_ONCE // (window.outer * len(rows)) - 2 * around)
+    width = max(16, _VALUES_AT_ONCE // (2 * window.outer * len(rows)) - 2 * around)
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
 
-    def whitened(first: int, end: int, columns: slice) -> Iterator[tuple[Array, Mask, Mask]]:
-        """y (F + 1, w) of each line, which of its pixels have data, and which count; lines outside are empty."""
-        size = columns.stop - columns.start
-        empty = np.zeros((len(rows), size)), np.zeros(size, bool), np.zeros(size, bool)
-        yield from [empty] * max(0, -first)
-        for line in range(max(first, 0), min(end, cube.lines), _LINES_AT_ONCE):
-            stored, usable = cube.read_stored(line, min(_LINES_AT_ONCE, min(end, cube.lines) - line), must)
-            with np.errstate(invalid="ignore", over="ignore"):
-                y = rows @ stored[used, :, columns].reshape(slope.size, -1).astype(float) + constant
-            known = usable[:, columns] & np.isfinite(y).all(axis=0).reshape(-1, size)
-            y[:, ~known.ravel()] = 0.0
-            y = y.reshape(len(rows), -1, size)
-            yield from ((y[:, k], has, has & counted[line + k, columns]) for k, has in enumerate(known))
-        yield from [empty] * max(0, end - cube.lines)
+    def scored(lines: range, samples: range) -> int:
+        """Score some pixels; how many of them lack surroundings."""
+        above, left = max(lines.start - around, 0), max(samples.start - around, 0)
+        columns = slice(left, min(samples.stop + around, cube.samples))
+        stored, usable = cube.read_stored(above, min(lines.stop + around, cube.lines) - above, must)
+        part = stored[used, :, columns].astype(float)
+        with np.errstate(invalid="ignore", over="ignore"):
+            y = (rows @ part.reshape(slope.size, -1) + constant).reshape(len(rows), *part.shape[1:])
+        known = usable[:, columns] & np.isfinite(y).all(axis=0)
+        y[:, ~known] = 0.0
+        summed = np.zeros((len(rows), *(size + 1 for size in known.shape)))
+        np.cumsum(y * (known & counted[above : above + len(known), columns]), axis=1, out=summed[:, 1:, 1:])
+        np.cumsum(summed, axis=2, out=summed)
+        down, along = (np.arange(r.start, r.stop) - first for r, first in ((lines, above), (samples, left)))
+        total = _square_sums(summed, down, along, window.outer) - _square_sums(summed, down, along, window.inner)
+        number = np.rint(total[-1])
+        mean = total[:-1] * np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
+        mean, own = mean.reshape(slope.size, -1), y[:-1, down[0] : down[-1] + 1, along[0] : along[-1] + 1]
+        own, has = own.reshape(slope.size, -1), known[np.ix_(down, along)]
+        z = own - mean
+        zz = _dot(z, z)
+        for key, (name, target) in targets.items():
+            d = target - mean
+            dz, dd = _dot(d, z), _dot(d, d)
+            if name == "cem-correlation":
+                dz, dd = _from_origin(target + origin, mean + origin, own + origin)
+            score = _finite(SCORES[name](dz, dd, zz)).reshape(has.shape)
+            maps[key][lines.start : lines.stop, samples.start : samples.stop] = np.where(has, score, np.nan)
+        return int(np.count_nonzero(has & (number < LEAST_PIXELS)))
 
     def segment(firsts: range) -> int:
         """Score the lines of a segment in strips of samples; how many pixels lack surroundings."""
-        first, end, lonely = firsts[0], min(firsts[-1] + _LINES_AT_ONCE, cube.lines), 0
-        for start in range(0, cube.samples, width):
-            stop = min(start + width, cube.samples)
-            left, right = max(start - around, 0), min(stop + around, cube.samples)
-            inner = slice(start - left, stop - left)
-            means = _moving_means(whitened(first - around, end + around, slice(left, right)), window)
-            for line, (y, known, mean, number) in enumerate(means, first):
-                has, y, mean = known[inner], y[:, inner], mean[:, inner]
-                z = y - mean
-                zz = _dot(z, z)
-                lonely += int(np.count_nonzero(has & (number[inner] < LEAST_PIXELS)))
-                for key, (name, target) in targets.items():
-                    d = target - mean
-                    dz, dd = _dot(d, z), _dot(d, d)
-                    if name == "cem-correlation":
-                        dz, dd = _from_origin(target + origin, mean + origin, y + origin)
-                    score = SCORES[name](dz, dd, zz)
-                    maps[key][line, start:stop] = np.where(has, _finite(score), np.nan)
-        return lonely
+        starts = range(0, cube.samples, width)
+        return sum(
+            scored(range(line, min(line + window.outer, cube.lines)), range(start, min(start + width, cube.samples)))
+            for line in firsts
+            for start in starts
+        )
 
-    return maps, sum(by_segments(cube, _LINES_AT_ONCE, segment, threads=threads, watch=watch))
+    return maps, sum(by_segments(cube, window.outer, segment, threads=threads, watch=watch))
+
+
+def _square_sums(summed: Array, lines: Indices, samples: Indices, side: int) -> Array:
+    """(F, n, w) sums over squares around pixels, cut at the edges, by cumulative sums (F, lines + 1, samples + 1)."""
+    (top, end), (left, right) = (
+        [np.clip(at + step, 0, size - 1) for step in (-(side // 2), side // 2 + 1)]
+        for at, size in zip((lines, samples), summed.shape[1:], strict=True)
+    )
+    strips = summed[:, end] - summed[:, top]
+    return np.asarray(strips[:, :, right] - strips[:, :, left])
 
 
 def _from_origin(t: Array, mu: Array, x: Array) -> tuple[Array, Array]:
     """t R^-1 x and t R^-1 t (N,) in whitened coordinates, where R^-1 = 1 - mu mu^T/(1 + mu^2) (Sherman & Morrison)."""
     tmu, size = _dot(t, mu), 1.0 + _dot(mu, mu)
     return _dot(t, x) - tmu * _dot(mu, x) / size, _dot(t, t) - tmu**2 / size
-
-
-def _moving_means(
-    lines: Iterable[tuple[Array, Mask, Mask]], window: LocalWindow
-) -> Iterator[tuple[Array, Mask, Array, Array]]:
-    """y (F, w), pixels with data, means (F, w) of their surroundings and the pixels behind these, line by line.
-
-    The sums of the two squares are differences of cumulative sums, over lines and over samples.
-
-    Parameters
-    ----------
-    lines : y (F + 1, w) with a last row of 1, pixels with data, and pixels that count; half a window before the first
-        line and after the last are not given back
-    """
-    around, inside = window.outer // 2, window.inner // 2
-    held: deque[tuple[Array, Mask]] = deque(maxlen=around + 1)
-    summed: deque[Array] = deque(maxlen=window.outer + 1)  # of all lines so far
-    for y, known, counts in lines:
-        if not summed:
-            summed.append(np.zeros_like(y))
-        summed.append(summed[-1] + (y if counts.all() else y * counts))
-        held.append((y[:-1], known))
-        if len(summed) == summed.maxlen:
-            total = _along(summed[-1] - summed[0], window.outer)
-            total -= _along(summed[around + inside + 1] - summed[around - inside], window.inner)
-            number = np.rint(total[-1])
-            mean = total[:-1] * np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
-            yield *held[0], mean, number
-
-
-def _along(values: Array, side: int) -> Array:
-    """Sums (F, w) over ``side`` samples around each, cut at the ends."""
-    summed = np.cumsum(np.pad(values, ((0, 0), (side // 2 + 1, side // 2))), axis=1)
-    return np.asarray(summed[:, side:] - summed[:, :-side])
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -16,14 +16,13 @@ Tails of the pixels about their mean: degrees of freedom of a multivariate t, fr
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
 
 from hyperval.data import Components
@@ -63,11 +62,8 @@ class MixtureFit:
         """(K, P, P) inverses of the Cholesky factors of the scales."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.scales)))
 
-    def log_densities(self, x: Array) -> tuple[Array, Array]:
-        """log of weight times density, and the squared distance over the scale, (K, n) each, of values (n, P)."""
-        return self._log_densities(_monomials(x))
-
-    def _log_densities(self, monomials: Array) -> tuple[Array, Array]:
+    def log_densities(self, monomials: Array) -> tuple[Array, Array]:
+        """log of weight times density, and the squared distance over the scale, (K, n) each, by :func:`_monomials`."""
         inverse, p = self.inverse_roots, self.means.shape[1]
         precision = inverse.transpose(0, 2, 1) @ inverse
         towards = np.einsum("kij,kj->ki", precision, self.means)
@@ -85,7 +81,7 @@ class MixtureFit:
 
     def log_density(self, x: Array) -> Array:
         """(n,) log density of values (n, P)."""
-        return _total(self.log_densities(x)[0])[0]
+        return _total(self.log_densities(_monomials(x))[0])[0]
 
     def shares(self, x: Array) -> tuple[Array, Array]:
         """(K, n) probability that a value belongs to a law, and the weight it has in the moments of that law.
@@ -93,7 +89,7 @@ class MixtureFit:
         The weight is (dof + P)/(dof + d^2) of a t law (Peel & McLachlan, Stat. Comput. 10, 339-348, 2000), 1 of a
         normal one.
         """
-        log_parts, squares = self.log_densities(x)
+        log_parts, squares = self.log_densities(_monomials(x))
         return _total(log_parts)[1], _weight(squares, self.dof, x.shape[1])
 
 
@@ -171,7 +167,7 @@ def _from_start(x: Array, probability: Array, dof: float | None, prior: float) -
         if dof is None and history:
             nu = _better_dof(nu, p, probability, weight)
         fit = MixtureFit(size / size.sum(), means, scales, nu)
-        log_parts, squares = fit._log_densities(monomials)
+        log_parts, squares = fit.log_densities(monomials)
         log_density, probability = _total(log_parts)
         history.append(float(log_density.mean()) - _penalty(fit.inverse_roots, ball, prior) / n)
         weight = _weight(squares, nu, p)
@@ -217,7 +213,7 @@ def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
 
     if slope(LEAST_DOF) <= 0.0:
         return LEAST_DOF
-    return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, LEAST_DOF, MOST_DOF))
+    return MOST_DOF if slope(MOST_DOF) >= 0.0 else _root(slope, LEAST_DOF, MOST_DOF)
 
 
 def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array:
@@ -515,7 +511,45 @@ def _t_width(d: Array, p: int, nu: float) -> float:
         return (nu + p) / p * float(np.mean(d / (math.exp(log_width) + d))) - 1.0
 
     low, high = 1e-6 * float(np.median(d)) * nu / p, 1e6 * float(d.max()) * nu
-    return math.exp(scipy.optimize.brentq(excess, math.log(low), math.log(high), xtol=1e-9))
+    return math.exp(_root(excess, math.log(low), math.log(high), 1e-9))
+
+
+# SciPy's optimisers take 16 MB of memory, more than the pixels that tails are fitted to.
+def _root(function: Callable[[float], float], low: float, high: float, tolerance: float = 1e-12) -> float:
+    """Where a function whose signs at ``low`` and ``high`` differ is 0, by false position.
+
+    The value at an end that stays is halved, so that the other end comes in as well (Illinois: Dowell & Jarratt, BIT
+    11, 168-174, 1971).
+    """
+    ends, values = [low, high], [function(low), function(high)]
+    while abs(ends[1] - ends[0]) > tolerance and values[1] != 0.0:
+        x = ends[1] - values[1] * (ends[1] - ends[0]) / (values[1] - values[0])
+        value = function(x)
+        if value * values[1] < 0.0:
+            ends[0], values[0] = ends[1], values[1]
+        else:
+            values[0] *= 0.5
+        moved, ends[1], values[1] = abs(x - ends[1]), x, value
+        if moved <= tolerance:
+            break
+    return ends[1]
+
+
+def _greatest(function: Callable[[float], float], low: float, high: float, tolerance: float) -> tuple[float, float]:
+    """Where a function with one maximum between two places is greatest, and its value there, by golden section."""
+    golden = 0.5 * (math.sqrt(5.0) - 1.0)
+    left, right = high - golden * (high - low), low + golden * (high - low)
+    at_left, at_right = function(left), function(right)
+    while high - low > tolerance:
+        if at_left > at_right:
+            high, right, at_right = right, left, at_left
+            left = high - golden * (high - low)
+            at_left = function(left)
+        else:
+            low, left, at_left = left, right, at_right
+            right = low + golden * (high - low)
+            at_right = function(right)
+    return max((left, at_left), (right, at_right), key=lambda found: found[1])
 
 
 def left_out_distances(squared_distances: npt.ArrayLike, pixels: float) -> Array:
@@ -570,14 +604,11 @@ def fit_tail_dof(
         return top - fit(a) - _HALF_DROP
 
     end, normal = _MOST - offset, fit(0.0)
-    best = scipy.optimize.minimize_scalar(
-        lambda a: -fit(a), bounds=(0.0, end), method="bounded", options={"xatol": 1e-9}
-    )
-    at, top = float(best.x), -float(best.fun)
+    at, top = _greatest(fit, 0.0, end, 1e-8)
     if at <= 2.0 * _LEAST or top <= normal:
         at, top = 0.0, max(normal, top)
-    high = end if drop(end) < 0 else float(scipy.optimize.brentq(drop, at, end))
-    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else float(scipy.optimize.brentq(drop, 0.0, at))
+    high = end if drop(end) < 0 else _root(drop, at, end)
+    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else _root(drop, 0.0, at)
     # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
     # (Self & Liang 1987).
     p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0

@@ -166,7 +166,7 @@ class EmpiricalLine:
     usable : (B,) False where the panels do not differ enough, or are too noisy, to fix a gain
     panels : in the order of the residuals
     intercept : False: the line goes through the origin
-    limits : least contrast of the panels, and gain over its standard uncertainty, of a band that is usable
+    least_contrast : of the panels, in a band that is usable
     """
 
     gain: Array
@@ -178,7 +178,7 @@ class EmpiricalLine:
     usable: Mask
     panels: tuple[MeasuredPanel, ...]
     intercept: bool = True
-    limits: tuple[float, float] = (MINIMUM_CONTRAST, MINIMUM_GAIN_SNR)
+    least_contrast: float = MINIMUM_CONTRAST
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -189,17 +189,11 @@ class EmpiricalLine:
         """(..., B) reflectance (L - b)/k of a radiance (..., B)."""
         return (np.asarray(radiance, dtype=float) - self.offset) / self.gain
 
-    def radiance(self, reflectance: npt.ArrayLike) -> Array:
-        """(..., B) radiance b + k rho of a reflectance (..., B)."""
-        return np.asarray(self.offset + self.gain * np.asarray(reflectance, dtype=float))
-
     def without(self, name: str) -> EmpiricalLine | None:
         """The line through the other panels; None where they fix no line."""
         try:
-            return fit_elm(
-                [p for p in self.panels if p.name != name], intercept=self.intercept,
-                minimum_contrast=self.limits[0], minimum_gain_snr=self.limits[1],
-            )  # fmt: skip
+            others = [p for p in self.panels if p.name != name]
+            return fit_elm(others, intercept=self.intercept, minimum_contrast=self.least_contrast)
         except UsageError:
             return None
 
@@ -287,29 +281,26 @@ def fit_elm(
     panels: Sequence[MeasuredPanel],
     *,
     intercept: bool = True,
-    saturation: npt.ArrayLike | None = None,
     minimum_contrast: float = MINIMUM_CONTRAST,
-    minimum_gain_snr: float = MINIMUM_GAIN_SNR,
 ) -> EmpiricalLine:
     """Line through all panels, band by band, with errors in reflectance and in radiance.
 
     Exact for two panels; more are weighted by York's method (:func:`fit_line`).  A band whose panels differ by less
-    than ``minimum_contrast`` or whose gain is below ``minimum_gain_snr`` times its uncertainty gets NaN; where that
+    than ``minimum_contrast`` or whose gain is below five times its uncertainty gets NaN; where that
     is more than half of the bands the panels are refused.
 
     Parameters
     ----------
     intercept : False: L = gain rho, for radiance whose path part is removed or small, for which one panel is enough.
         The offset and its covariances are 0: that it is none is the assumption
-    saturation : scalar or (B,) radiance at which the detector is full; a panel that reaches it is refused
 
     Raises
     ------
-    UsageError : too few panels, reflectance in percent, saturated panels, equal panels (two bright ones fit
+    UsageError : too few panels, reflectance in percent, equal panels (two bright ones fit
         anything), or panels too noisy or too dark to fix a line.
     """
     panels = tuple(panels)
-    _refuse_bad_panels(panels, saturation, least=1 + intercept)
+    _refuse_bad_panels(panels, least=1 + intercept)
     points = _points(panels)
 
     def contrast(rows: Mask) -> Array:
@@ -318,7 +309,7 @@ def fit_elm(
     def fitted(rows: Mask, bands: Mask) -> tuple[LineFit, Mask]:
         """The line through some panels in some bands, and in which of these it has no gain."""
         fit = fit_line(*(part[np.ix_(rows, bands)] for part in points), intercept=intercept)
-        return fit, ~(fit.slope > minimum_gain_snr * np.sqrt(fit.covariance[:, 0, 0]))
+        return fit, ~(fit.slope > MINIMUM_GAIN_SNR * np.sqrt(fit.covariance[:, 0, 0]))
 
     every = np.ones(len(panels), bool)
     flat = contrast(every) < minimum_contrast
@@ -327,7 +318,7 @@ def fit_elm(
         raise refusal("line.contrast", names=names, differ=differ, least=minimum_contrast)
     fit, noisy = fitted(every, ~flat)
     if np.mean(noisy) > 0.5:
-        raise refusal("line.noisy", least=minimum_gain_snr, count=int(noisy.sum()), bands=noisy.size)
+        raise refusal("line.noisy", least=MINIMUM_GAIN_SNR, count=int(noisy.sum()), bands=noisy.size)
     usable = ~flat
     usable[usable] = ~noisy
     left_out = np.full(points[0].shape, np.nan)
@@ -342,27 +333,24 @@ def fit_elm(
     gain, offset, covariance, residuals, chi2 = (_spread(part[..., ~noisy], usable) for part in parts)
     return EmpiricalLine(
         gain, offset, covariance.T, residuals, chi2, left_out if len(panels) > 1 + intercept else None, usable, panels,
-        intercept, (minimum_contrast, minimum_gain_snr),
+        intercept, minimum_contrast,
     )  # fmt: skip
 
 
-def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], saturation: npt.ArrayLike | None, least: int) -> None:
-    """Raise UsageError for fewer panels than ``least``, reflectances that are none, and saturated panels."""
+def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
+    """Raise UsageError for fewer panels than ``least`` and reflectances that are none."""
     if len(panels) < least:
         raise UsageError(f"{len(panels)} panel for an empirical line", expected=f"{least} or more")
     if len({p.reflectance.size for p in panels}) > 1:
         raise UsageError("the panels have different numbers of bands")
     for p in panels:
         rho, errors = p.reflectance, np.stack([variance_of(p.reflectance_error), variance_of(p.radiance_error)])
-        full = p.radiance >= (np.inf if saturation is None else np.asarray(saturation, dtype=float))
-        bands = f"{int(full.sum())} bands (first: band {int(full.argmax()) + 1})"
         for wrong, words, mend in (
             (~np.isfinite([rho, p.radiance, *errors]), " holds NaN or infinity", "leave those bands out"),
             (errors < 0, ": a variance is negative", None),
             (p.n < 1, " has no pixels", None),
             (rho > PERCENT_LIMIT, f" has a reflectance of {rho.max():.4g}, not 0 to 1", "divide percent by 100"),
             (rho < -0.05, f" has a reflectance of {rho.min():.3g}", None),
-            (full, f" is saturated in {bands}", "leave the panel or those bands out"),
         ):
             if np.any(wrong):
                 raise UsageError(f"panel {p.name!r}{words}", mend=mend)

@@ -42,15 +42,13 @@ def values_on(image: npt.NDArray[Any], placed: Placed) -> npt.NDArray[Any]:
     return np.asarray(image[line : line + part.shape[0], sample : sample + part.shape[1]][part])
 
 
-def object_scores(
-    score_map: npt.NDArray[Any], objects: Mapping[str, Placed | npt.NDArray[Any]], halo: int = 0
-) -> dict[str, float]:
+def object_scores(score_map: npt.NDArray[Any], objects: Mapping[str, Placed], halo: int = 0) -> dict[str, float]:
     """Greatest score over each object's pixels and ``halo`` pixels around them.
 
     Parameters
     ----------
     score_map : (lines, samples), NaN where invalid
-    objects : the pixels of each object: a window with its mask, or a mask (lines, samples)
+    objects : the pixels of each object: a window with its mask
 
     Returns
     -------
@@ -59,10 +57,7 @@ def object_scores(
     """
     scores = np.asarray(score_map, dtype=float)
     greatest: dict[str, float] = {}
-    for name, item in objects.items():
-        if not isinstance(item, tuple) and np.shape(item) != scores.shape:
-            raise UsageError(f"the mask of {name!r} has shape {np.shape(item)}, the score map {scores.shape}")
-        placed = item if isinstance(item, tuple) else ((0, 0), np.asarray(item, dtype=bool))
+    for name, placed in objects.items():
         if not np.any(placed[1]):
             raise UsageError(f"the object {name!r} holds no pixel")
         pixels = values_on(scores, placed_with_halo(placed, halo, scores.shape))

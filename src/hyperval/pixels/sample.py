@@ -127,20 +127,14 @@ def nth_pixels(mask: Mask, numbers: Index, until: Index | None = None) -> tuple[
     return lines, samples
 
 
-def independent_for_mean(n: int, correlation: Array, shares: Array) -> float:
-    """n / sum_h rho(h) share(h): independent values that give the mean of n the same variance; 1 to n.
+def independent_values(n: int, correlation: Array, shares: Array) -> Array:
+    """(K,) n / sum_h rho(h) share(h): independent values that give the mean of n the same variance; 1 to n.
 
-    Source: Cressie, Statistics for Spatial Data, 1993, section 1.3.
+    With rho^2 in place of the ``correlation`` rho (K, 2R + 1, 2R + 1), those for the variance of normal values, as
+    cov(x^2, y^2) = 2 rho^2 sigma^4 takes the place of cov(x, y) = rho sigma^2.  Source: Cressie, Statistics for
+    Spatial Data, 1993, section 1.3.
     """
-    return float(np.clip(n / max(float(np.sum(correlation * shares)), 1.0), 1.0, n))
-
-
-def independent_for_variance(n: int, correlation: Array, shares: Array) -> float:
-    """n / sum_h rho(h)^2 share(h): the same for the variance of normal values; 1 to n.
-
-    cov(x^2, y^2) = 2 rho^2 sigma^4 of two normal values takes the place of cov(x, y) = rho sigma^2.
-    """
-    return float(np.clip(n / max(float(np.sum(correlation**2 * shares)), 1.0), 1.0, n))
+    return np.asarray(np.clip(n / np.maximum(np.sum(correlation * shares, axis=(1, 2)), 1.0), 1.0, n))
 
 
 COMPONENTS = 24  # leading ones whose correlation on the ground is measured one by one

@@ -277,7 +277,6 @@ class Sums:
 def region_statistics(
     cube: Cube,
     regions: Mapping[str, Mask] | None = None,
-    exclude: Mask | None = None,
     *,
     threads: int | None = None,
     block_lines: int | None = None,
@@ -293,7 +292,6 @@ def region_statistics(
     Parameters
     ----------
     regions : masks (lines, samples) by name, of which "scene" is kept for the whole; or labels, the scene among them
-    exclude : (lines, samples) True on pixels left out of the scene, where that is not among the labels
     threads, block_lines : None chooses them
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
@@ -305,7 +303,7 @@ def region_statistics(
     if not isinstance(labels, Labels):
         if SCENE in (regions or {}):
             raise UsageError(f"the region name {SCENE!r} is kept for the whole image")
-        scene = np.broadcast_to(np.True_, (cube.lines, cube.samples)) if exclude is None else ~exclude
+        scene = np.broadcast_to(np.True_, (cube.lines, cube.samples))
         labels = Labels.of(scene.shape, {SCENE: scene} | dict(regions or {}))
     members, number = labels.members, labels.number
     count = len(members[SCENE])
