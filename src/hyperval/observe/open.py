@@ -71,7 +71,7 @@ Resolve = Callable[[str], Path]
 SCENE = "scene"
 IMAGE = "image"
 MAX_TABLE_BYTES = 10 << 20
-_TOGETHER = 2048  # pixels whose spectra are read at once
+_TOGETHER = 1024  # pixels whose spectra are read at once
 _NEAR = "\0targets with their guard"  # among the labels: a name that no region has
 
 

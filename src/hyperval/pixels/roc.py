@@ -38,6 +38,7 @@ Scores = npt.ArrayLike | AlarmBlocks  # the latter know their places, and come i
 
 POINTS_PER_DECADE = 20
 STATED_PD = (0.5, 0.9)
+LEVEL = 0.95  # of every interval here
 _SAFE = 6.0  # how many times as often the limit without assumptions may be told to miss
 _LOST_ENOUGH = 8.0  # targets' worth of area that a variance can be estimated from
 _CHUNK = 2_000_000  # values of the largest array of a bootstrap
@@ -131,7 +132,7 @@ def alarms_before_first(target_scores: npt.ArrayLike, background_scores: npt.Arr
 
 
 def alarms_at_detection(
-    target_scores: npt.ArrayLike, background_scores: Scores, pd: Sequence[float] = STATED_PD, level: float = 0.95
+    target_scores: npt.ArrayLike, background_scores: Scores, pd: Sequence[float] = STATED_PD
 ) -> tuple[AlarmsAtDetection, ...]:
     """Alarms at the highest threshold that declares at least a share ``pd`` of the targets.
 
@@ -139,7 +140,7 @@ def alarms_at_detection(
     Clopper & Pearson; no alarm at all gives an upper limit like any other number.  The threshold that truly detects
     ``pd`` is known only through the targets: the number of them above it is binomial, so it lies between two of
     their order statistics.  The alarms at these, with the outer limits of Clopper & Pearson, bound the true P_FA;
-    both statements at level sqrt(``level``), so that together they hold at ``level`` or more whatever the
+    both statements at level sqrt(0.95), so that together they hold at 0.95 or more whatever the
     distributions.  Of a background whose places are known, alarms that come in clusters count as fewer: they and the
     pixels are divided by the design effect (:meth:`~hyperval.pixels.alarms.AlarmBlocks.design_effect`).
 
@@ -148,7 +149,7 @@ def alarms_at_detection(
     UsageError : a ``pd`` outside (0, 1].
     """
     t, b = ascending(target_scores, "target"), ascending(background_scores, "background")
-    m, n, each = t.size, b.size, float(np.sqrt(level))
+    m, n, each = t.size, b.size, float(np.sqrt(LEVEL))
 
     def alarms(rank: int, side: Literal["left", "right"] = "left") -> int:
         """Background scores that reach, or (``right``) exceed, the ``rank``-th greatest target."""
@@ -163,7 +164,7 @@ def alarms_at_detection(
         if not 0.0 < q <= 1.0:
             raise UsageError(f"a detection probability of {q:g}", expected="above 0, at most 1")
         rank = int(np.ceil(q * m / _ROUNDING))
-        fixed = limits(alarms(rank), level)
+        fixed = limits(alarms(rank), LEVEL)
         r, s = (int(x) for x in _ranks(m, q, each))
         low = limits(alarms(r, "right"), each)[0] if r >= 1 else 0.0
         high = limits(alarms(s), each)[1] if s <= m else 1.0
@@ -234,7 +235,7 @@ def _influence(counts: RankCounts, area: RocArea) -> tuple[Array, Counts]:
 
 
 def logit_interval(
-    value: float, variance: float, m: int, n: float, level: float = 0.95, quantile: float | None = None
+    value: float, variance: float, m: int, n: float, quantile: float | None = None
 ) -> tuple[float, float]:
     """Interval of an area, symmetric in its logit, with Student's t of the smaller sample or another quantile.
 
@@ -242,9 +243,9 @@ def logit_interval(
     """
     trials = min(m, n)
     if value <= 0.0 or value >= 1.0 or variance <= 0.0:
-        low, high = (float(x) for x in clopper_pearson(round(value * trials), trials, level))
+        low, high = (float(x) for x in clopper_pearson(round(value * trials), trials))
         return min(low, value), max(high, value)
-    tail = 0.5 + level / 2.0
+    tail = 0.5 + LEVEL / 2.0
     if quantile is None:
         quantile = float(special.stdtrit(trials - 1, tail)) if trials > 1 else float(special.ndtri(tail))
     half = quantile * np.sqrt(variance) / (value * (1.0 - value))
@@ -253,7 +254,7 @@ def logit_interval(
 
 
 def interval_of_mean(
-    placed: Array, target_variance: float, background_variance: float, n: float, level: float = 0.95
+    placed: Array, target_variance: float, background_variance: float, n: float
 ) -> tuple[float, float]:
     """Interval of an area from the placements (m,) of its targets and the two parts of its variance.
 
@@ -265,13 +266,13 @@ def interval_of_mean(
     """
     value = float(np.clip(placed.mean(), 0.0, 1.0))
     variance, m = target_variance + background_variance, placed.size
-    low, high = logit_interval(value, variance, m, n, level)
+    low, high = logit_interval(value, variance, m, n)
     if min(float(np.sum(1.0 - placed)), float(np.sum(placed))) >= _LOST_ENOUGH:
         return low, high
-    least, greatest = bounded_mean_limits(np.clip(placed, 0.0, 1.0), 1.0 - _SAFE * (1.0 - level))
-    normal = float(special.ndtri(0.5 + level / 2.0))
+    least, greatest = bounded_mean_limits(np.clip(placed, 0.0, 1.0), 1.0 - _SAFE * (1.0 - LEVEL))
+    normal = float(special.ndtri(0.5 + LEVEL / 2.0))
     half = normal * np.sqrt(background_variance)
-    near = logit_interval(value, variance, m, np.inf, level, quantile=normal)
+    near = logit_interval(value, variance, m, np.inf, quantile=normal)
     if value > 0.5:
         return max(min(low, value - np.hypot(value - least, half)), 0.0), near[1]
     return near[0], min(max(high, value + np.hypot(greatest - value, half)), 1.0)
@@ -364,7 +365,7 @@ class PresetThresholds:
     threshold, alarms : lowest threshold whose empirical false-alarm rate is at most that, -inf where all is declared;
         and the scores above it
     greatest, least : order statistics that bound the true threshold; inf and -inf where none does
-    n_background, level : scores of the background; confidence of the bounds
+    n_background : scores of the background
     """
 
     pfa: Array
@@ -373,12 +374,9 @@ class PresetThresholds:
     greatest: Array
     least: Array
     n_background: int
-    level: float
 
 
-def preset_thresholds(
-    background_scores: Scores, pfa: npt.ArrayLike | None = None, *, level: float = 0.95
-) -> PresetThresholds:
+def preset_thresholds(background_scores: Scores, pfa: npt.ArrayLike | None = None) -> PresetThresholds:
     """Thresholds of :func:`empirical_roc`; one set serves all targets that are looked for in the same scores.
 
     ``pfa`` defaults to a logarithmic grid from one alarm in the whole background to 1, which holds the decades.
@@ -393,7 +391,7 @@ def preset_thresholds(
     if not (np.all(p > 0) and np.all(p <= 1)):
         raise UsageError("a preset false-alarm probability must lie in (0, 1]")
     blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
-    r, s = _ranks(n, p, level) if blocks is None else blocks.rank_limits(p)
+    r, s = _ranks(n, p, LEVEL) if blocks is None else blocks.rank_limits(p)
 
     def greatest(rank: Counts) -> Array:
         """The ``rank``-th greatest score; inf for rank 0, -inf beyond the last."""
@@ -402,7 +400,7 @@ def preset_thresholds(
     k = np.minimum(np.floor(p * n * _ROUNDING).astype(np.int64), n)
     threshold = greatest(k + 1)
     alarms = np.where(k >= n, n, n - np.searchsorted(b, threshold, side="right"))
-    return PresetThresholds(p, threshold, alarms, greatest(r), greatest(s), n, level)
+    return PresetThresholds(p, threshold, alarms, greatest(r), greatest(s), n)
 
 
 def empirical_roc(
@@ -412,7 +410,6 @@ def empirical_roc(
     unit: Literal["pixel", "object"] = "pixel",
     *,
     background_area_km2: float | None = None,
-    level: float = 0.95,
 ) -> RocCurve:
     """Detection probability at the lowest threshold whose empirical false-alarm rate is at most ``pfa``.
 
@@ -445,7 +442,7 @@ def empirical_roc(
     t = ascending(target_scores, "target")
     at = background_scores
     if not isinstance(at, PresetThresholds):
-        at = preset_thresholds(at, pfa, level=level)
+        at = preset_thresholds(at, pfa)
 
     def above(threshold: Array, everything: npt.NDArray[np.bool_]) -> Counts:
         """How many targets lie above the threshold; all of them where ``everything`` is declared, -inf included."""
@@ -454,7 +451,7 @@ def empirical_roc(
     detected = above(at.threshold, at.alarms == at.n_background)
     every = at.pfa >= 1.0  # declares everything, whatever the sample
     few, many = above(at.greatest, every), above(at.least, np.isneginf(at.least))
-    pd, (low, high) = detected / t.size, mid_p_limits(detected, t.size, at.level)
+    pd, (low, high) = detected / t.size, mid_p_limits(detected, t.size)
     lower, upper = _widened(pd, (np.where(every, 1.0, low), high), pd - few / t.size, many / t.size - pd)
     return RocCurve(
         at.pfa, pd, lower, upper, at.threshold, unit, int(t.size), at.n_background, background_area_km2, at.alarms
@@ -490,7 +487,7 @@ def with_summary(
     return replace(curve, areas=estimates, at_detection=alarms_at_detection(target_scores, background_scores))
 
 
-def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
+def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
     """One curve for several groups of targets, each with its own detector, at the same false-alarm probability.
 
     P_D is the share of all targets detected; its interval is the mid-P one of the pooled count and, in
@@ -515,13 +512,13 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
     for curve in curves:
         n, at = int(curve.n_target or 0), np.abs(curve.pfa / grid[:, None] - 1.0).argmin(axis=1)
         pd, low, high = (values[at] for values in (curve.pd, curve.pd_lower, curve.pd_upper))
-        own = mid_p_limits(np.rint(pd * n), n, level)
+        own = mid_p_limits(np.rint(pd * n), n)
         detected += np.rint(pd * n)
         # What was added in quadrature to the binomial limits.
         below += n / total * np.sqrt(np.maximum((pd - low) ** 2 - (pd - own[0]) ** 2, 0.0))
         above += n / total * np.sqrt(np.maximum((high - pd) ** 2 - (own[1] - pd) ** 2, 0.0))
     pd = detected / total
-    lower, upper = _widened(pd, mid_p_limits(detected, total, level), below, above)
+    lower, upper = _widened(pd, mid_p_limits(detected, total), below, above)
     n_background = min((c.n_background for c in curves if c.n_background is not None), default=None)
     areas = pooled_areas([c.areas for c in curves], n_background or 0)
     every = np.full(grid.shape, np.nan)  # threshold: each curve has its own
