@@ -111,7 +111,7 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
     legend = "twice the gain in log-likelihood (2 Δ ln L) when that input may move; dotted: 1 in 1000 by luck"
     legend += "; a number in brackets is one of several independent shapes of an error" if _numbered(names) else ""
-    x = Axis("how much better it explains the differences", "log", ends=(0.1, max(best.value * 30.0, 30.0)))
+    x = Axis("how much better it explains the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Which input, were it less well known, would explain the differences"
     y = row_names(names, _LONGEST)
     return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
