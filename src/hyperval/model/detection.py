@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 from collections.abc import Mapping
 from dataclasses import field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 from scipy.special import ndtr, ndtri
 
@@ -65,7 +65,7 @@ from hyperval.model.radiance import (
 )
 from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid
 from hyperval.model.surfaces import cut
-from hyperval.model.world import World, distinct, settled
+from hyperval.model.world import Keeps, World, distinct, settled
 from hyperval.products import ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Scenario, Target, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
@@ -446,10 +446,7 @@ def target_scores(light: Light, of: Background, seen: Seen, filters: Filters, ma
     return Responses(means, own, of.gain[:, number] * behind, rest, error, fine)
 
 
-Made = TypeVar("Made")
-
-
-class Evaluation:
+class Evaluation(Keeps):
     """U truths of what was read once; quantities are computed when asked for.
 
     Parameters
@@ -465,7 +462,7 @@ class Evaluation:
         self.first, self.which = world.distinct()
         self.at = world.rows(self.first)
         self.light = light_of(self.at)
-        self._made: dict[Any, Any] = {}
+        self.kept: dict[Any, Any] = {}
 
     def __len__(self) -> int:
         return self.world.size
@@ -541,13 +538,10 @@ class Evaluation:
     @cached_property
     def designer(self) -> Designer:
         """Of the filters; its memory serves the next truths of the same scenario."""
-        processing, key = self.scenario.processing, ("designer", self.bands.tobytes())
-        if key not in self.stated.kept:
-            names = processing.filter_classes
-            chosen = np.array([not names or n in names for n in self.stated.classes])
-            self.stated.kept[key] = Designer(processing, chosen, self.bands.size)
-        designer: Designer = self.stated.kept[key]
-        return designer
+        processing, names = self.scenario.processing, self.scenario.processing.filter_classes
+        chosen = np.array([not names or n in names for n in self.stated.classes])
+        key = "designer", self.bands.tobytes()
+        return self.stated.once(key, lambda: Designer(processing, chosen, self.bands.size))
 
     @cached_property
     def _designed(self) -> tuple[dict[tuple[str, str], tuple[Filters, Array, Array]], dict[int, UsageError]]:
@@ -578,11 +572,11 @@ class Evaluation:
         t, bands = self.targets[target], self.bands
         number, stretch = at.surface(t.name), at.stretch[:, at.surface(t.name)]
         error = self.errors[t.name][:, bands] if t.name in self.errors else None
-        key = "cut", t.name, bands.tobytes()
-        if key not in self.stated.kept:
-            self.stated.kept[key] = cut(self.stated.surfaces[t.name].covariance, bands)
+        covariance = self.stated.once(
+            ("cut", t.name, bands.tobytes()), lambda: cut(self.stated.surfaces[t.name].covariance, bands)
+        )
         return Material(
-            at.mean[:, number, bands], self.stated.kept[key], stretch[:, bands] if stretch.shape[1] > 1 else stretch,
+            at.mean[:, number, bands], covariance, stretch[:, bands] if stretch.shape[1] > 1 else stretch,
             at.column("fine_texture")[:, number], self.stated.classes.index(t.host), at.column("beam")[:, target],
             at.column("sky_view")[:, target], error,
         )  # fmt: skip
@@ -665,13 +659,6 @@ class Evaluation:
             if population.name == name:
                 return number, target, population
         raise UsageError(f"no target population {name!r}")
-
-    def once(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What ``make`` gives, made the first time that ``key`` is asked for."""
-        if key not in self._made:
-            self._made[key] = make()
-        made: Made = self._made[key]
-        return made
 
 
 def evaluations(

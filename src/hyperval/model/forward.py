@@ -169,10 +169,9 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], npt.NDArray[np.i
     position, targets, each = scenario.uncertainty.position_m, world.targets_at(0), []
     for fill in models:
         key = "shares", number, repr((fill, [p.fill for target in targets for p in target.populations]))
-        if key not in stated.kept:
-            moved = population.model_copy(update={"fill": fill})
-            stated.kept[key] = shares_of(targets[t], moved, targets, position, scenario.processing.seed)
-        each.append(stated.kept[key])
+        moved, seed = population.model_copy(update={"fill": fill}), scenario.processing.seed
+        make = partial(shares_of, targets[t], moved, targets, position, seed)
+        each.append(stated.once(key, make))
     return each, which
 
 

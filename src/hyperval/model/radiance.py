@@ -698,17 +698,15 @@ class Background:
     def of(world: World, bands: Index) -> Background:
         """Of a world."""
         stated, classes = world.stated, len(world.stated.classes)
-        key = "background", bands.tobytes()
-        if key not in stated.kept:
-            covariances = tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes)
-            laws = tuple(
-                law._replace(
-                    offset=None if law.offset is None else law.offset[bands], covariance=cut(law.covariance, bands)
-                )
-                for law in stated.laws
+
+        def on_bands() -> tuple[tuple[Array, ...], tuple[Law, ...], dict[Any, Any]]:
+            return (
+                tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes),
+                tuple(law.at(bands) for law in stated.laws),
+                {},
             )
-            stated.kept[key] = covariances, laws, {}
-        covariances, laws, kept = stated.kept[key]
+
+        covariances, laws, kept = stated.once(("background", bands.tobytes()), on_bands)
         means = np.apply_along_axis(without_gaps, -1, world.mean[:, :classes])
         between = means - np.matmul(world.fraction[:, None, :], means)
         stretch = world.stretch[:, :classes]
@@ -728,14 +726,21 @@ class Background:
 
     def covariance(self, u: int = 0) -> Array:
         """(F, F) Sigma_ave of (3.11)."""
-        key = "covariance", self._key(u)
-        if self.kept.get("covariance", ("",))[0] != key:
+
+        def made() -> Array:
             f, between, stretch = (of_truth(x, u) for x in (self.fraction, self.between, self.stretch))
             pairs = zip(stretch, self.covariances, strict=True)
-            own = [c * (g[0] ** 2 if g.size == 1 else np.outer(g, g)) for g, c in pairs]
-            total = mixture_covariance(f, between, own)
-            self.kept["covariance"] = key, total
-        matrix: Array = self.kept["covariance"][1]
+            return mixture_covariance(
+                f, between, [c * (g[0] ** 2 if g.size == 1 else np.outer(g, g)) for g, c in pairs]
+            )
+
+        return self._latest("covariance", self._key(u), made)
+
+    def _latest(self, name: str, key: bytes, make: Callable[[], Array]) -> Array:
+        """A matrix, kept while what it follows from stays."""
+        if self.kept.get(name, (None,))[0] != key:
+            self.kept[name] = key, make()
+        matrix: Array = self.kept[name][1]
         return matrix
 
     def _key(self, u: int) -> bytes:
@@ -765,28 +770,22 @@ class Background:
     def packed(self, weights: Array, u: int) -> Array:
         """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
         stretch = of_truth(self.stretch, u)
-        key = weights.tobytes() + stretch.tobytes()
-        if self.kept.get("packed", ("",))[0] != key:
-            if "stack" not in self.kept:
-                self.kept["stack"] = np.array([packed(c) for c in self.covariances])
-            stack = self.kept["stack"]
+        stack = self._latest("stack", b"", lambda: np.array([packed(c) for c in self.covariances]))
+
+        def made() -> Array:
             if stretch.shape[1] == 1:
-                total = (weights * stretch[:, 0] ** 2) @ stack
-            else:
-                total = sum(w * packed(np.outer(g, g)) * c for w, g, c in zip(weights, stretch, stack, strict=True))
-            self.kept["packed"] = key, total
-        values: Array = self.kept["packed"][1]
-        return values
+                return np.asarray((weights * stretch[:, 0] ** 2) @ stack)
+            each = zip(weights, stretch, stack, strict=True)
+            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in each))
+
+        return self._latest("packed", weights.tobytes() + stretch.tobytes(), made)
 
     def packed_surroundings(self, u: int) -> Array:
         """(P,) Sigma_ave of (3.11) of one truth, packed; kept while it stays."""
-        key = self._key(u)
-        if self.kept.get("around", ("",))[0] != key:
-            f, between = (of_truth(x, u) for x in (self.fraction, self.between))
-            within = self.packed(f, u).copy()
-            self.kept["around"] = key, add_products(within, np.sqrt(f)[:, None] * between)
-        values: Array = self.kept["around"][1]
-        return values
+        f, between = (of_truth(x, u) for x in (self.fraction, self.between))
+        return self._latest(
+            "around", self._key(u), lambda: add_products(self.packed(f, u).copy(), np.sqrt(f)[:, None] * between)
+        )
 
 
 class Seen(NamedTuple):

@@ -19,7 +19,7 @@ from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path as FilePath
 from pathlib import PurePath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +40,7 @@ from hyperval.model.fill import (
     whole_object_fills,
     with_mean,
 )
-from hyperval.model.surfaces import Read, Resolve, Sources, SurfaceStatistics, class_tail, without_gaps
+from hyperval.model.surfaces import Read, Resolve, Sources, SurfaceStatistics, class_tail, cut, without_gaps
 from hyperval.progress import track
 from hyperval.scenario import ElmPanels, Fill, Illumination, Scenario, Target, TargetSubject
 from hyperval.sensor.noise import NoiseModel
@@ -544,8 +544,24 @@ def state_value(state: AtmosphericState, name: str) -> float:
     return float(value)
 
 
+Made = TypeVar("Made")
+
+
+class Keeps:
+    """What keeps what follows from it, once it was asked for."""
+
+    kept: dict[Any, Any]
+
+    def once(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What ``make`` gives, made the first time that ``key`` is asked for."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        made: Made = self.kept[key]
+        return made
+
+
 @dataclass(frozen=True, eq=False)
-class Stated:
+class Stated(Keeps):
     """What a scenario and its files say on its bands: read once, shared by all truths.
 
     Attributes
@@ -665,6 +681,11 @@ class Law(NamedTuple):
     covariance: Array
     dof: float | None
 
+    def at(self, bands: Index) -> Law:
+        """The law on some bands."""
+        offset = None if self.offset is None else self.offset[bands]
+        return self._replace(offset=offset, covariance=cut(self.covariance, bands))
+
 
 def find(stated: Stated, path: str) -> tuple[Path, int]:
     """Where a path leads, and the number of its item.
@@ -673,11 +694,7 @@ def find(stated: Stated, path: str) -> tuple[Path, int]:
     ------
     UsageError : to something that the scenario does not have.
     """
-    key = "path", path
-    if key not in stated.kept:
-        stated.kept[key] = _found(stated, path)
-    found: tuple[Path, int] = stated.kept[key]
-    return found
+    return stated.once(("path", path), lambda: _found(stated, path))
 
 
 def _found(stated: Stated, path: str) -> tuple[Path, int]:
@@ -1037,14 +1054,10 @@ class World:
             if not np.all((values >= 0.0) & (values <= 1.0)):
                 raise UsageError(f"fill {values.min():g} to {values.max():g}", expected="0 to 1")
             return Fills(values, np.ones((1, 1)))
-        key = "fills", number, objects
-        if not moved and not others:
-            if key not in self.stated.kept:
-                self.stated.kept[key] = (whole_object_fills if objects else fills_of_population)(stated, thesis)
-            kept: Fills = self.stated.kept[key]
-            return kept
-        models, which = self.fill_models(number)
         make = whole_object_fills if objects else fills_of_population
+        if not moved and not others:
+            return self.stated.once(("fills", number, objects), lambda: make(stated, thesis))
+        models, which = self.fill_models(number)
         return stacked_fills([make(fill, thesis) for fill in models], which)
 
     # ---- light and sensor ----------------------------------------------------------------------------------
