@@ -7,16 +7,20 @@ through them together.  ACE has no closed form: conditional Monte Carlo, one tru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr, ndtri
 
+from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
+from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 from hyperval.model.classification import feature_covariance, features, minimum_noise_fraction, principal_components
+from hyperval.model.fill import FillDistribution, Fills
 from hyperval.model.filters import (
     MAX_CONDITION,
     LinearFilter,
@@ -36,42 +40,28 @@ from hyperval.model.radiance import (
     Light,
     Seen,
     TwoPanelLine,
+    at_rows,
+    light_of,
     of_truth,
     retrieved_reflectance,
+    seen_classes,
     spread,
     target_pixel_reflectance,
     wide,
 )
-from hyperval.scenario import Processing
+from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid
+from hyperval.model.surfaces import cut
+from hyperval.model.world import Keeps, World, distinct, settled
+from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
+from hyperval.scenario import Processing, Scenario, Target, TargetSubject
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-
-from collections.abc import Mapping
-from dataclasses import field
-from functools import cached_property
-from typing import Any
-
-from scipy.special import ndtr, ndtri
-
-from hyperval.data import LINEAR_DETECTORS
-from hyperval.model.ace import AceSpace, Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
-from hyperval.model.fill import FillDistribution, Fills
-from hyperval.model.radiance import (
-    at_rows,
-    light_of,
-    seen_classes,
-)
-from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid
-from hyperval.model.surfaces import cut
-from hyperval.model.world import Keeps, World, distinct, settled
-from hyperval.products import ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
-from hyperval.scenario import Scenario, Target, TargetSubject
-from hyperval.spectra.axis import SpectralAxis, in_window
-
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+RocKey = tuple[str, str, str]
 
 
 class Filters(NamedTuple):
@@ -454,6 +444,10 @@ class Evaluation(Keeps):
     world : settled (:func:`hyperval.model.world.settled`)
     errors : target -> (K, B) directions of the error of its spectrum
     shift : (U or 1,) by how many standard deviations of the score the targets depart from their spectra
+
+    Attributes
+    ----------
+    curves : P_D (U, K) of all truths at the false-alarm probabilities of the curves, once they were asked for
     """
 
     def __init__(self, world: World, errors: Mapping[str, Array] | None = None, shift: Array | float = 0.0):
@@ -463,6 +457,7 @@ class Evaluation(Keeps):
         self.at = world.rows(self.first)
         self.light = light_of(self.at)
         self.kept: dict[Any, Any] = {}
+        self.curves: dict[RocKey, Array] = {}
 
     def __len__(self) -> int:
         return self.world.size
@@ -733,40 +728,6 @@ class AceCurve(NamedTuple):
     alarm_error: float
 
 
-class Seeing(NamedTuple):
-    """One truth as the detector sees it: laws of pixels go through ACE in its filter's space.
-
-    Attributes
-    ----------
-    slope, surroundings : (F,) D_A / k, (F, F) Sigma_ave (3.11)
-    space, base : of the target looked for
-    samples, seed : of the draws
-    """
-
-    slope: Array
-    surroundings: Array
-    space: AceSpace
-    base: FilterBase
-    samples: int
-    seed: int
-
-    def covariance(self, surface: Array, around: Array, noise: Array) -> Array:
-        """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
-        own = surface * np.outer(self.slope, self.slope) + self.surroundings * np.outer(around, around)
-        return np.asarray(own + np.diag(noise))
-
-    def exceedance(
-        self, mean: Array, covariance: Array, dof: float, stream: Sequence[int], decades: Sequence[float],
-        normal: Array | None = None,
-    ) -> Exceedance:  # fmt: skip
-        """P(ACE > eta) of pixels with a mean and a covariance, and of a normal part whatever the tails."""
-        normal = None if normal is None else self.base.spread(normal)
-        return ace_exceedance(
-            self.space, self.base.of(mean), self.base.spread(covariance), self.samples,
-            np.random.default_rng([self.seed, *stream]), None if np.isinf(dof) else dof, decades=decades, normal=normal,
-        )  # fmt: skip
-
-
 def ace_curves(e: Evaluation, target: int, pfa: Array, object_curves: bool) -> dict[str, list[AceCurve]]:
     """Population of a target -> ACE of it in each truth; the host of a pixel keeps its laws."""
     of = [(i, p.name) for i, (t, _, p) in enumerate(e.stated.populations) if t == target]
@@ -810,7 +771,25 @@ def _ace_truth(
     base = e.designer.base(e.designer.mixture(e.background, e.seen, v), lambda r: noise_of(e.view, e.seen, v, r))
     looked_for = of_truth(e.looked_for(named.name), v)
     space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
-    one = Seeing(seen.slope[0], e.background.covariance(v), space, base, processing.samples, processing.seed)
+    slope, surroundings = seen.slope[0], e.background.covariance(v)
+
+    def spread_of(surface: Array, around: Array, noise: Array) -> Array:
+        """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
+        own = surface * np.outer(slope, slope) + surroundings * np.outer(around, around)
+        return np.asarray(own + np.diag(noise))
+
+    def above(
+        mean: Array, covariance: Array, dof: float, stream: Sequence[int], decades: Sequence[float],
+        normal: Array | None = None,
+    ) -> Exceedance:  # fmt: skip
+        """P(ACE > eta) of pixels with a mean and a covariance, and of a normal part whatever the tails."""
+        normal = None if normal is None else base.spread(normal)
+        return ace_exceedance(
+            space, base.of(mean), base.spread(covariance), processing.samples,
+            np.random.default_rng([processing.seed, *stream]), None if np.isinf(dof) else dof, decades=decades,
+            normal=normal,
+        )  # fmt: skip
+
     fractions, dof = of.law_fraction[0], of_truth(e.world.law_dof, u)
     decades = np.linspace(0.0, -float(np.log10(pfa[0])), 4).tolist()
     classes, laws = [], []
@@ -819,11 +798,11 @@ def _ace_truth(
         gain, stretch = float(of.gain[0, m]), of.stretch[0, m] * np.ones(e.bands.size)
         mean = seen.means[0, m]
         if law.offset is not None:
-            mean = mean + np.sqrt(gain) * one.slope * stretch * law.offset
+            mean = mean + np.sqrt(gain) * slope * stretch * law.offset
         surface = gain * law.covariance * np.outer(stretch, stretch)
-        whole = one.covariance(surface, seen.around[0, m], seen.noise[0, m])
+        whole = spread_of(surface, seen.around[0, m], seen.noise[0, m])
         laws.append((mean, surface, whole))
-        classes.append(one.exceedance(mean, whole, float(dof[j]), [j], decades))
+        classes.append(above(mean, whole, float(dof[j]), [j], decades))
     background = _mixed(fractions, classes)
     threshold = ace_threshold(pfa, fractions.tolist(), classes)
     first = int(np.searchsorted(background.scores, threshold[0]).clip(0, background.scores.size - 1))
@@ -833,21 +812,21 @@ def _ace_truth(
     material = e.material(target, world)
     stretch = of.stretch[0, number] * np.ones(e.bands.size)
     host = of.gain[0, number] * of.covariances[number] * np.outer(stretch, stretch)
-    square, shift = np.outer(one.slope, one.slope), float(e.shift[u])
+    square, shift = np.outer(slope, slope), float(e.shift[u])
 
     def at_fill(fill: float) -> Exceedance:
         share, pixels = 1.0 - fill, target_pixels(light, of, seen, material, np.array([fill]))
         mean, (beside, on) = pixels.means[0, 0], pixels.around
         if shift and material.error is not None:
             # The true target departs along the filter's own direction, by standard deviations of its score.
-            w = base.filter("matched-filter", looked_for).weights * one.slope
+            w = base.filter("matched-filter", looked_for).weights * slope
             along = material.error @ w
-            mean = mean + shift * fill * (along @ material.error / np.linalg.norm(along)) * one.slope
+            mean = mean + shift * fill * (along @ material.error / np.linalg.norm(along)) * slope
         factor = material.stretch[0] * np.ravel(pixels.factor) * np.ones(e.bands.size)
         own = material.covariance * np.outer(factor, factor) * float(world.of_target("target_gain", target)[0])
         f2 = fill**2 + float(material.fine_texture[0]) * (fill - fill**2)
         around = share * beside[0, 0] + fill * on[0, 0]
-        whole = one.covariance(f2 * own + share**2 * host, around, pixels.noise[0, 0])
+        whole = spread_of(f2 * own + share**2 * host, around, pixels.noise[0, 0])
         by_law = []
         for k, j in enumerate(numbers):
             # A law of the host differs from its class in mean and spread; what has its tails is what it has alone.
@@ -856,7 +835,7 @@ def _ace_truth(
             part = share**2 * alone if tailed else total
             at = mean + share * (law_mean - seen.means[0, number])
             stream = [1_000_003, *([k] if k else [])]
-            by_law.append(one.exceedance(at, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
+            by_law.append(above(at, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
         return _mixed(parts, by_law)
 
     return background, threshold, error, at_fill
@@ -895,43 +874,25 @@ def _distribution(population: Exceedance) -> ScoreDistribution:
     return ScoreDistribution(mean, sd, None, population.scores, density)
 
 
-RocKey = tuple[str, str, str]
-
 # Score distributions are tabulated on this many points, over this many standard deviations either way.
 _GRID, _REACH = 201, 6.0
 
 
-@dataclass(frozen=True)
-class PredictedDetection:
-    """Scores and ROC curves of one truth, and what is to be said of them.
-
-    Attributes
-    ----------
-    curves : P_D (n, K) of all truths of the evaluation, at the false-alarm probabilities of the curves
-    expected_scores : (what lies there, target, detector) -> mean score of such a pixel [1]
-    """
-
-    scores: dict[tuple[str, str], ScoreDistribution] = field(default_factory=dict)
-    roc: dict[RocKey, RocCurve] = field(default_factory=dict)
-    exceedance: dict[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
-    object_scores: dict[tuple[str, str], ObjectScores] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    curves: Mapping[RocKey, Array] = field(default_factory=dict)
-    expected_scores: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
+Made = dict[str, dict[Any, Any]]  # product, by its name in ``Prediction`` -> subject and detector -> what it is
 
 
-def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] = (0,)) -> list[PredictedDetection]:
-    """Scores and ROC curves of all target populations (3.22-3.33) of some truths.
+def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] = (0,)) -> list[PredictedProducts]:
+    """Scores and ROC curves of all target populations (3.22-3.33) of some truths; those of all into ``e.curves``.
 
     Raises
     ------
     UsageError : no filter, as the background can not be inverted.
     """
     processing = e.scenario.processing
-    by_point = [PredictedDetection() for _ in points]
+    by_point: list[Made] = [{"scores": {}, "roc": {}, "exceedance": {}} for _ in points]
     notes: list[list[str]] = [[] for _ in points]
     if not e.targets or not processing.detectors:
-        return by_point
+        return [PredictedProducts(e.axis) for _ in points]
     if processing.linear_detectors:
         e.filters  # noqa: B018 - designed here, refused below
     for error in e.problems.values():
@@ -950,10 +911,10 @@ def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] =
             for population, curves in drawn.items():
                 for into, point in zip(by_point, points, strict=True):
                     one, key = curves[point], (population, name)
-                    into.scores[key], into.scores[background_of(population), name] = one.target, one.background
+                    into["scores"] |= {key: one.target, (background_of(population), name): one.background}
                     for unit, pd in one.pd.items():
-                        into.roc[(*key, unit)] = RocCurve(pfa, pd, pd, pd, one.threshold, unit)  # type: ignore[arg-type]
-                        into.curves[(*key, unit)] = np.array([c.pd[unit] for c in curves])  # type: ignore[index]
+                        into["roc"][(*key, unit)] = RocCurve(pfa, pd, pd, pd, one.threshold, unit)  # type: ignore[arg-type]
+                        e.curves[(*key, unit)] = np.array([c.pd[unit] for c in curves])
             for note, point in zip(notes, points, strict=True):
                 worst = max(curves[point].error for curves in drawn.values())
                 alarms = 100 * drawn[populations[0]][point].alarm_error
@@ -961,11 +922,11 @@ def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] =
                     f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
                     f"{worst:.2g}, of P_FA at {pfa[0]:.1g} {alarms:.2g} %"
                 )
-    return [replace(d, notes=tuple(n)) for d, n in zip(by_point, notes, strict=True)]
+    return [PredictedProducts(e.axis, **made, notes=tuple(n)) for made, n in zip(by_point, notes, strict=True)]
 
 
 def _add_linear(
-    e: Evaluation, by_point: Sequence[PredictedDetection], points: Sequence[int], target: str, population: str,
+    e: Evaluation, by_point: Sequence[Made], points: Sequence[int], target: str, population: str,
     name: str, pfa: Array, object_curves: bool,
 ) -> None:  # fmt: skip
     scores = e.scores(population, name)
@@ -985,12 +946,11 @@ def _add_linear(
     for into, point, row in zip(by_point, points, row_of.tolist(), strict=True):
         background, preset = behind[int(scores.which[point])]
         at, mine = thresholds[point], int(which[point])
-        into.scores[population, name] = distributions[row]
-        into.scores[background_of(population), name] = background
+        into["scores"] |= {(population, name): distributions[row], (background_of(population), name): background}
         for unit, curve in by_unit.items():
-            into.roc[population, name, unit] = RocCurve(pfa, *(curve[mine],) * 3, at, unit, preset_pfa=preset)  # type: ignore[arg-type]
-        into.exceedance[target, name] = ExceedanceCurve(at[::-1], *(pfa[::-1],) * 3)
-        into.curves.update({(population, name, unit): curve[which] for unit, curve in by_unit.items()})  # type: ignore[attr-defined]
+            into["roc"][population, name, unit] = RocCurve(pfa, *(curve[mine],) * 3, at, unit, preset_pfa=preset)  # type: ignore[arg-type]
+        into["exceedance"][target, name] = ExceedanceCurve(at[::-1], *(pfa[::-1],) * 3)
+    e.curves |= {(population, name, unit): curve[which] for unit, curve in by_unit.items()}
 
 
 def _behind(

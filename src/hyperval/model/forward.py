@@ -21,7 +21,7 @@ from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import OZONE_G_CM2_PER_ATM_CM, AtmosphericState, column_g_cm2, standard_profile
 from hyperval.data import Errors
 from hyperval.errors import UsageError
-from hyperval.model.detection import Evaluation, PredictedDetection, RocKey, detect, evaluations
+from hyperval.model.detection import Evaluation, RocKey, detect, evaluations
 from hyperval.model.fill import fill_distribution
 from hyperval.model.inputs import (
     UncertainInput,
@@ -571,8 +571,9 @@ def _prediction(
     detection = detect(e, object_curves=object_curves)[0]
     curves: dict[RocKey, Array] = {}
     for index, part in parts:
-        found = detection if part is e else detect(part, object_curves=object_curves)[0]
-        for key, pd in found.curves.items():
+        if part is not e:
+            detect(part, object_curves=object_curves)
+        for key, pd in part.curves.items():
             curves.setdefault(key, np.empty((len(truths), pd.shape[1])))[index] = probit(pd)
     if detection.roc:
         known = worlds_without(stated.scenario, origins, truth)
@@ -587,8 +588,8 @@ def _prediction(
     return _joined(e, 0, of_spectra, detection), {key: (z[up] - z[0], z[down] - z[0]) for key, z in curves.items()}
 
 
-def _joined(e: Evaluation, u: int, of_spectra: SpectralErrors, detection: PredictedDetection) -> PredictedProducts:
-    """One truth of an evaluation as a prediction."""
+def _joined(e: Evaluation, u: int, of_spectra: SpectralErrors, detection: PredictedProducts) -> PredictedProducts:
+    """One truth of an evaluation as a prediction, with the spectra beside what is detected."""
     stated, scenario, axis = e.stated, e.scenario, e.axis
     spectra = spectral_products(e, u, of_spectra)
     terms: AtmosphericTerms | None = None
@@ -602,18 +603,9 @@ def _joined(e: Evaluation, u: int, of_spectra: SpectralErrors, detection: Predic
     if stated.noise is not None and terms is not None:
         notes += sensor_notes(stated) + saturation_notes(spectra["full_scale"], axis)
     world = e.world.rows(np.array([u]))
-    return PredictedProducts(
-        axis,
-        scores=detection.scores,
-        roc=detection.roc,
-        object_scores=detection.object_scores,
-        exceedance=detection.exceedance,
-        distribution={name: _distribution(world, m) for m, name in enumerate(stated.classes)},
-        notes=tuple(notes),
-        provenance=provenance_of(stated, terms),
-        expected_scores=detection.expected_scores,
-        **spectra,
-    )
+    distribution = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
+    provenance = provenance_of(stated, terms)
+    return replace(detection, distribution=distribution, notes=tuple(notes), provenance=provenance, **spectra)
 
 
 def _distribution(world: World, number: int) -> PixelDistribution:
