@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -448,33 +448,19 @@ def _full_rank(covariance: Array) -> Array:
     return np.asarray(covariance + max(_SMALLEST * mean, 1e-18) * np.eye(covariance.shape[0]))
 
 
-class FeatureChoice(Protocol):
-    """Bands or components under a name."""
-
-    @property
-    def name(self) -> str:
-        """Stands in the table as the method."""
-
-    @property
-    def bands_nm(self) -> Sequence[float]:
-        """Wavelengths of the bands; empty: all."""
-
-    @property
-    def pca(self) -> int | None:
-        """Principal components; None: bands."""
-
-
 def predicted_classification(
     prediction: PredictedProducts,
     sets: Sequence[Sequence[str]],
-    features: Sequence[FeatureChoice],
+    features: Sequence[Any],
     quantity: str,
     seed: int = 0,
 ) -> dict[tuple[str, str], ClassificationError]:
     """Errors by (classes, features), for pixels as the prediction says they are, tails included.
 
-    The classifier is the same in radiance and in reflectance, as a line through each band leaves it as it is;
-    ``quantity`` is that of the image.  Sets with a class that the prediction lacks are left out.
+    ``features`` have a name, which stands in the table as the method, ``bands_nm`` of the bands (empty: all) and
+    ``pca``, the number of principal components (None: bands).  The classifier is the same in radiance and in
+    reflectance, as a line through each band leaves it as it is; ``quantity`` is that of the image.  Sets with a class
+    that the prediction lacks are left out.
 
     Raises
     ------

@@ -74,10 +74,15 @@ def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarianc
     UsageError : sizes differ, the covariance is singular or not positive definite, or the target is
         the background mean.
     """
+    return _of_difference("matched-filter", target, mean, covariance)
+
+
+def _of_difference(detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
+    """A filter of the target's difference from the background (3.22-3.25)."""
     t, mu, cov = _checked(target, mean, covariance)
-    factor = _factor(covariance if isinstance(covariance, PositiveDefinite) else cov)
+    factor = covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(cov)
     d = t - mu  # (3.22)
-    return solved_filter("matched-filter", d, factor.solve(d), mu, factor.condition)
+    return solved_filter(detector, d, factor.solve(d), mu, factor.condition)
 
 
 def solved_filter(
@@ -112,9 +117,7 @@ def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covarian
 
     Parameters and errors as :func:`matched_filter_weights`.
     """
-    t, mu, cov = _checked(target, mean, covariance)
-    factor = _factor(covariance if isinstance(covariance, PositiveDefinite) else cov)
-    return solved_filter("smf", t - mu, factor.solve(t - mu), mu, factor.condition)
+    return _of_difference("smf", target, mean, covariance)
 
 
 def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
@@ -228,10 +231,6 @@ def solve_positive_definite(matrix: npt.ArrayLike, right: npt.ArrayLike) -> tupl
     """
     factor = PositiveDefinite(matrix)
     return factor.solve(np.asarray(right, dtype=float)), factor.condition
-
-
-def _factor(covariance: Covariance) -> PositiveDefinite:
-    return covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(covariance)
 
 
 def _checked(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> tuple[Array, Array, Array]:

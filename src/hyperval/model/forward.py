@@ -166,7 +166,8 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], npt.NDArray[np.i
     if scenario.formulation == "thesis" or population.fill.geometry is None or population.position_m is None:
         return None
     models, which = world.fill_models(number)
-    position, targets, each = scenario.uncertainty.position_m, world.targets_at(0), []
+    position, targets = scenario.uncertainty.position_m, world.targets_at(0)
+    each: list[Any] = []
     for fill in models:
         key = "shares", number, repr((fill, [p.fill for target in targets for p in target.populations]))
         moved, seed = population.model_copy(update={"fill": fill}), scenario.processing.seed

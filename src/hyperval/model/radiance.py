@@ -408,42 +408,39 @@ def wide(values: Array, truths: int) -> Array:
     return np.broadcast_to(values, (truths, *values.shape[1:]))
 
 
+def together(items: Sequence[T], change: Callable[[list[Any]], Any]) -> T:
+    """Dataclasses as one, whose numbers and arrays are made of those of each, tuples of arrays included."""
+    changes: dict[str, Any] = {}
+    for f in fields(items[0]):  # type: ignore[arg-type]
+        values = [getattr(item, f.name) for item in items]
+        first = values[0]
+        if isinstance(first, tuple) and first and isinstance(first[0], np.ndarray):
+            changes[f.name] = tuple(change(list(parts)) for parts in zip(*values, strict=True))
+        elif isinstance(first, AtmosphericTerms | NoiseModel):
+            changes[f.name] = together(values, change)
+        elif isinstance(first, np.ndarray | float | int) and not isinstance(first, bool):
+            changes[f.name] = change(values)
+    return replace(items[0], **changes)  # type: ignore[type-var]
+
+
 def stacked(items: Sequence[T], bands: int) -> T:
     """U dataclasses as one whose arrays are (U, 1, B), so that levels (U, S, B) go through its formulas.
 
     What is the same in all stays as it is: numbers, words, arrays that are one object.
     """
-    first: Any = items[0]
-    changes: dict[str, Any] = {}
-    for f in fields(first):
-        values = [getattr(item, f.name) for item in items]
-        if isinstance(values[0], tuple) and values[0] and isinstance(values[0][0], np.ndarray):
-            changes[f.name] = tuple(_joined(list(parts), bands) for parts in zip(*values, strict=True))
-        elif isinstance(values[0], np.ndarray | float | int) and not isinstance(values[0], bool):
-            changes[f.name] = _joined(values, bands)
-    result: T = replace(first, **changes)
-    return result
 
+    def joined(values: list[Any]) -> Any:
+        first = values[0]
+        if all(v is first or (np.ndim(first) == np.ndim(v) == 0 and v == first) for v in values):
+            return first
+        return np.stack([np.broadcast_to(v, (bands,)) for v in values])[:, None, :]
 
-def _joined(values: list[Any], bands: int) -> Any:
-    first = values[0]
-    if all(v is first for v in values) or (np.ndim(first) == 0 and all(np.ndim(v) == 0 and v == first for v in values)):
-        return first
-    return np.stack([np.broadcast_to(v, (bands,)) for v in values])[:, None, :]
+    return together(items, joined)
 
 
 def _on_arrays(value: T, change: Callable[[Any], Any]) -> T:
-    """A dataclass with every array in it changed, tuples of arrays included."""
-    changes: dict[str, Any] = {}
-    for f in fields(value):  # type: ignore[arg-type]
-        item = getattr(value, f.name)
-        if isinstance(item, tuple) and item and isinstance(item[0], np.ndarray):
-            changes[f.name] = tuple(change(x) for x in item)
-        elif isinstance(item, np.ndarray) and item.ndim:
-            changes[f.name] = change(item)
-        elif isinstance(item, AtmosphericTerms | NoiseModel):
-            changes[f.name] = _on_arrays(item, change)
-    return replace(value, **changes)  # type: ignore[type-var]
+    """A dataclass with every array in it changed."""
+    return together([value], lambda each: change(each[0]) if np.ndim(each[0]) else each[0])
 
 
 @dataclass(frozen=True)

@@ -433,7 +433,8 @@ class Atmosphere:
         key = repr(sorted(changes.items()))
         if key not in self.runs:
             assert self.scenario.atmosphere is not None  # noqa: S101 - there is light
-            state = with_settings(self.scenario.atmosphere, state_entries(self.scenario.atmosphere, changes))
+            state = self.scenario.atmosphere
+            state = with_settings(state, state_entries(state, changes)) if changes else state
             self.runs[key] = self.origins.terms(self.scenario, state, self.axis)
         return self.runs[key]
 
