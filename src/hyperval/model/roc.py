@@ -31,6 +31,7 @@ import numpy.typing as npt
 from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
 from hyperval.errors import UsageError
+from hyperval.model.world import distinct
 from hyperval.products import RocCurve
 
 Array = npt.NDArray[np.float64]
@@ -556,11 +557,7 @@ class RocScores:
 
     def distinct(self) -> tuple[Index, Index]:
         """First of all evaluations whose pixels score the same, and which (n,) of these each evaluation is."""
-        parts = [self.which[:, None], self.means, self.sds, self.weights]
-        keys = [b"".join(np.ascontiguousarray(p[i]).tobytes() for p in parts) for i in range(self.which.size)]
-        order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-        which = np.array([order[key] for key in keys])
-        return np.unique(which, return_index=True)[1], which
+        return distinct([self.which, self.means, self.sds, self.weights], self.which.size)
 
     def rows(self, index: Index) -> RocScores:
         """The evaluations that ``index`` names."""

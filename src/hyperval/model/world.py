@@ -192,6 +192,11 @@ def column_of(values: Sequence[Any]) -> Values:
     return items
 
 
+def _numbers(values: Values) -> Array:
+    """A column of numbers, NaN where an entry is as stated."""
+    return np.array([np.nan if v is None else v for v in values], dtype=float)
+
+
 def plain(value: Any) -> Any:
     """A value as a model takes it: a whole number where it is one."""
     value = value.item() if hasattr(value, "item") else value
@@ -200,21 +205,17 @@ def plain(value: Any) -> Any:
 
 def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
     """First of the n rows of each different combination of the columns, and which (n,) of these each row has."""
-    codes = np.zeros(n, int)
-    for column in columns:
-        if column.dtype == object or column.ndim > 1:
-            known: dict[Any, int] = {}
-            keys = [repr(v) for v in column] if column.dtype == object else [v.tobytes() for v in column]
-            code = np.array([known.setdefault(key, len(known)) for key in keys])
-        else:
-            _, code = np.unique(column, return_inverse=True)
-        if code.size > 1:
-            _, codes = np.unique(codes * (int(code.max(initial=0)) + 1) + code.reshape(-1), return_inverse=True)
-    _, first, codes = np.unique(codes, return_index=True, return_inverse=True)
-    order = np.argsort(first)  # that of the rows
-    rank = np.empty_like(order)
-    rank[order] = np.arange(order.size)
-    return first[order], rank[codes.reshape(-1)]
+
+    def bits(column: Values) -> list[Any]:
+        if column.dtype == object:
+            return [repr(v) for v in column]
+        alone = column.ndim == 1
+        return column.astype(float).view(np.int64).tolist() if alone else [row.tobytes() for row in column]
+
+    keys = list(zip(*map(bits, columns), strict=True)) or [()] * n
+    order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    which = np.array([order[key] for key in keys], dtype=int)
+    return np.unique(which, return_index=True)[1], which
 
 
 # Sensor; bands of all products as they are labelled, and where they truly stand, one object where nothing is shifted;
@@ -882,7 +883,7 @@ class World:
                 new = values if values.ndim > 1 else values[:, None]
                 out = out * new if NEUTRAL[name] else out + new
                 continue
-            new = np.array([np.nan if v is None else v for v in values], dtype=float)  # None: as stated
+            new = _numbers(values)
             new = np.where(np.isnan(new), out[:, item], new)
             out = np.array(np.broadcast_to(out, (max(len(out), len(new)), out.shape[1])))
             out[:, item] = new
@@ -929,7 +930,7 @@ class World:
         own = [tail[0, law.owner] if law.dof is None else law.dof for law in laws]
         out = np.array([own], dtype=float)
         for _, item, values in self.fields("tail"):
-            moved = np.array([np.nan if v is None else v for v in values], dtype=float)[:, None]
+            moved = _numbers(values)[:, None]
             of_class = np.array([law.owner == item for law in laws])
             out = np.where(of_class & ~np.isnan(moved), moved, out)
         return out
@@ -1050,8 +1051,7 @@ class World:
         others = any(number in _touched(self.stated, p) for p, *_ in self.fields("fill", "blur"))
         stated = self.stated.populations[number][2].fill
         if len(moved) == 1 and not others and moved[0][0].endswith("fill.fixed") and stated.fixed is not None:
-            values = moved[0][1]
-            values = np.array([stated.fixed if v is None else v for v in values], float)[:, None]
+            values = np.nan_to_num(_numbers(moved[0][1]), nan=stated.fixed)[:, None]
             if not np.all((values >= 0.0) & (values <= 1.0)):
                 raise UsageError(f"fill {values.min():g} to {values.max():g}", expected="0 to 1")
             return Fills(values, np.ones((1, 1)))
