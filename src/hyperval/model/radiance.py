@@ -408,7 +408,7 @@ def wide(values: Array, truths: int) -> Array:
     return np.broadcast_to(values, (truths, *values.shape[1:]))
 
 
-def together(items: Sequence[T], change: Callable[[list[Any]], Any]) -> T:
+def _as_one(items: Sequence[T], change: Callable[[list[Any]], Any]) -> T:
     """Dataclasses as one, whose numbers and arrays are made of those of each, tuples of arrays included."""
     changes: dict[str, Any] = {}
     for f in fields(items[0]):  # type: ignore[arg-type]
@@ -417,7 +417,7 @@ def together(items: Sequence[T], change: Callable[[list[Any]], Any]) -> T:
         if isinstance(first, tuple) and first and isinstance(first[0], np.ndarray):
             changes[f.name] = tuple(change(list(parts)) for parts in zip(*values, strict=True))
         elif isinstance(first, AtmosphericTerms | NoiseModel):
-            changes[f.name] = together(values, change)
+            changes[f.name] = _as_one(values, change)
         elif isinstance(first, np.ndarray | float | int) and not isinstance(first, bool):
             changes[f.name] = change(values)
     return replace(items[0], **changes)  # type: ignore[type-var]
@@ -435,12 +435,12 @@ def stacked(items: Sequence[T], bands: int) -> T:
             return first
         return np.stack([np.broadcast_to(v, (bands,)) for v in values])[:, None, :]
 
-    return together(items, joined)
+    return _as_one(items, joined)
 
 
 def _on_arrays(value: T, change: Callable[[Any], Any]) -> T:
     """A dataclass with every array in it changed."""
-    return together([value], lambda each: change(each[0]) if np.ndim(each[0]) else each[0])
+    return _as_one([value], lambda each: change(each[0]) if np.ndim(each[0]) else each[0])
 
 
 @dataclass(frozen=True)
