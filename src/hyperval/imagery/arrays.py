@@ -487,10 +487,10 @@ def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
     def standard(v: xr.Variable) -> bool:
         return bool(v.attrs.get("standard_name") == "radiation_wavelength")
 
-    listed = {n: v for n, v in data.variables.items() if v.ndim == 1 and v.dims[0] in array.dims}
-    listed = {
-        n: v for n, v in listed.items() if v.dtype.kind in "iuf" and (standard(v) or not _NO_CENTRE.search(str(n)))
+    along = {
+        n: v for n, v in data.variables.items() if v.ndim == 1 and v.dims[0] in array.dims and v.dtype.kind in "iuf"
     }
+    listed = {n: v for n, v in along.items() if standard(v) or not _NO_CENTRE.search(str(n))}
     named = [n for n, v in listed.items() if standard(v) or _WAVE.search(str(n))]
     in_unit = [n for n, v in listed.items() if in_nm(str(v.attrs.get("units", ""))) is not None]
     return next((data[fits[0]] for fits in (named, in_unit) if len(fits) == 1), None)

@@ -428,7 +428,9 @@ def open_cube(
     else:
         table = about.band_table(wavelength_unit, where, sort_bands=sort_bands)
     scaling = about.scaling(quantity, unit, scale, raster.bands, where)
-    notes = about.all_notes + table.notes + ((scaling.source,) if scaling.source else ())
+    by = f" of {about.sensor}" if about.sensor and about.sensor.lower() not in about.product.lower() else ""
+    notes: tuple[str, ...] = (f"read as {about.product}{by}",) if about.product else ()
+    notes += about.notes + table.notes + ((scaling.source,) if scaling.source else ())
     if quantity == "counts":
         notes += ("warning: counts, of which nobody states the unit: what is called a reflectance is in them",)
     if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here

@@ -133,12 +133,6 @@ class Description:
     gains: Path | None = None
 
     @property
-    def all_notes(self) -> tuple[str, ...]:
-        """The product and its sensor, then the notes."""
-        by = f" of {self.sensor}" if self.sensor and self.sensor.lower() not in self.product.lower() else ""
-        return (f"read as {self.product}{by}", *self.notes) if self.product else self.notes
-
-    @property
     def band_names(self) -> tuple[str, ...]:
         """The names of the bands, empty where a header does not have one for each."""
         return self.header.band_names if self.header is not None else ()

@@ -167,11 +167,6 @@ class ImageGrid:
         return place
 
 
-def in_pixels(points: Array, where: str, ring: bool) -> Array:
-    """The placing of coordinates that are those of pixels."""
-    return points
-
-
 def named_crs(name: str, where: str) -> CRS:
     """The coordinate system of a name; InputError for one that is not known."""
     try:
@@ -180,11 +175,14 @@ def named_crs(name: str, where: str) -> CRS:
         raise refusal("region.system", where, name=name) from None
 
 
-def _points(points: npt.ArrayLike, where: str) -> Array:
-    xy = np.asarray(points, dtype=float)
-    refuse(xy.size and (xy.ndim != 2 or xy.shape[1] != 2), "region.pairs", where)
+def _points(points: Any, where: str) -> Array:
+    """(n, 2) coordinates of a list of positions, of which the height is left aside."""
+    try:
+        xy = np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
+    except (TypeError, ValueError, IndexError):
+        raise refusal("region.no_pairs", where) from None
     refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
-    return xy.reshape(-1, 2)
+    return xy
 
 
 def _ring(ring: npt.ArrayLike, where: str) -> Array:
@@ -238,7 +236,7 @@ class RegionDrawing:
         """
         kind, parts = geometry.get("type"), geometry.get("coordinates")
         if kind in ("Point", "MultiPoint"):
-            found = _pairs([parts] if kind == "Point" else parts, where)
+            found = _points([parts] if kind == "Point" else parts, where)
             self.points.append(_points(place(found, where, False), where))
             return
         if kind not in ("Polygon", "MultiPolygon"):
@@ -247,7 +245,7 @@ class RegionDrawing:
         for rings in polygons if isinstance(polygons, list | tuple) and polygons else [None]:
             if not isinstance(rings, list | tuple) or not rings:
                 raise refusal("region.no_vertices", where)
-            self.add_polygon([place(_pairs(ring, where), where, True) for ring in rings], where)
+            self.add_polygon([place(_points(ring, where), where, True) for ring in rings], where)
 
     def add_polygon(self, rings: Sequence[npt.ArrayLike], where: str) -> None:
         """Add a polygon in pixel coordinates; of what leaves the image only the numbers are looked at.
@@ -300,14 +298,6 @@ class RegionDrawing:
         if self.stated_pixels not in (None, pixels):
             notes.append(f"has {self.stated_pixels} pixels as its file says; {pixels} have their centre inside")
         return mask | _burned(self.polygons, self.shape, touched=True) if touched else mask, tuple(notes)
-
-
-def _pairs(points: Any, where: str) -> Array:
-    """(n, 2) coordinates of a list of positions, of which the height is left aside."""
-    try:
-        return np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
-    except (TypeError, ValueError, IndexError):
-        raise refusal("region.no_pairs", where) from None
 
 
 def _share_outside(polygons: Sequence[Rings], shape: tuple[int, int]) -> float:

@@ -132,7 +132,7 @@ class LookupTable:
         """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
         cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
         if cell is None:
-            raise refusal("place.unit", self.raster.path, what="the map of the lookup table is not in a known unit")
+            raise refusal("place.unit", self.raster.path, what="the map is not in a known unit")
         return math.sqrt(cell / abs(self.transform.determinant))
 
     def _read(self, first: int, count: int) -> tuple[Index, Index]:
@@ -220,13 +220,6 @@ class LocationTable(LookupTable):
         line, sample = nodes[np.argmin(np.hypot(*(nodes - np.array(self.shape) / 2.0).T))]
         x, y = self._xy(int(line), 1)
         return float(x[0, sample]), float(y[0, sample])
-
-    @property
-    def metres_per_unit(self) -> float:
-        """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
-        if self.crs is None or not self.crs.is_projected:
-            raise refusal("place.unit", self.raster.path, what="the places of the pixels are not in a unit")
-        return float(self.crs.linear_units_factor[1])
 
     @cached_property
     def _coarse(self) -> tuple[Any, npt.NDArray[np.intp], Array]:

@@ -24,7 +24,7 @@ from hyperval.errors import refusal, refuse
 from hyperval.imagery.arrays import MATRICES
 from hyperval.imagery.cube import raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
-from hyperval.imagery.drawing import ImageGrid, RegionDrawing, in_pixels, named_crs
+from hyperval.imagery.drawing import ImageGrid, RegionDrawing, named_crs
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 
@@ -66,7 +66,7 @@ def xml_drawings(path: Path, grid: ImageGrid) -> Drawings:
             source = None if system.lower() == "none" else crs_of_wkt(system)
             if source is None and system.lower() != "none":
                 raise refusal("region.system", where, name=system[:60])
-            place = in_pixels if source is None else replace(grid, coordinates=None).placing(source, where)
+            place = replace(grid, coordinates="pixel" if source is None else None).placing(source, where)
             for child in definition:
                 for geometry in _xml_geometries(child, where):
                     drawing.add(geometry, place, where)
