@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 from scipy import optimize, stats
 
 from hyperval.attribute import (
@@ -28,7 +31,7 @@ from hyperval.errors import UsageError
 from hyperval.model import Origins, read
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.spectra import SpectralAxis
-from small_campaign import ATMOSPHERE, stand_in_atmosphere
+from small_campaign import stand_in_atmosphere
 
 N = 50
 X = np.linspace(0.0, 1.0, N)
@@ -199,31 +202,16 @@ def test_a_polynomial_of_degree_two_is_met_exactly():
 
 
 AXIS = SpectralAxis(np.array([500.0, 600.0, 800.0]), np.full(3, 10.0))
-AIR = {"sensor": "aviris-ng", "atmosphere": ATMOSPHERE}
-CLEAR = {key: value for key, value in ATMOSPHERE.items() if key != "aot550"} | {"aerosol": "none"}
-PAINT = {"name": "paint", "spectrum": {"constant": 0.5}, "host": "c0", "fill": {"fixed": 0.1}}
-HAZE, WATER, FILL, BLUR = "aerosol optical depth", "water vapour", "fill of the targets", "blur of the image"
+USUAL = yaml.safe_load((Path(__file__).parent / "usual_inputs.yaml").read_text())
 
 
-@pytest.mark.parametrize(
-    ("shares", "changes", "among", "absent"),
-    [
-        ((1.0,), {}, {"sensor gain", "spread of c0", "field spectrum of c0"}, {FILL, HAZE, WATER, "sensor noise"}),
-        ((0.3, 0.7), {}, {"fraction of c0"}, {"fraction of c1"}),
-        ((0.3, 0.3, 0.4), {}, {"fraction of c0", "fraction of c1", "fraction of c2"}, set()),
-        ((1.0,), {"targets": [PAINT]}, {FILL}, {BLUR, "field spectrum of paint"}),
-        ((1.0,), AIR, {HAZE, WATER, "wavelength shift", "sensor noise"}, {FILL}),
-        ((1.0,), AIR | {"atmosphere": CLEAR}, {WATER}, {HAZE}),
-        ((1.0,), AIR | {"uncertainty": {"sensor_gain": {"relative": 0.02}, "water_vapour_g_cm2": 0.1}}, {HAZE},
-         {"sensor gain", WATER}),
-    ],
-)  # fmt: skip
-def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(shares, changes, among, absent):
-    changes = {**changes}
+@pytest.mark.parametrize("case", USUAL.values(), ids=USUAL)
+def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(case):
+    shares = case.get("shares", [1.0])
     classes = [{"name": f"c{i}", "fraction": f, "spectrum": {"constant": 0.2}} for i, f in enumerate(shares)]
-    scene = {"classes": classes, "targets": changes.pop("targets", [])}
-    processing = {"elm": "none", "detectors": []}
-    scenario = Scenario.model_validate({"name": "s", "scene": scene, "processing": processing, **changes})
-    found = {i.name for i in assumed_inputs(read(scenario, Origins(axis=AXIS, engine=stand_in_atmosphere)))}
-    assert among <= found
-    assert not absent & found
+    scene = {"classes": classes, "targets": case.get("targets", [])}
+    data = {"name": "s", "scene": scene, "processing": {"elm": "none", "detectors": []}, **case.get("more", {})}
+    origins = Origins(axis=AXIS, engine=stand_in_atmosphere)
+    found = {i.name for i in assumed_inputs(read(Scenario.model_validate(data), origins))}
+    assert {*case["among"]} <= found
+    assert not {*case["absent"]} & found

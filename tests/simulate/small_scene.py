@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import ClassStatistics
@@ -56,23 +58,13 @@ def area(surface: str, lines: list[int], samples: list[int], **more: Any) -> dic
 
 
 def planks(**changes: Any) -> dict[str, Any]:
-    """A group of six planks on the asphalt."""
-    place = {"lines": [36, 50], "samples": [4, 25]}
-    group = {"name": "planks", "material": "yellow-paint-plank", "host": "asphalt", "fill": 0.3, "count": 6}
-    return group | {"area": place} | changes
+    """The scene's group of six planks on the asphalt."""
+    return scene_data()["targets"][0] | changes
 
 
 def scene_data(**changes: Any) -> dict[str, Any]:
     """Plain data of a small scene, as a YAML file would hold it."""
-    data: dict[str, Any] = {
-        "schema": 1, "name": "small", "mode": "closure", "seed": 7, "lines": 60, "samples": 48, "gsd_m": 2.0,
-        "map": {"utm_zone": 18, "easting_m": 275400.0, "northing_m": 4753700.0}, "sensor": "invented",
-        "atmosphere": {"aerosol": "rural", "meteorological_range_km": 40.0, "sensor_altitude_km": 1.0,
-                       "solar_zenith_deg": 40.0, "solar_azimuth_deg": 180.0, "day_of_year": 264},
-        "psf_fwhm_pixels": 1.0, "layout": [area("grass", [0, 60], [0, 48]), area("asphalt", [30, 60], [0, 48])],
-        "panels": [area("white-panel", [10, 18], [30, 38], name="white")], "targets": [planks()],
-        "regions": [{"name": "grass-field", "surface": "grass"}, {"name": "court", "surface": "asphalt"}],
-    }  # fmt: skip
+    data = yaml.safe_load((Path(__file__).parent / "scene.yaml").read_text())
     return data | changes
 
 

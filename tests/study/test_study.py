@@ -31,8 +31,14 @@ from hyperval.study import Evaluator, Output, Required, answers, load_study, stu
 
 FILL = "scene.targets.plank.fill.fixed"
 OUT = "outputs: [{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}]\n"
-MISTAKES = yaml.safe_load((Path(__file__).parent / "mistakes.yaml").read_text())
-TEXT = (Path(__file__).parent / "trial.yaml").read_text()
+
+
+def text_of(name: str) -> str:
+    """A file beside this one."""
+    return (Path(__file__).parent / f"{name}.yaml").read_text()
+
+
+TEXT, MISTAKES = text_of("trial"), yaml.safe_load(text_of("mistakes"))
 
 
 @pytest.fixture
@@ -189,38 +195,20 @@ def test_a_cluster_gives_the_same_bytes_with_one_worker_killed_in_the_middle(mak
     assert tables(tmp_path / "here") == tables(tmp_path / "there")
 
 
-RANDOM = f"""
-inputs:
-  - {{name: fill, path: {FILL}, values: [0.1, 0.2, 0.3]}}
-  - {{name: c, path: sensor_changes.calibration_error_percent, random: {{uniform: [0, 4]}}}}
-  - {{name: s, path: sensor_changes.signal_factor, random: {{log_uniform: [0.1, 10]}}}}
-  - {{name: f, path: sensor_changes.fixed_noise_factor, random: {{normal: [1, 0.5], within: [0.5, 3]}}}}
-design: {{count: 512, seed: 4}}
-{OUT}"""
-
-
 def test_draws_follow_their_distributions_and_the_seed(table_of):
     """Sobol points are more even than random ones, of which Kolmogorov's distance has a 5 % limit of 0.06."""
-    whole = table_of(RANDOM)
+    whole = table_of(text_of("drawn"))
     assert len(whole) == 3 * 512
     assert whole["fill"].tolist()[:4] == [0.1, 0.2, 0.3, 0.1], "the last listed input moves fastest"
     assert kstest(whole["c"][::3] / 4.0, "uniform").statistic < 0.01
     assert kstest((np.log10(whole["s"][::3]) + 1.0) / 2.0, "uniform").statistic < 0.01
     assert kstest(whole["f"][::3], truncnorm(-1.0, 4.0, 1.0, 0.5).cdf).statistic < 0.01
-    other = table_of(RANDOM.replace("seed: 4", "seed: 5").replace("count: 512", "count: 8"))
+    other = table_of(text_of("drawn").replace("seed: 4", "seed: 5").replace("count: 512", "count: 8"))
     assert not np.isin(other["c"], whole["c"]).any()
 
 
 def test_several_entries_move_together(table_of, scenario_file):
-    table = table_of("""
-inputs:
-  - name: grass
-    moves: [{path: scene.classes.grass.fraction}, {path: scene.classes.asphalt.fraction, factor: -1, offset: 0.8}]
-    values: [0.1, 0.3]
-  - {name: way, moves: [{path: sensor_operation.frames_averaged}, {path: sensor_operation.averaged}],
-     values: [[1, after recording], [4, before recording]]}
-outputs: [{name: snr, kind: snr, subject: asphalt, band_nm: 550}]
-""")
+    table = table_of(text_of("together"))
     ways = [(1, "after recording"), (4, "before recording")]
     for (grass, (frames, way)), snr in zip(product((0.1, 0.3), ways), table["snr"], strict=True):
         changes = {"scene.classes.grass.fraction": grass, "scene.classes.asphalt.fraction": 0.8 - grass,
@@ -231,15 +219,7 @@ outputs: [{name: snr, kind: snr, subject: asphalt, band_nm: 550}]
 
 
 def test_one_at_a_time_gives_a_tornado(make_study, tmp_path):
-    path = make_study(f"""
-design: {{kind: one-at-a-time}}
-inputs:
-  - {{name: haze, path: atmosphere.aot550, values: [0.1, 0.4]}}
-  - {{name: sensor, path: sensor, values: [prospectir-vs]}}
-  - {{name: fill, path: {FILL}, values: [0.02, 0.1]}}
-outputs: [{{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}}]
-plots: [{{kind: tornado, output: pd}}]
-""")
+    path = make_study(text_of("tornado"))
     study_to_folder(path, tmp_path / "out")
     table = pd.read_csv(tmp_path / "out" / "table.csv")
     assert table["fill"].isna().tolist() == [True, True, True, True, False, False]
@@ -249,15 +229,7 @@ plots: [{{kind: tornado, output: pd}}]
 
 
 def test_random_atmosphere_is_interpolated_and_says_so_and_each_draw_has_its_bend(make_study, tmp_path):
-    path = make_study(f"""
-inputs:
-  - {{name: haze, path: atmosphere.aot550, random: {{uniform: [0.05, 0.9]}}}}
-  - {{name: fill, path: {FILL}, values: [0.02, 0.05, 0.1, 0.2]}}
-design: {{count: 32}}
-{OUT}
-knees: [{{output: pd, along: fill}}]
-plots: [{{kind: lines, x: haze, output: pd}}, {{kind: heat, x: haze, y: fill, output: pd}}]
-""")
+    path = make_study(text_of("drawn_haze"))
     study_to_folder(path, tmp_path / "out")
     rows = Run.open(tmp_path / "out").table
     error = {r.subject: r.value for r in rows if r.metric == "error_at_held_out_states"}
@@ -321,19 +293,10 @@ def test_mistakes_are_told(make_study, case):
         load_study(make_study(inputs + OUT + case.get("more", "")))
 
 
-@pytest.mark.parametrize(
-    ("changes", "code", "words"),
-    [
-        (("fill.fixed", "fill.fixt"), 2, "fixt"),
-        (("stop: 3,", "stop: 300,"), 2, "less than 100"),
-        (("subject: plank", "subject: plonk"), 2, "no subject 'plonk'"),
-        (("range_nm: [450, 650]", "range_nm: [3000, 4000]"), 2, "no usable band"),
-        (("scenario: small.yaml", "scenario: none.yaml"), 3, "no such file"),
-    ],
-)
-def test_bad_studies_stop_at_once(make_study, tmp_path, capsys, changes, code, words):
+@pytest.mark.parametrize(("old", "new", "code", "words"), yaml.safe_load(text_of("refused")))
+def test_bad_studies_stop_at_once(make_study, tmp_path, capsys, old, new, code, words):
     path = make_study(TEXT)
-    path.write_text(path.read_text().replace(*changes))
+    path.write_text(path.read_text().replace(old, new))
     assert cli.run(["-q", "study", str(path), "-o", str(tmp_path / "out")]) == code
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
