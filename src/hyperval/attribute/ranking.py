@@ -428,14 +428,3 @@ def _best_tau_squared(s: Array, q: Array, most: float) -> float:
         return float(grid[best])
     optimum = scipy.optimize.minimize_scalar(lambda t: -_gain(np.exp(t), s, q), bounds=(low, high), method="bounded")
     return float(np.exp(optimum.x))
-
-
-def closing_change(gap: float, change_per_unit: float) -> float:
-    """Units of an input that close the gap (observed - predicted) of one quantity; infinite where it moves nothing.
-
-    Examples
-    --------
-    >>> closing_change(0.3, -0.1)
-    -3.0
-    """
-    return round(gap / change_per_unit, 12) if change_per_unit else float("inf")

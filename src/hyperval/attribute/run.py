@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from hyperval.attribute.ranking import Candidate, Ranking, budget_covariance, closing_change, rankings
+from hyperval.attribute.ranking import Candidate, Ranking, budget_covariance, rankings
 from hyperval.attribute.residuals import ComparedQuantity, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions
 from hyperval.attribute.whatif import ScenarioModel, Truths, run_what_ifs
@@ -219,7 +219,7 @@ def _sensitivity_rows(
     gap = quantity.observed - predicted
     for candidate, (up, down) in ends.items():
         change = 0.5 * float(up[place] - down[place])
-        closes = closing_change(gap, change)
+        closes = round(gap / change, 12) if change else math.inf
         reason = f"gap {gap:.4g}"
         reason += f" closed by {closes:+.3g} units" if math.isfinite(closes) else ", not closed by this input"
         first, total = (float(x[place]) for x in shares.get(candidate, np.full((2, place + 1), math.nan)))

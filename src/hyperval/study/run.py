@@ -22,7 +22,7 @@ from hyperval.storage import partial_folder, whole_folder
 from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
 from hyperval.study.plan import Plan, answers, plan_study
 from hyperval.study.schema import load_study
-from hyperval.study.tables import Field, PointStore, StudyTable, input_fields, moved, write_tables
+from hyperval.study.tables import Field, PointStore, StudyTable, input_fields, write_tables
 
 Array = npt.NDArray[np.float64]
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
@@ -118,7 +118,7 @@ def evaluate_into(
     if first >= count:
         return
     words = f"{count:,} points" if not first else f"{count:,} points, from {first:,} on"
-    with parcel(where, (plan.study, plan.points, plan.evaluator)) as packed:
+    with parcel(where, plan) as packed:
         pieces = [(packed, start, min(start + chunk, count)) for start in range(first, count, chunk)]
         for values, reasons in track(in_order(where, run_chunk, pieces), words, len(pieces), show=show_progress):
             store.append(values, reasons)
@@ -127,10 +127,10 @@ def evaluate_into(
 def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
     packed, start, stop = piece
-    study, points, evaluator = packed.open()
-    parts, reasons = [], dict[int, str]()
+    plan: Plan = packed.open()
+    study, evaluator, parts, reasons = plan.study, plan.evaluator, [], dict[int, str]()
     for low in range(start, stop, _BATCH):
-        columns = moved({i.name: i for i in study.inputs}, points.stretch(low, min(low + _BATCH, stop)))
+        columns = plan.columns(low, min(low + _BATCH, stop))
         values, problems = evaluator.values(columns, study.outputs)
         said = {i: [text] for i, text in problems.items()}
         row = [values]
