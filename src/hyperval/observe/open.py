@@ -231,7 +231,9 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
     for name in collection.leave_out:
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
-    notes = (*cube.notes, *notes, *header_notes(cube))
+    sides = cube.samples, cube.raster.bands
+    told = acquisition_notes(cube.extras, cube.axis, *sides, lines=cube.lines, quantity=cube.quantity)
+    notes = (*cube.notes, *notes, *told)
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
         notes = (*notes, f"places on the map are found by the lookup table {table.raster.path.name}{size}")
@@ -303,13 +305,6 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
         return SpectralAxis(centre, fwhm)
     except UsageError as error:
         raise InputError(f"not a table of bands: {error.what}", where=str(path), expected=error.expected) from error
-
-
-def header_notes(cube: Cube) -> tuple[str, ...]:
-    """What the header of a cube says of its acquisition."""
-    return acquisition_notes(
-        cube.extras, cube.axis, cube.samples, cube.raster.bands, lines=cube.lines, quantity=cube.quantity
-    )
 
 
 def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
@@ -489,12 +484,9 @@ def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], ne
             notes.append(f"{what} among {region.n}: left out of its statistics")
     shared = int(np.sum(touched > 1))
     if shared:
-        masks = {m: all_pixels([o for o in targets if o.material == m], near.shape) for m in _materials(targets)}
+        materials = dict.fromkeys(o.material for o in targets)
+        masks = {m: all_pixels([o for o in targets if o.material == m], near.shape) for m in materials}
         pairs = [(a, b, int(np.sum(masks[a] & masks[b]))) for a, b in combinations(masks, 2)]
         words = ", ".join(f"{n} of {a!r} and {b!r}" for a, b, n in pairs if n)
         notes.append(f"{shared} pixels may hold parts of more than one target" + (f": {words}" if words else ""))
     return notes
-
-
-def _materials(targets: Sequence[TargetObject]) -> list[str]:
-    return list(dict.fromkeys(o.material for o in targets))

@@ -173,11 +173,6 @@ def alarms_at_detection(
     return tuple(out)
 
 
-def areas_within(n: int) -> dict[str, RocArea]:
-    """The areas of :data:`AREAS` whose range ``n`` background scores reach: the low end expects alarms enough."""
-    return {k: a for k, a in AREAS.items() if not a.logarithmic or a.low * n >= LEAST_EXPECTED_ALARMS}
-
-
 def roc_area(counts: RankCounts, area: RocArea = WHOLE) -> float:
     """The area of the empirical curve, exact with ties.
 
@@ -482,7 +477,9 @@ def with_summary(
     draws, rng : of the bootstrap over objects; by default a generator of seed 0
     """
     blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
-    counts, areas = counts_of(target_scores, background_scores), areas_within(int(curve.n_background or 0))
+    counts, n = counts_of(target_scores, background_scores), int(curve.n_background or 0)
+    # Those whose range the background reaches: the low end expects alarms enough.
+    areas = {k: a for k, a in AREAS.items() if not a.logarithmic or a.low * n >= LEAST_EXPECTED_ALARMS}
     estimates = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0), blocks)
     return replace(curve, areas=estimates, at_detection=alarms_at_detection(target_scores, background_scores))
 
