@@ -45,11 +45,12 @@ def written(path: Path, data: np.ndarray, **others: np.ndarray) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a.npy"])
+@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a.npy", "bands-first.mat", "bands-first.v73.mat"])
 def test_the_values_are_those_of_the_array(tmp_path, scene, name):
     data, marked = scene
     more = {} if name.endswith("npy") else {"map": marked}
-    cube = open_cube(written(tmp_path / name, data, **more), quantity="counts", axis="numbers")
+    held = np.moveaxis(data, 2, 0) if name.startswith("bands-first") else data  # which the map beside it tells
+    cube = open_cube(written(tmp_path / name, held, **more), quantity="counts", axis="numbers")
     assert cube.shape == (LINES, SAMPLES)
     assert np.array_equal(np.concatenate([b.values for b in cube.blocks(7)]), data)
     rows, cols = np.array([3, 3, 39]), np.array([0, 35, 7])

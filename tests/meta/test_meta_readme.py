@@ -55,22 +55,13 @@ def test_the_reference_of_files_has_every_model_and_its_keys():
     assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == keys
 
 
+TARGETS = ["validate", "check", "power", "scoreboard", "test", "setup", "lint", "types", "lock", "clean", "help"]
+
+
 def test_make_knows_its_targets():
     if not shutil.which("make"):
         pytest.skip("make is not installed")
-    for target in (
-        "validate",
-        "check",
-        "power",
-        "scoreboard",
-        "test",
-        "setup",
-        "lint",
-        "types",
-        "lock",
-        "clean",
-        "help",
-    ):
+    for target in TARGETS:
         done = subprocess.run(
             ["make", "--dry-run", "-C", str(ROOT), target], capture_output=True, text=True, check=False
         )

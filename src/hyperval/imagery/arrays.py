@@ -628,7 +628,8 @@ def open_matrix(
 ) -> ArrayRaster:
     """The image (lines, samples, bands) of a MATLAB (5 or 7.3) or NumPy file, or its map of the shape ``plane``.
 
-    Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.
+    Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.  An image
+    is (lines, samples, bands) unless a map beside it is as large as its last two axes, and not its first two.
 
     Raises
     ------
@@ -648,7 +649,10 @@ def open_matrix(
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
         raise refusal("array.memory", path, name=name, mib=size >> 20)
     tree = kind == "MATLAB 7.3"
-    axes, shape = ("bsl" if tree else "lsb"), shapes[name][:: -1 if tree else 1]
+    planes = {s for s in shapes.values() if len(s) == 2 and min(s) > 1}
+    is_bands_first = shapes[name][1:] in planes and shapes[name][:2] not in planes
+    turn = -1 if tree else 1
+    axes, shape = ("bls" if is_bands_first else "lsb")[::turn], shapes[name][::turn]
 
     def stored(name: str) -> Store:
         return Store(path, hdf5) if tree else Store(path, _matrix, name, kind)
