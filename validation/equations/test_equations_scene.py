@@ -35,7 +35,7 @@ from hyperval.model import (
     touched_pixel_fill,
 )
 from hyperval.spectra import SpectralAxis
-from hyperval.statistics_library import _SURFACES, builtin_class, builtin_mean
+from hyperval.statistics_library import _SURFACES, _modes, builtin_class, builtin_mean
 
 
 def atmosphere(bands: int = 1) -> AtmosphericTerms:
@@ -267,8 +267,8 @@ def test_fills_by_moments():
 def test_builtin_covariance_is_the_sum_of_its_modes():
     axis = SpectralAxis(np.linspace(400, 2450, 50), np.full(50, 10.0))
     surface = _SURFACES["grass"]
-    modes = [mode(axis.centre_nm) for mode in surface.modes.values()]
-    expected = sum(np.outer(m, m) for m in modes) + surface.band_spread**2 * np.eye(50)
+    modes = _modes(surface, builtin_mean("grass", axis), axis.centre_nm)
+    expected = sum(np.outer(m, m) for m in modes) + surface["band_spread"] ** 2 * np.eye(50)
     assert builtin_class("grass", axis).covariance == pytest.approx(expected, rel=1e-12)
 
 
