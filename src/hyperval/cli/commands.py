@@ -172,8 +172,8 @@ def baseline_accept(
     for name, path in done.written.items():
         note(f"{name}: written to {path}")
     if done.written:
-        note('add to the changelog, under "Science changes":')
-        note(f"- {done.date}: {' '.join(reason.split())} (baselines: {', '.join(done.written)})")
+        note('add to the changelog, under "Science changes", with what moved in place of the dots:')
+        note(f"| {done.date} | {' '.join(reason.split())} | ... | {', '.join(done.written)} |")
     return done.exit_code
 
 
