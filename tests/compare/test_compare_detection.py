@@ -7,27 +7,7 @@ import pytest
 from scipy import stats
 from scipy.stats import norm
 
-from hyperval.compare import (
-    Gate,
-    RowMaker,
-    compare_abundance,
-    compare_area_errors,
-    compare_exceedance,
-    compare_object_scores,
-    compare_products,
-    compare_roc,
-    compare_scores,
-    detection,
-    difference_interval,
-    distance_from_uniform,
-    far_at_detection_rows,
-    joint_rows,
-    judged,
-    judged_together,
-    predicted_area,
-    probability_integral_transform,
-    product_rows,
-)
+from hyperval import compare
 from hyperval.errors import UsageError
 from hyperval.model import (
     AREAS,
@@ -56,7 +36,7 @@ from hyperval.results import Cause, Outcome
 from hyperval.spectra import SpectralAxis
 
 NAMES = {"subject": "planks", "method": "cem/object"}
-MAKE = RowMaker("roc", "planks", "cem/object")
+MAKE = compare.RowMaker("roc", "planks", "cem/object")
 KM2 = 0.08
 PFA = np.geomspace(1e-4, 0.999, 81)
 
@@ -66,7 +46,7 @@ def by_metric(rows):
 
 
 def roc(predicted, observed, **more):
-    return by_metric(compare_roc(predicted, observed, **NAMES, **more))
+    return by_metric(compare.compare_roc(predicted, observed, **NAMES, **more))
 
 
 def curve(pfa, pd, half=0.0, unit="object", **more):
@@ -102,11 +82,11 @@ def test_difference_interval_covers_and_takes_the_sides_that_stretch_it():
     hits = 0
     for a, b in zip(rng.binomial(40, 0.8, 1000), rng.binomial(25, 0.6, 1000), strict=True):
         one, two = (tuple(map(float, clopper_pearson(k, n))) for k, n in ((a, 40), (b, 25)))
-        low, high = difference_interval(a / 40, one, b / 25, two)
+        low, high = compare.difference_interval(a / 40, one, b / 25, two)
         hits += low <= 0.2 <= high
     assert hits / 1000 > 0.93
     # The upper side of a and the lower side of b stretch the upper limit; the other two the lower limit.
-    assert difference_interval(0.8, (0.76, 0.92), 0.5, (0.45, 0.53)) == pytest.approx((0.3 - 0.05, 0.3 + 0.13))
+    assert compare.difference_interval(0.8, (0.76, 0.92), 0.5, (0.45, 0.53)) == pytest.approx((0.3 - 0.05, 0.3 + 0.13))
 
 
 def test_points_that_the_background_or_a_curve_does_not_reach():
@@ -122,7 +102,7 @@ def test_points_that_the_background_or_a_curve_does_not_reach():
     assert np.isnan(roc(model_curve(2.0), bare, pfa=[1e-2])["pd_inside_interval@1e-2"].value)  # neither in nor out
     point = roc(bare, measured_curve(2.0), pfa=[1e-2])["pd_predicted@1e-2"]
     assert point.lower == point.value
-    value, interval = predicted_area(bare, AREAS["partial_auc@0..1e-1"])
+    value, interval = compare.predicted_area(bare, AREAS["partial_auc@0..1e-1"])
     assert interval == (value, value)
     with pytest.raises(UsageError, match="by pixel, the measured by object"):
         roc(model_curve(2.0, unit="pixel"), measured_curve(2.0))
@@ -159,7 +139,7 @@ def test_score_moments():
     predicted = ScoreDistribution(0.5, 0.2)
 
     def scores(observed):
-        return by_metric(compare_scores(predicted, observed, **NAMES))
+        return by_metric(compare.compare_scores(predicted, observed, **NAMES))
 
     rows, t = scores(ScoreDistribution(0.4, 0.1, 26)), stats.t.ppf(0.975, 25)
     difference, ratio = rows["score_mean_difference"], rows["score_sd_ratio"]
@@ -182,7 +162,7 @@ def test_sd_ratio_interval_covers():
     for _ in range(1000):
         x = rng.normal(0, 0.1, 15)
         observed = ScoreDistribution(x.mean(), x.std(ddof=1), 15)
-        row = by_metric(compare_scores(ScoreDistribution(0.0, 0.2), observed, **NAMES))["score_sd_ratio"]
+        row = by_metric(compare.compare_scores(ScoreDistribution(0.0, 0.2), observed, **NAMES))["score_sd_ratio"]
         hits += row.lower <= 2.0 <= row.upper
     assert 0.92 < hits / 1000 < 0.98
 
@@ -195,7 +175,7 @@ def test_every_subject_of_either_side_has_rows():
     right = {"radiance": {"grass": one, "only data": one}, "snr": {"grass": one}}
     right["roc"] = {("t", "cem", "object"): measured, ("t", "ace", "object"): measured}
     predicted, observed = PredictedProducts(axis, **left), ObservedProducts(axis, **right)
-    rows = compare_products(predicted, observed)
+    rows = compare.compare_products(predicted, observed)
     absent = {(r.product, r.subject, r.method): r.reason for r in rows if r.metric == "comparison"}
     assert set(absent) == {
         ("radiance", "only model", "model"), ("radiance", "only data", "model"), ("snr", "grass", "model"),
@@ -204,10 +184,10 @@ def test_every_subject_of_either_side_has_rows():
     assert absent["roc", "t", "ace/object"] == "no roc of t in the prediction, which has it by cem"
     assert absent["roc", "u", "cem/object"] == "no roc of u in the observation, which has 't'"
     assert {r.product for r in rows if r.outcome is Outcome.NONE} == {"radiance", "roc"}
-    (nothing,) = [r for r in compare_products(predicted, ObservedProducts(axis)) if r.subject == "u"]
+    (nothing,) = [r for r in compare.compare_products(predicted, ObservedProducts(axis)) if r.subject == "u"]
     assert nothing.reason.endswith("in the observation, which has no roc at all")
     with pytest.raises(UsageError, match="not on the same spectral axis"):
-        compare_products(predicted, ObservedProducts(SpectralAxis(axis.centre_nm + 1.0, 10.0)))
+        compare.compare_products(predicted, ObservedProducts(SpectralAxis(axis.centre_nm + 1.0, 10.0)))
 
 
 def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
@@ -262,7 +242,7 @@ def test_the_joint_region_holds_the_truth_though_the_background_sets_the_thresho
     rng, truth, hits = np.random.default_rng(8), model_curve(2.0), 0
     for _ in range(400):
         measured = empirical_roc(rng.normal(2, 1, 25), rng.normal(size=1500), [0.02], unit="object")
-        rows = by_metric(joint_rows(MAKE, truth, measured, 0.02))
+        rows = by_metric(compare.joint_rows(MAKE, truth, measured, 0.02))
         x, pfa, pd = measured.threshold[0], rows["joint_pfa@2e-2"], rows["joint_pd@2e-2"]
         if pfa.lower <= norm.sf(x) <= pfa.upper and pd.lower <= norm.sf(x - 2.0) <= pd.upper:
             hits += 1  # the true curve passes through every region that holds the true point
@@ -273,13 +253,13 @@ def test_the_joint_region_holds_the_truth_though_the_background_sets_the_thresho
 def test_one_side_alone_has_its_rows_too():
     axis, key = SpectralAxis(np.array([500.0, 600.0]), 5.0), ("planks", "cem", "object")
     bare, seen = (
-        by_metric(product_rows(ObservedProducts(axis, roc={key: measured_curve(2.5, area=area)}), "observed"))
+        by_metric(compare.product_rows(ObservedProducts(axis, roc={key: measured_curve(2.5, area=area)}), "observed"))
         for area in (None, KM2)
     )
     assert {"auc_measured", "far_measured@1e-3", "far_measured@pd0.9", "joint_pd@1e-2"} <= set(seen)
     assert not any("predicted" in name or "difference" in name for name in seen)
     assert not any(r.outcome is Outcome.SKIPPED for r in bare.values())
-    told = by_metric(product_rows(PredictedProducts(axis, roc={key: model_curve(2.5, 0.2)}), "predicted"))
+    told = by_metric(compare.product_rows(PredictedProducts(axis, roc={key: model_curve(2.5, 0.2)}), "predicted"))
     assert told["auc_predicted"].lower < told["auc_predicted"].value < told["auc_predicted"].upper
     assert not any(name.startswith(("far", "joint")) for name in told)
 
@@ -290,7 +270,7 @@ def test_a_predicted_curve_that_ends_inside_the_rectangle_goes_on_to_nothing():
     measured = curve([1e-3, 1e-2, 1e-1], 0.0, np.nan, "pixel", **counts)
     # The first begins inside: below its first point nothing is detected.
     for start, pd, inside in ((9e-3, 0.5, 1.0), (1e-4, 0.5, 0.0), (1e-4, 0.01, 1.0)):
-        rows = by_metric(joint_rows(MAKE, curve([start, 1e-1], pd, np.nan, "pixel"), measured, 1e-2))
+        rows = by_metric(compare.joint_rows(MAKE, curve([start, 1e-1], pd, np.nan, "pixel"), measured, 1e-2))
         assert rows["pd_inside_joint_region@1e-2"].value == inside
         assert rows["joint_pd@1e-2"].upper < 0.03
 
@@ -330,7 +310,7 @@ def test_both_readings_are_reported_where_they_differ():
 
 
 def areas(predicted, observed):
-    return by_metric(compare_abundance(predicted, observed, **NAMES))
+    return by_metric(compare.compare_abundance(predicted, observed, **NAMES))
 
 
 def test_errors_of_areas_by_hand():
@@ -358,7 +338,7 @@ def test_intervals_of_the_errors_of_several_areas():
     observed = {(k, "fcls"): Abundance(2.0 + e, 0.1, 9, 2.0) for k, e in zip("abc", error, strict=True)}
     predicted = {(k, "fcls"): Abundance(2.05, s, 9, 2.0) for k, s in zip("abc", spread, strict=True)}
     observed["d", "fcls"] = predicted["d", "fcls"] = Abundance(9.0, 0.1, 9, 9.0)  # one of a size has no spread
-    rows = by_metric(compare_area_errors(predicted, observed))
+    rows = by_metric(compare.compare_area_errors(predicted, observed))
     assert {r.subject for r in rows.values()} == {"all targets of 2 m2"}
     assert rows["area_rmse_predicted"].value == pytest.approx(np.sqrt(0.05**2 + np.mean(spread**2)))
     low, high = stats.t.interval(0.95, 2, loc=error.mean(), scale=stats.sem(error))
@@ -377,13 +357,13 @@ def test_predicted_alarms_lie_where_the_band_reaches_the_stated_detection():
     alarms = AlarmsAtDetection(0.5, 1.0, 10, 0.01, 0.004, 0.03, 0.005, 0.02)
     counts = {"n_target": 20, "n_background": 1000, "background_area_km2": 0.5, "at_detection": (alarms,)}
     measured = curve(pfa, [0.0, 0.2, 0.5, 0.8, 1.0], **counts)
-    rows = by_metric(far_at_detection_rows(MAKE, curve(pfa, pd, 0.1), measured))
+    rows = by_metric(compare.far_at_detection_rows(MAKE, curve(pfa, pd, 0.1), measured))
     row = rows["far_predicted@pd0.5"]
     assert np.array([row.lower, row.value, row.upper]) / density == pytest.approx([1e-3, 10**-2.5, 1e-2])
     assert rows["far_measured@pd0.5"].value == pytest.approx(20.0)
     assert rows["far_difference@pd0.5"].value == pytest.approx(density * 10**-2.5 - 20.0)
     # An upper limit that begins above that P_D bounds P_FA from below by nothing.
-    wide = by_metric(far_at_detection_rows(MAKE, curve(pfa, pd, 0.4), measured))["far_predicted@pd0.5"]
+    wide = by_metric(compare.far_at_detection_rows(MAKE, curve(pfa, pd, 0.4), measured))["far_predicted@pd0.5"]
     assert (wide.lower, wide.upper / density) == pytest.approx((0.0, 10**-0.5))
 
 
@@ -394,7 +374,7 @@ def test_ratio_of_false_alarms():
     def ratios(n, low=true, high=true):
         measured = None if n is None else ExceedanceCurve(x, true, low, high, n)
         law = ExceedanceCurve(x, model, model, model)
-        return by_metric(compare_exceedance(law, measured, subject="t background", method="cem"))
+        return by_metric(compare.compare_exceedance(law, measured, subject="t background", method="cem"))
 
     rows = ratios(20_000, true / 1.5, true * 1.5)
     assert set(rows) == {"pfa_ratio@1e-1", "pfa_ratio@1e-2", "pfa_ratio@1e-3"}
@@ -426,15 +406,15 @@ def test_transform_is_the_predicted_distribution_function():
     # 40,000 draws: the sd of a share is at most 0.0025, four of them 0.01.
     draws = np.random.default_rng(1).normal(0.3, 0.1, (400, 100))
     at = np.array([0.1, 0.25, 0.3, 0.45])
-    assert probability_integral_transform(at, draws) == pytest.approx(norm.cdf(at, 0.3, 0.1), abs=0.01)
-    assert probability_integral_transform([1.0, 2.0], [1.0, 1.0, 3.0, 3.0]).tolist() == [0.3, 0.5]
+    assert compare.probability_integral_transform(at, draws) == pytest.approx(norm.cdf(at, 0.3, 0.1), abs=0.01)
+    assert compare.probability_integral_transform([1.0, 2.0], [1.0, 1.0, 3.0, 3.0]).tolist() == [0.3, 0.5]
 
 
 def test_distance_is_that_of_another_package():
     u = np.random.default_rng(2).uniform(size=(3, 30))
-    assert distance_from_uniform(u) == pytest.approx([stats.kstest(x, "uniform").statistic for x in u])
+    assert compare.distance_from_uniform(u) == pytest.approx([stats.kstest(x, "uniform").statistic for x in u])
     with pytest.raises(UsageError, match="between 0 and 1"):
-        distance_from_uniform([0.5, np.nan])
+        compare.distance_from_uniform([0.5, np.nan])
 
 
 @pytest.mark.slow
@@ -442,8 +422,8 @@ def test_right_predictions_with_common_errors_are_rejected_at_the_stated_rate(mo
     # 100 worlds whose common error is as large as the rest: a 5 % test rejects 5 of them (sd 2.2); limit at 4 sd.
     # The customary test, which takes objects for independent, rejects most.  1,000 sets of the model place a
     # p-value of 5 % to 0.7 %, which leaves the rate of rejection; how wide a departure is detectable is not asked.
-    monkeypatch.setattr(detection, "REPLICATES", 1000)
-    monkeypatch.setattr(detection, "POWER_DRAWS", 20)
+    monkeypatch.setattr(compare.detection, "REPLICATES", 1000)
+    monkeypatch.setattr(compare.detection, "POWER_DRAWS", 20)
     rng = np.random.default_rng(4)
     ours, customary, joint, drift = 0, 0, 0, 0
     for _ in range(100):
@@ -451,8 +431,8 @@ def test_right_predictions_with_common_errors_are_rejected_at_the_stated_rate(mo
         base, truth = drawn(0.1, 0.1, rng)
         predicted = {k: ObjectScores(p.values + s) for (k, p), s in zip(base.items(), shift, strict=True)}
         moved = {k: v + s for (k, v), s in zip(truth.items(), shift, strict=True)}
-        found = judged_together(predicted, moved)
-        u = [float(probability_integral_transform(moved[k], predicted[k].values)[0]) for k in predicted]
+        found = compare.judged_together(predicted, moved)
+        u = [float(compare.probability_integral_transform(moved[k], predicted[k].values)[0]) for k in predicted]
         ours += found.uniformity.p_value < 0.05
         customary += stats.kstest(u, "uniform").pvalue < 0.05
         joint += 2.0 * min(found.joint.p_value, 1.0 - found.joint.p_value) < 0.05
@@ -468,8 +448,10 @@ def test_falsified_scores_turn_the_verdict():
 
     def verdicts(change, predicted=predicted):
         measured = {name: ObjectScores(change(values), (name,)) for name, values in truth.items()}
-        rows = compare_object_scores(predicted, measured, method="cem")
-        judgements = by_metric(r for r in judged(rows, [Gate(metric=metric, **plan) for metric in tests]) if r.gates)
+        rows = compare.compare_object_scores(predicted, measured, method="cem")
+        judgements = by_metric(
+            r for r in compare.judged(rows, [compare.Gate(metric=metric, **plan) for metric in tests]) if r.gates
+        )
         return [judgements[metric].outcome for metric in tests]
 
     # 25 objects tell little of a width.
@@ -493,7 +475,7 @@ def test_rows_of_single_objects_and_of_groups():
         "lost": ObjectScores(np.array([np.nan]), ("x",)),
         "not predicted": ObjectScores(np.array([1.0]), ("y",)),
     }
-    of = {(r.subject, r.metric): r for r in compare_object_scores(predicted, measured, method="cem")}
+    of = {(r.subject, r.metric): r for r in compare.compare_object_scores(predicted, measured, method="cem")}
     assert of["one", "object_score_inside_95"].value == 0.0
     assert of["one", "object_score_measured"].value == 0.9
     interval = of["one", "object_score_predicted"]
@@ -504,7 +486,7 @@ def test_rows_of_single_objects_and_of_groups():
     assert (of["many", "objects_inside_95"].n, together.n) == (60, 61)
     assert "without lost" in together.reason
     assert "not predicted" not in {subject for subject, _ in of}
-    none = compare_object_scores(predicted, {}, method="cem")
+    none = compare.compare_object_scores(predicted, {}, method="cem")
     assert {r.outcome for r in none} == {Outcome.SKIPPED}
 
 
@@ -522,7 +504,9 @@ SD = 1.0 / np.sqrt(PLACE @ PLACE)  # of the least-squares slope of independent s
 
 
 def together(z, predicted=PREDICTED):
-    return judged_together(predicted, {k: np.array([m + x]) for k, m, x in zip(PREDICTED, MEANS, z, strict=True)})
+    return compare.judged_together(
+        predicted, {k: np.array([m + x]) for k, m, x in zip(PREDICTED, MEANS, z, strict=True)}
+    )
 
 
 @pytest.mark.parametrize("slope", [0.8, -1.2, 2.0])

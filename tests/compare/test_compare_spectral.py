@@ -10,23 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare import (
-    ChiSquare,
-    Gate,
-    chi_square_diagonal,
-    chi_square_full,
-    chi_square_shape,
-    comparable_bands,
-    compare_spectra,
-    detectable_tilts,
-    drift,
-    judged,
-    leading_source,
-    median_interval,
-    share_inside,
-    size_intervals,
-    whitening,
-)
+from hyperval import compare
 from hyperval.errors import UsageError
 from hyperval.model import Z95, difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
 from hyperval.products import EstimatedPart, SpectralEstimate
@@ -45,7 +29,7 @@ def spectrum(mean, covariance=1e-4, n=100):
 
 def compared(predicted, observed, product="radiance", axis=AXIS):
     """Rows by metric, those of single bands as a list."""
-    rows = compare_spectra(predicted, observed, product=product, subject="grass", method="model", axis=axis)
+    rows = compare.compare_spectra(predicted, observed, product=product, subject="grass", method="model", axis=axis)
     bands = {name: [r for r in rows if r.metric == name] for name in ("difference_ratio", "z")}
     return {r.metric: r for r in rows} | bands
 
@@ -69,19 +53,21 @@ def test_median_interval_covers():
     rng = np.random.default_rng(2)
     covariance = 0.01**2 * (0.5 * np.ones((41, 41)) + 0.5 * np.eye(41))
     draws = rng.multivariate_normal(np.full(41, 0.02), covariance, 2000)
-    limits = np.array([median_interval(r, covariance) for r in draws])
+    limits = np.array([compare.median_interval(r, covariance) for r in draws])
     assert 0.93 < np.mean((limits[:, 0] <= 0.02) & (limits[:, 1] >= 0.02)) < 0.97
-    assert all(np.isnan(median_interval(np.array([0.1, 0.2, 0.3]), np.zeros((3, 3)))))
+    assert all(np.isnan(compare.median_interval(np.array([0.1, 0.2, 0.3]), np.zeros((3, 3)))))
 
 
 def test_diagonal_and_full_agree_without_correlation():
     rng = np.random.default_rng(3)
     variance, r = rng.uniform(0.5, 2.0, 30), rng.normal(size=30)
-    diagonal, full = chi_square_diagonal(r, np.diag(variance)), chi_square_full(r, np.diag(variance))
+    diagonal, full = compare.chi_square_diagonal(r, np.diag(variance)), compare.chi_square_full(r, np.diag(variance))
     assert full.value == pytest.approx(diagonal.value, rel=1e-12) == pytest.approx(np.sum(r**2 / variance))
     assert (full.dof, diagonal.dof) == (30, 30)
     assert full.p_value == pytest.approx(stats.chi2.sf(full.value, 30))
-    assert ChiSquare(4.0, 1, 5.0).p_value == pytest.approx(2.0 * stats.t.sf(2.0, 5.0))  # of one band Student's test
+    assert compare.ChiSquare(4.0, 1, 5.0).p_value == pytest.approx(
+        2.0 * stats.t.sf(2.0, 5.0)
+    )  # of one band Student's test
 
 
 def test_full_test_rejects_true_cases_at_its_level():
@@ -89,8 +75,8 @@ def test_full_test_rejects_true_cases_at_its_level():
     rng = np.random.default_rng(4)
     x = np.linspace(0, 1, 25)
     covariance = 0.03**2 * np.exp(-np.abs(x[:, None] - x[None, :])) + 0.005**2 * np.eye(25)
-    draws, tested = rng.multivariate_normal(np.zeros(25), covariance, 2000), whitening(covariance)
-    assert 0.03 < np.mean([chi_square_full(r, tested).p_value < 0.05 for r in draws]) < 0.07
+    draws, tested = rng.multivariate_normal(np.zeros(25), covariance, 2000), compare.whitening(covariance)
+    assert 0.03 < np.mean([compare.chi_square_full(r, tested).p_value < 0.05 for r in draws]) < 0.07
 
 
 def test_a_tilt_outside_the_budget_is_seen_by_the_full_test_alone():
@@ -98,49 +84,49 @@ def test_a_tilt_outside_the_budget_is_seen_by_the_full_test_alone():
     mean = spectrum(5.0).mean
     tilt = 0.03 * np.linspace(-1, 1, B) * mean
     covariance = (0.026**2 * np.ones((B, B)) + 0.0085**2 * np.eye(B)) * np.outer(mean, mean)
-    diagonal, full = chi_square_diagonal(tilt, covariance), chi_square_full(tilt, covariance)
+    diagonal, full = compare.chi_square_diagonal(tilt, covariance), compare.chi_square_full(tilt, covariance)
     assert (diagonal.reduced, full.reduced) == (pytest.approx(0.41, abs=0.02), pytest.approx(4.15, abs=0.2))
     rows = compared(spectrum(mean + tilt, covariance), spectrum(mean, 0.0))
     assert rows["p_value_diagonal"].value > 0.99
     assert rows["p_value_full"].value < 1e-6
     # In the budget, the same tilt is accepted by both.
-    assert chi_square_full(tilt, covariance + np.outer(tilt, tilt)).p_value > 0.05
+    assert compare.chi_square_full(tilt, covariance + np.outer(tilt, tilt)).p_value > 0.05
 
 
 def test_singular_covariance_keeps_only_real_directions():
     direction = np.linspace(1, 2, 10)
-    full = chi_square_full(2.0 * direction, np.outer(direction, direction))
+    full = compare.chi_square_full(2.0 * direction, np.outer(direction, direction))
     assert (full.dof, full.value) == (1, pytest.approx(4.0))
-    nothing = chi_square_full(np.zeros(3), np.zeros((3, 3)))
+    nothing = compare.chi_square_full(np.zeros(3), np.zeros((3, 3)))
     assert (nothing.dof, math.isnan(nothing.p_value)) == (0, True)
     # Two copies of one band: one direction less, same verdict as without the copy.
     rng = np.random.default_rng(6)
     a, r, twice = rng.normal(size=(4, 4)), rng.normal(size=4), np.array([0, 1, 2, 3, 3])
-    doubled = chi_square_full(r[twice], (a @ a.T)[np.ix_(twice, twice)])
-    assert (doubled.dof, doubled.value) == (4, pytest.approx(chi_square_full(r, a @ a.T).value, rel=1e-6))
+    doubled = compare.chi_square_full(r[twice], (a @ a.T)[np.ix_(twice, twice)])
+    assert (doubled.dof, doubled.value) == (4, pytest.approx(compare.chi_square_full(r, a @ a.T).value, rel=1e-6))
     # A band without a variance is in no tested direction.
-    tested = whitening(np.diag([0.01, 0.0, 0.04]))
+    tested = compare.whitening(np.diag([0.01, 0.0, 0.04]))
     assert tested.transform == pytest.approx(np.diag([10.0, 0.0, 5.0])[[0, 2]])
-    assert chi_square_full([0.1, 7.0, 0.2], tested).value == pytest.approx(2.0)
+    assert compare.chi_square_full([0.1, 7.0, 0.2], tested).value == pytest.approx(2.0)
 
 
 def test_shape_is_what_the_full_test_has_beyond_a_common_factor():
     rng = np.random.default_rng(7)
     a = rng.normal(size=(12, 12))
     covariance, reference, r = a @ a.T, rng.uniform(1, 2, 12), rng.normal(size=12)
-    shape, inverse = chi_square_shape(r, reference, covariance), np.linalg.inv(covariance)
+    shape, inverse = compare.chi_square_shape(r, reference, covariance), np.linalg.inv(covariance)
     of_factor = (reference @ inverse @ r) ** 2 / (reference @ inverse @ reference)
-    assert of_factor + shape.value == pytest.approx(chi_square_full(r, covariance).value, rel=1e-6)
+    assert of_factor + shape.value == pytest.approx(compare.chi_square_full(r, covariance).value, rel=1e-6)
     assert shape.dof == 11
-    assert chi_square_shape(0.07 * reference, reference, covariance).value == pytest.approx(0.0, abs=1e-9)
-    dark = chi_square_shape([0.1, -0.2], [0.0, 0.0], np.eye(2))
+    assert compare.chi_square_shape(0.07 * reference, reference, covariance).value == pytest.approx(0.0, abs=1e-9)
+    dark = compare.chi_square_shape([0.1, -0.2], [0.0, 0.0], np.eye(2))
     assert (dark.value, dark.dof) == (pytest.approx(0.05), 2)
 
 
 @pytest.mark.parametrize(("difference", "common"), [([1.0, np.nan], 0.0), ([1.0, 1.0], np.nan)])
 def test_nan_never_reaches_a_test_statistic(difference, common):
     with pytest.raises(UsageError, match="NaN"):
-        chi_square_full(difference, [[1.0, common], [common, 1.0]])
+        compare.chi_square_full(difference, [[1.0, common], [common, 1.0]])
 
 
 @pytest.mark.parametrize("product", ["radiance", "snr"])
@@ -177,7 +163,7 @@ def test_bad_bands_and_gaps_are_left_out_and_absorption_does_not_touch_the_windo
     observed = spectrum(5.0)
     observed.mean[7] = np.nan
     observed.error_covariance[9, 9] = np.nan
-    assert np.flatnonzero(~comparable_bands(spectrum(5.0), observed, axis)).tolist() == [3, 7, 9]
+    assert np.flatnonzero(~compare.comparable_bands(spectrum(5.0), observed, axis)).tolist() == [3, 7, 9]
     observed.mean[[3, 9]] = 1.0  # far off, but not to be used
     mean = np.where(in_window(AXIS.centre_nm), 5.001, 50.0)
     rows = compared(spectrum(mean), observed, axis=axis)
@@ -211,17 +197,20 @@ def test_the_detectable_tilt_is_found_in_four_cases_of_five():
     w = np.linspace(450.0, 900.0, 20)
     mean = 1.0 + 0.5 * np.sin(w / 90.0)
     c = 1e-4 * np.exp(-np.abs(np.subtract.outer(w, w)) / 60.0) + 1e-5 * np.eye(20)
-    tested, root = whitening(c), np.linalg.cholesky(c)
-    full, shape = detectable_tilts(mean, w, tested)
+    tested, root = compare.whitening(c), np.linalg.cholesky(c)
+    full, shape = compare.detectable_tilts(mean, w, tested)
     for size, test in (
-        (full, lambda r: chi_square_full(r, tested)), (shape, lambda r: chi_square_shape(r, mean, tested))
-    ):  # fmt: skip
+        (full, lambda r: compare.chi_square_full(r, tested)),
+        (shape, lambda r: compare.chi_square_shape(r, mean, tested)),
+    ):
         tilted = size * mean * np.linspace(-1.0, 1.0, 20)
         p = np.array([test(tilted + root @ rng.standard_normal(20)).p_value for _ in range(1000)])
         # Standard error 0.0126; five of them: one false failure in 1.7 million.
         assert abs(np.mean(p < 0.0005) - 0.8) < 0.064
-    assert all(math.isnan(t) for t in detectable_tilts([1.0, 1.0], [500.0, 500.0], np.eye(2)))
-    assert math.isnan(detectable_tilts([1.0, 1.0], [400.0, 500.0], np.eye(2), [EstimatedPart(np.eye(2), 1.0)])[0])
+    assert all(math.isnan(t) for t in compare.detectable_tilts([1.0, 1.0], [500.0, 500.0], np.eye(2)))
+    assert math.isnan(
+        compare.detectable_tilts([1.0, 1.0], [400.0, 500.0], np.eye(2), [EstimatedPart(np.eye(2), 1.0)])[0]
+    )
 
 
 def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held():
@@ -231,9 +220,9 @@ def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held()
     low_of_nothing, inside = [], 0
     for _ in range(200):
         none = 0.05 * rng.standard_normal(40)
-        low_of_nothing.append([ends[0] for ends in size_intervals(none, 0.0025 * c)])
+        low_of_nothing.append([ends[0] for ends in compare.size_intervals(none, 0.0025 * c)])
         some = 0.1 + 0.02 * rng.standard_normal(40)
-        low, high = size_intervals(some, 0.0004 * c)[0]
+        low, high = compare.size_intervals(some, 0.0004 * c)[0]
         inside += low <= 0.1 <= high
     median, greatest = np.array(low_of_nothing).T
     # A limit of one standard deviation is never said to be passed by the median; of the greatest seldom.
@@ -249,10 +238,10 @@ def test_the_interval_of_the_share_inside_holds_what_right_errors_give(length):
     w = np.linspace(450.0, 900.0, 60)
     c = np.exp(-0.5 * ((w[:, None] - w) / length) ** 2) + 1e-9 * np.eye(60)
     root = np.linalg.cholesky(c)
-    limits = np.array([share_inside(root @ rng.standard_normal(60), c)[1] for _ in range(400)])
+    limits = np.array([compare.share_inside(root @ rng.standard_normal(60), c)[1] for _ in range(400)])
     assert np.mean((limits[:, 0] <= 0.95) & (limits[:, 1] >= 0.95)) >= 0.95 - 4 * 0.011
     # Errors twice as large as stated are seen where bands are many.
-    wide = np.array([share_inside(2.0 * root @ rng.standard_normal(60), c)[1][1] for _ in range(100)])
+    wide = np.array([compare.share_inside(2.0 * root @ rng.standard_normal(60), c)[1][1] for _ in range(100)])
     assert (np.mean(wide < 0.95) > 0.9) == (length < 1.0)
 
 
@@ -267,7 +256,7 @@ def test_a_leading_source_holds_more_than_half_of_the_variance():
         # d(p/o) = dp/o - p do/o^2: of equal errors that of o counts by (p/o)^2.
         (side(1.0, p=1.0), side(2.0, o=1.0), "80 % of the variance: p"),
     ):
-        assert leading_source(p, o, np.ones(3, bool)) == words
+        assert compare.leading_source(p, o, np.ones(3, bool)) == words
 
 
 def test_a_prediction_that_is_too_bright_has_a_positive_z():
@@ -283,8 +272,8 @@ def test_a_prediction_that_is_too_bright_has_a_positive_z():
 
 def told(metric, value, *, product="radiance", limits=None, **more) -> Result:
     limits = limits or {"within": (-0.05, 0.05)}
-    gate = Gate(product=product, metric=metric, reason="r", chosen_after=True, before="nothing", **limits)
-    (row,) = judged([Result("", product, "s", "m", metric, value, **more)], [gate])
+    gate = compare.Gate(product=product, metric=metric, reason="r", chosen_after=True, before="nothing", **limits)
+    (row,) = compare.judged([Result("", product, "s", "m", metric, value, **more)], [gate])
     return row
 
 
@@ -297,7 +286,7 @@ def test_a_number_is_told_in_units_of_the_field():
     assert (row.effect_unit, row.set_after) == ("% of radiance", True)
     ratio = told("area_ratio", 1.1, product="abundance", lower=0.9, upper=1.3, limits={"within": (0.75, 1.25)})
     assert (ratio.effect, ratio.effect_upper, ratio.accepted_low, ratio.ideal) == pytest.approx((10.0, 30.0, -25.0, 0))
-    (unplanned,) = judged([Result("", "radiance", "s", "m", "bias_ratio", 0.1, lower=0.0, upper=0.2)], [])
+    (unplanned,) = compare.judged([Result("", "radiance", "s", "m", "bias_ratio", 0.1, lower=0.0, upper=0.2)], [])
     assert math.isnan(unplanned.effect)
 
 
@@ -305,7 +294,7 @@ def test_a_test_agrees_only_where_its_whole_interval_lies_in_the_range():
     """Of 11 bands a difference of 1.5 times its uncertainty may be one of 2.1, which chance alone does not give."""
 
     def of_size(size):
-        found = ChiSquare(size**2 * 11, 11)
+        found = compare.ChiSquare(size**2 * 11, 11)
         return told("p_value_full", found.p_value, limits={"at_least": 0.001}, detectable=0.01, about=found.effect)
 
     near, beyond, far, none = map(of_size, (1.1, 1.5, 2.5, 0.03))
@@ -323,7 +312,7 @@ def test_the_interval_of_an_effect_holds_its_size_in_95_of_100(nu):
     drawn = rng.noncentral_chisquare(dof, (size**2 - 1.0) * dof, draws)
     if math.isfinite(nu):  # Hotelling's statistic
         drawn = drawn * nu / rng.chisquare(nu - dof + 1.0, draws)
-    effects = [ChiSquare(float(x), dof, nu).effect for x in drawn]
+    effects = [compare.ChiSquare(float(x), dof, nu).effect for x in drawn]
     held = np.mean([e.lower <= size <= e.upper for e in effects])
     assert held == pytest.approx(0.95, abs=4.0 * math.sqrt(0.95 * 0.05 / draws))
     found = np.mean([e.value > e.accepted(0.001)[1] for e in effects])
@@ -337,21 +326,21 @@ def test_a_drift_holds_the_truth_as_often_as_it_says():
     """Seed 3; of 2000 draws 1900 hold it on average, with a standard deviation of 9.7: fails once in 10,000."""
     rng, inside = np.random.default_rng(3), 0
     for _ in range(2000):
-        found = drift(YEARS, 0.02 * YEARS + 0.005 * rng.standard_normal(YEARS.size))
+        found = compare.drift(YEARS, 0.02 * YEARS + 0.005 * rng.standard_normal(YEARS.size))
         inside += found.lower <= 0.02 <= found.upper
     assert abs(inside - 1900) < 38
 
 
 def test_a_drift_against_a_range():
     values = 0.02 * YEARS + 1e-3 * np.sin(40.0 * YEARS)
-    found = drift(YEARS, values)
+    found = compare.drift(YEARS, values)
     assert found.outcome(-0.05, 0.05) is Outcome.AGREES
     assert found.outcome(-0.01, 0.01) is Outcome.DISAGREES
     assert found.outcome(-0.05, found.per_year) is Outcome.UNDECIDED
-    assert drift(YEARS, values + 0.3).per_year == pytest.approx(found.per_year), "an error of all days cancels"
+    assert compare.drift(YEARS, values + 0.3).per_year == pytest.approx(found.per_year), "an error of all days cancels"
     for years in ([0.0, 1.0], [1.0, 1.0, 1.0]):
         with pytest.raises(UsageError, match="days or more"):
-            drift(years, np.zeros(len(years)))
+            compare.drift(years, np.zeros(len(years)))
 
 
 @pytest.mark.parametrize("name", ["compare.spectra", "compare.judge", "model.intervals"])

@@ -14,22 +14,8 @@ from rasterio.warp import transform as reproject
 from scanned_line import LINES, SAMPLES, UTM18, ScannedLine, write_table
 from small_files import polygon
 
+from hyperval import imagery
 from hyperval.errors import InputError
-from hyperval.imagery import (
-    LocationTable,
-    companion,
-    location_table,
-    metres_per_degree,
-    open_cube,
-    open_lookup_table,
-    open_raster,
-    polygon_mask,
-    read_regions,
-    read_targets,
-    sun_zenith_deg,
-    table_of,
-    write_cube,
-)
 
 SHAPE = (LINES, SAMPLES)
 RING = [(15.0, 30.0), (60.0, 25.0), (65.0, 190.0), (20.0, 200.0)]  # raw, near the edge of the line
@@ -43,7 +29,7 @@ def line() -> ScannedLine:
 
 @pytest.fixture
 def table(tmp_path, line):
-    return open_lookup_table(write_table(tmp_path / "glt.dat", *line.table()), SHAPE)
+    return imagery.open_lookup_table(write_table(tmp_path / "glt.dat", *line.table()), SHAPE)
 
 
 def some_places(n: int = 400) -> np.ndarray:
@@ -54,7 +40,7 @@ def some_places(n: int = 400) -> np.ndarray:
 def regions_at(path: Path, points, shape, table, **options) -> np.ndarray:
     """The mask of a polygon on the map."""
     path.write_text(json.dumps(polygon([tuple(map(float, p)) for p in points])))
-    (region,) = read_regions(path, shape, transform=table, crs=table.crs, **options).values()
+    (region,) = imagery.read_regions(path, shape, transform=table, crs=table.crs, **options).values()
     return region.mask
 
 
@@ -70,7 +56,7 @@ def test_places_come_back_to_a_part_of_a_pixel_in_every_layout(tmp_path, line, t
     assert np.abs((found - places).mean(axis=0)).max() < 0.02  # no half-pixel shift
     stored, transform = line.table()
     layout = {"band_names": ("GLT Line", "GLT Sample"), "interleave": "bsq", "data_type": 2, "byte_order": 1}
-    swapped = open_lookup_table(write_table(tmp_path / "s.dat", stored[..., ::-1], transform, **layout), SHAPE)
+    swapped = imagery.open_lookup_table(write_table(tmp_path / "s.dat", stored[..., ::-1], transform, **layout), SHAPE)
     assert swapped.swapped
     assert np.array_equal(swapped.to_pixel(line.on_map(*places.T), where="t"), found)
 
@@ -78,7 +64,7 @@ def test_places_come_back_to_a_part_of_a_pixel_in_every_layout(tmp_path, line, t
 @pytest.mark.parametrize(("size", "cell"), [(1.0, 1.0), (2.0, 1.0), (1.0, 2.0)])
 def test_the_area_of_a_raw_pixel_is_not_that_of_a_cell(tmp_path, size, cell):
     line = ScannedLine(size=size)
-    table = open_lookup_table(write_table(tmp_path / "glt.dat", *line.table(cell)), SHAPE)
+    table = imagery.open_lookup_table(write_table(tmp_path / "glt.dat", *line.table(cell)), SHAPE)
     assert table.pixel_area_m2 == pytest.approx(size**2, rel=0.03)
     places = some_places()
     error = table.to_pixel(line.on_map(*places.T), where="t") - places
@@ -92,7 +78,7 @@ def test_regions_drawn_on_the_map_fall_on_the_raw_pixels(tmp_path, line, table):
     sample, row = np.meshgrid(np.arange(SAMPLES) + 0.5, np.arange(LINES) + 0.5)
     low, fine = ring.min(axis=0), 20  # of a metre, to decide whether a centre is in the polygon
     size = tuple(np.ceil(np.ptp(ring, axis=0)[::-1] * fine).astype(int))
-    on_grid = polygon_mask((ring - low) * fine, size, where="t")
+    on_grid = imagery.polygon_mask((ring - low) * fine, size, where="t")
     at = np.floor((line.on_map(sample, row) - low) * fine).astype(int)
     held = (at >= 0).all(axis=-1) & (at[..., 0] < on_grid.shape[1]) & (at[..., 1] < on_grid.shape[0])
     expected = np.zeros(SHAPE, bool)
@@ -102,7 +88,7 @@ def test_regions_drawn_on_the_map_fall_on_the_raw_pixels(tmp_path, line, table):
     assert differing < 0.25 * border
     assert abs(mask.sum() - expected.sum()) < 0.03 * expected.sum()
     # Joining the four corners by straight lines in the raw image would be far off: the line rolls by 3 pixels.
-    plain = polygon_mask(table.to_pixel(ring, where="t"), SHAPE, where="t")
+    plain = imagery.polygon_mask(table.to_pixel(ring, where="t"), SHAPE, where="t")
     assert np.count_nonzero(plain ^ expected) > 2 * differing
     east, north = reproject(UTM18, CRS.from_epsg(4326), *ring.T.tolist())[:2]  # through the system of the table
     again = regions_at(tmp_path / "d.geojson", np.column_stack([east, north]), SHAPE, table, coordinates="lonlat")
@@ -113,14 +99,14 @@ def test_targets_on_the_map_keep_size_and_heading(tmp_path, line, table):
     east, north = line.on_map(40.5, 100.5)
     row = "material,easting,northing,width_m,length_m,heading_deg\n"
     (tmp_path / "t.csv").write_text(row + f"plank,{east},{north},2,12,20\n")
-    (target,) = read_targets(tmp_path / "t.csv", SHAPE, transform=table)
+    (target,) = imagery.read_targets(tmp_path / "t.csv", SHAPE, transform=table)
     assert target.centre_pixel == (100, 40)
     # The line flies at 20 degrees, as the plank lies: along the lines of the raw image, 12 long and 2 wide.
     rows, cols = np.nonzero(target.mask)
     assert 12 <= np.ptp(rows) + 1 <= 14
     assert np.ptp(cols) + 1 <= 6  # 2 wide, sheared by the roll: up to 3 x 2 pi / 60 x 12 = 3.8
     (tmp_path / "t.csv").write_text("material,row0,col0,side_m\nplank,100,40,2\n")
-    (pixel,) = read_targets(tmp_path / "t.csv", SHAPE, transform=table)
+    (pixel,) = imagery.read_targets(tmp_path / "t.csv", SHAPE, transform=table)
     assert (pixel.mask.sum(), pixel.area_m2) == (9, 4.0)
 
 
@@ -130,7 +116,7 @@ def test_places_off_the_line_and_units_that_are_none(tmp_path, line, table):
     with pytest.raises(InputError, match="not finite"):
         table.to_pixel(np.array([(np.nan, 9.0)]), where="r")
     path = write_table(tmp_path / "c.dat", line.table()[0], DEGREES, crs=CRS.from_epsg(4326))
-    in_degrees = open_lookup_table(path, SHAPE)
+    in_degrees = imagery.open_lookup_table(path, SHAPE)
     assert in_degrees.pixel_area_m2 is None
     with pytest.raises(InputError, match="not in a known unit of length"):
         _ = in_degrees.metres_per_unit
@@ -155,7 +141,7 @@ def test_what_is_no_table_of_this_line(tmp_path, line, change, shape, options, m
     options = {"transform": transform, "band_names": names} | options
     path = write_table(tmp_path / "glt.dat", made, **options)
     with pytest.raises(InputError, match=message):
-        open_lookup_table(path, shape)
+        imagery.open_lookup_table(path, shape)
 
 
 # The place of every pixel -----------------------------------------------------------------------
@@ -174,13 +160,13 @@ def bent(tmp_path: Path, axis) -> Path:
     """A cube with the places of its pixels beside it."""
     values = np.random.default_rng(2).uniform(1.0, 5.0, (*BENT, 4))
     line, sample = np.mgrid[0 : BENT[0], 0 : BENT[1]] + 0.5
-    write_cube(tmp_path / "f01_rdn_igm", np.stack(ground(line, sample), axis=-1), data_type=5)
-    return write_cube(tmp_path / "f01_rdn_v2n1_img", values, data_type=4, axis=axis)
+    imagery.write_cube(tmp_path / "f01_rdn_igm", np.stack(ground(line, sample), axis=-1), data_type=5)
+    return imagery.write_cube(tmp_path / "f01_rdn_v2n1_img", values, data_type=4, axis=axis)
 
 
 def test_places_of_pixels_come_back_to_them(bent: Path):
-    table, notes = table_of(open_raster(bent))
-    assert isinstance(table, LocationTable)
+    table, notes = imagery.table_of(imagery.open_raster(bent))
+    assert isinstance(table, imagery.LocationTable)
     assert notes == ("f01_rdn_igm lies beside the cube and places its pixels",)
     rng = np.random.default_rng(4)
     want = np.column_stack([rng.uniform(0, BENT[1], 200), rng.uniform(0, BENT[0], 200)])
@@ -206,32 +192,32 @@ def test_which_file_belongs_to_a_cube(tmp_path: Path, image: str, table: str, ki
     for name in (image, table):
         (tmp_path / name).write_bytes(b"x")
         (tmp_path / f"{name}.hdr").write_text("ENVI\n")
-    assert companion(tmp_path / image, kind) == (tmp_path / table if fits else None)
+    assert imagery.companion(tmp_path / image, kind) == (tmp_path / table if fits else None)
 
 
 def test_tables_of_another_size_or_without_places(tmp_path: Path, bent: Path, axis):
-    write_cube(bent, np.ones((50, BENT[1], 4)), data_type=4, axis=axis)
-    table, notes = table_of(open_raster(bent))
+    imagery.write_cube(bent, np.ones((50, BENT[1], 4)), data_type=4, axis=axis)
+    table, notes = imagery.table_of(imagery.open_raster(bent))
     assert table is None
     assert notes[0].startswith("warning: f01_rdn_igm lies beside the cube and is left aside: 60 lines")
-    write_cube(tmp_path / "empty", np.zeros((*BENT, 2)), data_type=4)
+    imagery.write_cube(tmp_path / "empty", np.zeros((*BENT, 2)), data_type=4)
     with pytest.raises(InputError, match="no pixel has a place"):
-        location_table(open_raster(tmp_path / "empty"), BENT)
+        imagery.location_table(imagery.open_raster(tmp_path / "empty"), BENT)
     with pytest.raises(InputError, match="two bands: x and y"):
-        location_table(open_raster(tmp_path / "f01_rdn_igm"), (BENT[0], BENT[1] + 1))
+        imagery.location_table(imagery.open_raster(tmp_path / "f01_rdn_igm"), (BENT[0], BENT[1] + 1))
 
 
 def test_swath_products_place_regions_by_longitude_and_latitude(tmp_path: Path):
     shells.tree(tmp_path / "p.he5", "prisma")
-    cube = open_cube(tmp_path / "p.he5", quantity="radiance")
-    table, _ = table_of(cube.raster)
+    cube = imagery.open_cube(tmp_path / "p.he5", quantity="radiance")
+    table, _ = imagery.table_of(cube.raster)
     assert table.crs == CRS.from_epsg(4326)
     corners = np.array([[2.0, 3.0], [6.0, 3.0], [6.0, 8.0], [2.0, 8.0]]) - 0.5  # the arrays hold the centres of pixels
     lonlat = [(10.0 + 0.0037 * s + 0.0004 * n, 44.0 - 0.0027 * n + 0.0005 * s) for s, n in corners]
     want = np.zeros(cube.shape, bool)
     want[3:8, 2:6] = True
     assert np.array_equal(regions_at(tmp_path / "r.geojson", lonlat, cube.shape, table), want)
-    east, north = metres_per_degree(44.0)
+    east, north = imagery.metres_per_degree(44.0)
     exact = (0.0037 * 0.0027 + 0.0004 * 0.0005) * east * north
     assert table.pixel_area_m2 == pytest.approx(exact, rel=0.02)
 
@@ -241,7 +227,7 @@ def test_metres_of_a_degree_are_those_of_a_map(latitude: float):
     """Against the azimuthal equidistant projection about the place."""
     local = CRS.from_proj4(f"+proj=aeqd +lat_0={latitude} +lon_0=10 +datum=WGS84 +units=m")
     x, y = reproject(CRS.from_epsg(4326), local, [10.0005, 10.0], [latitude, latitude + 0.0005])[:2]
-    east, north = metres_per_degree(latitude)
+    east, north = imagery.metres_per_degree(latitude)
     assert x[0] / 0.0005 == pytest.approx(east, rel=1e-6)
     assert y[1] / 0.0005 == pytest.approx(north, rel=1e-5)
 
@@ -252,5 +238,5 @@ def test_metres_of_a_degree_are_those_of_a_map(latitude: float):
 def test_the_angle_of_the_sun_in_an_observation_file(tmp_path: Path, bent: Path, second: str, want):
     angles = np.stack([np.full(BENT, 4000.0), np.full(BENT, 41.5)], axis=-1)
     angles[:, :3] = -9999.0
-    path = write_cube(tmp_path / "f01_rdn_obs", angles, data_type=5, band_names=("Path length (m)", second))
-    assert sun_zenith_deg(open_raster(bent)) == (None if want is None else (want, path.name))
+    path = imagery.write_cube(tmp_path / "f01_rdn_obs", angles, data_type=5, band_names=("Path length (m)", second))
+    assert imagery.sun_zenith_deg(imagery.open_raster(bent)) == (None if want is None else (want, path.name))

@@ -10,20 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from hyperval import model
 from hyperval.errors import UsageError
-from hyperval.model import (
-    PositiveDefinite,
-    cem_correlation_weights,
-    condition_number,
-    factor,
-    fully_constrained,
-    matched_filter_weights,
-    near_singular,
-    own_mean_sampling,
-    packed,
-    solved,
-    spectral_matched_filter,
-)
 
 # Mean score of the pixels that a filter was made of: its chance and its bias, over simulated images.
 BANDS, EACH = 24, 900
@@ -52,9 +40,9 @@ def images(classes, count, tail_dof):
             widths = np.sqrt((tail_dof - 2.0) / rng.chisquare(tail_dof, (len(classes), EACH, 1)))
             parts = [m + w * (p - m) for (m, _), w, p in zip(classes, widths, parts, strict=True)]
         pixels = np.concatenate(parts)
-        mean, factored = pixels.mean(axis=0), PositiveDefinite(np.cov(pixels.T))
-        filtered = cem_correlation_weights(TARGET, mean, factored.matrix)
-        error, bias = own_mean_sampling(filtered.weights, mean, factored, pixels, stratum, len(pixels))
+        mean, factored = pixels.mean(axis=0), model.PositiveDefinite(np.cov(pixels.T))
+        filtered = model.cem_correlation_weights(TARGET, mean, factored.matrix)
+        error, bias = model.own_mean_sampling(filtered.weights, mean, factored, pixels, stratum, len(pixels))
         yield float(filtered.weights @ mean), error, bias, float(np.std(pixels @ filtered.weights)) / len(pixels) ** 0.5
 
 
@@ -63,7 +51,7 @@ def images(classes, count, tail_dof):
 def test_intervals_hold_the_mean_of_endless_pixels(classes, tail_dof):
     """440 images each; a true rate of 5 % (2.5 % on a side) fails in one of 1,000 runs, in 300 for the three."""
     mean, whole = moments(classes)
-    truth = cem_correlation_weights(TARGET, mean, whole).weights @ mean
+    truth = model.cem_correlation_weights(TARGET, mean, whole).weights @ mean
     found, error, bias, plain = np.array(list(images(classes, 440, tail_dof))).T
     z = (found - bias - truth) / error
     assert np.sum(np.abs(z) > 1.96) <= stats.binom.isf(4e-4, 440, 0.05)
@@ -76,24 +64,24 @@ def test_intervals_hold_the_mean_of_endless_pixels(classes, tail_dof):
 def test_solutions_and_condition_number(size):
     a = np.random.default_rng(0).normal(size=(size, size + 4))
     matrix = a @ a.T * np.outer(*[np.geomspace(1.0, 1e4, size)] * 2)
-    values, right = packed(matrix), np.random.default_rng(2).normal(size=(size, 2))
-    cholesky = factor(values.copy(), size)
+    values, right = model.packed(matrix), np.random.default_rng(2).normal(size=(size, 2))
+    cholesky = model.factor(values.copy(), size)
     assert cholesky is not None
-    assert solved(cholesky, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-6)
+    assert model.solved(cholesky, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-6)
     scale = 1.0 / np.sqrt(np.diag(matrix))
     # LAPACK's estimate is a lower bound, nearly always within a factor of three.
-    ratio = condition_number(values, cholesky, size) / np.linalg.cond(matrix * np.outer(scale, scale), 1)
+    ratio = model.condition_number(values, cholesky, size) / np.linalg.cond(matrix * np.outer(scale, scale), 1)
     assert 0.33 < ratio < 1 + 1e-9
 
 
 @pytest.mark.parametrize(("correlation", "suspect"), [(0.5, False), (1 - 1e-10, True)])
 def test_pivots_tell_matrices_that_may_be_near_singular(correlation, suspect):
     matrix = np.array([[1.0, correlation], [correlation, 1.0]]) * np.outer([1.0, 1e6], [1.0, 1e6])
-    values = packed(matrix)
-    cholesky = factor(values.copy(), 2)
-    assert near_singular(np.diag(matrix), cholesky) is suspect
+    values = model.packed(matrix)
+    cholesky = model.factor(values.copy(), 2)
+    assert model.near_singular(np.diag(matrix), cholesky) is suspect
     expected = (1 + correlation) / (1 - correlation)
-    assert condition_number(values, cholesky, 2) == pytest.approx(expected, rel=1e-5)
+    assert model.condition_number(values, cholesky, 2) == pytest.approx(expected, rel=1e-5)
 
 
 B = 12
@@ -131,7 +119,7 @@ def test_equals_the_best_of_all_supports(m, seed, weighted):
     e, x = endmembers(m, rng), rng.normal(0.3, 0.2, B)
     cov = noise_matrix(rng)
     weight = np.linalg.inv(cov) if weighted else np.eye(B)
-    found = fully_constrained(x, e, PositiveDefinite(cov) if weighted else None)
+    found = model.fully_constrained(x, e, model.PositiveDefinite(cov) if weighted else None)
     assert found.sum() == pytest.approx(1.0, abs=1e-12)
     assert found.min() >= 0.0
     assert found == pytest.approx(by_every_support(x, e, weight), abs=1e-8)
@@ -140,8 +128,8 @@ def test_equals_the_best_of_all_supports(m, seed, weighted):
 def test_each_spectrum_may_have_endmembers_of_its_own():
     rng = np.random.default_rng(6)
     e, x = np.stack([endmembers(2, rng) for _ in range(5)]), rng.normal(0.3, 0.2, (5, B))
-    one_by_one = [fully_constrained(pixel, own) for pixel, own in zip(x, e, strict=True)]
-    assert fully_constrained(x, e) == pytest.approx(np.array(one_by_one), abs=1e-12)
+    one_by_one = [model.fully_constrained(pixel, own) for pixel, own in zip(x, e, strict=True)]
+    assert model.fully_constrained(x, e) == pytest.approx(np.array(one_by_one), abs=1e-12)
 
 
 SCALES = st.integers(-30, 30).map(lambda k: 10.0**k)
@@ -162,19 +150,19 @@ def test_a_filter_meets_its_two_conditions_or_is_refused(seed, scale, kind):
     elif kind == "nan":
         covariance[2, 2] = np.nan
     mean, target = scale * rng.uniform(1, 2, 6), scale * rng.uniform(3, 4, 6)
-    for make in (matched_filter_weights, spectral_matched_filter, cem_correlation_weights):
+    for make in (model.matched_filter_weights, model.spectral_matched_filter, model.cem_correlation_weights):
         try:
             found = make(target, mean, covariance)
         except UsageError:
             assert kind != "full"
             continue
-        assert kind not in ("zero", "nan", "singular") or make is cem_correlation_weights
+        assert kind not in ("zero", "nan", "singular") or make is model.cem_correlation_weights
         assert np.all(np.isfinite(found.weights))
         slack = 1e-12 * max(found.condition, 1.0) + 1e-9
-        if make is matched_filter_weights:
+        if make is model.matched_filter_weights:
             assert found.score(target) == pytest.approx(1.0, abs=slack)
             assert found.score(mean) == pytest.approx(0.0, abs=slack)
-        elif make is cem_correlation_weights:
+        elif make is model.cem_correlation_weights:
             assert found.score(target) == pytest.approx(1.0, abs=slack)
     with pytest.raises(UsageError):
-        matched_filter_weights(mean, mean, root @ root.T * scale**2)
+        model.matched_filter_weights(mean, mean, root @ root.T * scale**2)

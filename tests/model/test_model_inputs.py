@@ -8,32 +8,17 @@ import numpy as np
 import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 
+from hyperval import model
 from hyperval.attribute import assumed_inputs
 from hyperval.errors import UsageError
-from hyperval.model import (
-    UncertainInput,
-    correlation,
-    covariance_directions,
-    directions,
-    drawn_truths,
-    fill_distribution,
-    form_in_words,
-    in_bands,
-    inputs_of,
-    number_input,
-    read,
-    together,
-    value_at,
-    with_mean,
-)
 from hyperval.scenario import Fill, Scenario, SpectralForm, Uncertainty
 from hyperval.spectra import SpectralAxis
 
 EVERYTHING = ATMOSPHERE + Path(__file__).with_name("uncertainty.yaml").read_text()
 
 
-def inputs(s: Scenario) -> dict[str, UncertainInput]:
-    found = inputs_of(read(s, ORIGINS))
+def inputs(s: Scenario) -> dict[str, model.UncertainInput]:
+    found = model.inputs_of(model.read(s, ORIGINS))
     assert len({i.name for i in found}) == len(found)
     return {i.name: i for i in found}
 
@@ -55,7 +40,7 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
         ]
         assert any(moved) != (name in blind), name
         assert item.correlation
-    draws = [run(plain, truth=truth) for truth in drawn_truths(list(found.values()), 3, 1)]
+    draws = [run(plain, truth=truth) for truth in model.drawn_truths(list(found.values()), 3, 1)]
     assert len({float(d.radiance["grass"].mean[0]) for d in draws}) == 3
 
 
@@ -64,33 +49,33 @@ def test_directions_give_back_the_covariance_of_each_form():
     cases = {
         "systematic": (SpectralForm(), np.outer(sd, sd)),
         "random": (SpectralForm(correlation="random"), np.diag(sd**2)),
-        "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * correlation(AXIS, 200.0)),
+        "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * model.correlation(AXIS, 200.0)),
     }
-    assert form_in_words(cases["length"][0]) == "correlation length 200 nm"
+    assert model.form_in_words(cases["length"][0]) == "correlation length 200 nm"
     for name, (form, expected) in cases.items():
-        rows = directions(sd, form, AXIS)
+        rows = model.directions(sd, form, AXIS)
         np.testing.assert_allclose(rows.T @ rows, expected, atol=1e-5 * expected.max(), err_msg=name)
         norms = (rows**2).sum(axis=1)
         assert np.all(np.diff(norms) <= 1e-15) or name == "random"
-    assert covariance_directions(np.zeros((3, 3))).shape == (0, 3)
+    assert model.covariance_directions(np.zeros((3, 3))).shape == (0, 3)
     # Less than a millionth of the variance is left out, and no more directions are followed than that needs.
-    rows = covariance_directions(np.diag([1.0, 1e-3, 1e-5, 1e-7, 1e-9]))
+    rows = model.covariance_directions(np.diag([1.0, 1e-3, 1e-5, 1e-7, 1e-9]))
     assert rows.shape == (5, 5)
-    assert UncertainInput("x", "scene", "fill", np.zeros(5), rows).size == 3
+    assert model.UncertainInput("x", "scene", "fill", np.zeros(5), rows).size == 3
     with pytest.raises(UsageError, match="needs a sensor with arms"):
-        directions(sd, SpectralForm(correlation="arms"), AXIS)
+        model.directions(sd, SpectralForm(correlation="arms"), AXIS)
 
 
 B = len(AXIS)
 KEY = ("tenth", "cem", "pixel")
 PLANK = "surfaces.plank.mean"
-WORLD = read(scenario(), ORIGINS)
+WORLD = model.read(scenario(), ORIGINS)
 CLOSE = SpectralAxis(np.arange(420.0, 900.0, 3.6), 4.8)
 
 
 def mean(surface: str) -> np.ndarray:
     """Its reflectance as stated."""
-    return value_at(read(scenario(), ORIGINS), f"surfaces.{surface}.mean")[0]
+    return model.value_at(model.read(scenario(), ORIGINS), f"surfaces.{surface}.mean")[0]
 
 
 def test_recorded_gain_and_offset_scale_radiance_and_noise_and_cancel_after_the_empirical_line():
@@ -123,17 +108,19 @@ def test_spectrum_departs_while_the_filter_looks_for_what_was_stated():
 
 def test_fill_from_geometry_moves_its_mean_by_area():
     fill = Fill.model_validate({"geometry": {"side_m": 0.3, "gsd_m": 1.0, "pixels": "best"}})
-    before = fill_distribution(fill)
-    after = fill_distribution(with_mean(fill, 0.01))
+    before = model.fill_distribution(fill)
+    after = model.fill_distribution(model.with_mean(fill, 0.01))
     assert after.mean - before.mean == pytest.approx(0.01, rel=0.1)  # the area is exact, the phase nearly
 
 
 def test_changes_at_one_path_add_up_and_paths_to_one_number_compose():
-    world = read(scenario(), ORIGINS)
+    world = model.read(scenario(), ORIGINS)
     rows = np.array([np.linspace(0.01, 0.02, B)])
     grass = "surfaces.[grass].mean"
-    one, other = (number_input(world, n, "surface", grass, 0.0, rows=k * rows) for n, k in (("a", 1.0), ("b", 2.0)))
-    both = together([(one, one.moved(1.0)), (other, other.moved(-1.0))])
+    one, other = (
+        model.number_input(world, n, "surface", grass, 0.0, rows=k * rows) for n, k in (("a", 1.0), ("b", 2.0))
+    )
+    both = model.together([(one, one.moved(1.0)), (other, other.moved(-1.0))])
     np.testing.assert_allclose(both[grass], mean("grass") - rows[0])
     twice = run(scenario(), truth={"sensor.electrons": 1.5, "sensor_changes.signal_factor": 2.0})
     once = run(scenario(), truth={"sensor.electrons": 3.0})
@@ -147,16 +134,16 @@ def test_a_library_at_the_labelled_bands_moves_with_a_shift_and_is_not_smoothed(
     for shift in (0.2, -1.0):
         true = SpectralAxis(w + shift, axis.fwhm_nm)
         exact = 0.3 + 0.2 * np.exp(-(((w + shift - 700.0) / 15.0) ** 2))
-        np.testing.assert_allclose(in_bands(w, values, true, axis), exact, atol=3e-4)
+        np.testing.assert_allclose(model.in_bands(w, values, true, axis), exact, atol=3e-4)
         # Averaged over the bands a second time the peak would lose more than the shift moves it.
-        assert np.nanmax(np.abs(in_bands(w, values, true) - exact)) > 3e-3
+        assert np.nanmax(np.abs(model.in_bands(w, values, true) - exact)) > 3e-3
     holes = np.where(np.abs(w - 500) < 8, np.nan, values)
-    assert np.array_equal(np.isnan(in_bands(w, holes, true, axis)), np.isnan(holes))
+    assert np.array_equal(np.isnan(model.in_bands(w, holes, true, axis)), np.isnan(holes))
 
 
 def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
     def far_below(path: str):
-        item = number_input(WORLD, "x", "scene", path, 1.0)
+        item = model.number_input(WORLD, "x", "scene", path, 1.0)
         return item.moved(-1e6)[path]
 
     assert far_below("atmosphere.aot550") == 0.0
@@ -178,14 +165,14 @@ def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
 )
 def test_a_path_that_leads_nowhere_is_refused(path, words):
     with pytest.raises(UsageError, match=words):
-        value_at(WORLD, path)
+        model.value_at(WORLD, path)
 
 
 def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate():
     text = ATMOSPHERE + "uncertainty: {noise: {relative: 0.1}, fractions: [{subject: grass, absolute: 0.1}]}\n"
-    world = read(scenario(text), ORIGINS)
+    world = model.read(scenario(text), ORIGINS)
     assumed = {i.path for i in assumed_inputs(world)}
-    assert not assumed & {i.path for i in inputs_of(world)}
+    assert not assumed & {i.path for i in model.inputs_of(world)}
     assert {"sensor.gain", "surfaces.[grass].mean", "surfaces.[panel].mean"} <= assumed
     assert "surfaces.[plank].mean" not in assumed
     assert all(i.source == "usual" for i in assumed_inputs(world))
@@ -194,7 +181,7 @@ def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate
 def test_a_library_that_lacks_some_bands_is_taken_as_it_stands_in_the_others():
     values, there = np.sin(CLOSE.centre_nm / 7.0), np.ones(len(CLOSE), bool)
     there[[0, 5, 6, len(CLOSE) - 1]] = False
-    found = in_bands(CLOSE.centre_nm[there], values[there], CLOSE)
+    found = model.in_bands(CLOSE.centre_nm[there], values[there], CLOSE)
     assert np.array_equal(found[there], values[there])
     assert np.isnan(found[~there]).all()
-    assert np.array_equal(in_bands(CLOSE.centre_nm + 0.01, values, CLOSE), values)
+    assert np.array_equal(model.in_bands(CLOSE.centre_nm + 0.01, values, CLOSE), values)

@@ -11,22 +11,8 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 from scipy.stats import norm
 
+from hyperval import model
 from hyperval.compare import chi_square_full
-from hyperval.model import (
-    HOST,
-    PLACE,
-    Origins,
-    Shares,
-    UnmixedSubject,
-    design_filter,
-    predict,
-    predicted_areas,
-    predicted_classification,
-    predictions,
-    read,
-    shares_of,
-    value_at,
-)
 from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate, background_of
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.settings import with_settings
@@ -46,7 +32,7 @@ def scenario_of(square=None, beside=None, changes=()) -> Scenario:
 
 
 def run(*places, **kwargs) -> PredictedProducts:
-    return predict(scenario_of(*places, **kwargs), Origins(axis=AXIS), objects=True)
+    return model.predict(scenario_of(*places, **kwargs), model.Origins(axis=AXIS), objects=True)
 
 
 def filter_of():
@@ -55,7 +41,7 @@ def filter_of():
     mean = 0.7 * grass.mean + 0.3 * asphalt.mean
     spread = 0.21 * np.outer(grass.mean - asphalt.mean, grass.mean - asphalt.mean)
     covariance = 0.7 * grass.covariance + 0.3 * asphalt.covariance + spread
-    return design_filter("cem", builtin_class("yellow-paint-plank", AXIS).mean, mean, covariance)
+    return model.design_filter("cem", builtin_class("yellow-paint-plank", AXIS).mean, mean, covariance)
 
 
 def test_error_of_the_spectrum_moves_a_whole_row():
@@ -85,14 +71,14 @@ def test_a_neighbour_spreads_the_score_in_place_of_the_host():
 def test_each_of_several_truths_has_the_objects_of_its_own_scene():
     # The first truth of a batch once lent its fills to all others.
     scenario = scenario_of((0, 0), (0, 1.0))
-    world = read(scenario, Origins(axis=AXIS))
+    world = model.read(scenario, model.Origins(axis=AXIS))
     moves = [("fill.square", 0.2), ("surfaces.other.mean", 0.1), ("surfaces.grass.mean", 0.1)]
-    more, brighter, greener = ({path: value_at(world, path)[0] + step} for path, step in moves)
+    more, brighter, greener = ({path: model.value_at(world, path)[0] + step} for path, step in moves)
     blurred = {"scene.targets.plank.subjects.[square].fill.geometry.psf_fwhm_pixels": 3.0}
     truths = [{}, more, blurred, brighter, greener]
-    together = list(predictions(scenario, truths, Origins(axis=AXIS), objects=300))
+    together = list(model.predictions(scenario, truths, model.Origins(axis=AXIS), objects=300))
     for truth, one in zip(truths, together, strict=True):
-        (alone,) = predictions(scenario, [truth], Origins(axis=AXIS), objects=300)
+        (alone,) = model.predictions(scenario, [truth], model.Origins(axis=AXIS), objects=300)
         for key, scores in alone.object_scores.items():
             assert one.object_scores[key].values == pytest.approx(scores.values, abs=1e-9)
     stated, fuller, wider, bright, _ = (p.object_scores["square", "cem"].values.mean() for p in together)
@@ -104,7 +90,7 @@ def test_each_of_several_truths_has_the_objects_of_its_own_scene():
 def test_expected_scores_of_target_pixels_and_background_are_the_means_of_their_laws():
     """By another route: the spline over the fill, and the laws of classes, under light and an empirical line."""
     scenario = load_scenario("yellow-planks-asphalt")
-    p = predict(scenario, objects=1)
+    p = model.predict(scenario, objects=1)
     for target in scenario.scene.targets:
         for detector in ("cem", "cem-correlation"):
             expected = {
@@ -142,9 +128,9 @@ def placed(square=(0, 0), beside=(0, 1.4), **changes) -> Scenario:
     return scenario_of(square, beside, ON_GRASS | changes)
 
 
-def shares(position=None, beside=(0, 1.4)) -> Shares:
+def shares(position=None, beside=(0, 1.4)) -> model.Shares:
     targets = placed(beside=beside).scene.targets
-    found = shares_of(targets[0], targets[0].populations[1], targets, position, 1)
+    found = model.shares_of(targets[0], targets[0].populations[1], targets, position, 1)
     assert found is not None
     return found
 
@@ -181,15 +167,15 @@ def test_shares_are_those_of_squares_painted_finely():
 
 def test_an_object_alone_has_the_mean_of_its_fill_and_the_spread_of_its_host():
     found = shares(beside=(0, 40))
-    p = predict(placed(beside=(0, 40)), Origins(axis=AXIS))
-    q = predict(placed(None, (0, 40)), Origins(axis=AXIS))
+    p = model.predict(placed(beside=(0, 40)), model.Origins(axis=AXIS))
+    q = model.predict(placed(None, (0, 40)), model.Origins(axis=AXIS))
     np.testing.assert_allclose(p.reflectance["square"].mean, q.reflectance["square"].mean, rtol=2e-3)
     grass = builtin_class("grass", AXIS)
     u = p.reflectance["square"].budget
-    np.testing.assert_allclose(u[HOST], found.rest * np.sqrt(np.diag(grass.covariance)), rtol=1e-9)
+    np.testing.assert_allclose(u[model.HOST], found.rest * np.sqrt(np.diag(grass.covariance)), rtol=1e-9)
     contrast = builtin_class("yellow-paint-plank", AXIS).mean - grass.mean
-    np.testing.assert_allclose(u[PLACE], np.sqrt(found.covariance[0, 0]) * np.abs(contrast), rtol=1e-9)
-    assert HOST not in q.reflectance["square"].budget  # without a place: many objects, not one
+    np.testing.assert_allclose(u[model.PLACE], np.sqrt(found.covariance[0, 0]) * np.abs(contrast), rtol=1e-9)
+    assert model.HOST not in q.reflectance["square"].budget  # without a place: many objects, not one
 
 
 def test_true_worlds_pass_and_false_ones_do_not():
@@ -201,7 +187,7 @@ def test_true_worlds_pass_and_false_ones_do_not():
         "of the neighbour's material": {f"{PLANK}.spectrum.builtin": "green-paint-plank"},
         "target too small": {f"{SQUARE}.fill.geometry.side_m": 0.6},
     }
-    told = {n: predict(placed(uncertainty=errors, **more), Origins(axis=AXIS)) for n, more in said.items()}
+    told = {n: model.predict(placed(uncertainty=errors, **more), model.Origins(axis=AXIS)) for n, more in said.items()}
     full = {n: builtin_class(f"{n}-paint-plank", AXIS).mean for n in ("yellow", "green")}
     grass, found = builtin_class("grass", AXIS), shares(position=0.2)
     rng = np.random.default_rng(5)
@@ -242,9 +228,9 @@ def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariance
         TEN, reflectance={"grass": grass}, distribution={"grass": PixelDistribution(clusters=clusters)}
     )
     words, error = ("paint 1 m", "paint 1 m", "paint"), (uncertainty, 300.0, "")
-    subject = UnmixedSubject(*words, np.full(B, 0.3), *error, objects, 1.0, ring)
-    found = predicted_areas(
-        one_target(fill), Origins(TEN), truth or {}, prediction, [subject], np.ones(B, bool),
+    subject = model.UnmixedSubject(*words, np.full(B, 0.3), *error, objects, 1.0, ring)
+    found = model.predicted_areas(
+        one_target(fill), model.Origins(TEN), truth or {}, prediction, [subject], np.ones(B, bool),
         covariances or {"fcls": None}, 4.0, draws=draws,
     )  # fmt: skip
     return found["paint 1 m", method]
@@ -303,7 +289,7 @@ def test_two_classes_of_one_covariance_are_told_apart_by_their_distance():
     """The best one errs in Phi(-d / 2) of the pixels, d the Mahalanobis distance; false failure below 1e-4."""
     bands = SimpleNamespace(name="2 bands", bands_nm=[500.0, 850.0], pca=None)
     first = SimpleNamespace(name="all", bands_nm=[], pca=2)
-    found = predicted_classification(two_classes(), [("grass", "paint")], [bands, first], "radiance")
+    found = model.predicted_classification(two_classes(), [("grass", "paint")], [bands, first], "radiance")
     used = [int(np.argmin(np.abs(TEN.centre_nm - nm))) for nm in bands.bands_nm]
     step = np.full(2, 0.02)
     exact = norm.cdf(-0.5 * np.sqrt(step @ np.linalg.solve(WIDE[np.ix_(used, used)], step)))

@@ -11,20 +11,7 @@ from scipy.special import ndtri, polygamma
 from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, engine, run, scenario
 
-from hyperval.model import (
-    WHOLE,
-    Origins,
-    curve_area,
-    drawn_covariance,
-    emulator,
-    inputs_of,
-    predict,
-    predictions,
-    quantities,
-    read,
-    tolerance,
-    value_at,
-)
+from hyperval import model
 from hyperval.products import background_of
 from hyperval.scenario import Scenario, Uncertainty
 from hyperval.settings import with_settings
@@ -77,7 +64,7 @@ def test_the_budget_that_predict_adds_up_is_that_of_a_prediction_for_every_direc
     )
     stated, plain = run(s), s.model_copy(update={"uncertainty": Uncertainty()})
     total = {(p, n): np.zeros(len(AXIS)) for p in ("radiance", "snr", "reflectance") for n in getattr(stated, p)}
-    for item in inputs_of(read(s, ORIGINS)):
+    for item in model.inputs_of(model.read(s, ORIGINS)):
         for k in range(item.size):
             up, down = (run(plain, truth=item.direction(k, z)) for z in (1.0, -1.0))
             for p, n in total:
@@ -108,8 +95,8 @@ def moved(item, z: float) -> dict[str, float]:
 
 def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
     s = scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, water_vapour_g_cm2: 0.5, solar_zenith_deg: 2}\n")
-    inputs = inputs_of(read(s, ORIGINS))
-    made = emulator(s, inputs, engine, AXIS)
+    inputs = model.inputs_of(model.read(s, ORIGINS))
+    made = model.emulator(s, inputs, engine, AXIS)
     assert made.runs == 8  # stated, two for each of three fields, one check
     assert 0.0 < made.error[1] <= made.error[0] < 0.01
     for item in inputs:
@@ -133,15 +120,17 @@ def test_separation_of_a_drawn_covariance_follows_its_pivot():
     stated = d @ np.linalg.solve(s, d)
     path = "surfaces.[a].covariance"
     x = np.array(
-        [d @ np.linalg.solve(drawn_covariance("a", s, n, rng)[path], d) / stated * (n - 1) for _ in range(3000)]
+        [d @ np.linalg.solve(model.drawn_covariance("a", s, n, rng)[path], d) / stated * (n - 1) for _ in range(3000)]
     )
     assert x.mean() == pytest.approx(n - bands, abs=4.5 * np.sqrt(2 * (n - bands) / 3000))
     assert x.var() == pytest.approx(2 * (n - bands), rel=4.5 * np.sqrt(2.3 / 3000))
     # The logarithm of one standard deviation scatters by half of what that of chi-square does.
-    world = read(scenario("uncertainty: {sampled_statistics: [{subject: asphalt, effective_n: 200}]}"), Origins(AXIS))
-    (spread,) = (item for item in inputs_of(world) if item.path.endswith("spread"))
+    world = model.read(
+        scenario("uncertainty: {sampled_statistics: [{subject: asphalt, effective_n: 200}]}"), model.Origins(AXIS)
+    )
+    (spread,) = (item for item in model.inputs_of(world) if item.path.endswith("spread"))
     assert spread.rows[0, 0] == pytest.approx(0.5 * np.sqrt(polygamma(1, 99.5)), rel=0.01)
-    few = drawn_covariance("a", s, 12, rng)  # too few for a matrix: one factor
+    few = model.drawn_covariance("a", s, 12, rng)  # too few for a matrix: one factor
     assert list(few) == ["surfaces.[a].spread"]
     assert few["surfaces.[a].spread"] > 0
 
@@ -153,19 +142,23 @@ def test_area_of_a_curve_and_tolerance_of_a_limit():
     target, ground = p.scores["tenth", "cem"], p.scores["tenth background", "cem"]
     below = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(ground.grid) * (ground.density[1:] + ground.density[:-1]))])
     share = np.interp(target.grid, ground.grid, below, left=0.0, right=1.0)
-    assert curve_area(curve, WHOLE) == pytest.approx(np.trapezoid(share * target.density, target.grid), abs=2e-3)
-    assert quantities(p)["AUC", *KEY][0] == curve_area(curve, WHOLE)
+    assert model.curve_area(curve, model.WHOLE) == pytest.approx(
+        np.trapezoid(share * target.density, target.grid), abs=2e-3
+    )
+    assert model.quantities(p)["AUC", *KEY][0] == model.curve_area(curve, model.WHOLE)
     # u = 0.02: one digit, half a unit of it is 0.005; with infinitely many draws nothing is added.
-    np.testing.assert_allclose(tolerance(np.array([0.02, 0.9]), 10**12), [0.005, 0.05], rtol=1e-4)
+    np.testing.assert_allclose(model.tolerance(np.array([0.02, 0.9]), 10**12), [0.005, 0.05], rtol=1e-4)
     # Of 10,000 uniform draws the 250th is a beta number, and so is the probability of a normal one.
     error = np.std(stats.norm.isf(stats.beta(250, 9751).ppf((np.arange(4000) + 0.5) / 4000)))
-    assert tolerance(np.array([0.031]), 10_000) == pytest.approx([0.005 + 2.0 * 0.031 * error], rel=1e-3)
+    assert model.tolerance(np.array([0.031]), 10_000) == pytest.approx([0.005 + 2.0 * 0.031 * error], rel=1e-3)
 
 
 # Numbers that were wrong, by definitions and by truths that are moved one at a time, on thirty bands.
 THIRTY = SpectralAxis(np.linspace(450.0, 2250.0, 30), np.full(30, 20.0))
 SUN = sunlight()
-BANDS = Origins(axis=THIRTY, engine=lambda s: smooth_terms(*blue_and_haze(s.aot550 or 0.2), SUN, 0.7 * SUN / np.pi))
+BANDS = model.Origins(
+    axis=THIRTY, engine=lambda s: smooth_terms(*blue_and_haze(s.aot550 or 0.2), SUN, 0.7 * SUN / np.pi)
+)
 CHANGES = {
     "fraction: 0.7": "fraction: 0.4",
     "fraction: 0.3": "fraction: 0.6",
@@ -184,7 +177,7 @@ def coarse(extra: str = "", **replaced: str) -> Scenario:
 def test_correlation_filter_is_that_of_the_correlation_matrix(elm, form):
     """w = R^-1 t / (t R^-1 t), R = Sigma + mu mu^T of what the line leaves (Harsanyi, 1993)."""
     s = coarse(**{"[cem]": f"[cem-correlation], elm: {elm}", "small": f"small\nformulation: {form}"})
-    p = predict(s, BANDS)
+    p = model.predict(s, BANDS)
     seen = p.radiance if elm == "none" else p.reflectance
     classes = [(c.fraction, seen[c.name]) for c in s.scene.classes]
     mean = sum(f * e.mean for f, e in classes)
@@ -220,11 +213,14 @@ def test_interval_of_detection_follows_every_direction(entry, path, step, axis, 
     """
     s = coarse(f"uncertainty: {{{entry}}}\n", **{"[cem]": "[cem], elm: none"})
     origins = replace(BANDS, axis=axis)
-    curve, stated = predict(s, origins).roc["tenth", "cem", "pixel"], value_at(read(s, origins), path)[0]
+    curve, stated = (
+        model.predict(s, origins).roc["tenth", "cem", "pixel"],
+        model.value_at(model.read(s, origins), path)[0],
+    )
     inner, nominal = np.abs(ndtri(curve.pd)) < 2.0, np.broadcast_to(stated, len(axis))
     sd = step * nominal
     ends = np.concatenate([nominal + np.diag(sd), nominal - np.diag(sd)])
-    moved = predictions(s, ({path: end} for end in ends), origins, object_curves=False)
+    moved = model.predictions(s, ({path: end} for end in ends), origins, object_curves=False)
     up, down = np.split(np.array([ndtri(p.roc["tenth", "cem", "pixel"].pd[inner]) for p in moved]), 2)
     gradient = 0.5 * (up - down) / sd[:, None]
     gap = (axis.centre_nm[:, None] - axis.centre_nm) / 10.0  # THIRTY has bands so far apart that they are independent
@@ -245,7 +241,7 @@ def test_interval_of_detection_follows_every_direction(entry, path, step, axis, 
 )
 def test_a_prediction_says_where_errors_shift_detection_by_much_of_their_spread(relative, says):
     s = coarse(f"uncertainty: {{field_spectra: [{{subject: grass, relative: {relative}, correlation: random}}]}}\n")
-    notes = [note for note in predict(s, BANDS).notes if "shift the mean" in note]
+    notes = [note for note in model.predict(s, BANDS).notes if "shift the mean" in note]
     assert [says in note for note in notes] == ([] if says is None else [True])
 
 
@@ -254,7 +250,9 @@ def test_an_interval_whose_directions_do_not_add_up_is_that_of_draws():
     entry = "field_spectra: [{{subject: grass, relative: 0.05, correlation_nm: 10}}], method: {}"
     origins = replace(BANDS, axis=ROUGH)
     by = {
-        method: predict(coarse(f"uncertainty: {{{entry.format(method)}}}\n"), origins).roc["tenth", "cem", "pixel"]
+        method: model.predict(coarse(f"uncertainty: {{{entry.format(method)}}}\n"), origins).roc[
+            "tenth", "cem", "pixel"
+        ]
         for method in ("linear", "monte-carlo")
     }
     for end in ("pd_lower", "pd_upper"):
@@ -269,11 +267,11 @@ def test_an_error_of_the_target_moves_ace_as_far_as_errors_of_its_bands_do():
         **{"[cem]": "[ace], samples: 400, elm: none"},
     )
     origins, key = replace(BANDS, axis=axis), ("tenth", "ace", "pixel")
-    curve = predict(s, origins, object_curves=False).roc[key]
+    curve = model.predict(s, origins, object_curves=False).roc[key]
     inner, path = np.abs(ndtri(curve.pd)) < 1.0, "surfaces.[plank].mean"
-    stated = value_at(read(s, origins), path)[0]
+    stated = model.value_at(model.read(s, origins), path)[0]
     moved = [{path: stated + sign * np.diag(0.1 * stated)[k]} for sign in (1, -1) for k in range(len(axis))]
-    z = np.array([ndtri(p.roc[key].pd[inner]) for p in predictions(s, moved, origins, object_curves=False)])
+    z = np.array([ndtri(p.roc[key].pd[inner]) for p in model.predictions(s, moved, origins, object_curves=False)])
     up, down = np.split(z, 2)
     width = (ndtri(curve.pd_upper) - ndtri(curve.pd_lower))[inner] / (2.0 * 1.959964)
     # The interval holds what is even in the errors too; along the weights of another scale it would be 0.44 of this.

@@ -14,24 +14,8 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 from score_classes import classes, roc_of
 
+from hyperval import model
 from hyperval.data import ClassStatistics
-from hyperval.model import (
-    ClassScores,
-    Exceedance,
-    Origins,
-    RocScores,
-    ace_exceedance,
-    ace_space,
-    ace_threshold,
-    detection_at,
-    exceedance_at,
-    false_alarm_grid,
-    log_false_alarm,
-    predict,
-    thresholds_at,
-    with_bands,
-    with_law_limits,
-)
 from hyperval.pixels import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import load_scenario
@@ -39,7 +23,7 @@ from hyperval.spectra import SpectralAxis
 
 
 def test_a_target_like_its_background_is_on_the_diagonal():
-    pfa, alike = false_alarm_grid(), roc_of(0.2, 0.3, 1.0, classes((1.0, 0.2, 0.3)))
+    pfa, alike = model.false_alarm_grid(), roc_of(0.2, 0.3, 1.0, classes((1.0, 0.2, 0.3)))
     assert alike.detection(pfa[None])[0] == pytest.approx(pfa, rel=1e-6)
 
 
@@ -53,24 +37,24 @@ def test_a_coarse_grid_reads_as_a_fine_one():
     """Curves of normal scores are straight in probits, so that a grid of one point a decade loses nothing."""
     coarse, at = binormal(10.0 ** np.arange(-5.0, 0.0)), np.geomspace(1e-5, 0.1, 40)
     truth = norm.sf(norm.isf(at) - 2.5)
-    assert detection_at(coarse, at) == pytest.approx(truth, abs=1e-12)
+    assert model.detection_at(coarse, at) == pytest.approx(truth, abs=1e-12)
     straight = np.interp(np.log(at), np.log(coarse.pfa), coarse.pd)
     assert np.abs(straight - truth).max() > 0.01  # the reading in P_D itself is not right
 
 
 def test_points_of_the_curve_are_read_as_they_stand():
     curve = binormal(np.logspace(-6, -1, 11))
-    assert detection_at(curve, curve.pfa) == pytest.approx(curve.pd, abs=0, rel=0)
-    assert detection_at(curve, 1e-3, curve.pd_lower) == curve.pd_lower[6]
-    assert np.isnan(detection_at(curve, [1e-7, 0.2])).all()
+    assert model.detection_at(curve, curve.pfa) == pytest.approx(curve.pd, abs=0, rel=0)
+    assert model.detection_at(curve, 1e-3, curve.pd_lower) == curve.pd_lower[6]
+    assert np.isnan(model.detection_at(curve, [1e-7, 0.2])).all()
 
 
 def test_steps_of_a_measured_curve_that_have_no_probit():
     curve = RocCurve(np.array([1e-3, 1e-2, 1e-1]), np.array([0.0, 0.5, 1.0]), *(np.zeros(3),) * 3)
-    assert detection_at(curve, np.sqrt([1e-5, 1e-3])) == pytest.approx([0.25, 0.75])
+    assert model.detection_at(curve, np.sqrt([1e-5, 1e-3])) == pytest.approx([0.25, 0.75])
     one = RocCurve(np.array([1e-2]), np.array([0.5]), *(np.zeros(1),) * 3)
-    assert detection_at(one, 1e-2) == 0.5
-    assert np.isnan(detection_at(one, 1e-3))
+    assert model.detection_at(one, 1e-2) == 0.5
+    assert np.isnan(model.detection_at(one, 1e-3))
 
 
 # Two classes, one with a tail, and targets of two fills.
@@ -85,9 +69,9 @@ def law(m):
 
 
 def scores(fills=slice(None), classes=slice(None)):
-    background = ClassScores(*(np.array([np.array(a)[classes]]) for a in (FRACTION, MEAN, SD, DOF)))
+    background = model.ClassScores(*(np.array([np.array(a)[classes]]) for a in (FRACTION, MEAN, SD, DOF)))
     target = (np.array([np.array(a)[fills]]) for a in (MEANS, SDS, WEIGHTS))
-    return RocScores(background, np.zeros(1, int), *target)
+    return model.RocScores(background, np.zeros(1, int), *target)
 
 
 def test_the_area_is_the_integral_over_background_and_target():
@@ -108,7 +92,7 @@ def test_the_area_is_the_integral_over_background_and_target():
 @pytest.mark.parametrize("pd", [0.05, 0.5, 0.9])
 def test_false_alarms_at_a_detection_are_those_of_the_threshold_that_gives_it(fills, pd):
     made = scores(fills)
-    made = RocScores(made.classes, made.which, made.means, made.sds, made.weights / made.weights.sum())
+    made = model.RocScores(made.classes, made.which, made.means, made.sds, made.weights / made.weights.sum())
     pfa = 10.0 ** made.log10_false_alarm(np.array([pd]))
     assert made.detection(pfa[:, None])[0, 0] == pytest.approx(pd, abs=1e-9)
     if made.means.size == 1:
@@ -117,10 +101,10 @@ def test_false_alarms_at_a_detection_are_those_of_the_threshold_that_gives_it(fi
 
 
 def test_evaluations_without_scores_have_no_threshold():
-    background = ClassScores(*(np.array([a, a]) for a in (FRACTION, MEAN, SD, DOF)))
+    background = model.ClassScores(*(np.array([a, a]) for a in (FRACTION, MEAN, SD, DOF)))
     background.mean[1, 0] = np.nan
     target = [np.array([a, a]) for a in (MEANS, SDS, WEIGHTS)]
-    made = RocScores(background, np.array([0, 1]), *target)
+    made = model.RocScores(background, np.array([0, 1]), *target)
     threshold = made.thresholds(np.array([[1e-2, 1e-1]]))
     assert np.isfinite(threshold[0]).all()
     assert np.isnan(threshold[1]).all()
@@ -130,11 +114,11 @@ def test_evaluations_without_scores_have_no_threshold():
 def test_thresholds_beside_a_class_that_hardly_varies():
     """A narrow class of a millionth of the area puts a small step into a smooth tail."""
     rows = [[1.0 - 1e-6, 1e-6], [0.0, 0.05], [0.02, 1e-9], [np.inf, np.inf]]
-    scores = ClassScores(*np.array(rows)[:, None, :])
-    step = float(np.exp(log_false_alarm(np.array([0.05]), scores)[0][0]))
+    scores = model.ClassScores(*np.array(rows)[:, None, :])
+    step = float(np.exp(model.log_false_alarm(np.array([0.05]), scores)[0][0]))
     pfa = step + np.linspace(-0.7e-6, 0.7e-6, 41)
-    x = thresholds_at(pfa[None], scores)[0]
-    value, _ = log_false_alarm(x, scores.rows(np.zeros(x.size, int)))
+    x = model.thresholds_at(pfa[None], scores)[0]
+    value, _ = model.log_false_alarm(x, scores.rows(np.zeros(x.size, int)))
     np.testing.assert_allclose(value, np.log(pfa), rtol=0, atol=1e-11)
 
 
@@ -150,7 +134,7 @@ def straight(d: float = 3.0) -> RocCurve:
 
 def limits(base: RocCurve, changes) -> tuple[np.ndarray, np.ndarray]:
     up, down = (np.array([pair[i] for pair in changes]) for i in (0, 1))
-    found = with_bands({ROC: base}, {ROC: (up, down)})[ROC]
+    found = model.with_bands({ROC: base}, {ROC: (up, down)})[ROC]
     return found.pd_lower, found.pd_upper
 
 
@@ -199,12 +183,12 @@ def origins():
     part = np.repeat(np.arange(16), PIXELS // 16)
     whole = ClassStatistics("field", AXIS, pixels.mean(axis=0), np.cov(pixels.T), PIXELS)
     without = [replace(whole, mean=m, covariance=c) for m, c in moments_without_each(pixels, part)]
-    return Origins(AXIS, {"field": whole}, left_out=lambda: [("field", without)])
+    return model.Origins(AXIS, {"field": whole}, left_out=lambda: [("field", without)])
 
 
 def test_independent_pixels_have_the_error_of_the_delta_method(origins):
     """ln P_FA of a normal law at z: (phi/P)^2 (1 + z^2/2)/n; 16 parts know a variance to 37 %."""
-    curve = predict(LAW, origins).exceedance[KEY]
+    curve = model.predict(LAW, origins).exceedance[KEY]
     for level in (1e-1, 1e-2, 1e-3):
         at = int(np.argmin(np.abs(np.log(curve.probability / level))))
         z = norm.isf(curve.probability[at])
@@ -215,14 +199,14 @@ def test_independent_pixels_have_the_error_of_the_delta_method(origins):
 
 def test_detection_at_a_false_alarm_rate_has_it_too(origins):
     """P_D at a P_FA moves by the change of ln P_FA at the threshold, times the slope of the curve over ln P_FA."""
-    prediction = predict(LAW, origins)
+    prediction = model.predict(LAW, origins)
     curve, alarms = prediction.roc[("panel", "cem", "pixel")], prediction.exceedance[KEY]
     at = int(np.argmin(np.abs(curve.pd - 0.9)))
     assert alarms.probability[::-1] == pytest.approx(curve.pfa)
     error = np.log(alarms.upper / alarms.probability)[::-1][at]
     slope = np.gradient(curve.pd, np.log(curve.pfa))[at]
     assert 0.5 * (curve.pd_upper - curve.pd_lower)[at] == pytest.approx(error * slope, rel=0.15)
-    stated = predict(LAW, replace(origins, left_out=None))
+    stated = model.predict(LAW, replace(origins, left_out=None))
     plain = stated.roc[("panel", "cem", "pixel")]
     np.testing.assert_array_equal(plain.pd, curve.pd)  # values stay
     np.testing.assert_array_equal(plain.pd_lower, plain.pd)
@@ -236,7 +220,7 @@ def test_what_a_law_does_not_say_far_out_stays_there():
     curve = RocCurve(pfa, pd, pd, pd, -ndtri(pfa))
     half = np.log(1.1) * np.maximum(np.log(pfa) / np.log(1e-2), 0.1) ** 6
     alarms = ExceedanceCurve(-ndtri(pfa)[::-1], pfa[::-1], *((pfa * np.exp(s * half))[::-1] for s in (-1, 1)))
-    limits = with_law_limits(curve, alarms)
+    limits = model.with_law_limits(curve, alarms)
     assert np.all(np.diff(limits.pd_lower) >= 0)
     assert np.all(np.diff(limits.pd_upper) >= 0)
     at = int(np.argmin(np.abs(pfa - 1e-2)))
@@ -244,7 +228,7 @@ def test_what_a_law_does_not_say_far_out_stays_there():
         expected = ndtr(2.0 + ndtri(pfa[at] * factor ** ((np.log(pfa[at]) / np.log(1e-2)) ** 6)))
         assert limit[at] == pytest.approx(expected, rel=0.02)
     own = replace(curve, pd_lower=ndtr(ndtri(pd) - 0.3), pd_upper=ndtr(ndtri(pd) + 0.4))
-    both = with_law_limits(own, alarms)
+    both = model.with_law_limits(own, alarms)
     z = ndtri(pd[at])
     assert ndtri(both.pd_upper[at]) - z == pytest.approx(np.hypot(0.4, ndtri(limits.pd_upper[at]) - z), rel=1e-6)
     assert z - ndtri(both.pd_lower[at]) == pytest.approx(np.hypot(0.3, z - ndtri(limits.pd_lower[at])), rel=1e-6)
@@ -259,14 +243,16 @@ def space():
     a = rng.normal(size=(BANDS, 3 * BANDS))
     covariance = a @ a.T / (3 * BANDS)
     mean = rng.normal(size=BANDS)
-    return ace_space(mean + rng.normal(size=BANDS), mean, covariance), mean, covariance
+    return model.ace_space(mean + rng.normal(size=BANDS), mean, covariance), mean, covariance
 
 
 def test_stated_error_is_the_scatter_of_repetition(space):
     # 60 repetitions know a standard deviation to 9 %; four of that are allowed.
     of, mean, covariance = space
     far = mean + np.linspace(0.5, 2.0, BANDS)
-    runs = [ace_exceedance(of, far, covariance, 500, np.random.default_rng(k), scores=[0.2, 0.6]) for k in range(60)]
+    runs = [
+        model.ace_exceedance(of, far, covariance, 500, np.random.default_rng(k), scores=[0.2, 0.6]) for k in range(60)
+    ]
     scatter = np.std([r.probability for r in runs], axis=0, ddof=1)
     assert np.mean([r.standard_error for r in runs], axis=0) == pytest.approx(scatter, rel=0.37)
 
@@ -274,11 +260,11 @@ def test_stated_error_is_the_scatter_of_repetition(space):
 def test_threshold_and_exceedance_are_inverse():
     law = stats.beta(0.5, 3.0)
     scores = np.tanh(np.linspace(1e-3, 3.0, 400)) ** 2
-    population = Exceedance(scores, law.sf(scores), np.zeros(scores.size))
+    population = model.Exceedance(scores, law.sf(scores), np.zeros(scores.size))
     pfa = np.array([0.3, 1e-2, 1e-4])
-    at = ace_threshold(pfa, [1.0], [population])
+    at = model.ace_threshold(pfa, [1.0], [population])
     assert at == pytest.approx(law.isf(pfa), rel=2e-3)
-    assert exceedance_at(at, population) == pytest.approx(pfa, rel=1e-2)
+    assert model.exceedance_at(at, population) == pytest.approx(pfa, rel=1e-2)
     # Two classes of which one never alarms: the other's own P_FA is twice as large.
-    silent = Exceedance(scores, np.full(scores.size, 1e-300), np.zeros(scores.size))
-    assert ace_threshold(pfa / 2, [0.5, 0.5], [population, silent]) == pytest.approx(at, rel=1e-9)
+    silent = model.Exceedance(scores, np.full(scores.size, 1e-300), np.zeros(scores.size))
+    assert model.ace_threshold(pfa / 2, [0.5, 0.5], [population, silent]) == pytest.approx(at, rel=1e-9)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hyperval import pixels
 from hyperval.errors import UsageError
 from hyperval.model import (
     ClassLaw,
@@ -19,30 +20,6 @@ from hyperval.model import (
     principal_components,
     with_distances,
 )
-from hyperval.pixels import (
-    AlarmBlocks,
-    EigenDirections,
-    MeasuredPanel,
-    alarms_at_detection,
-    average_roc,
-    chosen_count,
-    darkest_pixel_panel,
-    empirical_roc,
-    exceedance_curve,
-    factor_covariance,
-    fit_elm,
-    fit_mixture,
-    fit_tail_dof,
-    footprint,
-    object_scores,
-    osp_filter,
-    pixel_detector,
-    pooled_roc,
-    register_detector,
-    snr_decorrelated,
-    whitener_of,
-    with_halo,
-)
 
 EYE, RNG = np.eye(3), np.random.default_rng(0)
 GAIN, OFFSET = np.array([10.0, 6.0, 2.0]), np.array([1.0, 0.5, 0.1])
@@ -51,39 +28,42 @@ GAIN, OFFSET = np.array([10.0, 6.0, 2.0]), np.array([1.0, 0.5, 0.1])
 def panel(name="white", rho=0.6, sd=0.01, variance=1e-4, n=30, radiance=None):
     rho = np.full(3, rho)
     radiance = OFFSET + GAIN * rho if radiance is None else radiance
-    return MeasuredPanel(name, rho, np.full(3, sd**2), radiance, np.full(3, variance), n)
+    return pixels.MeasuredPanel(name, rho, np.full(3, sd**2), radiance, np.full(3, variance), n)
 
 
 def line(white=None, *, sd=0.01, rho=0.05, change=None, **options):
     """The line through a black panel and a white one of which something is wrong."""
-    return fit_elm((replace(white or panel(sd=sd), **(change or {})), panel("black", rho, 0.01)), **options)
+    return pixels.fit_elm((replace(white or panel(sd=sd), **(change or {})), panel("black", rho, 0.01)), **options)
 
 
 def curve(*pfa):
-    return empirical_roc(np.linspace(1.0, 3.0, 30), np.linspace(-2.0, 2.0, 2000), pfa or (1e-2, 1e-1))
+    return pixels.empirical_roc(np.linspace(1.0, 3.0, 30), np.linspace(-2.0, 2.0, 2000), pfa or (1e-2, 1e-1))
 
 
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: with_halo(EYE > 0, -1), "halo of -1 pixels"),
-        (lambda: footprint(np.zeros((3, 3), bool), 2), "the object holds no pixel"),
-        (lambda: object_scores(EYE, {"none": ((0, 0), EYE < 0)}), "'none' holds no pixel"),
-        (lambda: pixel_detector("sam", np.zeros(3), np.ones(3), None), "it has no direction"),
-        (lambda: pixel_detector("cem-correlation", np.zeros(3), np.ones(3), EYE), "zero in every band"),
-        (lambda: pixel_detector("cem", np.ones(3), np.zeros(3), None), "'cem' needs the covariance"),
-        (lambda: pixel_detector("ace", None, np.zeros(3), EYE), "'ace' needs a target spectrum"),
-        (lambda: whitener_of(np.zeros(3), np.diag([1.0, 1.0, 0.0])), "1 of 3 bands have no variance"),
-        (lambda: exceedance_curve(AlarmBlocks.of_map(np.zeros((4, 4)), np.ones((4, 4), bool))), "too few"),
-        (lambda: pixel_detector("CEM", np.ones(3), np.zeros(3), EYE), "unknown detector 'CEM'"),
-        (lambda: pixel_detector("rx", None, np.zeros(3), EYE).score(EYE), "whitener"),
-        (lambda: register_detector("My detector", lambda *a: None), "detector name 'My detector'"),
-        (lambda: register_detector("cem", lambda *a: None), "there is a detector 'cem' already"),
+        (lambda: pixels.with_halo(EYE > 0, -1), "halo of -1 pixels"),
+        (lambda: pixels.footprint(np.zeros((3, 3), bool), 2), "the object holds no pixel"),
+        (lambda: pixels.object_scores(EYE, {"none": ((0, 0), EYE < 0)}), "'none' holds no pixel"),
+        (lambda: pixels.pixel_detector("sam", np.zeros(3), np.ones(3), None), "it has no direction"),
+        (lambda: pixels.pixel_detector("cem-correlation", np.zeros(3), np.ones(3), EYE), "zero in every band"),
+        (lambda: pixels.pixel_detector("cem", np.ones(3), np.zeros(3), None), "'cem' needs the covariance"),
+        (lambda: pixels.pixel_detector("ace", None, np.zeros(3), EYE), "'ace' needs a target spectrum"),
+        (lambda: pixels.whitener_of(np.zeros(3), np.diag([1.0, 1.0, 0.0])), "1 of 3 bands have no variance"),
+        (
+            lambda: pixels.exceedance_curve(pixels.AlarmBlocks.of_map(np.zeros((4, 4)), np.ones((4, 4), bool))),
+            "too few",
+        ),
+        (lambda: pixels.pixel_detector("CEM", np.ones(3), np.zeros(3), EYE), "unknown detector 'CEM'"),
+        (lambda: pixels.pixel_detector("rx", None, np.zeros(3), EYE).score(EYE), "whitener"),
+        (lambda: pixels.register_detector("My detector", lambda *a: None), "detector name 'My detector'"),
+        (lambda: pixels.register_detector("cem", lambda *a: None), "there is a detector 'cem' already"),
         (lambda: feature_bands(np.arange(3.0), np.zeros(3, bool), ()), "no usable band for classification"),
         (lambda: principal_components(EYE, 0), "0 principal components of 3 bands"),
         (lambda: principal_components(EYE, 4), "4 principal components of 3 bands"),
         (lambda: minimum_noise_fraction(EYE, np.array([1.0, 0.0, 1.0]), 1), "need noise in every band"),
-        (lambda: EigenDirections.of(np.zeros((3, 3))), "a covariance without variance has no eigenvalues"),
+        (lambda: pixels.EigenDirections.of(np.zeros((3, 3))), "a covariance without variance has no eigenvalues"),
         (lambda: with_distances(None, [ClassLaw(np.zeros(3), EYE)]), "classification needs two classes"),
         (lambda: line(change={"reflectance_error": -np.ones(3)}), "panel 'white': a variance is negative"),
         (lambda: line(change={"radiance_error": -np.ones(3)}), "panel 'white': a variance is negative"),
@@ -96,39 +76,39 @@ def curve(*pfa):
         (lambda: line(panel(variance=25.0)), "gain is below 5 times"),
         (lambda: line(panel(radiance=GAIN * 0)), "check which panel"),
         (lambda: line(panel(sd=0.0, variance=0.0)), "some panels have an error"),
-        (lambda: fit_elm((panel(),)), "1 panel for an empirical line"),
-        (lambda: fit_elm((panel(), MeasuredPanel("b", *[np.ones(2)] * 4))), "different numbers of bands"),
-        (lambda: fit_elm((), intercept=False), "0 panel for"),
-        (lambda: fit_elm((panel("black", 0.0, 0.1),), intercept=False), "below 5 times"),
-        (lambda: darkest_pixel_panel([-0.31, 2.0], [0.01, 0.01]), "negative or unknown in 1 bands"),
-        (lambda: empirical_roc([1, np.nan, 2], [0, 1]), "1 of 3 target scores are NaN"),
-        (lambda: empirical_roc([], [0.0]), "no target scores"),
-        (lambda: empirical_roc([1.0], []), "no background scores"),
-        (lambda: empirical_roc([1.0], [0.0], 0.0), "must lie in"),
+        (lambda: pixels.fit_elm((panel(),)), "1 panel for an empirical line"),
+        (lambda: pixels.fit_elm((panel(), pixels.MeasuredPanel("b", *[np.ones(2)] * 4))), "different numbers of bands"),
+        (lambda: pixels.fit_elm((), intercept=False), "0 panel for"),
+        (lambda: pixels.fit_elm((panel("black", 0.0, 0.1),), intercept=False), "below 5 times"),
+        (lambda: pixels.darkest_pixel_panel([-0.31, 2.0], [0.01, 0.01]), "negative or unknown in 1 bands"),
+        (lambda: pixels.empirical_roc([1, np.nan, 2], [0, 1]), "1 of 3 target scores are NaN"),
+        (lambda: pixels.empirical_roc([], [0.0]), "no target scores"),
+        (lambda: pixels.empirical_roc([1.0], []), "no background scores"),
+        (lambda: pixels.empirical_roc([1.0], [0.0], 0.0), "must lie in"),
         (lambda: RocArea(0.2, 0.1), "no range of false-alarm probabilities"),
-        (lambda: alarms_at_detection([1.0], [0.0], [0.0]), "detection probability of 0"),
-        (lambda: pooled_roc([]), "no curve to pool"),
-        (lambda: pooled_roc([curve(), replace(curve(), unit="object")]), "that count the same thing"),
-        (lambda: pooled_roc([curve(), replace(curve(), n_target=None)]), "only measured curves"),
-        (lambda: pooled_roc([curve(1e-2), curve(1e-1)]), "no false-alarm probability in common"),
-        (lambda: average_roc([], []), "no curve to average"),
-        (lambda: average_roc([curve()], [0.0]), "weights that do not fit"),
-        (lambda: average_roc([curve(), curve(1e-2)], [1.0, 1.0]), "on different false-alarm probabilities"),
-        (lambda: osp_filter(np.array([0.3, 0.7, 0.0]), EYE[:2]), "mixture of the undesired"),
-        (lambda: osp_filter(np.ones(3), None), "needs the spectra"),
-        (lambda: osp_filter(np.ones(3), EYE[:, :2]), "2 bands"),
+        (lambda: pixels.alarms_at_detection([1.0], [0.0], [0.0]), "detection probability of 0"),
+        (lambda: pixels.pooled_roc([]), "no curve to pool"),
+        (lambda: pixels.pooled_roc([curve(), replace(curve(), unit="object")]), "that count the same thing"),
+        (lambda: pixels.pooled_roc([curve(), replace(curve(), n_target=None)]), "only measured curves"),
+        (lambda: pixels.pooled_roc([curve(1e-2), curve(1e-1)]), "no false-alarm probability in common"),
+        (lambda: pixels.average_roc([], []), "no curve to average"),
+        (lambda: pixels.average_roc([curve()], [0.0]), "weights that do not fit"),
+        (lambda: pixels.average_roc([curve(), curve(1e-2)], [1.0, 1.0]), "on different false-alarm probabilities"),
+        (lambda: pixels.osp_filter(np.array([0.3, 0.7, 0.0]), EYE[:2]), "mixture of the undesired"),
+        (lambda: pixels.osp_filter(np.ones(3), None), "needs the spectra"),
+        (lambda: pixels.osp_filter(np.ones(3), EYE[:, :2]), "2 bands"),
         (lambda: mid_p_limits(3, 2), "between 0 and the number of trials"),
         (lambda: bounded_mean_limits([1.2]), "between 0 and 1"),
         (lambda: clopper_pearson(1, 2, 95.0), "expected: a number between 0 and 1"),
-        (lambda: fit_tail_dof(np.ones(5), 2), "say nothing of tails"),
-        (lambda: fit_tail_dof(np.ones(20), 20, estimated_on=20), "20 pixels for distances in 20 bands"),
-        (lambda: fit_mixture(np.ones((30, 2)), 40, RNG), "40 components of 30 pixels"),
-        (lambda: chosen_count(np.ones((30, 2)), np.zeros(30), (1, 2), RNG), "one block of the image"),
-        (lambda: factor_covariance(EYE, 1), "no factors"),
-        (lambda: factor_covariance(np.diag([1.0, 0.0, 1.0]), 5), "no factors"),
-        (lambda: snr_decorrelated(np.ones((4, 5))), "at least 5"),
-        (lambda: snr_decorrelated(np.ones((10, 2))), "two neighbours"),
-        (lambda: snr_decorrelated(np.full((5, 3), np.nan)), "NaN"),
+        (lambda: pixels.fit_tail_dof(np.ones(5), 2), "say nothing of tails"),
+        (lambda: pixels.fit_tail_dof(np.ones(20), 20, estimated_on=20), "20 pixels for distances in 20 bands"),
+        (lambda: pixels.fit_mixture(np.ones((30, 2)), 40, RNG), "40 components of 30 pixels"),
+        (lambda: pixels.chosen_count(np.ones((30, 2)), np.zeros(30), (1, 2), RNG), "one block of the image"),
+        (lambda: pixels.factor_covariance(EYE, 1), "no factors"),
+        (lambda: pixels.factor_covariance(np.diag([1.0, 0.0, 1.0]), 5), "no factors"),
+        (lambda: pixels.snr_decorrelated(np.ones((4, 5))), "at least 5"),
+        (lambda: pixels.snr_decorrelated(np.ones((10, 2))), "two neighbours"),
+        (lambda: pixels.snr_decorrelated(np.full((5, 3), np.nan)), "NaN"),
     ],
 )
 def test_what_has_no_answer_is_refused(call, words):

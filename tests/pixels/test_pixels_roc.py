@@ -10,23 +10,8 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.special import logit
 
+from hyperval import pixels
 from hyperval.model import AREAS, WHOLE, RocArea, bounded_mean_limits, clopper_pearson, mid_p_limits
-from hyperval.pixels import (
-    AlarmBlocks,
-    alarms_at_detection,
-    area_estimates,
-    area_variance,
-    average_roc,
-    bootstrap_areas,
-    clustered_variance,
-    counts_of,
-    empirical_roc,
-    interval_of_mean,
-    logit_interval,
-    pooled_roc,
-    roc_area,
-    with_summary,
-)
 from hyperval.products import RocCurve
 
 few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
@@ -34,7 +19,7 @@ few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), m
 
 @given(few_values, few_values, st.sampled_from([0.01, 0.1, 0.29, 0.3, 0.5, 1.0]))
 def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
-    found = empirical_roc(target, background, pfa)
+    found = pixels.empirical_roc(target, background, pfa)
     allowed = [
         np.mean([t > s for t in target])
         for s in {*target, *background}
@@ -52,7 +37,7 @@ def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
 def test_interval_against_the_definition_rank_by_rank(n, pfa):
     # Background 0 to n - 1 and one target above each: the count of targets above a score gives its rank.
     background, target = np.arange(float(n)), np.arange(float(n)) + 0.5
-    found = empirical_roc(target, background, pfa)
+    found = pixels.empirical_roc(target, background, pfa)
     # The greatest rank r with P(fewer than r scores above the threshold) <= 2.5 %, the least s with
     # P(s or more above it) <= 2.5 %: searched from the definition.
     r = max(k for k in range(n) if stats.binom.cdf(k - 1, n, pfa) <= 0.025)
@@ -91,7 +76,7 @@ def by_quadrature(t, b, area):
 def test_areas_equal_the_exact_curve_with_ties(area, decimals):
     rng = np.random.default_rng(decimals)
     t, b = np.round(rng.normal(1.0, 1.0, 23), decimals), np.round(rng.normal(size=57), decimals)
-    assert roc_area(counts_of(t, b), area) == pytest.approx(by_quadrature(t, b, area), abs=1e-10)
+    assert pixels.roc_area(pixels.counts_of(t, b), area) == pytest.approx(by_quadrature(t, b, area), abs=1e-10)
 
 
 @pytest.mark.simulation
@@ -100,35 +85,37 @@ def test_bootstrap_of_areas_is_plain_resampling_and_agrees_with_the_formula():
     rng = np.random.default_rng(1)
     t, b = np.round(rng.normal(1.5, 1.0, 30), 1), np.round(rng.normal(size=400), 1)
     areas = [WHOLE, PART, LOG]
-    fast = bootstrap_areas(counts_of(t, b), areas, 20_000, rng)
-    resampled = [counts_of(rng.choice(t, 30), rng.choice(b, 400)) for _ in range(4000)]
-    plain = np.array([[roc_area(c, a) for a in areas] for c in resampled])
+    fast = pixels.bootstrap_areas(pixels.counts_of(t, b), areas, 20_000, rng)
+    resampled = [pixels.counts_of(rng.choice(t, 30), rng.choice(b, 400)) for _ in range(4000)]
+    plain = np.array([[pixels.roc_area(c, a) for a in areas] for c in resampled])
     error = plain.std(axis=0) * np.sqrt(1 / 4000 + 1 / 20_000)
     assert np.all(np.abs(fast.mean(axis=0) - plain.mean(axis=0)) <= 5 * error)
     assert fast.std(axis=0) == pytest.approx(plain.std(axis=0), rel=5 * np.sqrt(0.5 / 4000))
     # To first order the spread is that of the formula, with divisor m instead of m - 1.
-    first_order = [np.sqrt(v * 29 / 30 + w) for v, w in (area_variance(counts_of(t, b), a) for a in areas)]
+    first_order = [
+        np.sqrt(v * 29 / 30 + w) for v, w in (pixels.area_variance(pixels.counts_of(t, b), a) for a in areas)
+    ]
     assert fast.std(axis=0) == pytest.approx(first_order, rel=0.1)
 
 
 def test_one_score_on_a_side_has_the_bound_of_birnbaum_and_klose():
     # Targets' part by the bound; background's by the definition: V = 1 three times and 0 once.
-    of_targets, of_background = area_variance(counts_of([2.5], [0.0, 1.0, 2.0, 3.0]))
+    of_targets, of_background = pixels.area_variance(pixels.counts_of([2.5], [0.0, 1.0, 2.0, 3.0]))
     assert (of_targets, of_background) == pytest.approx((0.75 * 0.25, 0.25 / 4))
 
 
 def test_average_of_predicted_curves_is_by_weight():
     pfa = np.array([1e-3, 1e-2])
     parts = [RocCurve(pfa, *([np.array(v)] * 3), np.zeros(2), "pixel") for v in ([0.2, 0.4], [0.6, 1.0])]
-    assert average_roc(parts, [3, 1]).pd == pytest.approx([0.3, 0.55])
-    assert average_roc(parts, [3, 1]).pd_lower == pytest.approx([0.3, 0.55])
+    assert pixels.average_roc(parts, [3, 1]).pd == pytest.approx([0.3, 0.55])
+    assert pixels.average_roc(parts, [3, 1]).pd_lower == pytest.approx([0.3, 0.55])
 
 
 def test_pool_of_unequal_groups_by_hand():
     rng = np.random.default_rng(3)
     groups = [(rng.normal(1.0, 1.0, 40), rng.normal(size=900)), (rng.normal(0.5, 1.0, 10), rng.normal(size=400))]
-    curves = [with_summary(empirical_roc(t, b, [0.1, 1.0]), t, b) for t, b in groups]
-    pool = pooled_roc(curves)
+    curves = [pixels.with_summary(pixels.empirical_roc(t, b, [0.1, 1.0]), t, b) for t, b in groups]
+    pool = pixels.pooled_roc(curves)
     assert (pool.n_target, pool.n_background) == (
         50,
         400,
@@ -139,12 +126,12 @@ def test_pool_of_unequal_groups_by_hand():
     assert pool.areas["auc"].background_variance == pytest.approx(background, rel=1e-12)
     placed = np.concatenate([e.placements for e in each])
     assert min(placed.sum(), (1 - placed).sum()) > 8  # the logit interval alone
-    limits = logit_interval(placed.mean(), placed.var(ddof=1) / 50 + background, 50, 400)
+    limits = pixels.logit_interval(placed.mean(), placed.var(ddof=1) / 50 + background, 50, 400)
     assert (pool.areas["auc"].lower, pool.areas["auc"].upper) == pytest.approx(limits, rel=1e-12)
 
 
 def test_logit_interval_has_student_s_quantile_of_the_smaller_sample():
-    low, high = logit_interval(0.8, 0.01, 5, 2000)
+    low, high = pixels.logit_interval(0.8, 0.01, 5, 2000)
     half = stats.t.ppf(0.975, 4) * 0.1 / 0.16
     assert np.log(high / (1 - high)) - np.log(4.0) == pytest.approx(half, rel=1e-9)
     assert np.log(4.0) - np.log(low / (1 - low)) == pytest.approx(half, rel=1e-9)
@@ -156,17 +143,20 @@ def test_far_limit_of_an_area_of_few_targets_holds_without_assumptions():
     none, one = stats.beta.ppf(0.85, [1, 2], [8, 7])
     least, value = 1.0 - none - 0.1 * (one - none), 1.0 - 0.1 / 8
     for background in (0.0, 1e-4):
-        low = interval_of_mean(np.array([0.9, *7 * [1.0]]), 1e-6, background, 1000)[0]
+        low = pixels.interval_of_mean(np.array([0.9, *7 * [1.0]]), 1e-6, background, 1000)[0]
         assert low == pytest.approx(value - np.hypot(value - least, 1.959964 * np.sqrt(background)), rel=1e-6)
 
 
 def test_an_area_whose_background_is_few_blocks_is_known_by_their_part_of_the_variance():
     rng = np.random.default_rng(4)
     scores = rng.standard_normal((4, 4)).repeat(20, 0).repeat(20, 1)
-    blocks, counts = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool)), counts_of(rng.normal(0, 1, 60), scores)
-    found = area_estimates(counts, {"a": WHOLE}, "pixel", 0, rng, blocks)["a"]
-    background, dof = clustered_variance(counts, WHOLE, blocks)
-    whole = background + area_variance(counts)[0]
+    blocks, counts = (
+        pixels.AlarmBlocks.of_map(scores, np.ones(scores.shape, bool)),
+        pixels.counts_of(rng.normal(0, 1, 60), scores),
+    )
+    found = pixels.area_estimates(counts, {"a": WHOLE}, "pixel", 0, rng, blocks)["a"]
+    background, dof = pixels.clustered_variance(counts, WHOLE, blocks)
+    whole = background + pixels.area_variance(counts)[0]
     # Satterthwaite: V^2 over the sum of squares over degrees of freedom, those of the targets being many.
     half = stats.t.ppf(0.975, whole**2 / (background**2 / dof)) * np.sqrt(whole) / (found.value * (1 - found.value))
     assert logit(found.upper) - logit(found.value) == pytest.approx(half, rel=1e-6)
@@ -175,8 +165,10 @@ def test_an_area_whose_background_is_few_blocks_is_known_by_their_part_of_the_va
 def test_a_pool_counts_the_targets_of_all_curves_at_one_false_alarm_rate():
     rng = np.random.default_rng(6)
     background = rng.standard_normal(1000)
-    a, b = (empirical_roc(rng.standard_normal(n) + d, background, unit="object") for n, d in ((7, 3.0), (13, 1.0)))
-    pool = pooled_roc([a, b])
+    a, b = (
+        pixels.empirical_roc(rng.standard_normal(n) + d, background, unit="object") for n, d in ((7, 3.0), (13, 1.0))
+    )
+    pool = pixels.pooled_roc([a, b])
     assert pool.n_target == 20
     assert np.allclose(pool.pd, (7 * a.pd + 13 * b.pd) / 20)
     # No narrower than the binomial interval of all targets.  The true P_D rises, and so do the limits.
@@ -188,7 +180,7 @@ def test_a_pool_counts_the_targets_of_all_curves_at_one_false_alarm_rate():
 def test_a_share_that_is_a_whole_number_of_targets_is_not_rounded_up():
     # 0.07 * 100 is 7.000000000000001 in floating point: the 7th target and not the 8th.
     t = np.arange(100.0)
-    (found,) = alarms_at_detection(t, [-1.0, 50.0], [0.07])
+    (found,) = pixels.alarms_at_detection(t, [-1.0, 50.0], [0.07])
     assert found.threshold == 93.0
 
 
@@ -199,11 +191,13 @@ def test_areas_are_those_of_scikit_learn(decimals):
     for m, n in ((1, 1), (3, 700), (77, 90)):
         t, b = np.round(rng.normal(1, 1, m), decimals), np.round(rng.normal(size=n), decimals)
         truth, scores = np.concatenate([np.ones(m), np.zeros(n)]), np.concatenate([t, b])
-        assert roc_area(counts_of(t, b)) == pytest.approx(metrics.roc_auc_score(truth, scores), rel=1e-13)
+        assert pixels.roc_area(pixels.counts_of(t, b)) == pytest.approx(metrics.roc_auc_score(truth, scores), rel=1e-13)
         # Theirs of a part is scaled to 1/2 for chance (McClish 1989): back to the mean P_D over the range.
         part = metrics.roc_auc_score(truth, scores, max_fpr=0.1)
         area = 0.1 * ((2 * part - 1) * (1 - 0.05) + 0.05)
-        assert 0.1 * roc_area(counts_of(t, b), RocArea(0.0, 0.1)) == pytest.approx(area, rel=1e-12, abs=1e-15)
+        assert 0.1 * pixels.roc_area(pixels.counts_of(t, b), RocArea(0.0, 0.1)) == pytest.approx(
+            area, rel=1e-12, abs=1e-15
+        )
 
 
 def test_limits_of_a_bounded_mean_are_the_binomial_ones_of_noughts_and_ones():
@@ -216,11 +210,14 @@ def test_areas_of_a_curve_carry_their_method_and_are_drawn_alike():
     rng = np.random.default_rng(6)
     b, t = rng.normal(size=20_000), rng.normal(2.0, 1.0, 12)
     one, again, few = (
-        with_summary(empirical_roc(targets, b, unit="object"), targets, b, rng=np.random.default_rng(0))
+        pixels.with_summary(pixels.empirical_roc(targets, b, unit="object"), targets, b, rng=np.random.default_rng(0))
         for targets in (t, t, t[:1])
     )
     assert list(one.areas) == list(AREAS)
     assert one.areas == again.areas
     assert one.areas["auc"].method == "bootstrap of 12 objects, 1000 draws"
     assert few.areas["auc"].lower <= 0.1  # one object says next to nothing
-    assert list(with_summary(empirical_roc(t, b[:500]), t, b[:500]).areas) == ["auc", "partial_auc@0..1e-1"]
+    assert list(pixels.with_summary(pixels.empirical_roc(t, b[:500]), t, b[:500]).areas) == [
+        "auc",
+        "partial_auc@0..1e-1",
+    ]

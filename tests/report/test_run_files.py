@@ -18,22 +18,8 @@ import yaml
 from synthetic_run import NASTY, axis, make_run
 
 import hyperval
-from hyperval import cli
+from hyperval import cli, products
 from hyperval.errors import InputError, UsageError
-from hyperval.products import (
-    Abundance,
-    AlarmsAtDetection,
-    AreaEstimate,
-    ClassificationError,
-    ExceedanceCurve,
-    ObjectScores,
-    ObservedProducts,
-    PixelDistribution,
-    PredictedProducts,
-    RocCurve,
-    ScoreDistribution,
-    SpectralEstimate,
-)
 from hyperval.results import COLUMNS, Outcome, Result, ResultTable, Role
 from hyperval.run import (
     OBJECT_QUANTILES,
@@ -57,37 +43,37 @@ ODD = Result(
 
 def _curve(points, **more):
     pfa = np.logspace(-3, 0, points)
-    return RocCurve(pfa, pfa**0.1, pfa**0.2, pfa**0.05, np.linspace(1, 0, points), **more)
+    return products.RocCurve(pfa, pfa**0.1, pfa**0.2, pfa**0.05, np.linspace(1, 0, points), **more)
 
 
 def _sides():
-    spectrum = SpectralEstimate(np.array([1.0, 2.0, 3.0]), np.diag([0.01, 0.02, 0.03]), None, 5)
+    spectrum = products.SpectralEstimate(np.array([1.0, 2.0, 3.0]), np.diag([0.01, 0.02, 0.03]), None, 5)
     key = ("plank", "cem")
-    predicted = PredictedProducts(
+    predicted = products.PredictedProducts(
         AXIS, {"plank": spectrum}, roc={(*key, "pixel"): _curve(4, preset_pfa=np.logspace(-2, 0, 4))},
-        scores={key: ScoreDistribution(1.0, 0.1, None, np.arange(5.0), np.full(5, 0.2))},
-        abundance={key: Abundance(9.0, 0.4, None, 9.5)}, object_scores={key: ObjectScores(DRAWS)},
-        exceedance={key: ExceedanceCurve(np.arange(3.0), *np.full((3, 3), 0.1))},
-        distribution={"grass": PixelDistribution(5.0)},
+        scores={key: products.ScoreDistribution(1.0, 0.1, None, np.arange(5.0), np.full(5, 0.2))},
+        abundance={key: products.Abundance(9.0, 0.4, None, 9.5)}, object_scores={key: products.ObjectScores(DRAWS)},
+        exceedance={key: products.ExceedanceCurve(np.arange(3.0), *np.full((3, 3), 0.1))},
+        distribution={"grass": products.PixelDistribution(5.0)},
         noise={"plank": {"shot": np.array([1e-4, 2e-4, 3e-4])}}, full_scale={"plank": np.array([0.1, 0.2, 0.3])},
     )  # fmt: skip
-    areas = {"auc": AreaEstimate(0.97, 0.95, 0.99, "bounded")}
-    law = PixelDistribution(
+    areas = {"auc": products.AreaEstimate(0.97, 0.95, 0.99, "bounded")}
+    law = products.PixelDistribution(
         6.0, 5.0, 8.0, 0.01, 2, 7.0, 6.0, 9.0, 2, 50, np.array([30.0, 20.0]), np.linspace(0.1, 9.0, 7),
         np.linspace(0.9, 0.0, 7), 5,
     )  # fmt: skip
-    alarms = AlarmsAtDetection(0.9, 0.31, 17, 1.7e-3, 1e-3, 3e-3, 1.1e-3, 2.7e-3)
-    observed = ObservedProducts(
+    alarms = products.AlarmsAtDetection(0.9, 0.31, 17, 1.7e-3, 1e-3, 3e-3, 1.1e-3, 2.7e-3)
+    observed = products.ObservedProducts(
         AXIS, {"plank": spectrum},
         roc={
             (*key, "pixel"): _curve(4, n_target=40, n_background=10_000, alarms=np.array([1, 20, 300, 10_000]),
                                     areas=areas, at_detection=(alarms,)),
             (*key, "object"): _curve(6, n_target=3, unit="object"),
         },
-        object_scores={key: ObjectScores(np.array([0.7]), ("north",))},
-        exceedance={key: ExceedanceCurve(np.arange(2.0), *np.full((3, 2), 0.2), 10_000)},
-        distribution={"grass": law, "road": PixelDistribution(9.0, n=400)},
-        classification={("grass / road", "2 bands"): ClassificationError(0.1, 0.08, 0.12, 900)},
+        object_scores={key: products.ObjectScores(np.array([0.7]), ("north",))},
+        exceedance={key: products.ExceedanceCurve(np.arange(2.0), *np.full((3, 2), 0.2), 10_000)},
+        distribution={"grass": law, "road": products.PixelDistribution(9.0, n=400)},
+        classification={("grass / road", "2 bands"): products.ClassificationError(0.1, 0.08, 0.12, 900)},
     )  # fmt: skip
     return predicted, observed
 
