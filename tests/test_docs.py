@@ -37,6 +37,7 @@ def test_each_example_draws(example, monkeypatch):
     monkeypatch.chdir(example.parent)
     monkeypatch.setenv("MPLBACKEND", "agg")
     plt.switch_backend("agg")
+    plt.close("all")  # what other tests left
     runpy.run_path(str(example))
     assert plt.get_fignums()
     for axes in (axes for number in plt.get_fignums() for axes in plt.figure(number).axes):

@@ -122,9 +122,11 @@ def test_every_refusal_is_used_and_gets_what_its_words_name():
     used = set()
     for path in MODULES:
         for node in ast.walk(parsed(path)):
-            if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") == "refusal"):
+            called = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
+            if called not in ("refuse", "refusal"):  # refuse says it in words of its own, too
                 continue
-            names, given = {text for text in texts_of(node.args[0]) if "." in text}, {k.arg for k in node.keywords}
+            given, texts = {k.arg for k in node.keywords}, texts_of(node.args[called == "refuse"])
+            names = {text for text in texts if text in REFUSALS or (called == "refusal" and "." in text)}
             used |= names
             for name in names:
                 words = REFUSALS[name]

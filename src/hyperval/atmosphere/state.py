@@ -32,7 +32,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hyperval.atmosphere import solar
 from hyperval.config import Model
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, one_of, refuse
 
 Array = npt.NDArray[np.float64]
 
@@ -60,7 +60,9 @@ class Profile:
 
 
 def standard_profile(model: str) -> Profile:
-    """The standard atmosphere named ``model``, one of ``AtmosphereModel``."""
+    """The standard atmosphere named ``model``; raises UsageError for an unknown name."""
+    what = f"unknown standard atmosphere {model!r}"
+    refuse(model not in _MODELS, what, None, one_of(_MODELS), kind=UsageError)
     return _tables()[model]
 
 

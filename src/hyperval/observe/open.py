@@ -292,6 +292,7 @@ def number_rows(path: Path, what: str) -> tuple[Array, int]:
     return rows, first
 
 
+@reader
 def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
     """The spectral axis of a whitespace-separated text table."""
     needed = max(table.centre_column, table.fwhm_column or 0)
