@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hyperval.atmosphere.cache import cache_folder
+from hyperval.atmosphere.emulator import emulator_terms
 from hyperval.atmosphere.modtran import modtran_terms
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
@@ -17,6 +18,7 @@ from hyperval.errors import InputError, refuse
 ENGINES: dict[str, Callable[[AtmosphericState, Path, bool | None], AtmosphericTerms]] = {
     "sixs": sixs_terms,
     "modtran": modtran_terms,
+    "emulator": emulator_terms,
 }
 
 

@@ -136,22 +136,31 @@ def molecular_albedo(depth: Array) -> Array:
     return np.asarray((3.0 * t - (4.0 + 2.0 * t) * expn(3, t) + 2.0 * np.exp(-t)) / (4.0 + 3.0 * t))
 
 
+def amounts(state: AtmosphericState) -> tuple[Array, Array]:
+    """(3, 2) of air [atm], water [g cm-2] and ozone [atm cm], and that weighted by pressure [atm].
+
+    From the sun to the ground, and from there to the sensor as well.
+    """
+    profile = scaled_profile(state.model, state.ground_altitude_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
+    weighted = profile.water_g_m3 * profile.pressure_hpa / _STP_HPA
+
+    def above(km: float) -> Array:
+        if km >= visibility.SPACE_KM:
+            return np.zeros((3, 2))
+        air = pressure_at(profile, km) / _STP_HPA
+        water = [column_g_cm2(profile, density, km) for density in (profile.water_g_m3, weighted)]
+        ozone = column_g_cm2(profile, profile.ozone_g_m3, km) / visibility.OZONE_G_CM2_PER_ATM_CM
+        return np.array([[air, 0.5 * air**2], water, [ozone, ozone]])
+
+    mu0, mu_v = np.cos(np.deg2rad([state.sun[0], state.view_zenith_deg]))
+    ground = above(state.ground_altitude_km)
+    return ground / mu0, ground / mu0 + (ground - above(state.sensor_altitude_km)) / mu_v
+
+
 def ways(state: AtmosphericState) -> tuple[Way, Way]:
     """From the sun to the ground, and from there to the sensor as well."""
-    ground, sensor = state.ground_altitude_km, state.sensor_altitude_km
-    profile = scaled_profile(state.model, ground, state.water_vapour_g_cm2, state.ozone_atm_cm)
-    mu0, mu_v = np.cos(np.deg2rad([state.sun[0], state.view_zenith_deg]))
-    air = pressure_at(profile, ground) / _STP_HPA
-    water = column_g_cm2(profile, profile.water_g_m3, ground)
-    above_air = above_water = 0.0
-    if not state.in_space:
-        above_air = pressure_at(profile, sensor) / _STP_HPA
-        above_water = column_g_cm2(profile, profile.water_g_m3, sensor)
-    down = Way(float(air / mu0), float(water / mu0))
-    return down, Way(
-        float(down.air_atm + (air - above_air) / mu_v),
-        float(down.water_g_cm2 + (water - above_water) / mu_v),
-    )
+    down, both = (Way(float(way[0, 0]), float(way[1, 0])) for way in amounts(state))
+    return down, both
 
 
 @cache

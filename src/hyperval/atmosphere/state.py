@@ -301,10 +301,10 @@ class AtmosphericState(Model):
     from ``latitude_deg``, ``longitude_deg`` and ``time_utc``.
     """
 
-    engine: Literal["sixs", "modtran", "table"] = Field(
+    engine: Literal["sixs", "modtran", "table", "emulator"] = Field(
         "sixs",
         description="sixs: the embedded solver; modtran: the user's own, named by HYPERVAL_MODTRAN; "
-        "table: computed before",
+        "table: computed before; emulator: fitted to runs of sixs, at once, for studies at nadir over rural haze",
     )
     table: str | None = Field(
         None,
