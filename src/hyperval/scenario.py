@@ -212,16 +212,6 @@ class NamedSpread(Model):
     absolute: Spread = Field(description="standard uncertainty, in the unit of the number")
 
 
-class SampledStatistics(Model):
-    """A surface whose mean and covariance were measured on finitely many samples."""
-
-    subject: str
-    effective_n: float | None = Field(
-        None, gt=3, description="independent samples behind them; None: the number that came with them"
-    )
-    mean: bool = Field(True, description="whether the mean was measured on them too")
-
-
 class Uncertainty(Model):
     """Standard uncertainties of the inputs; each is a source of the budget."""
 
@@ -274,9 +264,6 @@ class Uncertainty(Model):
     fractions: list[NamedSpread] = Field(
         default_factory=list, description="area fractions of classes; the others give way in proportion"
     )
-    sampled_statistics: list[SampledStatistics] = Field(
-        default_factory=list, description="surfaces whose mean and covariance come from finite samples"
-    )
 
     @model_validator(mode="after")
     def _check(self) -> Uncertainty:
@@ -285,7 +272,7 @@ class Uncertainty(Model):
         for name in ("solar_irradiance_relative", "adjacency_reflectance_relative"):
             if (getattr(self, name) or 0.0) >= 1.0:
                 raise ValueError(f"{name} is below 1")
-        for name in ("fills", "fractions", "sampled_statistics"):  # field_spectra: entries of a subject add up
+        for name in ("fills", "fractions"):  # field_spectra: entries of a subject add up
             subjects = [item.subject for item in getattr(self, name)]
             if len(set(subjects)) < len(subjects):
                 raise ValueError(f"{name}: a subject stands twice")
@@ -304,7 +291,6 @@ class Uncertainty(Model):
         """Raise ValueError for an uncertainty of a subject that the scene does not have."""
         for key, known, what in (
             ("field_spectra", surfaces, "no class, panel, site or target"),
-            ("sampled_statistics", surfaces, "no class, panel, site or target"),
             ("fills", targets, "no target or subject"),
             ("fractions", classes, "no class"),
         ):

@@ -20,7 +20,6 @@ MODULES = (
     "hyperval.model.radiance",
     "hyperval.model.fill",
     "hyperval.statistics_library",
-    "hyperval.sensor.response",
     "hyperval.sensor.noise",
     "hyperval.sensor.specification",
     "hyperval.model.filters",
@@ -198,8 +197,8 @@ def test_every_formula_turns_the_evidence_red():
 
 @pytest.mark.slow
 def test_a_formula_that_nothing_looks_at_is_named():
-    words = "--factor", "1.0", "--only", "sensor/response.py"  # broken by nothing
+    words = "--factor", "1.0", "--only", "sensor/noise.py"  # broken by nothing
     outcome = broken_formulas(*words, "--evidence", "test_equations_sensor.py")
     assert outcome.returncode == 1
-    assert outcome.stdout.count("GREEN src/hyperval/sensor/response.py") == 3
-    assert "0 of 3 formulas" in outcome.stdout
+    assert outcome.stdout.count("GREEN src/hyperval/sensor/noise.py") == 10
+    assert "0 of 10 formulas" in outcome.stdout

@@ -27,7 +27,7 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
     s = scenario(EVERYTHING)
     found = inputs(s)
     kinds = {i.kind for i in found.values()}
-    assert kinds == {"atmosphere", "surface", "sensor", "scene", "engine", "sampling"}
+    assert kinds == {"atmosphere", "surface", "sensor", "scene", "engine"}
     base = run(s.model_copy(update={"uncertainty": Uncertainty()}))
     plain = s.model_copy(update={"uncertainty": Uncertainty()})
     blind = {"solar azimuth", "view zenith angle", "sensor altitude", "ground height"}  # to the stand-in engine

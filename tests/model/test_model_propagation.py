@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.special import ndtri, polygamma
+from scipy.special import ndtri
 from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, engine, run, scenario
 
@@ -79,8 +79,8 @@ def test_the_budget_that_predict_adds_up_is_that_of_a_prediction_for_every_direc
 
 @pytest.mark.slow
 def test_where_the_ways_differ_the_draws_give_the_interval_of_pd():
-    # A covariance of 10 bands from 60 samples: P_D has a tail that no straight line knows.
-    text = SMALL.replace("aot550: 0.02", "sampled_statistics: [{subject: asphalt, effective_n: 60}]")
+    # A class that may be twice as large: P_D has a tail that no straight line knows.
+    text = SMALL.replace("aot550: 0.02", "fractions: [{subject: asphalt, absolute: 0.1}]")
     p, linear = run(with_method("both", text)), run(with_method("linear", text))
     assert any("P_D intervals from the draws" in n for n in p.notes)
     at = int(np.argmin(np.abs(p.roc[KEY].pfa - 1e-2)))
@@ -107,32 +107,6 @@ def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
             np.testing.assert_allclose(made.engine(state).at_bands(AXIS).path_radiance, exact.path_radiance, rtol=1e-9)
         state = with_settings(s, moved(item, 1.0)).atmosphere
         np.testing.assert_allclose(made.engine(state).direct, engine(state).at_bands(AXIS).direct, rtol=2e-3)
-
-
-def test_separation_of_a_drawn_covariance_follows_its_pivot():
-    # (n - 1) d^T Sigma^-1 d / d^T S^-1 d is chi-square(n - B): mean n - B, variance 2 (n - B).  3,000 draws; 4.5
-    # standard errors, false failure below 1e-5 each.
-    rng = np.random.default_rng(2)
-    bands, n = 8, 24
-    root = np.tril(rng.standard_normal((bands, bands))) + 3.0 * np.eye(bands)
-    s = root @ root.T
-    d = rng.standard_normal(bands)
-    stated = d @ np.linalg.solve(s, d)
-    path = "surfaces.[a].covariance"
-    x = np.array(
-        [d @ np.linalg.solve(model.drawn_covariance("a", s, n, rng)[path], d) / stated * (n - 1) for _ in range(3000)]
-    )
-    assert x.mean() == pytest.approx(n - bands, abs=4.5 * np.sqrt(2 * (n - bands) / 3000))
-    assert x.var() == pytest.approx(2 * (n - bands), rel=4.5 * np.sqrt(2.3 / 3000))
-    # The logarithm of one standard deviation scatters by half of what that of chi-square does.
-    world = model.read(
-        scenario("uncertainty: {sampled_statistics: [{subject: asphalt, effective_n: 200}]}"), model.Origins(AXIS)
-    )
-    (spread,) = (item for item in model.inputs_of(world) if item.path.endswith("spread"))
-    assert spread.rows[0, 0] == pytest.approx(0.5 * np.sqrt(polygamma(1, 99.5)), rel=0.01)
-    few = model.drawn_covariance("a", s, 12, rng)  # too few for a matrix: one factor
-    assert list(few) == ["surfaces.[a].spread"]
-    assert few["surfaces.[a].spread"] > 0
 
 
 def test_area_of_a_curve_and_tolerance_of_a_limit():

@@ -118,7 +118,7 @@ SUITE = "hyperval.sensor_check.suite"
 
 
 def gain_constant(patch: Patch) -> None:
-    patch.setattr("hyperval.sensor.response.ELECTRONS_PER_UNIT", 1.02 * 5.034116567e15)
+    patch.setattr("hyperval.sensor.noise.ELECTRONS_PER_UNIT", 1.02 * 5.034116567e15)
 
 
 def sigma_in_resampling(patch: Patch) -> None:

@@ -75,7 +75,7 @@ from hyperval.model.world import SHIFT, Origins, Stated, Truth, World, find, rea
 from hyperval.products import PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario, SpectralForm, Uncertainty
-from hyperval.sensor.response import mtf_at_nyquist
+from hyperval.sensor.noise import mtf_at_nyquist
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]

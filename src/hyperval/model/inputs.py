@@ -6,7 +6,7 @@ set of factors (:data:`hyperval.model.world.PATHS`).  Budgets, draws, attributio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.model.surfaces import SurfaceStatistics, correlation
 from hyperval.model.world import NEUTRAL, SHIFT, Truth, World, find, value_at
-from hyperval.scenario import SampledStatistics, SpectralForm, SpectrumUncertainty
+from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
 from hyperval.spectra.axis import SpectralAxis
@@ -112,7 +112,7 @@ def spectrum_error_sd(item: SpectrumUncertainty, surface: SurfaceStatistics, axi
     return np.asarray(sd)
 
 
-Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine", "sampling"]
+Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]
 
 
 Source = Literal["stated", "usual"]
@@ -131,10 +131,8 @@ class UncertainInput:
     rows : (K, n) change of it per unit along each direction, the leading one first; one unit is one standard
         uncertainty
     low, high : where it is stopped
-    logarithm : whether rows are changes of the logarithm of the ratio to ``nominal``
     correlation : how errors hang together over wavelength, in words
     source : whether the scenario states the uncertainty, or a usual one is taken
-    draws : one draw from the distribution, where it is not that of independent normal factors
     """
 
     name: str
@@ -144,10 +142,8 @@ class UncertainInput:
     rows: Array
     low: float | Array = -np.inf
     high: float | Array = np.inf
-    logarithm: bool = False
     correlation: str = "one number"
     source: Source = "stated"
-    draws: Callable[[np.random.Generator], Truth] | None = None
 
     @cached_property
     def size(self) -> int:
@@ -169,9 +165,7 @@ class UncertainInput:
 
     def along(self, c: Array) -> dict[str, Any]:
         """The truth at factors (K,) of the directions."""
-        change = c @ self.rows[: len(c)]
-        value = self.nominal * np.exp(change) if self.logarithm else self.nominal + change
-        return {self.path: np.clip(value, self.low, self.high)}
+        return {self.path: np.clip(self.nominal + c @ self.rows[: len(c)], self.low, self.high)}
 
     def direction(self, k: int, z: float) -> dict[str, Any]:
         """The truth ``z`` units along direction ``k``, the rest as stated."""
@@ -183,7 +177,7 @@ class UncertainInput:
 
     def drawn(self, rng: np.random.Generator) -> Truth:
         """A truth drawn from the distribution of this input alone."""
-        return self.along(rng.standard_normal(self.size)) if self.draws is None else self.draws(rng)
+        return self.along(rng.standard_normal(self.size))
 
 
 def together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
@@ -223,7 +217,7 @@ def number_input(
         low = state.ground_altitude_km + 0.01
     elif path == "atmosphere.ground_altitude_km" and state is not None:
         high = min(high, state.sensor_altitude_km - 0.01)
-    return UncertainInput(name, kind, path, nominal, np.asarray(rows), low, high, False, words, source)
+    return UncertainInput(name, kind, path, nominal, np.asarray(rows), low, high, words, source)
 
 
 def spectral_input(
@@ -360,7 +354,7 @@ def _of_light(world: World, shapes: bool) -> list[UncertainInput]:
 
 
 def _of_scene(world: World, shapes: bool) -> list[UncertainInput]:
-    """Surfaces, then fills and fractions, then what sampling leaves open."""
+    """Surfaces, then fills and fractions."""
     u = world.stated.scenario.uncertainty
     inputs = spectrum_inputs(world) if shapes else []
     for item in u.fills:
@@ -368,8 +362,6 @@ def _of_scene(world: World, shapes: bool) -> list[UncertainInput]:
     for item in u.fractions:
         name = f"area fraction of {item.subject}"
         inputs.append(number_input(world, name, "scene", f"fraction.[{item.subject}]", item.absolute))
-    for sampled in u.sampled_statistics:
-        inputs += _sampled(sampled, world)
     return inputs
 
 
@@ -395,50 +387,3 @@ def _of_sensor(world: World) -> list[UncertainInput]:
             if sd > 0:
                 inputs.append(spectral_input(world, name, "sensor", path, sd, form))
     return inputs
-
-
-def _sampled(item: SampledStatistics, world: World) -> list[UncertainInput]:
-    """Mean and covariance that were estimated from n independent normal samples.
-
-    The mean is normal with covariance S / n.  The truth behind S is an inverse Wishart draw,
-    Sigma^-1 ~ W(S^-1 / (n - 1), nu).  With nu = n - B the separation d^T Sigma^-1 d of a matched filter is
-    distributed as its pivot says, (n - 1) d^T Sigma^-1 d / d^T S^-1 d ~ chi-square(n - B) (Muirhead, Aspects of
-    Multivariate Statistical Theory, 1982, theorem 3.2.12).  Below n = 2 B + 2 the covariance moves by one factor.
-    """
-    subject, surface = item.subject, surface_at(world, item.subject)
-    n = item.effective_n or surface.n
-    if n is None:
-        raise UsageError(
-            f"uncertainty: sampled_statistics of {subject!r}: its source does not say how many samples",
-            mend="give effective_n",
-        )
-    inputs = []
-    covariance, words = surface.covariance, f"sampling of {n:.4g} independent samples"
-    if item.mean:
-        rows = covariance_directions(covariance / n)
-        if rows.shape[0]:
-            name, path = f"sampled mean of {subject}", f"surfaces.[{subject}].mean"
-            inputs.append(number_input(world, name, "sampling", path, 0.0, words=words, rows=rows))
-    # The variance of any one score: s^2 of n - 1 degrees of freedom, known by the logarithm of its root.
-    path, rows = f"surfaces.[{subject}].spread", np.array([[np.sqrt(0.5 / (n - 1.0))]])
-    spread = number_input(world, f"sampled covariance of {subject}", "sampling", path, 0.0, words=words, rows=rows)
-    spread = replace(spread, logarithm=True, draws=lambda rng: drawn_covariance(subject, covariance, n, rng))
-    return [*inputs, spread]
-
-
-def drawn_covariance(subject: str, covariance: Array, n: float, rng: np.random.Generator) -> dict[str, Any]:
-    """A truth behind a covariance (B, B) that was estimated from ``n`` samples (see :func:`_sampled`)."""
-    live = np.diag(covariance) > 0
-    bands = int(live.sum())
-    nu = round(n - bands)
-    if nu < bands + 2:
-        return {f"surfaces.[{subject}].spread": float(np.sqrt((n - 1.0) / rng.chisquare(n - 1.0)))}
-    sd = np.sqrt(np.diag(covariance)[live])
-    root = np.linalg.cholesky(covariance[np.ix_(live, live)] / np.outer(sd, sd) + 1e-12 * np.eye(bands))
-    # Bartlett: A A^T ~ W(I, nu) with A lower triangular; Sigma = (n - 1) R A^-T A^-1 R^T has the law asked for.
-    a = np.tril(rng.standard_normal((bands, bands)), -1)
-    a[np.diag_indices(bands)] = np.sqrt(rng.chisquare(nu - np.arange(bands)))
-    half = np.linalg.solve(a, (sd[:, None] * root).T).T  # R A^-T up to the order of factors
-    out = np.zeros_like(covariance)
-    out[np.ix_(live, live)] = (n - 1.0) * half @ half.T
-    return {f"surfaces.[{subject}].covariance": out}

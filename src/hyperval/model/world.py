@@ -71,7 +71,7 @@ class Path(NamedTuple):
     ----------
     field : array of the world; empty: an entry of the scenario's file, after whose change it is read again
     of : what its star names: class, target or surface
-    shape : of a value: a number, a spectrum or list of numbers (vector), or a covariance (matrix)
+    shape : of a value: a number, or a spectrum or list of numbers (vector)
     low, high : between which it can be
     """
 
@@ -126,11 +126,10 @@ PATHS: Mapping[str, Path] = {
     "line.bright": Path("bright", shape="vector", low=0.0),
     "line.gain": Path("line_gain", shape="vector"),
     "line.offset": Path("line_offset", shape="vector"),
-    # mean reflectance, factor on its standard deviation, what stands in for its covariance, degrees of freedom of
-    # the tails of a class, part of a target's covariance that goes by its fill, not the fill's square
+    # mean reflectance, factor on its standard deviation, degrees of freedom of the tails of a class, part of a
+    # target's covariance that goes by its fill, not the fill's square
     "surfaces.*.mean": Path("mean", "surface", shape="vector"),
     "surfaces.*.spread": Path("spread", "surface", low=0.0),
-    "surfaces.*.covariance": Path("", "surface", shape="matrix"),
     "surfaces.*.tail_dof": Path("tail", "class", low=2.0),
     "surfaces.*.fine_texture": Path("fine_texture", "surface", low=0.0, high=1.0),
     # mean fills of all targets, of one or of its subject; area fraction, the others give way in proportion; widths of
@@ -786,10 +785,8 @@ def value_at(world: World, path: str) -> Any:
     if entry.field == "blur":
         fills = (stated.populations[i][2].fill.geometry for i in _blurred(stated))
         return np.concatenate([np.atleast_1d((g and g.psf_fwhm_pixels) or 0.0) for g in fills])[None].astype(float)
-    if path == "sensor.wavelength_shift_nm":
+    if path == SHIFT:
         return np.zeros(1)
-    if entry.shape == "matrix":
-        return stated.surfaces[parts[1]].covariance[None]
     if parts[0] == "atmosphere" and len(parts) == 2 and parts[1] in STATE_RANGES and stated.scenario.atmosphere:
         return np.array([state_value(stated.scenario.atmosphere, parts[1])])
     return _entry(world, path)
@@ -816,7 +813,7 @@ def every_path(world: World) -> list[str]:
     for pattern, entry in PATHS.items():
         of_file = pattern.startswith(("scene.", "sensor_")) or pattern in ("atmosphere.*", "**")
         dark = pattern.startswith("atmosphere.") and stated.scenario.atmosphere is None
-        if of_file or dark or entry.shape == "matrix":
+        if of_file or dark:
             continue
         for name in names[entry.of or "fill"] if "*" in pattern else [""]:
             path = pattern.replace("*", f"[{name}]")
@@ -1180,22 +1177,15 @@ def settled(world: World) -> list[tuple[Index, World]]:
 
 def _read_with(stated: Stated, values: Truth) -> Stated:
     """What a scenario says where some paths of it stand at other values."""
+    if not values:
+        return stated
     kept: OrderedDict[str, Stated] = stated.kept.setdefault("again", OrderedDict())
     key = repr([(p, v.tobytes() if isinstance(v, np.ndarray) else v) for p, v in values.items() if v is not None])
     if key not in kept:
-        shift = values.get("sensor.wavelength_shift_nm", 0.0)
-        covariances = {path_parts(p)[1]: v for p, v in values.items() if find(stated, p)[0].shape == "matrix"}
-        settings = {
-            p: plain(v)
-            for p, v in values.items()
-            if v is not None and p != "sensor.wavelength_shift_nm" and find(stated, p)[0].shape != "matrix"
-        }
-        there = stated
-        if np.any(shift) or settings:
-            scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
-            there = read(scenario, stated.origins, shift, stated.atmosphere.nodes).stated
-        surfaces = {n: replace(s, covariance=covariances.get(n, s.covariance)) for n, s in there.surfaces.items()}
-        kept[key] = replace(there, surfaces=surfaces, before=stated.nominal, kept={})
+        settings = {p: plain(v) for p, v in values.items() if v is not None and p != SHIFT}
+        scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
+        there = read(scenario, stated.origins, values.get(SHIFT, 0.0), stated.atmosphere.nodes).stated
+        kept[key] = replace(there, before=stated.nominal)
         if len(kept) > _AGAIN:
             kept.popitem(last=False)
     return kept[key]

@@ -1,29 +1,27 @@
 """Sensor specification, response and noise (3.13-3.20)."""
 
 from .noise import (
+    ELECTRONS_PER_UNIT,
     NoiseBreakdown,
     NoiseModel,
     RecordedNoise,
+    aperture_throughput,
     bit_error_variance,
     calibration_variance,
     detector_radiance_variance,
     detector_variance,
+    electrons_per_radiance,
+    f_number_throughput,
     measured_noise_variance,
+    modulation_transfer,
+    mtf_at_nyquist,
+    psf_fwhm_from_mtf,
     quantisation_variance,
     recorded_noise,
     shot_variance,
     signal_to_noise,
-    with_signal,
-)
-from .response import (
-    ELECTRONS_PER_UNIT,
-    aperture_throughput,
-    electrons_per_radiance,
-    f_number_throughput,
-    modulation_transfer,
-    mtf_at_nyquist,
-    psf_fwhm_from_mtf,
     solid_angle,
+    with_signal,
 )
 from .specification import (
     Arm,

@@ -23,8 +23,14 @@ from pydantic import Field, model_validator
 
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError, reader
-from hyperval.sensor.noise import NoiseModel, with_signal
-from hyperval.sensor.response import aperture_throughput, electrons_per_radiance, f_number_throughput, psf_fwhm_from_mtf
+from hyperval.sensor.noise import (
+    NoiseModel,
+    aperture_throughput,
+    electrons_per_radiance,
+    f_number_throughput,
+    psf_fwhm_from_mtf,
+    with_signal,
+)
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 
 Array = npt.NDArray[np.float64]
