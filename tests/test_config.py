@@ -10,33 +10,23 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperval.config import (
-    MAX_BYTES,
-    MAX_DEPTH,
-    Model,
-    RadianceUnit,
-    WavelengthUnit,
-    load_model,
-    load_yaml,
-    parse_yaml,
-    validate,
-)
+from hyperval import config
 from hyperval.errors import InputError, UsageError
 
 
-class Inner(Model):
+class Inner(config.Model):
     altitude_km: float
     bands: tuple[int, ...] = ()
 
 
-class Outer(Model):
+class Outer(config.Model):
     name: str
     inner: Inner
     ratio: float = 1.0
 
 
 def value_of(text: str) -> object:
-    return parse_yaml(f"key: {text}")[0]["key"]
+    return config.parse_yaml(f"key: {text}")[0]["key"]
 
 
 @pytest.mark.parametrize(
@@ -73,9 +63,9 @@ def test_nan_and_infinity_are_read_but_no_model_takes_them():
     assert math.isnan(value_of(".nan"))
     assert value_of("-.inf") == -math.inf
     for text in (".nan", ".inf", "-.inf"):
-        data, lines = parse_yaml(f"altitude_km: {text}")
+        data, lines = config.parse_yaml(f"altitude_km: {text}")
         with pytest.raises(UsageError, match="finite"):
-            validate(Inner, data, lines, "c.yaml")
+            config.validate(Inner, data, lines, "c.yaml")
 
 
 LEVELS = "\n".join(f"l{i}: &l{i} [{', '.join([f'*l{i - 1}'] * 10)}]" for i in range(1, 10))
@@ -89,7 +79,7 @@ REFUSED = {
     "a: !!python/object/apply:os.system ['true']": "tag",
     "a: !!str 1": "tag",
     "a: !mine 1": "tag",
-    "a: " + "[" * (MAX_DEPTH + 1) + "]" * (MAX_DEPTH + 1): "deep",
+    "a: " + "[" * (config.MAX_DEPTH + 1) + "]" * (config.MAX_DEPTH + 1): "deep",
     "a: " + "[" * 400_000 + "]" * 400_000: "deep",
     "a: [" + "0," * 100_001 + "]": "too many entries",
     'a: 1\ntitle: "x\\ud800"\n': r"c\.yaml:2: .*invalid Unicode character escape",  # no report could be written
@@ -104,13 +94,13 @@ def test_what_is_no_plain_yaml_is_refused_with_its_line_before_a_tree_is_built(n
     if words != SYNTAX and "stands twice" not in words:
         monkeypatch.setattr(yaml, "compose", lambda text, Loader: pytest.fail("a tree was built"))
     with pytest.raises(UsageError, match=words):
-        parse_yaml(text, "c.yaml")
+        config.parse_yaml(text, "c.yaml")
 
 
 @given(st.text(max_size=200))
 def test_any_text_is_read_or_refused_with_a_message(text):
     try:
-        data, lines = parse_yaml(text, "c.yaml")
+        data, lines = config.parse_yaml(text, "c.yaml")
     except UsageError as error:
         assert str(error).startswith("c.yaml")  # noqa: PT017 - both ends are asserted
     else:
@@ -120,23 +110,23 @@ def test_any_text_is_read_or_refused_with_a_message(text):
 def test_files_that_are_no_text_and_one_of_windows(tmp_path: Path):
     path = tmp_path / "a.yaml"
     with pytest.raises(InputError, match="no such file") as caught:
-        load_yaml(path)
+        config.load_yaml(path)
     assert caught.value.exit_code == 3
     with open(path, "wb") as stream:
-        stream.truncate(MAX_BYTES + 1)
+        stream.truncate(config.MAX_BYTES + 1)
     with pytest.raises(UsageError, match="larger than"):
-        load_yaml(path)
+        config.load_yaml(path)
     path.write_bytes("name: Köln".encode("latin-1"))
     with pytest.raises(UsageError, match="UTF-8"):
-        load_yaml(path)
+        config.load_yaml(path)
     path.write_bytes(b"\xef\xbb\xbfname: x\r\ninner:\r\n  altitude_km: 1.5\r\n")
-    assert load_model(Outer, path) == Outer(name="x", inner=Inner(altitude_km=1.5))
+    assert config.load_model(Outer, path) == Outer(name="x", inner=Inner(altitude_km=1.5))
 
 
 def test_every_mistake_is_listed_in_the_order_of_the_file():
-    data, lines = parse_yaml("ratio: .nan\nbogus: 1\ninner:\n  altitud_km: 2\n  bands: [1, two]\n")
+    data, lines = config.parse_yaml("ratio: .nan\nbogus: 1\ninner:\n  altitud_km: 2\n  bands: [1, two]\n")
     with pytest.raises(UsageError) as caught:
-        validate(Outer, data, lines, "c.yaml")
+        config.validate(Outer, data, lines, "c.yaml")
     assert caught.value.exit_code == 2
     found = [line.strip() for line in str(caught.value).splitlines()]
     assert [line.split(": ")[0] for line in found] == [f"c.yaml:{n}" for n in (1, 1, 2, 3, 4, 5)]
@@ -144,22 +134,22 @@ def test_every_mistake_is_listed_in_the_order_of_the_file():
     assert sum("name: Field required" in line for line in found) == 1
 
 
-class Powered(Model):
-    unit: RadianceUnit
-    wavelength_unit: WavelengthUnit = "nm"
+class Powered(config.Model):
+    unit: config.RadianceUnit
+    wavelength_unit: config.WavelengthUnit = "nm"
 
 
 def test_units_are_known_when_the_file_is_read():
-    assert validate(Powered, {"unit": "W/m^2/sr/um"}, {}, "a.yaml").unit == "W/m^2/sr/um"
-    data, lines = parse_yaml("unit: W/m2\nwavelength_unit: cm-1\n", "a.yaml")
+    assert config.validate(Powered, {"unit": "W/m^2/sr/um"}, {}, "a.yaml").unit == "W/m^2/sr/um"
+    data, lines = config.parse_yaml("unit: W/m2\nwavelength_unit: cm-1\n", "a.yaml")
     with pytest.raises(UsageError) as caught:
-        validate(Powered, data, lines, "a.yaml")
+        config.validate(Powered, data, lines, "a.yaml")
     assert "a.yaml:1: unit: unknown radiance unit 'W/m2'; one of uW cm-2 sr-1 nm-1" in str(caught.value)
     assert "a.yaml:2: wavelength_unit: unknown wavelength unit 'cm-1'; one of nm" in str(caught.value)
 
 
 def test_of_many_mistakes_the_first_are_listed():
-    data, lines = parse_yaml("".join(f"key{i}: 1\n" for i in range(500)))
+    data, lines = config.parse_yaml("".join(f"key{i}: 1\n" for i in range(500)))
     with pytest.raises(UsageError, match=r"and 48[0-9] more") as caught:
-        validate(Inner, data, lines, "c.yaml")
+        config.validate(Inner, data, lines, "c.yaml")
     assert len(str(caught.value).splitlines()) <= 22

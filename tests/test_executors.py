@@ -13,17 +13,8 @@ import pytest
 from processes import awaited, is_at_work
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from hyperval import executors
 from hyperval.errors import UsageError
-from hyperval.executors import (
-    Workers,
-    WorkersLostError,
-    available_cores,
-    in_order,
-    parcel,
-    single_blas_thread,
-    worker_count,
-    workers,
-)
 
 
 def square(x):
@@ -54,39 +45,39 @@ def dies(_):
 
 def test_results_come_in_the_order_of_the_pieces():
     with ThreadPoolExecutor(3) as pool:
-        assert list(in_order(pool, square, range(50))) == [k * k for k in range(50)]
-        results = in_order(pool, fails_at_three, range(6))
+        assert list(executors.in_order(pool, square, range(50))) == [k * k for k in range(50)]
+        results = executors.in_order(pool, fails_at_three, range(6))
         assert [next(results) for _ in range(3)] == [0, 1, 2]
         with pytest.raises(ValueError, match="three"):
             next(results)
     handed = []
-    results = in_order(Workers(), square, (handed.append(k) or k for k in range(100)))
+    results = executors.in_order(executors.Workers(), square, (handed.append(k) or k for k in range(100)))
     assert next(results) == 0
     assert len(handed) <= 2  # as they are needed
 
 
 def test_one_blas_thread_inside_and_the_old_number_after():
     with threadpool_limits(2, user_api="blas"):
-        with single_blas_thread() as alone:
+        with executors.single_blas_thread() as alone:
             assert alone
             assert set(blas_threads()) == {1}
         assert set(blas_threads()) == {2}
-        assert set(next(in_order(Workers(), blas_threads, [0]))) == {1}
+        assert set(next(executors.in_order(executors.Workers(), blas_threads, [0]))) == {1}
 
 
 def test_number_of_workers(monkeypatch):
-    assert worker_count(1) == 1 <= available_cores()
+    assert executors.worker_count(1) == 1 <= executors.available_cores()
     monkeypatch.setenv("HYPERVAL_WORKERS", "3")
-    assert (worker_count(), worker_count(2), worker_count(9)) == (3, 2, 3)
+    assert (executors.worker_count(), executors.worker_count(2), executors.worker_count(9)) == (3, 2, 3)
     monkeypatch.setenv("HYPERVAL_WORKERS", "many")
     with pytest.raises(UsageError, match="HYPERVAL_WORKERS"):
-        worker_count()
+        executors.worker_count()
 
 
 def test_a_process_that_dies_is_replaced(tmp_path):
     pieces = [(tmp_path / "flag", k) for k in range(6)]
-    with workers(2) as where:
-        assert list(in_order(where, dies_once, pieces)) == [0, 1, 4, 9, 16, 25]
+    with executors.workers(2) as where:
+        assert list(executors.in_order(where, dies_once, pieces)) == [0, 1, 4, 9, 16, 25]
 
 
 class EndedInPassing:
@@ -118,14 +109,14 @@ def swallows(piece):
 @pytest.mark.parametrize("piece", [EndedInPassing, swallows])
 def test_a_process_told_to_end_ends_and_its_piece_is_done_again(tmp_path, piece):
     """Between pieces the pool kept what the signal raised, and the run waited for ever."""
-    with workers(2) as where:
-        assert list(in_order(where, piece, [(tmp_path / "flag", k) for k in range(4)])) == [0, 1, 2, 3]
+    with executors.workers(2) as where:
+        assert list(executors.in_order(where, piece, [(tmp_path / "flag", k) for k in range(4)])) == [0, 1, 2, 3]
 
 
 def test_processes_that_always_die_are_given_up(monkeypatch):
     monkeypatch.setattr("hyperval.executors._RENEWALS", 0)
-    with pytest.raises(WorkersLostError, match="worker process died"), workers(2) as where:
-        list(in_order(where, dies, [1]))
+    with pytest.raises(executors.WorkersLostError, match="worker process died"), executors.workers(2) as where:
+        list(executors.in_order(where, dies, [1]))
 
 
 def sleeps(piece):
@@ -154,9 +145,9 @@ def run_until(folder, signal_number):
         workers_of(folder)
         os.kill(os.getpid(), signal_number)
 
-    with workers(2) as where:
+    with executors.workers(2) as where:
         Thread(target=end, daemon=True).start()
-        list(in_order(where, sleeps, [(folder, 1), (folder, 2)]))
+        list(executors.in_order(where, sleeps, [(folder, 1), (folder, 2)]))
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
@@ -176,7 +167,7 @@ def test_workers_end_with_their_run(tmp_path, number):
 
 def test_a_scheduler_that_is_not_there():
     pytest.importorskip("distributed", reason="the extra dask is not installed")
-    with pytest.raises(UsageError, match="scheduler"), workers(scheduler="no-such-protocol://nowhere:1"):
+    with pytest.raises(UsageError, match="scheduler"), executors.workers(scheduler="no-such-protocol://nowhere:1"):
         pass
 
 
@@ -188,14 +179,14 @@ def first_of(piece):
 def test_what_all_pieces_need_is_packed_once(count):
     """Processes of this machine read it from a file that is gone afterwards; here it needs none."""
     value = {k: k * k for k in range(5)}
-    with workers(count) as where:
-        with parcel(where, value) as packed:
+    with executors.workers(count) as where:
+        with executors.parcel(where, value) as packed:
             path = packed.path
-            found = list(in_order(where, first_of, [(packed, k) for k in range(5)]))
+            found = list(executors.in_order(where, first_of, [(packed, k) for k in range(5)]))
         assert path is None or not path.exists()
     assert found == [(k * k, count == 2) for k in range(5)]
-    with ThreadPoolExecutor(1) as pool, parcel(pool, [3, 4]) as packed:  # pieces for others carry it
-        assert list(in_order(pool, first_of, [(packed, 1)])) == [(4, False)]
+    with ThreadPoolExecutor(1) as pool, executors.parcel(pool, [3, 4]) as packed:  # pieces for others carry it
+        assert list(executors.in_order(pool, first_of, [(packed, 1)])) == [(4, False)]
 
 
 def unwind(number, frame):

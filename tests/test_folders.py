@@ -14,17 +14,6 @@ import pytest
 
 from hyperval import storage
 from hyperval.errors import UsageError
-from hyperval.storage import (
-    COLLECTION,
-    LIST,
-    LOCK,
-    POWER,
-    RESULTS,
-    FolderKind,
-    Unplaced,
-    partial_folder,
-    whole_folder,
-)
 
 HEAD = '{\n "schema_version": 1,\n "hyperval_version": "0.1.0",\n "rows": []\n}\n'
 SRC = Path(storage.__file__).parents[1]
@@ -34,8 +23,8 @@ class Broken(Exception):
     pass
 
 
-def refused(path: Path, words: str, kind: FolderKind = RESULTS) -> None:
-    with pytest.raises(UsageError, match=words), whole_folder(path, kind):
+def refused(path: Path, words: str, kind: storage.FolderKind = storage.RESULTS) -> None:
+    with pytest.raises(UsageError, match=words), storage.whole_folder(path, kind):
         raise AssertionError("the block must not begin")
 
 
@@ -44,7 +33,7 @@ def files(folder: Path) -> dict[str, str]:
     return {
         p.relative_to(folder).as_posix(): p.read_text()
         for p in sorted(folder.rglob("*"))
-        if p.is_file() and p.name != LIST
+        if p.is_file() and p.name != storage.LIST
     }
 
 
@@ -56,7 +45,7 @@ def fill(folder: Path, **content: str) -> None:
 
 
 def run(path: Path, **content: str) -> None:
-    with whole_folder(path) as new:
+    with storage.whole_folder(path) as new:
         fill(new, results_json=HEAD, **content)
 
 
@@ -67,8 +56,8 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path):
         run(path, old_csv="1", figures__a_svg="<old>", figures__deep__b_svg="b")
     finally:
         os.umask(before)
-    assert [stat.S_IMODE(p.stat().st_mode) for p in (path, path / LIST)] == [0o750, 0o640]
-    with whole_folder(path) as new:
+    assert [stat.S_IMODE(p.stat().st_mode) for p in (path, path / storage.LIST)] == [0o750, 0o640]
+    with storage.whole_folder(path) as new:
         fill(new, results_json=HEAD, figures__a_svg="<new>")
         assert files(path)["old.csv"] == "1"
         run(path.with_name("report-2"))  # a neighbour whose name begins alike
@@ -101,7 +90,7 @@ def test_what_the_user_put_there_is_refused_and_stays(tmp_path: Path):
     before = files(other)
     refused(other, "holds files that no run wrote there")
     assert files(other) == before
-    assert not (other / LOCK).exists()
+    assert not (other / storage.LOCK).exists()
 
 
 def test_a_link_is_followed_and_stays(tmp_path: Path):
@@ -118,7 +107,7 @@ def test_a_failure_keeps_what_was_there(tmp_path: Path, first: bool):
     if not first:
         run(tmp_path / "report", old_csv="old")
 
-    with pytest.raises(Broken), whole_folder(tmp_path / "report") as new:  # noqa: PT012 - it ends in the middle
+    with pytest.raises(Broken), storage.whole_folder(tmp_path / "report") as new:  # noqa: PT012 - it ends in the middle
         fill(new, new_csv="ne")
         raise Broken
     assert [p.name for p in tmp_path.iterdir()] == ([] if first else ["report"])
@@ -126,21 +115,21 @@ def test_a_failure_keeps_what_was_there(tmp_path: Path, first: bool):
 
 
 def test_each_kind_is_replaced_by_its_own_alone(tmp_path: Path):
-    for kind in (RESULTS, COLLECTION, POWER):
+    for kind in (storage.RESULTS, storage.COLLECTION, storage.POWER):
         path = tmp_path / ("n" * 200 + kind.marker)  # a name nearly as long as a name can be
         for content in "12":
-            with whole_folder(path, kind) as new:
+            with storage.whole_folder(path, kind) as new:
                 (new / kind.marker).write_text(content)
                 (new / f"old{content}.yaml").write_text("")
         assert files(path) == {kind.marker: "2", "old2.yaml": ""}
-        other = COLLECTION if kind is RESULTS else RESULTS
+        other = storage.COLLECTION if kind is storage.RESULTS else storage.RESULTS
         refused(path, f"holds {kind.name}, not {other.name}", other)
 
 
 def test_a_damaged_list_loses_nothing(tmp_path: Path):
     path = tmp_path / "report"
     run(path, notes_txt="1")
-    (path / LIST).write_text('{"schema": 1, "kind": "results", "files": ["../../etc/passwd"]}')
+    (path / storage.LIST).write_text('{"schema": 1, "kind": "results", "files": ["../../etc/passwd"]}')
     with pytest.raises(UsageError, match=r"notes\.txt"):
         run(path, new_csv="2")
     assert set(files(path)) == {"results.json", "notes.txt"}
@@ -155,7 +144,7 @@ def test_places_where_no_folder_can_be_are_the_users_to_mend(tmp_path: Path, nam
 
 def test_two_runs_into_one_folder(tmp_path: Path):
     path = tmp_path / "report"
-    with whole_folder(path) as new:
+    with storage.whole_folder(path) as new:
         fill(new, results_json=HEAD, first_csv="1")
         refused(path, f"another run writes here \\(process {os.getpid()} on ")
     assert set(files(path)) == {"results.json", "first.csv"}
@@ -171,7 +160,7 @@ def test_the_working_directory_keeps_its_place(tmp_path: Path, monkeypatch: pyte
     run(Path(), new_csv="2")
     assert path.stat().st_ino == inode
     assert set(files(Path())) == {"results.json", "new.csv"}
-    assert partial_folder(Path()) == path / storage.PARTIAL
+    assert storage.partial_folder(Path()) == path / storage.PARTIAL
 
 
 def test_a_mounted_volume_is_written_inside(tmp_path: Path):
@@ -201,7 +190,9 @@ def test_results_that_cannot_be_placed_are_kept_and_named(tmp_path: Path, monkey
     run(path, old_csv="1")
 
     monkeypatch.setattr(os, "rename", lambda source, target: (_ for _ in ()).throw(OSError(errno.EBUSY, "busy")))
-    with pytest.raises(Unplaced, match=r"could not be put here: busy(?s:.*)they are complete in (.*): copy") as told:
+    with pytest.raises(
+        storage.Unplaced, match=r"could not be put here: busy(?s:.*)they are complete in (.*): copy"
+    ) as told:
         run(path, new_csv="2")
     monkeypatch.undo()
     (safe,) = path.glob(".hyperval-new-*")
@@ -215,11 +206,13 @@ def test_a_change_that_failed_is_finished_by_the_next_run(tmp_path: Path, monkey
     path = tmp_path / "report"
     run(path, old_csv="1")
     monkeypatch.setattr(os, "replace", lambda source, target: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
-    with pytest.raises(Unplaced, match=r"could not be put here: full(?s:.*)the next run into this folder finishes"):
+    with pytest.raises(
+        storage.Unplaced, match=r"could not be put here: full(?s:.*)the next run into this folder finishes"
+    ):
         run(path, new_csv="2")
     monkeypatch.undo()
     assert "results.json" not in files(path)
-    with pytest.raises(Broken), whole_folder(path):
+    with pytest.raises(Broken), storage.whole_folder(path):
         raise Broken
     assert set(files(path)) == {"results.json", "new.csv"}
 
@@ -271,7 +264,7 @@ def test_killed_at_any_point_the_old_report_or_the_new_one(tmp_path: Path, first
         if not first:
             assert there[".notes"] == "mine"
         seen = []
-        with whole_folder(path) as made:  # the next run
+        with storage.whole_folder(path) as made:  # the next run
             seen.append({k: v for k, v in files(path).items() if not k.startswith(".hyperval")})
             fill(made, results_json=HEAD)
         assert seen[0] in (old, new | mine), (steps, seen)

@@ -8,17 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hyperval import products
 from hyperval.attribute import AlarmRatio, alarm_ratios, quantities, reason_for, sampled_covariance, stacked
-from hyperval.products import (
-    EstimatedPart,
-    ExceedanceCurve,
-    ObjectScores,
-    ObservedProducts,
-    PredictedProducts,
-    RocCurve,
-    ScoreDistribution,
-    SpectralEstimate,
-)
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
@@ -26,23 +17,23 @@ PFA = np.array([1e-4, 1e-3, 1e-2, 0.1, 1.0])
 PIXEL, OBJECT, ALONE = ("p", "cem", "pixel"), ("p", "cem", "object"), ("q", "cem", "pixel")
 
 
-def curve(n: int | None = None) -> RocCurve:
-    return RocCurve(PFA, np.sqrt(PFA), np.sqrt(PFA), np.sqrt(PFA), -np.log10(PFA), n_background=n)
+def curve(n: int | None = None) -> products.RocCurve:
+    return products.RocCurve(PFA, np.sqrt(PFA), np.sqrt(PFA), np.sqrt(PFA), -np.log10(PFA), n_background=n)
 
 
 def test_spectra_are_compared_where_both_have_bands_and_some_light():
-    def spectrum(*values: float) -> SpectralEstimate:
-        return SpectralEstimate(np.array(values), np.eye(2))
+    def spectrum(*values: float) -> products.SpectralEstimate:
+        return products.SpectralEstimate(np.array(values), np.eye(2))
 
     predicted = {"grass": spectrum(2.0, 4.0), "dark": spectrum(1.0, 1.0), "gaps": spectrum(np.nan, np.nan)}
     observed = {"grass": spectrum(1.0, 3.0), "dark": spectrum(0.0, 0.0), "gaps": spectrum(1.0, 1.0)}
     items = quantities(
-        PredictedProducts(AXIS, radiance=predicted),
-        ObservedProducts(AXIS, radiance=observed | {"x": observed["grass"]}),
+        products.PredictedProducts(AXIS, radiance=predicted),
+        products.ObservedProducts(AXIS, radiance=observed | {"x": observed["grass"]}),
     )
     (item,) = items
     assert (item.product, item.subject, item.metric, item.observed) == ("radiance", "grass", "ratio_windows", 1.0)
-    assert item.read(PredictedProducts(AXIS, radiance=predicted)) == pytest.approx(3.0 / 2.0)
+    assert item.read(products.PredictedProducts(AXIS, radiance=predicted)) == pytest.approx(3.0 / 2.0)
 
 
 @pytest.mark.parametrize(("pixels", "bands", "known"), [(36, 16, 0.0), (36, 16, 1.0), (200, 16, 0.0), (30, 3, 0.1)])
@@ -50,9 +41,9 @@ def test_few_pixels_reject_a_right_model_at_their_level(pixels, bands, known):
     """A mean lies beyond the 95 % point of chi-square in 5 %; unwidened, in 53 % of regions of 36 pixels, 16 bands."""
     rng, beyond, eye = np.random.default_rng(3), [], np.eye(bands)
     for x in rng.standard_normal((2000, pixels, bands)):
-        part = EstimatedPart(np.cov(x.T) / pixels, pixels - 1.0)
+        part = products.EstimatedPart(np.cov(x.T) / pixels, pixels - 1.0)
         mean = x.mean(axis=0) + rng.standard_normal(bands) * np.sqrt(known / pixels)
-        spectrum = SpectralEstimate(mean, part.covariance + known / pixels * eye, estimated=(part,))
+        spectrum = products.SpectralEstimate(mean, part.covariance + known / pixels * eye, estimated=(part,))
         covariance = sampled_covariance(spectrum, np.ones(bands, dtype=bool), 1e-12 * eye)
         beyond.append(mean @ np.linalg.solve(covariance, mean) > stats.chi2.isf(0.05, bands))
     assert 0.03 < np.mean(beyond) < 0.07
@@ -60,28 +51,28 @@ def test_few_pixels_reject_a_right_model_at_their_level(pixels, bands, known):
 
 def test_curves_of_pixels_that_both_sides_have_are_compared_from_twenty_alarms_on():
     """Rates of 1e-2 and of 1e-3, each where the background has twenty pixels above the threshold."""
-    predicted = PredictedProducts(AXIS, roc={PIXEL: curve(), OBJECT: curve()})
-    observed = ObservedProducts(AXIS, roc={key: curve(2000) for key in (PIXEL, OBJECT, ALONE)})
+    predicted = products.PredictedProducts(AXIS, roc={PIXEL: curve(), OBJECT: curve()})
+    observed = products.ObservedProducts(AXIS, roc={key: curve(2000) for key in (PIXEL, OBJECT, ALONE)})
     assert [(i.product, i.subject, i.metric) for i in quantities(predicted, observed)] == [
         ("roc", "p", "pd@1e-2"), ("roc", "p", "pd@1e-3"),
     ]  # fmt: skip
     (block,) = stacked(predicted, observed).blocks
     assert block.observed == pytest.approx(np.log([1e-2]))
-    assert stacked(predicted, ObservedProducts(AXIS, roc={PIXEL: curve(1999)})).blocks == ()
-    assert quantities(PredictedProducts(AXIS), observed) == []
+    assert stacked(predicted, products.ObservedProducts(AXIS, roc={PIXEL: curve(1999)})).blocks == ()
+    assert quantities(products.PredictedProducts(AXIS), observed) == []
 
 
 def test_the_errors_of_a_measured_snr_and_of_scores_have_their_floors():
     """Of an SNR relative; of the scores of n normal pixels s^2/n and, in the logarithm of s, 1/(2 (n - 1))."""
-    predicted = PredictedProducts(
+    predicted = products.PredictedProducts(
         AXIS,
-        snr={"p": SpectralEstimate(np.array([90.0, 60.0]), np.zeros((2, 2)))},
-        scores={("p", "cem"): ScoreDistribution(0.5, 0.1)},
+        snr={"p": products.SpectralEstimate(np.array([90.0, 60.0]), np.zeros((2, 2)))},
+        scores={("p", "cem"): products.ScoreDistribution(0.5, 0.1)},
     )
-    measured = SpectralEstimate(np.array([100.0, 50.0]), np.diag([9.0, 4.0]))
-    scores = {("p", "cem"): ScoreDistribution(0.4, 0.2, n=5)}
+    measured = products.SpectralEstimate(np.array([100.0, 50.0]), np.diag([9.0, 4.0]))
+    scores = {("p", "cem"): products.ScoreDistribution(0.4, 0.2, n=5)}
     snr, score = stacked(
-        predicted, ObservedProducts(AXIS, snr={"p": measured, "elsewhere": measured}, scores=scores)
+        predicted, products.ObservedProducts(AXIS, snr={"p": measured, "elsewhere": measured}, scores=scores)
     ).blocks
     assert np.exp([snr.observed, snr.read(predicted)]) == pytest.approx(np.array([[100.0, 50.0], [90.0, 60.0]]))
     assert np.diag(snr.covariance) == pytest.approx([0.03**2 + 0.02**2, 0.04**2 + 0.02**2])
@@ -93,35 +84,40 @@ P = np.geomspace(0.5, 1e-5, 200)
 
 
 def exceedance(threshold, p, n=None, width=2.0):
-    return ExceedanceCurve(threshold, p, p / width, np.minimum(p * width, 1.0), n)
+    return products.ExceedanceCurve(threshold, p, p / width, np.minimum(p * width, 1.0), n)
 
 
 @pytest.mark.parametrize(("n", "levels"), [(50_000, ("1e-2", "1e-3")), (5_000, ("1e-2",))])
 def test_ratios_of_false_alarms_are_those_of_two_laws_where_there_are_ten(n, levels):
     """Measured scores with the tails of a t, predicted ones normal: the nearest point of the grid is 3 % off."""
     told, measured = exceedance(stats.norm.isf(P), P), exceedance(stats.t.isf(P, 10.0), P, n)
-    predicted = PredictedProducts(AXIS, exceedance={("roof", "cem"): told})
-    found = alarm_ratios(predicted, ObservedProducts(AXIS, exceedance={("roof", "cem"): measured}))
+    predicted = products.PredictedProducts(AXIS, exceedance={("roof", "cem"): told})
+    found = alarm_ratios(predicted, products.ObservedProducts(AXIS, exceedance={("roof", "cem"): measured}))
     assert list(found) == [("roof background", "cem", f"pfa_ratio@{level}") for level in levels]
     for level, ratio in zip(levels, found.values(), strict=True):
         assert ratio.value == pytest.approx(stats.norm.sf(stats.t.isf(float(level), 10.0)) / float(level), rel=0.3)
         assert ratio.lower < ratio.value < ratio.upper
-    assert alarm_ratios(PredictedProducts(AXIS), ObservedProducts(AXIS, exceedance={("roof", "cem"): measured})) == {}
+    assert (
+        alarm_ratios(
+            products.PredictedProducts(AXIS), products.ObservedProducts(AXIS, exceedance={("roof", "cem"): measured})
+        )
+        == {}
+    )
 
 
 def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
     """Pixels of one object are one, and a rate is known as well as blocks of the image say, not as its count."""
     key, n = ("roof planks", "cem"), 50_000
     draws = np.array([[0.8, 1.0], [1.2, 1.4]])
-    rising = [RocCurve(P[::-1], P[::-1], P[::-1], P[::-1], t, n_background=n)
+    rising = [products.RocCurve(P[::-1], P[::-1], P[::-1], P[::-1], t, n_background=n)
               for t in (stats.norm.isf(P[::-1]), stats.t.isf(P[::-1], 10.0))]  # fmt: skip
-    predicted = PredictedProducts(
-        AXIS, scores={key: ScoreDistribution(1.0, 0.3)}, object_scores={key: ObjectScores(draws)},
+    predicted = products.PredictedProducts(
+        AXIS, scores={key: products.ScoreDistribution(1.0, 0.3)}, object_scores={key: products.ObjectScores(draws)},
         roc={(*key, "pixel"): rising[0]},
     )  # fmt: skip
-    observed = ObservedProducts(
-        AXIS, scores={key: ScoreDistribution(0.9, 0.3, 40)}, roc={(*key, "pixel"): rising[1]},
-        object_scores={key: ObjectScores(np.array([0.7, 0.9, np.nan]))},
+    observed = products.ObservedProducts(
+        AXIS, scores={key: products.ScoreDistribution(0.9, 0.3, 40)}, roc={(*key, "pixel"): rising[1]},
+        object_scores={key: products.ObjectScores(np.array([0.7, 0.9, np.nan]))},
         exceedance={("roof", "cem"): exceedance(stats.t.isf(P, 10.0), P, n)},
     )  # fmt: skip
     objects, alarms = stacked(predicted, observed).blocks

@@ -7,20 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hyperval import cli
+from hyperval import campaign, cli
 from hyperval.attribute import InjectedError, injected_errors
-from hyperval.campaign import (
-    Injected,
-    PowerTable,
-    Sight,
-    accepted_table,
-    gate_values,
-    jobs_of,
-    own_files,
-    power_table,
-    run_campaign,
-    write_power_table,
-)
 from hyperval.errors import UsageError
 from hyperval.report import report_page
 from hyperval.results import Outcome, Result, Role
@@ -43,16 +31,16 @@ def on_radiance_alone(small, **limit: float) -> Path:
 
 
 ERRORS = {
-    BRIGHT: Injected(gates=("radiance | grass | sixs | bias_ratio",), informing={"snr": 1}),
-    "blur x 1.5": Injected(informing={"roc": 2}),
-    QUIET: Injected(),
-    TAILS: Injected(not_applicable="no class has tails"),
+    BRIGHT: campaign.Injected(gates=("radiance | grass | sixs | bias_ratio",), informing={"snr": 1}),
+    "blur x 1.5": campaign.Injected(informing={"roc": 2}),
+    QUIET: campaign.Injected(),
+    TAILS: campaign.Injected(not_applicable="no class has tails"),
 }
 
 
-def table(**more) -> PowerTable:
+def table(**more) -> campaign.PowerTable:
     fields = {"campaign": "small", "version": "0", "files": {"campaign.yaml": DIGEST}, "gates": 2, "disagreeing": 0}
-    return PowerTable.model_validate({"schema": 1, "errors": ERRORS, **fields, **more})
+    return campaign.PowerTable.model_validate({"schema": 1, "errors": ERRORS, **fields, **more})
 
 
 def row(outcome, subject="grass", role=Role.GATE, **more) -> Result:
@@ -62,16 +50,20 @@ def row(outcome, subject="grass", role=Role.GATE, **more) -> Result:
 @pytest.mark.slow
 def test_only_what_turns_counts_and_a_gate_that_nothing_fails_sees_nothing(make_small):
     """A limit that nearly nothing breaks, or one that is broken already, makes the same error unseen."""
-    (job,) = jobs_of(on_radiance_alone(make_small("sound"), at_most=0.02))
-    found = power_table(job, errors=some_errors(BRIGHT, QUIET, TAILS))
-    assert [p.sight for p in found.errors.values()] == [Sight.GATES, Sight.UNSEEN, Sight.NOT_APPLICABLE]
+    (job,) = campaign.jobs_of(on_radiance_alone(make_small("sound"), at_most=0.02))
+    found = campaign.power_table(job, errors=some_errors(BRIGHT, QUIET, TAILS))
+    assert [p.sight for p in found.errors.values()] == [
+        campaign.Sight.GATES,
+        campaign.Sight.UNSEEN,
+        campaign.Sight.NOT_APPLICABLE,
+    ]
     assert [name.split(" | ")[1] for name in found.errors[BRIGHT].gates] == SUBJECTS
     assert (found.gates, found.disagreeing, found.campaign) == (2, 0, "small")
     assert set(found.files) == {"campaign.yaml", "sensor.yaml"}
-    (job,) = jobs_of(on_radiance_alone(make_small("loose"), at_most=0.9))
-    assert not power_table(job, errors=some_errors(BRIGHT)).errors[BRIGHT].gates
-    (job,) = jobs_of(on_radiance_alone(make_small("broken"), within=[0.5, 0.6]))
-    broken = power_table(job, errors=some_errors(BRIGHT))
+    (job,) = campaign.jobs_of(on_radiance_alone(make_small("loose"), at_most=0.9))
+    assert not campaign.power_table(job, errors=some_errors(BRIGHT)).errors[BRIGHT].gates
+    (job,) = campaign.jobs_of(on_radiance_alone(make_small("broken"), within=[0.5, 0.6]))
+    broken = campaign.power_table(job, errors=some_errors(BRIGHT))
     # One is not met without the error, and does not count with it; the other was inconclusive.
     assert (broken.gates, broken.disagreeing) == (1, 1)
     assert [name.split(" | ")[1] for name in broken.errors[BRIGHT].gates] == ["white-panel"]
@@ -86,21 +78,21 @@ def test_the_sentence_names_what_goes_unseen():
 
 
 def test_a_table_is_stored_and_read_back_and_says_what_is_younger(tmp_path):
-    write_power_table(tmp_path / "small.yaml", table())
-    assert accepted_table("small", tmp_path) == table()
-    assert accepted_table("other", tmp_path) is None
+    campaign.write_power_table(tmp_path / "small.yaml", table())
+    assert campaign.accepted_table("small", tmp_path) == table()
+    assert campaign.accepted_table("other", tmp_path) is None
     (tmp_path / "other.yaml").write_text((tmp_path / "small.yaml").read_text())
     with pytest.raises(UsageError, match="is the power table of 'small'"):
-        accepted_table("other", tmp_path)
+        campaign.accepted_table("other", tmp_path)
     inputs = [
         {"reference": "campaign.yaml", "sha256": DIGEST}, {"reference": "data:set/cube.hdr", "sha256": "0"},
         {"reference": "scenario.yaml", "sha256": DIGEST},
     ]  # fmt: skip
-    assert own_files(inputs) == {"campaign.yaml": DIGEST, "scenario.yaml": DIGEST}
+    assert campaign.own_files(inputs) == {"campaign.yaml": DIGEST, "scenario.yaml": DIGEST}
     assert table().changed_files(inputs) == ["scenario.yaml"]
     assert table().changed_files([{"reference": "campaign.yaml", "sha256": "1"}]) == ["campaign.yaml"]
     # The code may have changed and no file of the campaign: what the gates gave then stands in the table.
-    then = table(stated=gate_values([row(Outcome.AGREES), row(Outcome.AGREES, "roof")]))
+    then = table(stated=campaign.gate_values([row(Outcome.AGREES), row(Outcome.AGREES, "roof")]))
     now = [row(Outcome.AGREES), row(Outcome.AGREES, "roof"), row(Outcome.AGREES, "lawn", Role.INFORM)]
     assert then.moved_gates(now) == []
     assert then.moved_gates([now[0], replace(now[1], value=0.2)]) == ["radiance | roof | sixs | bias_ratio"]
@@ -121,21 +113,21 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
         "small,noise x 1.5,unseen,0,0,",
         "small,tails left out,not applicable,0,0,no class has tails",
     ]
-    run = run_campaign(jobs_of(path)[0])
+    run = campaign.run_campaign(campaign.jobs_of(path)[0])
     assert run.power is not None
     page = report_page(run, [])
     assert "Undetected: noise x 1.5." in page[: page.index("<nav")]
     assert "The table is" not in page
     assert "What this campaign could have found is not known" in report_page(replace(run, power=None), [])
     place = tmp_path / "validation/power/small.yaml"
-    known, inputs = accepted_table("small", place.parent), run.provenance["inputs"]
+    known, inputs = campaign.accepted_table("small", place.parent), run.provenance["inputs"]
     changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in inputs]
     younger = report_page(replace(run, power=known.told(changed, run.table)), [])
     assert "The table is older than campaign.yaml" in younger[: younger.index("<nav")]
     old = known.model_copy(update={"stated": dict.fromkeys(known.stated, 0.5)})
     assert old.told(inputs, run.table).stale.startswith("The table is old: 2 of its criteria had other values")
-    errors = {BRIGHT: Injected(), "another": Injected(), TAILS: known.errors[TAILS]}
-    write_power_table(place, known.model_copy(update={"errors": errors}))
+    errors = {BRIGHT: campaign.Injected(), "another": campaign.Injected(), TAILS: known.errors[TAILS]}
+    campaign.write_power_table(place, known.model_copy(update={"errors": errors}))
     capsys.readouterr()
     assert cli.run(["power", str(path)]) == 1
     said = capsys.readouterr().err

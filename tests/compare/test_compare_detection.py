@@ -7,19 +7,8 @@ import pytest
 from scipy import stats
 from scipy.stats import norm
 
-from hyperval import compare
+from hyperval import compare, model
 from hyperval.errors import UsageError
-from hyperval.model import (
-    AREAS,
-    WHOLE,
-    Z95,
-    ClassScores,
-    clopper_pearson,
-    curve_area,
-    greatest_class_false_alarm,
-    thresholds_at,
-    zero_count_upper_limit,
-)
 from hyperval.pixels import counts_of, empirical_roc, roc_area, with_summary
 from hyperval.products import (
     Abundance,
@@ -81,7 +70,7 @@ def test_difference_interval_covers_and_takes_the_sides_that_stretch_it():
     rng = np.random.default_rng(2)
     hits = 0
     for a, b in zip(rng.binomial(40, 0.8, 1000), rng.binomial(25, 0.6, 1000), strict=True):
-        one, two = (tuple(map(float, clopper_pearson(k, n))) for k, n in ((a, 40), (b, 25)))
+        one, two = (tuple(map(float, model.clopper_pearson(k, n))) for k, n in ((a, 40), (b, 25)))
         low, high = compare.difference_interval(a / 40, one, b / 25, two)
         hits += low <= 0.2 <= high
     assert hits / 1000 > 0.93
@@ -102,7 +91,7 @@ def test_points_that_the_background_or_a_curve_does_not_reach():
     assert np.isnan(roc(model_curve(2.0), bare, pfa=[1e-2])["pd_inside_interval@1e-2"].value)  # neither in nor out
     point = roc(bare, measured_curve(2.0), pfa=[1e-2])["pd_predicted@1e-2"]
     assert point.lower == point.value
-    value, interval = compare.predicted_area(bare, AREAS["partial_auc@0..1e-1"])
+    value, interval = compare.predicted_area(bare, model.AREAS["partial_auc@0..1e-1"])
     assert interval == (value, value)
     with pytest.raises(UsageError, match="by pixel, the measured by object"):
         roc(model_curve(2.0, unit="pixel"), measured_curve(2.0))
@@ -125,7 +114,7 @@ def test_areas_with_and_without_estimates():
     rng = np.random.default_rng(3)
     t, b = rng.normal(2, 1, 200), rng.normal(0, 1, 50000)
     whole, truth = model_curve(2.0), norm.cdf(2 / np.sqrt(2))
-    assert curve_area(whole, WHOLE) == pytest.approx(truth, abs=1e-5)
+    assert model.curve_area(whole, model.WHOLE) == pytest.approx(truth, abs=1e-5)
     # A curve that stops early is joined to (1, 1); one that begins above P_FA 0.01 has no area.
     for kept, value in ((whole.pfa <= 0.6, 0.0), (whole.pfa <= 0.3, 0.0), (whole.pfa >= 0.02, np.nan)):
         row = roc(curve(whole.pfa[kept], whole.pd[kept]), whole)["auc_difference"]
@@ -169,9 +158,9 @@ def test_sd_ratio_interval_covers():
 
 def test_every_subject_of_either_side_has_rows():
     axis = SpectralAxis(np.arange(450.0, 900.0, 10.0), 10.0)
-    one, model, measured = SpectralEstimate(np.ones(45), 1e-4 * np.eye(45)), model_curve(3.0), measured_curve(3.0)
+    one, expected, measured = SpectralEstimate(np.ones(45), 1e-4 * np.eye(45)), model_curve(3.0), measured_curve(3.0)
     left = {"radiance": {"grass": one, "only model": one}, "reflectance": {"grass": one}}
-    left["roc"] = {("t", "cem", "object"): model, ("u", "cem", "object"): model}
+    left["roc"] = {("t", "cem", "object"): expected, ("u", "cem", "object"): expected}
     right = {"radiance": {"grass": one, "only data": one}, "snr": {"grass": one}}
     right["roc"] = {("t", "cem", "object"): measured, ("t", "ace", "object"): measured}
     predicted, observed = PredictedProducts(axis, **left), ObservedProducts(axis, **right)
@@ -205,9 +194,11 @@ def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
         assert rows[f"far_measured@{level}"].value == pytest.approx(float(level) * 20_000 / KM2)
     # 200 alarms of 20,000, each of both counts by the root of 95 %.
     alarms, joint, found = rows["far_measured@1e-2"], rows["joint_pfa@1e-2"], rows["joint_pd@1e-2"]
-    assert (alarms.lower, alarms.upper) == pytest.approx(np.array(clopper_pearson(200, 20_000)) * 20_000 / KM2)
+    assert (alarms.lower, alarms.upper) == pytest.approx(np.array(model.clopper_pearson(200, 20_000)) * 20_000 / KM2)
     assert alarms.reason == "200 alarms on 0.08 km2"
-    assert (joint.lower, joint.upper) == pytest.approx([float(x) for x in clopper_pearson(200, 20_000, np.sqrt(0.95))])
+    assert (joint.lower, joint.upper) == pytest.approx(
+        [float(x) for x in model.clopper_pearson(200, 20_000, np.sqrt(0.95))]
+    )
     assert f"{round(found.value * 30)} of 30 objects and 200 of 20000 background samples" in joint.reason
     wrong = roc(model_curve(4.5), measured_curve(2.5))
     assert wrong["pd_inside_joint_region@1e-2"].value == 0.0
@@ -218,7 +209,7 @@ def test_no_alarm_at_all_still_has_an_upper_limit():
     t, b = np.arange(20) + 100.0, np.random.default_rng(0).normal(size=12_203)
     measured = with_summary(empirical_roc(t, b, unit="object", background_area_km2=KM2), t, b)
     row = roc(model_curve(9.0), measured)["far_measured@pd0.5"]
-    one_sided = zero_count_upper_limit(12_203) * 12_203 / KM2
+    one_sided = model.zero_count_upper_limit(12_203) * 12_203 / KM2
     assert (row.value, row.lower, row.upper >= one_sided) == (0.0, 0.0, True)
     assert f"at most {one_sided:.4g}" in row.reason
 
@@ -294,9 +285,9 @@ def test_both_readings_are_reported_where_they_differ():
     # Two classes; the rarer has the longer tail: its own P_FA is ten times that of the scene.
     for numbers, told in (([[0.9, 0.1]], [[0.0, 0.1]], [[0.1, 0.2]]), True), (([[1.0]], [[0.0]], [[0.1]]), False):
         share, mean, sd = map(np.array, numbers)
-        classes = ClassScores(share, mean, sd, np.full(mean.shape, np.inf))
-        x = thresholds_at(PFA[None], classes)[0]
-        preset = greatest_class_false_alarm(x, classes.rows(np.zeros(x.size, int)))
+        classes = model.ClassScores(share, mean, sd, np.full(mean.shape, np.inf))
+        x = model.thresholds_at(PFA[None], classes)[0]
+        preset = model.greatest_class_false_alarm(x, classes.rows(np.zeros(x.size, int)))
         pd = norm.sf((x - 0.6) / 0.15)
         measured = curve(PFA, pd, 0.05, n_target=300, n_background=100_000)
         rows = roc(curve(PFA, pd, preset_pfa=preset), measured)
@@ -315,7 +306,7 @@ def areas(predicted, observed):
 
 def test_errors_of_areas_by_hand():
     row = areas(Abundance(5.0, 0.3), Abundance(4.0, 0.4, 9, 2.5))
-    half = {metric: (r.upper - r.lower) / 2.0 / Z95 for metric, r in row.items() if np.isfinite(r.upper)}
+    half = {metric: (r.upper - r.lower) / 2.0 / model.Z95 for metric, r in row.items() if np.isfinite(r.upper)}
     # d(o/p) = do/p - o dp/p^2; d(p/o - 1) = dp/o - p do/o^2.
     assert half == pytest.approx({
         "area_ratio": np.hypot(0.4 / 5.0, 4.0 * 0.3 / 25.0), "area_nominal_ratio": 0.4 / 2.5,
@@ -342,10 +333,10 @@ def test_intervals_of_the_errors_of_several_areas():
     assert {r.subject for r in rows.values()} == {"all targets of 2 m2"}
     assert rows["area_rmse_predicted"].value == pytest.approx(np.sqrt(0.05**2 + np.mean(spread**2)))
     low, high = stats.t.interval(0.95, 2, loc=error.mean(), scale=stats.sem(error))
-    bias, model, rmse = (rows[f"area_{name}"] for name in ("bias_observed", "bias_predicted", "rmse_observed"))
+    bias, expected, rmse = (rows[f"area_{name}"] for name in ("bias_observed", "bias_predicted", "rmse_observed"))
     assert (bias.lower, bias.value, bias.upper) == pytest.approx((low, error.mean(), high))
-    half = Z95 * np.sqrt(0.04 + 0.09 + 0.36) / 3
-    assert (model.upper - model.value, model.value - model.lower) == pytest.approx((half, half))
+    half = model.Z95 * np.sqrt(0.04 + 0.09 + 0.36) / 3
+    assert (expected.upper - expected.value, expected.value - expected.lower) == pytest.approx((half, half))
     square = np.sum(error**2)  # over chi-square of three: the mean square of errors of mean 0
     ends = np.sqrt(square / stats.chi2.ppf([0.975, 0.025], 3))
     assert (rmse.lower, rmse.value, rmse.upper) == pytest.approx((ends[0], np.sqrt(square / 3), ends[1]))
@@ -369,11 +360,11 @@ def test_predicted_alarms_lie_where_the_band_reaches_the_stated_detection():
 
 def test_ratio_of_false_alarms():
     x = np.linspace(0.0, 5.0, 200)
-    model, true = norm.sf(x), 2.0 * norm.sf(x).clip(0, 0.5)
+    expected, true = norm.sf(x), 2.0 * norm.sf(x).clip(0, 0.5)
 
     def ratios(n, low=true, high=true):
         measured = None if n is None else ExceedanceCurve(x, true, low, high, n)
-        law = ExceedanceCurve(x, model, model, model)
+        law = ExceedanceCurve(x, expected, expected, expected)
         return by_metric(compare.compare_exceedance(law, measured, subject="t background", method="cem"))
 
     rows = ratios(20_000, true / 1.5, true * 1.5)

@@ -15,17 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperval.baseline import (
-    DEFAULT_FOLDER,
-    SENSORS,
-    Accepted,
-    Baseline,
-    accepted_of,
-    campaign_metrics,
-    compare,
-    load_baseline,
-    sensor_metrics,
-)
+from hyperval import baseline
 from hyperval.campaign import job_of, run_campaign
 from hyperval.model import FILTERS, LinearFilter, fixed_fill, matched_filter_weights
 from hyperval.results import Outcome, Result
@@ -43,29 +33,29 @@ def campaign_numbers(small: SmallCampaign) -> dict[str, Result]:
         mean = subject["fill"].get("fixed", subject["fill"].get("mean"))
         subject["fill"] = {"mean": mean, "sd": 0.02}
     path = small.write()
-    return campaign_metrics(run_campaign(job_of(path), show_progress=False).table)
+    return baseline.campaign_metrics(run_campaign(job_of(path), show_progress=False).table)
 
 
 def sensor_numbers() -> dict[str, Result]:
-    return sensor_metrics(load_sensor(SENSOR), stand_in_atmosphere)
+    return baseline.sensor_metrics(load_sensor(SENSOR), stand_in_atmosphere)
 
 
 @pytest.fixture(scope="module")
-def sound_sensor() -> dict[str, Accepted]:
-    return accepted_of(sensor_numbers(), {})
+def sound_sensor() -> dict[str, baseline.Accepted]:
+    return baseline.accepted_of(sensor_numbers(), {})
 
 
 @pytest.fixture(scope="module")
-def sound_campaign(small_collection: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Accepted]:
+def sound_campaign(small_collection: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, baseline.Accepted]:
     folder = tmp_path_factory.mktemp("sound") / "small"
     shutil.copytree(small_collection, folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hyperval.model.world.atmospheric_terms", stand_in_atmosphere)
-        return accepted_of(campaign_numbers(SmallCampaign(folder)), {})
+        return baseline.accepted_of(campaign_numbers(SmallCampaign(folder)), {})
 
 
-def wrong(accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:
-    return [d for d in compare("it", accepted, now) if d.outcome is Outcome.DISAGREES]
+def wrong(accepted: Mapping[str, baseline.Accepted], now: Mapping[str, Result]) -> list[Result]:
+    return [d for d in baseline.compare("it", accepted, now) if d.outcome is Outcome.DISAGREES]
 
 
 def wrapped(name: str, change: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Callable[[Patch], None]:
@@ -166,13 +156,13 @@ def science_changes() -> list[str]:
 
 
 def baselines() -> list[Path]:
-    return sorted((ROOT / DEFAULT_FOLDER).rglob("*.yaml"))
+    return sorted((ROOT / baseline.DEFAULT_FOLDER).rglob("*.yaml"))
 
 
 @functools.cache
-def accepted(path: Path) -> Baseline:
+def accepted(path: Path) -> baseline.Baseline:
     """What the file holds, read once for all tests."""
-    return load_baseline(path)
+    return baseline.load_baseline(path)
 
 
 def test_every_accepted_number_is_logged():
@@ -187,13 +177,13 @@ WITHOUT_IMAGES = {"share2012-avon", "share2012-felt", "share2010-felt", "share20
 
 
 def test_every_sensor_and_campaign_has_a_baseline_and_no_other():
-    assert {p.stem for p in baselines() if p.parent.name == SENSORS} == set(library_names())
+    assert {p.stem for p in baselines() if p.parent.name == baseline.SENSORS} == set(library_names())
     names = {
         re.search(r"^name: (\S+)$", p.read_text("utf-8"), re.MULTILINE)[1]
         for p in (ROOT / "campaigns").rglob("campaign*.yaml")
     }
     runnable = {n for n in names if n not in WITHOUT_IMAGES and "{" not in n}
-    assert {p.stem for p in baselines() if p.parent.name != SENSORS} == runnable
+    assert {p.stem for p in baselines() if p.parent.name != baseline.SENSORS} == runnable
 
 
 def test_accepted_numbers_are_numbers():

@@ -15,23 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hyperval import products
 from hyperval.cli import app
 from hyperval.compare import compare_products
 from hyperval.metrics import Evidence, Kind, Metric, metric_of, table
-from hyperval.products import (
-    Abundance,
-    AlarmsAtDetection,
-    AreaEstimate,
-    ClassificationError,
-    ExceedanceCurve,
-    ObjectScores,
-    ObservedProducts,
-    PixelDistribution,
-    PredictedProducts,
-    RocCurve,
-    ScoreDistribution,
-    SpectralEstimate,
-)
 from hyperval.spectra import SpectralAxis
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,72 +104,76 @@ BANDS = len(AXIS)
 RNG = np.random.default_rng(8)
 
 
-def spectrum(noise: float = 0.0, n: int | None = 400) -> SpectralEstimate:
+def spectrum(noise: float = 0.0, n: int | None = 400) -> products.SpectralEstimate:
     """A tilted spectrum with noise of its own."""
     mean = np.linspace(1.0, 2.0, BANDS) * (1.0 + noise * RNG.standard_normal(BANDS))
     spread = 0.01 * np.exp(-np.abs(np.subtract.outer(np.arange(BANDS), np.arange(BANDS))) / 4.0)
-    return SpectralEstimate(mean, 1e-4 * np.eye(BANDS), spread + 1e-3 * np.eye(BANDS), n)
+    return products.SpectralEstimate(mean, 1e-4 * np.eye(BANDS), spread + 1e-3 * np.eye(BANDS), n)
 
 
-def curve(top: float, measured: bool) -> RocCurve:
+def curve(top: float, measured: bool) -> products.RocCurve:
     """A rising curve; a measured one knows its counts."""
     pfa = np.array([1e-4, 1e-3, 1e-2, 1e-1, 1.0])
     pd = np.clip(top * np.array([0.3, 0.5, 0.7, 0.9, 1.0 / top]), 0.0, 1.0)
     if not measured:
-        return RocCurve(pfa, pd, pd - 0.02, np.minimum(pd + 0.02, 1.0), -pfa, "pixel", preset_pfa=pfa / 2)
-    return RocCurve(
+        return products.RocCurve(pfa, pd, pd - 0.02, np.minimum(pd + 0.02, 1.0), -pfa, "pixel", preset_pfa=pfa / 2)
+    return products.RocCurve(
         pfa, pd, pd - 0.1, np.minimum(pd + 0.1, 1.0), -pfa, "pixel", 40, 100_000,
         alarms=np.round(pfa * 100_000).astype(int), background_area_km2=0.4,
         areas={
-            name: AreaEstimate(0.8, 0.7, 0.9, "placements")
+            name: products.AreaEstimate(0.8, 0.7, 0.9, "placements")
             for name in ("auc", "partial_auc@0..1e-2", "log_auc@1e-3..1e-1")
         },
-        at_detection=(AlarmsAtDetection(0.5, -1e-3, 100, 1e-3, 1e-4, 1e-2, 1e-4, 1e-2),),
+        at_detection=(products.AlarmsAtDetection(0.5, -1e-3, 100, 1e-3, 1e-4, 1e-2, 1e-4, 1e-2),),
     )  # fmt: skip
 
 
-def sides() -> tuple[PredictedProducts, ObservedProducts]:
+def sides() -> tuple[products.PredictedProducts, products.ObservedProducts]:
     """Every product on both sides, none of them equal."""
     draws = {k: 0.3 * i + 0.1 * RNG.standard_normal((50, 80)) for i, k in enumerate("abc")}
     x = np.linspace(0.0, 4.0, 60)
     fall = np.exp(-x)
     target, mixed, spectra = ("t", "cem"), ("tape", "cem"), ("radiance", "snr", "reflectance", "toa_reflectance")
-    predicted = PredictedProducts(
+    predicted = products.PredictedProducts(
         AXIS,
         **{name: {"g": spectrum()} for name in spectra},
-        roc={(*target, "pixel"): curve(0.9, False)}, scores={target: ScoreDistribution(1.0, 0.2)},
+        roc={(*target, "pixel"): curve(0.9, False)}, scores={target: products.ScoreDistribution(1.0, 0.2)},
         abundance={
-            target: Abundance(4.0, 0.2),
-            mixed: Abundance(4.0, 0.0, modelled=False),
-            **{(k, "fcls"): Abundance(1.1, 0.1, 4, 1.0) for k in "abc"},
+            target: products.Abundance(4.0, 0.2),
+            mixed: products.Abundance(4.0, 0.0, modelled=False),
+            **{(k, "fcls"): products.Abundance(1.1, 0.1, 4, 1.0) for k in "abc"},
         },
-        object_scores={(k, "cem"): ObjectScores(values) for k, values in draws.items()},
-        exceedance={target: ExceedanceCurve(x, fall, fall, fall)},
-        distribution={"g": PixelDistribution(20.0, math.nan, math.nan, math.nan)},
-        classification={("g / h", "f"): ClassificationError(0.1, 0.09, 0.11, bound_lower=0.01, bound_upper=0.2)},
+        object_scores={(k, "cem"): products.ObjectScores(values) for k, values in draws.items()},
+        exceedance={target: products.ExceedanceCurve(x, fall, fall, fall)},
+        distribution={"g": products.PixelDistribution(20.0, math.nan, math.nan, math.nan)},
+        classification={
+            ("g / h", "f"): products.ClassificationError(0.1, 0.09, 0.11, bound_lower=0.01, bound_upper=0.2)
+        },
     )  # fmt: skip
-    tails = PixelDistribution(
+    tails = products.PixelDistribution(
         30.0, 20.0, 60.0, 0.3, 6, 25.0, 18.0, 50.0, 3, n=400, effective_n=np.array([300.0, 320.0])
     )  # fmt: skip
-    observed = ObservedProducts(
+    observed = products.ObservedProducts(
         AXIS,
         **{name: {"g": spectrum(0.02)} for name in spectra[:-1]},
         toa_reflectance={"g": replace(spectrum(0.02), stated=np.full(BANDS, 0.01))},
-        roc={(*target, "pixel"): curve(0.8, True)}, scores={target: ScoreDistribution(0.9, 0.25, 50)},
+        roc={(*target, "pixel"): curve(0.8, True)}, scores={target: products.ScoreDistribution(0.9, 0.25, 50)},
         abundance={
-            target: Abundance(3.8, 0.3, 20),
-            mixed: Abundance(3.8, 0.3, 20),
-            **{(k, "fcls"): Abundance(1.0 + 0.1 * i, 0.1, 4, 1.0) for i, k in enumerate("abc")},
+            target: products.Abundance(3.8, 0.3, 20),
+            mixed: products.Abundance(3.8, 0.3, 20),
+            **{(k, "fcls"): products.Abundance(1.0 + 0.1 * i, 0.1, 4, 1.0) for i, k in enumerate("abc")},
         },
-        object_scores={(k, "cem"): ObjectScores(np.array([0.3 * i + 0.05]), (k,)) for i, k in enumerate("abc")},
-        exceedance={target: ExceedanceCurve(x, fall**1.1, fall**1.2, fall, 100_000)},
+        object_scores={
+            (k, "cem"): products.ObjectScores(np.array([0.3 * i + 0.05]), (k,)) for i, k in enumerate("abc")
+        },
+        exceedance={target: products.ExceedanceCurve(x, fall**1.1, fall**1.2, fall, 100_000)},
         distribution={"g": tails},
-        classification={("g / h", "f"): ClassificationError(0.12, 0.1, 0.14, 400, 380.0)},
+        classification={("g / h", "f"): products.ClassificationError(0.12, 0.1, 0.14, 400, 380.0)},
     )  # fmt: skip
     return predicted, observed
 
 
-def brighter(s: SpectralEstimate) -> SpectralEstimate:
+def brighter(s: products.SpectralEstimate) -> products.SpectralEstimate:
     tilt = np.linspace(1.2, 1.8, BANDS)
     spread = 2.25 * s.pixel_covariance + 0.01 * np.outer(tilt, tilt)
     return replace(s, mean=tilt * s.mean, error_covariance=2.25 * s.error_covariance, pixel_covariance=spread)
@@ -190,25 +181,25 @@ def brighter(s: SpectralEstimate) -> SpectralEstimate:
 
 # A product whose every number is another: spectra brighter, scores + 1, probabilities and areas changed.
 MOVED: dict[type, Callable[[Any], Any]] = {
-    SpectralEstimate: brighter,
-    RocCurve: lambda c: replace(c, pd=c.pd**1.5, pd_lower=c.pd_lower**1.5 - 0.01, pd_upper=c.pd_upper**1.5),
-    ScoreDistribution: lambda s: replace(s, mean=s.mean + 1.0, sd=1.5 * s.sd),
-    Abundance: lambda a: (
-        Abundance(1.5 * a.area_m2, 3.0 * a.standard_uncertainty, a.n, a.nominal_m2) if a.modelled else a
+    products.SpectralEstimate: brighter,
+    products.RocCurve: lambda c: replace(c, pd=c.pd**1.5, pd_lower=c.pd_lower**1.5 - 0.01, pd_upper=c.pd_upper**1.5),
+    products.ScoreDistribution: lambda s: replace(s, mean=s.mean + 1.0, sd=1.5 * s.sd),
+    products.Abundance: lambda a: (
+        products.Abundance(1.5 * a.area_m2, 3.0 * a.standard_uncertainty, a.n, a.nominal_m2) if a.modelled else a
     ),
-    ObjectScores: lambda s: ObjectScores(s.values + 1.0),
-    ExceedanceCurve: lambda c: replace(c, threshold=c.threshold + 1.0),
-    PixelDistribution: lambda d: replace(d, tail_dof=6.0),
-    ClassificationError: lambda e: replace(
+    products.ObjectScores: lambda s: products.ObjectScores(s.values + 1.0),
+    products.ExceedanceCurve: lambda c: replace(c, threshold=c.threshold + 1.0),
+    products.PixelDistribution: lambda d: replace(d, tail_dof=6.0),
+    products.ClassificationError: lambda e: replace(
         e, error=0.3, lower=0.2, upper=0.4, bound_lower=0.05, distance=2.0, approximation=0.3
     ),
 }
 
 
-def moved(predicted: PredictedProducts) -> PredictedProducts:
+def moved(predicted: products.PredictedProducts) -> products.PredictedProducts:
     """A prediction of other numbers."""
     held = {f.name: value for f in fields(predicted) if isinstance(value := getattr(predicted, f.name), dict)}
-    changed = {name: {k: MOVED[type(v)](v) for k, v in products.items()} for name, products in held.items()}
+    changed = {name: {k: MOVED[type(v)](v) for k, v in values.items()} for name, values in held.items()}
     return replace(predicted, **changed)
 
 

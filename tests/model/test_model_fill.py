@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.model import (
-    FillDistribution,
-    Neighbour,
-    TargetGeometry,
-    object_fills,
-    pixel_fills,
-    shared_pixel_fills,
-)
+from hyperval import model
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class, builtin_mean
 
@@ -32,7 +25,7 @@ def test_a_surface_is_physical_and_of_full_rank(name):
 
 def test_binned_distribution_keeps_mean_and_nearly_the_variance():
     rng = np.random.default_rng(1)
-    fill = FillDistribution(rng.random(2000), np.full(2000, 1 / 2000))
+    fill = model.FillDistribution(rng.random(2000), np.full(2000, 1 / 2000))
     binned = fill.binned(48)
     assert binned.values.size <= 48
     assert binned.mean == pytest.approx(fill.mean, rel=1e-12)
@@ -41,14 +34,14 @@ def test_binned_distribution_keeps_mean_and_nearly_the_variance():
 
 
 def neighbour_fill_geometry(length=1.0, width=1.4, heading=12.0, blur=1.0, phase="random"):
-    return TargetGeometry(length, width, 0.7, heading, blur, phase)
+    return model.TargetGeometry(length, width, 0.7, heading, blur, phase)
 
 
 @pytest.mark.parametrize("blur", [0.5, 1.0, (1.0, 0.6)])
 @pytest.mark.parametrize("heading", [0.0, 12.0, 80.0])
 def test_alone_it_is_the_fill_of_the_object(blur, heading):
-    own, others = shared_pixel_fills(neighbour_fill_geometry(heading=heading, blur=blur), 60, [])
-    assert own == pytest.approx(object_fills(neighbour_fill_geometry(heading=heading, blur=blur), 60), abs=2e-4)
+    own, others = model.shared_pixel_fills(neighbour_fill_geometry(heading=heading, blur=blur), 60, [])
+    assert own == pytest.approx(model.object_fills(neighbour_fill_geometry(heading=heading, blur=blur), 60), abs=2e-4)
     assert others.shape == (377, 60, 0)
 
 
@@ -56,9 +49,9 @@ def test_the_neighbour_lies_where_it_is_said_to():
     """Lines first: a neighbour below fills pixels below, by another route at one stated place."""
     own = neighbour_fill_geometry(1.0, 1.0, 20.0, phase="centred")
     offset = (2.2, -0.7)
-    fills, others = shared_pixel_fills(own, 25, [Neighbour(own, offset)])
-    mine = pixel_fills(own, [[0.0, 0.0]], [20.0])[0]
-    beside = pixel_fills(own, [[offset[1] % 1.0 - 1.0, offset[0] % 1.0]], [20.0])[0]  # (x, y) within a pixel
+    fills, others = model.shared_pixel_fills(own, 25, [model.Neighbour(own, offset)])
+    mine = model.pixel_fills(own, [[0.0, 0.0]], [20.0])[0]
+    beside = model.pixel_fills(own, [[offset[1] % 1.0 - 1.0, offset[0] % 1.0]], [20.0])[0]  # (x, y) within a pixel
     # Its grid is moved by whole pixels: two lines down, no sample (the -0.7 is already within a pixel's reach).
     shift = int(np.floor(offset[0])), int(np.floor(offset[1])) + 1
     half = mine.shape[0] // 2
@@ -73,5 +66,7 @@ def test_the_neighbour_lies_where_it_is_said_to():
 def test_places_known_roughly_never_fill_a_pixel_twice():
     rng = np.random.default_rng(1)
     square = neighbour_fill_geometry(2.0, 2.0, 0.0)
-    own, others = shared_pixel_fills(square, 16, [Neighbour(square, (0.0, 2.2))], rng.normal(0.0, 0.5, (377, 1, 2)))
+    own, others = model.shared_pixel_fills(
+        square, 16, [model.Neighbour(square, (0.0, 2.2))], rng.normal(0.0, 0.5, (377, 1, 2))
+    )
     assert np.all(own + others.sum(axis=2) <= 1.0 + 1e-12)

@@ -9,19 +9,9 @@ import numpy as np
 import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, SCENE, engine, scenario
 
+from hyperval import model
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.model import (
-    Origins,
-    SurfaceStatistics,
-    detection_bands,
-    engine_notes,
-    fill_distribution,
-    predict,
-    spectrum_error_sd,
-    unstated_notes,
-    with_sensor_blur,
-)
 from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario, SpectrumUncertainty, Uncertainty, load_scenario
 from hyperval.sensor import load_sensor
@@ -29,8 +19,8 @@ from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class, write_statistics_library
 
 
-def of(extra: str = ATMOSPHERE, origins: Origins = ORIGINS, **replaced: str) -> PredictedProducts:
-    return predict(scenario(extra, **replaced), origins)
+def of(extra: str = ATMOSPHERE, origins: model.Origins = ORIGINS, **replaced: str) -> PredictedProducts:
+    return model.predict(scenario(extra, **replaced), origins)
 
 
 def beside(folder: Path, spectrum: str) -> Scenario:
@@ -47,7 +37,7 @@ def test_measured_tails_come_with_the_measured_covariance(mean):
     court = replace(builtin_class("soil", AXIS), tail_dof=4.5)
 
     def dof(text):
-        p = predict(scenario(scene=text), replace(ORIGINS, measured={"court": court}))
+        p = model.predict(scenario(scene=text), replace(ORIGINS, measured={"court": court}))
         return p.distribution["asphalt"].tail_dof
 
     text = SCENE.replace(*measured)
@@ -61,7 +51,7 @@ def test_spectrum_from_a_file_is_relative_to_the_scenario(tmp_path):
     (tmp_path / "panel.csv").write_text("wavelength_nm,reflectance\n" + rows + "\n")
     text = SCENE.replace("{builtin: grey-panel-30}", "{file: panel.csv, reflectance_unit: fraction}")
     (tmp_path / "s.yaml").write_text(text)
-    p = predict(load_scenario(tmp_path / "s.yaml"), Origins(axis=AXIS))
+    p = model.predict(load_scenario(tmp_path / "s.yaml"), model.Origins(axis=AXIS))
     assert p.reflectance["panel"].mean == pytest.approx(0.1 + AXIS.centre_nm / 10000, abs=1e-5)
 
 
@@ -70,7 +60,7 @@ def test_bands_of_the_detectors():
     everything = np.ones(4, bool)
     s = scenario(**{"{drop_bad: false}": "{windows_only: true, ranges: [[400, 1000], [1600, 1700]]}"})
     # 1650 nm lies in a window; 940 nm is a water band; 1400 nm is bad.
-    assert detection_bands(s, axis, everything).tolist() == [0, 3]
+    assert model.detection_bands(s, axis, everything).tolist() == [0, 3]
 
 
 def test_engine_error_grows_with_gas_absorption():
@@ -83,15 +73,15 @@ def test_engine_error_grows_with_gas_absorption():
 
 
 def test_field_spectrum_error_from_its_file():
-    surface = SurfaceStatistics(
+    surface = model.SurfaceStatistics(
         "x", np.full(10, 0.3), np.zeros((10, 10)), "file", standard_deviation=np.full(10, 0.02), n=16
     )
     spread = SpectrumUncertainty(subject="x", from_file=True)
     error = SpectrumUncertainty(subject="x", from_file=True, divisor="standard_error")
-    assert spectrum_error_sd(spread, surface, AXIS) == pytest.approx(np.full(10, 0.02))
-    assert spectrum_error_sd(error, surface, AXIS) == pytest.approx(np.full(10, 0.02 / 4))
+    assert model.spectrum_error_sd(spread, surface, AXIS) == pytest.approx(np.full(10, 0.02))
+    assert model.spectrum_error_sd(error, surface, AXIS) == pytest.approx(np.full(10, 0.02 / 4))
     with pytest.raises(UsageError, match="how many spectra"):
-        spectrum_error_sd(error, replace(surface, n=None), AXIS)
+        model.spectrum_error_sd(error, replace(surface, n=None), AXIS)
 
 
 def test_relative_covariance():
@@ -99,7 +89,7 @@ def test_relative_covariance():
     s = scenario("", **{"spectrum: {builtin: asphalt}": source})
     gap = AXIS.centre_nm[:, None] - AXIS.centre_nm[None, :]
     expected = 4e-4 * np.exp(-0.5 * (gap / 100) ** 2) + 1e-4 * np.eye(10)
-    assert predict(s, Origins(axis=AXIS)).reflectance["asphalt"].pixel_covariance == pytest.approx(expected)
+    assert model.predict(s, model.Origins(axis=AXIS)).reflectance["asphalt"].pixel_covariance == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("axis", [AXIS, SpectralAxis(np.linspace(450.0, 1700.0, 30), np.full(30, 10.0))])
@@ -109,9 +99,9 @@ def test_a_class_from_a_library_is_that_class(tmp_path, axis):
     s = beside(tmp_path, "{library: statistics.nc, record: grass}")
     if axis is not AXIS:
         with pytest.raises(UsageError, match=r"spectrum.library of 'grass'.*2 bands lie outside it \(first 2130 nm\)"):
-            predict(s, ORIGINS)
+            model.predict(s, ORIGINS)
         return
-    p, q = predict(s, ORIGINS), of()
+    p, q = model.predict(s, ORIGINS), of()
     assert p.reflectance["grass"].pixel_covariance == pytest.approx(q.reflectance["grass"].pixel_covariance)
     assert p.roc["tenth", "cem", "pixel"].pd == pytest.approx(q.roc["tenth", "cem", "pixel"].pd)
 
@@ -152,11 +142,11 @@ def test_blur_of_the_sensor_serves_where_a_geometry_states_none():
     blurred = type(sensor)(
         sensor.specification.model_validate({**sensor.specification.model_dump(by_alias=True), "psf": psf})
     )
-    found = fill_distribution(with_sensor_blur(s, blurred).scene.targets[0].subjects[0].fill)
+    found = model.fill_distribution(model.with_sensor_blur(s, blurred).scene.targets[0].subjects[0].fill)
     stated = scenario(**{"fill: {fixed: 0.1}}": fill % ", psf_fwhm_pixels: [1.2, 0.4]"})
-    expected = fill_distribution(stated.scene.targets[0].subjects[0].fill)
+    expected = model.fill_distribution(stated.scene.targets[0].subjects[0].fill)
     assert found.mean == pytest.approx(expected.mean, rel=1e-12)
-    assert found.mean < fill_distribution(s.scene.targets[0].subjects[0].fill).mean
+    assert found.mean < model.fill_distribution(s.scene.targets[0].subjects[0].fill).mean
 
 
 def test_channels_by_list_and_bad_list():
@@ -170,8 +160,8 @@ def test_a_spectrum_that_does_not_cover_the_bands_is_refused_by_field(tmp_path):
     short = "{file: short.csv, reflectance_unit: fraction, wavelength_unit: nm"
     words = r"scene\.classes\.0\.spectrum of 'grass' does not cover 2 usable bands \(first 2130"
     with pytest.raises(UsageError, match=words):
-        predict(beside(tmp_path, short + "}"), ORIGINS)
-    p = predict(beside(tmp_path, short + ", gaps: allowed}"), ORIGINS)
+        model.predict(beside(tmp_path, short + "}"), ORIGINS)
+    p = model.predict(beside(tmp_path, short + ", gaps: allowed}"), ORIGINS)
     assert np.isnan(p.reflectance["grass"].mean[-1])
     assert "detectors use 7 of 10 bands" in p.notes
 
@@ -183,12 +173,12 @@ def state(**stated: object) -> AtmosphericState:
 
 @pytest.mark.parametrize(
     # Columns above sea level that the manual of 6S lists for these atmospheres (McClatchey et al. 1972), to 5 %.
-    ("model", "water", "ozone"),
+    ("standard", "water", "ozone"),
     [("midlatitude-summer", 2.93, 0.319), ("midlatitude-winter", 0.853, 0.395), ("tropical", 4.12, 0.247)],
 )
-def test_gases_that_are_not_stated_are_named_with_their_columns(model: str, water: float, ozone: float):
-    of_water, of_ozone = unstated_notes(state(model=model), Uncertainty(aot550=0.02))
-    assert of_water.startswith(f"water vapour is not stated: that of the standard atmosphere {model} is taken, ")
+def test_gases_that_are_not_stated_are_named_with_their_columns(standard: str, water: float, ozone: float):
+    of_water, of_ozone = model.unstated_notes(state(model=standard), Uncertainty(aot550=0.02))
+    assert of_water.startswith(f"water vapour is not stated: that of the standard atmosphere {standard} is taken, ")
     assert float(of_water.split()[-3]) == pytest.approx(water, rel=0.05)
     assert of_water.endswith(" g cm-2")
     assert float(of_ozone.split()[-3]) == pytest.approx(ozone, rel=0.05)
@@ -201,24 +191,24 @@ def terms(**provenance: object) -> AtmosphericTerms:
 
 def test_a_table_that_replaces_the_stated_sun_says_so():
     own = terms(solar_spectrum="of the table")
-    (said,) = engine_notes(state(engine="table", table="lut.nc", solar_spectrum="tsis-1"), own)
+    (said,) = model.engine_notes(state(engine="table", table="lut.nc", solar_spectrum="tsis-1"), own)
     assert "solar_spectrum tsis-1, which the scenario states, is not used" in said
-    assert engine_notes(state(engine="table", table="lut.nc"), own) == []
-    assert engine_notes(state(solar_spectrum="tsis-1"), terms(solar_spectrum="tsis-1")) == []
+    assert model.engine_notes(state(engine="table", table="lut.nc"), own) == []
+    assert model.engine_notes(state(solar_spectrum="tsis-1"), terms(solar_spectrum="tsis-1")) == []
 
 
 def test_bands_beyond_the_solar_spectrum_are_said():
     far = replace(terms(solar_spectrum="tsis-1"), wavelength_nm=np.array([2499.0, 2501.0]))
-    (said,) = engine_notes(state(), far)
+    (said,) = model.engine_notes(state(), far)
     assert "covers 350-2500 nm: in 1 of 2 bands" in said
     assert "the shape of astm-g173" in said
-    assert engine_notes(state(), replace(far, provenance={"solar_spectrum": "astm-g173"})) == []
+    assert model.engine_notes(state(), replace(far, provenance={"solar_spectrum": "astm-g173"})) == []
 
 
 def test_more_air_and_water_than_the_engine_was_compared_with_is_said():
     far = state(sensor_altitude_km=700.0, water_vapour_g_cm2=5.0, solar_zenith_deg=60.0)
-    air, water = engine_notes(far, terms(engine_ratio=True))
+    air, water = model.engine_notes(far, terms(engine_ratio=True))
     assert air.startswith("the light goes through 3 atm of air")
     assert water.startswith("the light goes through 15 g cm-2 of water vapour")
-    assert engine_notes(far, terms(engine_ratio=False)) == []
-    assert engine_notes(state(water_vapour_g_cm2=1.0), terms(engine_ratio=True)) == []
+    assert model.engine_notes(far, terms(engine_ratio=False)) == []
+    assert model.engine_notes(state(water_vapour_g_cm2=1.0), terms(engine_ratio=True)) == []

@@ -12,20 +12,9 @@ import yaml
 from score_classes import classes, thresholds
 from uncertain_scene import ATMOSPHERE, ORIGINS, SCENE, scenario
 
+from hyperval import model
 from hyperval.data import ClassStatistics, Components
 from hyperval.errors import InputError, UsageError
-from hyperval.model import (
-    SurfaceStatistics,
-    TargetGeometry,
-    average_reflectance,
-    beta_fill,
-    design_filter,
-    fully_constrained,
-    predict,
-    shared_pixel_fills,
-    spectrum_error_sd,
-    two_panel_line,
-)
 from hyperval.scenario import SpectrumUncertainty, load_scenario
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
@@ -40,21 +29,21 @@ def test_a_scenario_that_cannot_be_is_refused(tmp_path, case):
     path = tmp_path / "bad.yaml"
     path.write_text(text.replace(old, new, 1) + case.get("add", ""))
     with pytest.raises((UsageError, InputError), match=case["says"]) as error:
-        predict(load_scenario(path), ORIGINS)
+        model.predict(load_scenario(path), ORIGINS)
     assert error.value.exit_code == case.get("exit", 2)
     assert "line" not in case or f"bad.yaml:{case['line']}: " in str(error.value)
 
 
 def test_no_bands_at_all():
     with pytest.raises(UsageError, match="the scenario has no bands"):
-        predict(scenario(""))
+        model.predict(scenario(""))
 
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 MEAN, COVARIANCE = np.array([0.1, 0.2]), np.array([[4e-4, 1e-4], [1e-4, 9e-4]])
 ONE = {"length_m": 1.0, "width_m": 1.0, "gsd_m": 1.0}
 WEIGHTS, OFFSETS, TWO = np.array([0.5, 0.5]), np.zeros((2, 2)), np.stack([COVARIANCE, COVARIANCE])
-PANEL = SurfaceStatistics("x", MEAN, COVARIANCE, "file", n=16)
+PANEL = model.SurfaceStatistics("x", MEAN, COVARIANCE, "file", n=16)
 FROM_FILE = SpectrumUncertainty(subject="x", from_file=True, divisor="standard_error")
 
 
@@ -64,7 +53,7 @@ def of_class(mean: Any = MEAN, covariance: Any = COVARIANCE, **more: Any) -> Cla
 
 def few_pixels() -> Any:
     x = np.random.default_rng(6).standard_normal((6, 12))  # six pixels of twelve bands
-    return design_filter("cem", x[0] + 1.0, x[1], np.cov(x.T))
+    return model.design_filter("cem", x[0] + 1.0, x[1], np.cov(x.T))
 
 
 @pytest.mark.parametrize(
@@ -84,28 +73,34 @@ def few_pixels() -> Any:
         (lambda: Components(WEIGHTS, OFFSETS, TWO, 1.5), "exceed 2"),
         (lambda: builtin_class("lawn", AXIS), "unknown built-in surface"),
         (lambda: builtin_class("grey-panel-100", AXIS), "unknown built-in surface"),
-        (lambda: spectrum_error_sd(FROM_FILE, PANEL, AXIS), "no standard deviation"),
-        (lambda: average_reflectance([0.5, 0.4], np.ones((2, 2))), "not a partition"),
-        (lambda: average_reflectance([1.5, -0.5], np.ones((2, 2))), "not a partition"),
-        (lambda: average_reflectance([], np.ones((0, 2))), "not a partition"),
-        (lambda: beta_fill(0.0, 0.1), "no fill fraction between 0 and 1 has mean"),
-        (lambda: beta_fill(0.5, 0.5), "no fill fraction between 0 and 1 has mean"),
-        (lambda: beta_fill(0.1, 0.31), "no fill fraction between 0 and 1 has mean"),
-        (lambda: TargetGeometry(**ONE | {"length_m": 0.0}), "must be positive"),
-        (lambda: TargetGeometry(**ONE | {"length_m": 1000.0}), "pixels"),
-        (lambda: TargetGeometry(**ONE | {"gsd_m": -1.0}), "must be positive"),
-        (lambda: TargetGeometry(**ONE | {"psf_fwhm_pixels": (1.0, -0.1)}), "PSF width not negative"),
-        (lambda: shared_pixel_fills(TargetGeometry(**ONE, heading_deg=None), 4, []), "lies any way"),
+        (lambda: model.spectrum_error_sd(FROM_FILE, PANEL, AXIS), "no standard deviation"),
+        (lambda: model.average_reflectance([0.5, 0.4], np.ones((2, 2))), "not a partition"),
+        (lambda: model.average_reflectance([1.5, -0.5], np.ones((2, 2))), "not a partition"),
+        (lambda: model.average_reflectance([], np.ones((0, 2))), "not a partition"),
+        (lambda: model.beta_fill(0.0, 0.1), "no fill fraction between 0 and 1 has mean"),
+        (lambda: model.beta_fill(0.5, 0.5), "no fill fraction between 0 and 1 has mean"),
+        (lambda: model.beta_fill(0.1, 0.31), "no fill fraction between 0 and 1 has mean"),
+        (lambda: model.TargetGeometry(**ONE | {"length_m": 0.0}), "must be positive"),
+        (lambda: model.TargetGeometry(**ONE | {"length_m": 1000.0}), "pixels"),
+        (lambda: model.TargetGeometry(**ONE | {"gsd_m": -1.0}), "must be positive"),
+        (lambda: model.TargetGeometry(**ONE | {"psf_fwhm_pixels": (1.0, -0.1)}), "PSF width not negative"),
+        (lambda: model.shared_pixel_fills(model.TargetGeometry(**ONE, heading_deg=None), 4, []), "lies any way"),
         (few_pixels, r"rank 5 of 12 bands, condition number"),
-        (lambda: design_filter("cem", MEAN + 1, MEAN, np.diag([1.0, 0])), r"1 of 2 bands have no variance .*band 2\)"),
-        (lambda: design_filter("cem", MEAN + 1, MEAN, np.array([[1.0, np.nan], [np.nan, 1.0]])), "NaN or infinity"),
-        (lambda: design_filter("cem", MEAN, MEAN, COVARIANCE), "target"),
-        (lambda: design_filter("cem", MEAN, MEAN[:-1], COVARIANCE), "do not fit each other"),
-        (lambda: design_filter("ace", MEAN + 1, MEAN, COVARIANCE), "ace"),
-        (lambda: two_panel_line([1.0, 1.0], [2.0, 1.0], 0.6, 0.1), "brighter"),
-        (lambda: two_panel_line([1.0, 1.0], [2.0, 1.0], 0.1, 0.6), "no slope in 1 of 2"),
-        (lambda: fully_constrained(np.ones(3), np.ones((2, 4))), "same bands"),
-        (lambda: fully_constrained(np.array([1.0, np.nan]), np.eye(2)), "finite"),
+        (
+            lambda: model.design_filter("cem", MEAN + 1, MEAN, np.diag([1.0, 0])),
+            r"1 of 2 bands have no variance .*band 2\)",
+        ),
+        (
+            lambda: model.design_filter("cem", MEAN + 1, MEAN, np.array([[1.0, np.nan], [np.nan, 1.0]])),
+            "NaN or infinity",
+        ),
+        (lambda: model.design_filter("cem", MEAN, MEAN, COVARIANCE), "target"),
+        (lambda: model.design_filter("cem", MEAN, MEAN[:-1], COVARIANCE), "do not fit each other"),
+        (lambda: model.design_filter("ace", MEAN + 1, MEAN, COVARIANCE), "ace"),
+        (lambda: model.two_panel_line([1.0, 1.0], [2.0, 1.0], 0.6, 0.1), "brighter"),
+        (lambda: model.two_panel_line([1.0, 1.0], [2.0, 1.0], 0.1, 0.6), "no slope in 1 of 2"),
+        (lambda: model.fully_constrained(np.ones(3), np.ones((2, 4))), "same bands"),
+        (lambda: model.fully_constrained(np.array([1.0, np.nan]), np.eye(2)), "finite"),
         (lambda: thresholds([1e-3], classes((0.0, 0.0, 1.0))), "no background class"),
     ],
 )

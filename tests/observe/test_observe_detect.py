@@ -19,18 +19,10 @@ from small_world import (
     target_rows,
 )
 
+from hyperval import pixels
 from hyperval.data import statistics_of
 from hyperval.errors import UsageError
 from hyperval.imagery import write_cube
-from hyperval.pixels import (
-    DETECTORS,
-    LocalWindow,
-    empirical_roc,
-    footprint_maxima,
-    pixel_detector,
-    score_cube_locally,
-    whitener_of,
-)
 from hyperval.products import background_of
 
 FILLS = {"fill 0.8": 0.8, "fill 0.3": 0.3}
@@ -44,7 +36,7 @@ def shown(*positions: tuple[int, int]) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("background", "pixels"),
+    ("background", "inside"),
     [
         (["scene"], lambda v: v[~near_targets()]),
         (["image"], lambda v: v),
@@ -54,10 +46,10 @@ def shown(*positions: tuple[int, int]) -> np.ndarray:
     ],
     ids=["scene", "image", "region", "region over targets"],
 )
-def test_scores_equal_plain_numpy(world, background, pixels):
+def test_scores_equal_plain_numpy(world, background, inside):
     world.collection["regions"].append({"name": "middle", "rectangle": [5, 5, 30, 25]})
     world.detection |= {"background": background, "detectors": ["cem", "cem-correlation"]}
-    target, (mean, covariance) = world.on_bands(), moments(pixels(world.values))
+    target, (mean, covariance) = world.on_bands(), moments(inside(world.values))
     found = world.observe().detected.score_maps
     assert set(found) == {"paint-cem", "paint-cem-correlation"}
     expected = matched_filter(world.values, target, mean, covariance)
@@ -76,17 +68,19 @@ def test_radiance_without_a_line_has_no_reflectance(panels):
 
 
 def test_every_detector_makes_its_maps_and_curves(world):
-    world.detection |= {"detectors": list(DETECTORS), "background": ["image"], "undesired": ["corner"]}
+    world.detection |= {"detectors": list(pixels.DETECTORS), "background": ["image"], "undesired": ["corner"]}
     seen = world.observe()
     mean, covariance = moments(world.values)
-    corner, whitener = moments(world.values[35:45, 5:25])[0], whitener_of(mean, covariance)
-    assert set(seen.detected.score_maps) == {"rx" if d == "rx" else f"paint-{d}" for d in DETECTORS}
-    for name in DETECTORS:
+    corner, whitener = moments(world.values[35:45, 5:25])[0], pixels.whitener_of(mean, covariance)
+    assert set(seen.detected.score_maps) == {"rx" if d == "rx" else f"paint-{d}" for d in pixels.DETECTORS}
+    for name in pixels.DETECTORS:
         found = seen.detected.score_maps["rx" if name == "rx" else f"paint-{name}"]
-        expected = pixel_detector(name, world.on_bands(), mean, covariance, corner[None]).score(world.values, whitener)
+        expected = pixels.pixel_detector(name, world.on_bands(), mean, covariance, corner[None]).score(
+            world.values, whitener
+        )
         assert found == pytest.approx(expected, rel=1e-8, abs=1e-9)
     units = {(detector, unit) for _, detector, unit in seen.observation.roc}
-    assert units == {(d, u) for d in DETECTORS for u in ("pixel", "object")}
+    assert units == {(d, u) for d in pixels.DETECTORS for u in ("pixel", "object")}
 
 
 def test_a_local_window_moves_the_mean_with_the_pixel(world):
@@ -95,8 +89,8 @@ def test_a_local_window_moves_the_mean_with_the_pixel(world):
     assert any("windows of 11 less 3 pixels; 0 pixels without" in note for note in seen.observation.notes)
     keep, target = seen.place.background(["scene"]), world.on_bands()
     detectors = {"paint-cem": ("cem", target), "paint-ace": ("ace", target), "rx": ("rx", None)}
-    whitener = whitener_of(*moments(world.values[keep]))
-    expected, _ = score_cube_locally(seen.place.cube, detectors, whitener, LocalWindow(11, 3), keep)
+    whitener = pixels.whitener_of(*moments(world.values[keep]))
+    expected, _ = pixels.score_cube_locally(seen.place.cube, detectors, whitener, pixels.LocalWindow(11, 3), keep)
     for name, scores in expected.items():
         np.testing.assert_allclose(seen.detected.score_maps[name], scores, rtol=1e-9)
 
@@ -147,17 +141,17 @@ def test_products_of_each_group(world):
     assert set(observation.roc) == {(s, "cem", u) for s in FILLS for u in ("pixel", "object")}
     for subject, fill in FILLS.items():
         own = shown(*(at for at, f in PLANTED.items() if f == fill))
-        pixels, found = scores[own], observation.scores[subject, "cem"]
-        assert (found.mean, found.sd) == pytest.approx((pixels.mean(), pixels.std(ddof=1)), rel=1e-12)
+        inside, found = scores[own], observation.scores[subject, "cem"]
+        assert (found.mean, found.sd) == pytest.approx((inside.mean(), inside.std(ddof=1)), rel=1e-12)
         assert found.mean == pytest.approx(fill, abs=0.05)  # the background's own scatter is 0.01 to 0.02
         behind = observation.scores[background_of(subject), "cem"]
         assert (behind.mean, behind.sd) == pytest.approx((noise.mean(), noise.std(ddof=1)), abs=1e-12)
         curve = observation.roc[subject, "cem", "pixel"]
-        assert (found.n, curve.n_target, curve.n_background) == (pixels.size, pixels.size, noise.size)
-        assert np.array_equal(curve.pd, empirical_roc(pixels, noise, curve.pfa).pd)
+        assert (found.n, curve.n_target, curve.n_background) == (inside.size, inside.size, noise.size)
+        assert np.array_equal(curve.pd, pixels.empirical_roc(inside, noise, curve.pfa).pd)
         assert curve.background_area_km2 == pytest.approx(noise.size * 4.0 / 1e6)
         spectrum = observation.reflectance[subject]
-        assert (spectrum.n, spectrum.mean) == (pixels.size, pytest.approx(world.values[own].mean(axis=0), rel=1e-12))
+        assert (spectrum.n, spectrum.mean) == (inside.size, pytest.approx(world.values[own].mean(axis=0), rel=1e-12))
     world.detection["false_alarms"] = ["corner"]
     curve = world.observe().observation.roc["fill 0.3", "cem", "pixel"]
     assert (curve.n_background, curve.background_area_km2) == (200, pytest.approx(200 * 4.0 / 1e6))
@@ -192,7 +186,7 @@ def test_a_halo_scores_background_and_objects_alike(world):
     seen = world.observe()
     scores, guarded = seen.detected.score_maps["paint-cem"], seen.place.background(["scene"])
     curve = seen.observation.roc["fill 0.8", "cem", "object"]
-    tiles = footprint_maxima(scores, np.ones((3, 3), bool), ~guarded)[0]
+    tiles = pixels.footprint_maxima(scores, np.ones((3, 3), bool), ~guarded)[0]
     # Two objects of one shape share their placements.
     assert (curve.n_target, curve.n_background) == (2, tiles.size)
     assert curve.background_area_km2 == pytest.approx(tiles.size * 9 * 4.0 / 1e6)
@@ -255,11 +249,11 @@ def test_few_pixels_shrink_the_covariance_and_say_so(world):
     world.collection["regions"].append({"name": "patch", "rectangle": [40, 30, 4, 5]})
     world.detection["background"] = ["patch"]
     seen = world.observe()
-    pixels = world.values[40:44, 30:35].reshape(-1, BANDS)
+    inside = world.values[40:44, 30:35].reshape(-1, BANDS)
     (note,) = [n for n in seen.observation.notes if "shrunk" in n]
     assert note.startswith("20 background pixels are few: covariance shrunk by ")
-    shrunk, unbiased = statistics_of(pixels).shrunk_covariance, moments(pixels)[1]
-    expected = matched_filter(world.values, world.on_bands(), pixels.mean(axis=0), shrunk)
+    shrunk, unbiased = statistics_of(inside).shrunk_covariance, moments(inside)[1]
+    expected = matched_filter(world.values, world.on_bands(), inside.mean(axis=0), shrunk)
     assert seen.detected.score_maps["paint-cem"] == pytest.approx(expected, rel=1e-8, abs=1e-10)
     # The model's filter is made of the same covariance.
     assert seen.statistics["patch"].covariance == pytest.approx(shrunk, rel=1e-9, abs=1e-12)

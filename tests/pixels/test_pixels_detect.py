@@ -7,25 +7,8 @@ import pytest
 import spectral
 from stored_cubes import BANDS, LINES, SAMPLES, numbers, stored
 
+from hyperval import pixels
 from hyperval.errors import UsageError
-from hyperval.pixels import (
-    DETECTORS,
-    LOCAL_DETECTORS,
-    LocalWindow,
-    MeasuredPanel,
-    detect,
-    fit_elm,
-    footprint_maxima,
-    footprint_sums,
-    object_scores,
-    pixel_detector,
-    placed_with_halo,
-    score_cube,
-    score_cube_locally,
-    values_on,
-    whitener_of,
-    with_halo,
-)
 
 B = 12
 
@@ -40,7 +23,9 @@ def scene():
 
 def score(name, scene, undesired=None):
     x, target, mean, covariance = scene
-    return pixel_detector(name, target, mean, covariance, undesired).score(x, whitener_of(mean, covariance))
+    return pixels.pixel_detector(name, target, mean, covariance, undesired).score(
+        x, pixels.whitener_of(mean, covariance)
+    )
 
 
 def close(found, expected):
@@ -64,7 +49,7 @@ def test_equal_to_their_definitions(scene):
     assert score("smf", scene).std(ddof=1) == pytest.approx(1)  # over the sample that gave the covariance
     r = x.T @ x / len(x)
     n = len(x)
-    own = pixel_detector("cem-correlation", target, mean, covariance * (n - 1) / n).score(x)
+    own = pixels.pixel_detector("cem-correlation", target, mean, covariance * (n - 1) / n).score(x)
     assert close(own, x @ np.linalg.inv(r) @ target / (target @ np.linalg.inv(r) @ target))
     u = x[5:8]
     p = np.eye(B) - u.T @ np.linalg.pinv(u.T)
@@ -73,20 +58,22 @@ def test_equal_to_their_definitions(scene):
 
 def test_a_nan_pixel_is_nan_and_a_zero_pixel_has_no_angle(scene):
     _, target, mean, covariance = scene
-    whitener = whitener_of(mean, covariance)
+    whitener = pixels.whitener_of(mean, covariance)
     bad = np.where(np.arange(B) == 3, np.nan, 5.0)
-    for name in DETECTORS:
-        assert np.isnan(pixel_detector(name, target, mean, covariance, np.ones((1, B))).score(bad, whitener)), name
-    assert np.isnan(pixel_detector("sam", target, mean, covariance).score(np.zeros(B)))
-    assert np.isnan(pixel_detector("ace", target, mean, covariance).score(mean, whitener))
+    for name in pixels.DETECTORS:
+        assert np.isnan(pixels.pixel_detector(name, target, mean, covariance, np.ones((1, B))).score(bad, whitener)), (
+            name
+        )
+    assert np.isnan(pixels.pixel_detector("sam", target, mean, covariance).score(np.zeros(B)))
+    assert np.isnan(pixels.pixel_detector("ace", target, mean, covariance).score(mean, whitener))
 
 
 def line_of(bands):
     def one(name, rho):
         rho = np.full(bands, rho)
-        return MeasuredPanel(name, rho, np.zeros(bands), 2.0 + np.arange(1, bands + 1) * rho, np.zeros(bands), 9)
+        return pixels.MeasuredPanel(name, rho, np.zeros(bands), 2.0 + np.arange(1, bands + 1) * rho, np.zeros(bands), 9)
 
-    return fit_elm([one("black", 0.05), one("white", 0.6)])
+    return pixels.fit_elm([one("black", 0.05), one("white", 0.6)])
 
 
 @pytest.mark.parametrize("interleave", ["bil", "bip", "bsq"])
@@ -107,35 +94,35 @@ def test_scores_equal_the_long_way_round(tmp_path, interleave):
     mean, covariance = rho[valid].mean(axis=0), np.cov(rho[valid].T)
     target = mean * 1.3 + np.linspace(0, 0.2, mean.size)
     names = ("cem", "cem-correlation", "smf", "ace", "sam", "rx", "osp")
-    detectors = {n: pixel_detector(n, target, mean, covariance, rho[:3, 0]) for n in names}
-    whitener = whitener_of(mean, covariance)
+    detectors = {n: pixels.pixel_detector(n, target, mean, covariance, rho[:3, 0]) for n in names}
+    whitener = pixels.whitener_of(mean, covariance)
     for step, threads in ((None, None), (1, 1), (7, 2)):
-        found = score_cube(cube, detectors, elm, bands, whitener=whitener, threads=threads, block_lines=step)
+        found = pixels.score_cube(cube, detectors, elm, bands, whitener=whitener, threads=threads, block_lines=step)
         for name, detector in detectors.items():
             assert found[name].shape == (LINES, SAMPLES)
             assert np.isnan(found[name][4, 4])  # never a score of 0
             assert np.isfinite(found[name]).sum() == LINES * SAMPLES - 1
             expected = detector.score(rho[valid], whitener)
             assert found[name][valid] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    also = score_cube(cube, {"cem": detectors["cem"]}, elm, bands, needed=np.ones(BANDS, bool))["cem"]
+    also = pixels.score_cube(cube, {"cem": detectors["cem"]}, elm, bands, needed=np.ones(BANDS, bool))["cem"]
     assert np.isnan(also[5, 5])
 
 
 def test_scoring_refuses_what_does_not_fit(tmp_path):
     cube, elm = stored(tmp_path, numbers()), line_of(BANDS)
     mean, covariance = np.arange(1.0, BANDS + 1), np.eye(BANDS)
-    cem = pixel_detector("cem", mean + 1, mean, covariance)
+    cem = pixels.pixel_detector("cem", mean + 1, mean, covariance)
     with pytest.raises(UsageError, match="no detector"):
-        score_cube(cube, {})
+        pixels.score_cube(cube, {})
     with pytest.raises(UsageError, match="made for 30 bands, 29"):
-        score_cube(cube, {"a": cem}, elm, np.arange(BANDS) > 0)
+        pixels.score_cube(cube, {"a": cem}, elm, np.arange(BANDS) > 0)
     with pytest.raises(UsageError, match="line of 29 bands"):
-        score_cube(cube, {"a": cem}, line_of(29))
+        pixels.score_cube(cube, {"a": cem}, line_of(29))
     with pytest.raises(UsageError, match="whitener"):
-        score_cube(cube, {"a": pixel_detector("rx", None, mean, covariance)})
+        pixels.score_cube(cube, {"a": pixels.pixel_detector("rx", None, mean, covariance)})
     elm.gain[1] = np.nan
     with pytest.raises(UsageError, match="no gain in 1 of"):
-        score_cube(cube, {"a": cem}, elm)
+        pixels.score_cube(cube, {"a": cem}, elm)
 
 
 @pytest.fixture(scope="module")
@@ -151,28 +138,28 @@ def drifting(tmp_path_factory):
     return cube, used, x, valid, x[valid].mean(axis=0), np.cov(x[valid].T)
 
 
-@pytest.mark.parametrize("window", [LocalWindow(9, 3), LocalWindow(5, 1), LocalWindow(101, 5)])
+@pytest.mark.parametrize("window", [pixels.LocalWindow(9, 3), pixels.LocalWindow(5, 1), pixels.LocalWindow(101, 5)])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(drifting, monkeypatch, window, threads):
     cube, used, x, valid, mean, covariance = drifting
     counted = valid.copy()
     counted[20:23, 10:14] = False
     target = mean + np.linspace(0.05, 0.3, mean.size)
-    names = {name: (name, None if name == "rx" else target) for name in LOCAL_DETECTORS}
+    names = {name: (name, None if name == "rx" else target) for name in pixels.LOCAL_DETECTORS}
     if threads == 2:
-        monkeypatch.setattr(detect, "_VALUES_AT_ONCE", 0)  # strips that end within the image
-    whitener = whitener_of(mean, covariance)
-    found, _ = score_cube_locally(cube, names, whitener, window, counted, None, used, threads=threads)
+        monkeypatch.setattr(pixels.detect, "_VALUES_AT_ONCE", 0)  # strips that end within the image
+    whitener = pixels.whitener_of(mean, covariance)
+    found, _ = pixels.score_cube_locally(cube, names, whitener, window, counted, None, used, threads=threads)
     for line, sample in ((0, 0), (5, 8), (18, 14), (21, 12), (46, 22), (30, 0), (8, 19), (9, 20)):
         ring = np.zeros_like(counted)
         for side, value in ((window.outer, True), (window.inner, False)):
             h = side // 2
             ring[max(line - h, 0) : line + h + 1, max(sample - h, 0) : sample + h + 1] = value
-        pixels = x[ring & counted]
-        own = pixels.mean(axis=0) if len(pixels) >= 10 else mean
-        for name in LOCAL_DETECTORS:
-            detector = pixel_detector(name, names[name][1], own, covariance)
-            expected = detector.score(x[line, sample], whitener_of(own, covariance))
+        near = x[ring & counted]
+        own = near.mean(axis=0) if len(near) >= 10 else mean
+        for name in pixels.LOCAL_DETECTORS:
+            detector = pixels.pixel_detector(name, names[name][1], own, covariance)
+            expected = detector.score(x[line, sample], pixels.whitener_of(own, covariance))
             assert found[name][line, sample] == pytest.approx(float(expected), rel=1e-9, abs=1e-10), name
     assert all(np.array_equal(np.isfinite(m), valid) for m in found.values())
 
@@ -184,7 +171,9 @@ def test_a_window_that_makes_no_sense_is_refused(drifting):
         (("rx", None), valid[:3], "has shape"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):
-            score_cube_locally(cube, {"a": detector}, whitener_of(*moments), LocalWindow(7, 3), counted, None, used)
+            pixels.score_cube_locally(
+                cube, {"a": detector}, pixels.whitener_of(*moments), pixels.LocalWindow(7, 3), counted, None, used
+            )
 
 
 @pytest.mark.parametrize("halo", [0, 1, 4])
@@ -196,24 +185,24 @@ def test_an_object_in_its_window_scores_as_in_the_whole_image(halo):
         mask = np.zeros(scores.shape, bool)
         mask[line : line + part.shape[0], sample : sample + part.shape[1]] = part
         placed = ((line, sample), part)
-        brute = scores[with_halo(mask, halo)]
-        assert sorted(values_on(scores, placed_with_halo(placed, halo, scores.shape))) == sorted(brute)
-        assert object_scores(scores, {"window": placed}, halo) == {"window": brute.max()}
+        brute = scores[pixels.with_halo(mask, halo)]
+        assert sorted(pixels.values_on(scores, pixels.placed_with_halo(placed, halo, scores.shape))) == sorted(brute)
+        assert pixels.object_scores(scores, {"window": placed}, halo) == {"window": brute.max()}
 
 
 def test_footprint_maxima_by_hand_and_without_the_excluded():
     scores = np.arange(24.0).reshape(4, 6)
-    assert sorted(footprint_maxima(scores, np.ones((2, 3), bool))[0]) == [8.0, 11.0, 20.0, 23.0]
+    assert sorted(pixels.footprint_maxima(scores, np.ones((2, 3), bool))[0]) == [8.0, 11.0, 20.0, 23.0]
     cross = np.array([[True, False], [False, False]])
-    assert sorted(footprint_maxima(scores, cross)[0]) == [0, 2, 4, 12, 14, 16]
+    assert sorted(pixels.footprint_maxima(scores, cross)[0]) == [0, 2, 4, 12, 14, 16]
     exclude = np.zeros((4, 6), bool)
     exclude[0, 0] = True
-    maxima, lines, samples = footprint_maxima(scores, np.ones((2, 3), bool), exclude)
+    maxima, lines, samples = pixels.footprint_maxima(scores, np.ones((2, 3), bool), exclude)
     assert sorted(maxima) == [11.0, 20.0, 23.0]
     assert all(scores[a : a + 2, b : b + 3].max() == m for m, a, b in zip(maxima, lines, samples, strict=True))
-    assert footprint_maxima(np.full((4, 4), np.nan), np.ones((2, 2), bool))[0].size == 0
+    assert pixels.footprint_maxima(np.full((4, 4), np.nan), np.ones((2, 2), bool))[0].size == 0
     with pytest.raises(UsageError, match="does not fit"):
-        footprint_maxima(scores, np.ones((5, 5), bool))
+        pixels.footprint_maxima(scores, np.ones((5, 5), bool))
 
 
 def test_footprint_sums_tile_the_background_and_leave_out_what_is_excluded():
@@ -221,6 +210,6 @@ def test_footprint_sums_tile_the_background_and_leave_out_what_is_excluded():
     shape = np.array([[True, True], [True, False]])
     exclude = np.zeros((6, 6), bool)
     exclude[0, 0] = True
-    sums = footprint_sums(scores, shape, exclude)
+    sums = pixels.footprint_sums(scores, shape, exclude)
     every = [scores[r, c] + scores[r, c + 1] + scores[r + 1, c] for r in (0, 2, 4) for c in (0, 2, 4)]
     assert sums.tolist() == every[1:]

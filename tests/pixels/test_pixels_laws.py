@@ -7,52 +7,34 @@ import pytest
 from scipy import ndimage, stats
 from sklearn.mixture import GaussianMixture
 
+from hyperval import pixels
 from hyperval.model import jackknife_directions
-from hyperval.pixels import (
-    AlarmBlocks,
-    MixtureFit,
-    chosen_count,
-    chosen_dof,
-    class_mixture,
-    compact_parts,
-    exceedance_curve,
-    exceedance_of_distance,
-    false_alarm_ratio,
-    fit_mixture,
-    fit_tail_dof,
-    leading_tail_dof,
-    left_out_distances,
-    moments_without_each,
-    shrunk_covariances,
-    squared_mahalanobis,
-    tail_log_likelihood,
-)
 from hyperval.products import ExceedanceCurve
 
 
-def pixels(n, p, dof, rng):
+def drawn(n, p, dof, rng):
     z = rng.standard_normal((n, p)) * np.geomspace(3.0, 0.1, p)
     return z if np.isinf(dof) else z * np.sqrt((dof - 2) / rng.chisquare(dof, n))[:, None]
 
 
 def distances(x):
     values, vectors = np.linalg.eigh(np.cov(x.T))
-    return squared_mahalanobis(x, x.mean(axis=0), vectors, values)
+    return pixels.squared_mahalanobis(x, x.mean(axis=0), vectors, values)
 
 
 def test_normal_pixels_have_no_tail():
     # The normal law is inside in 97.5 % (one-sided): of 40 fewer than 34 has probability 3e-4; the test of
     # normality at 1 % rejects more than 4 of 40 with probability 3e-5.
     rng = np.random.default_rng(4)
-    fits = [fit_tail_dof(distances(pixels(1500, 20, np.inf, rng)), 20, estimated_on=1500) for _ in range(40)]
+    fits = [pixels.fit_tail_dof(distances(drawn(1500, 20, np.inf, rng)), 20, estimated_on=1500) for _ in range(40)]
     assert sum(np.isinf(f.upper) for f in fits) >= 34
     assert sum(f.normality_p_value < 0.01 for f in fits) <= 4
     assert min(f.lower for f in fits) > 100.0
 
 
 def test_left_out_distances_equal_those_by_the_other_pixels():
-    x = pixels(40, 3, 8.0, np.random.default_rng(2))
-    found = left_out_distances(distances(x), 40)
+    x = drawn(40, 3, 8.0, np.random.default_rng(2))
+    found = pixels.left_out_distances(distances(x), 40)
     for i in (0, 17, 39):
         rest = np.delete(x, i, axis=0)
         z = x[i] - rest.mean(axis=0)
@@ -62,34 +44,37 @@ def test_left_out_distances_equal_those_by_the_other_pixels():
 def test_likelihood_is_that_of_scaled_f_and_chi_square():
     d, p = np.random.default_rng(5).chisquare(7, 300), 7
     scale = d.mean() / p
-    assert tail_log_likelihood(0.0, d, p) == pytest.approx(stats.chi2.logpdf(d, p, scale=scale).sum())
+    assert pixels.tail_log_likelihood(0.0, d, p) == pytest.approx(stats.chi2.logpdf(d, p, scale=scale).sum())
     # For a t the scale is the best one: no other is more likely.
     nu = 9.0
     best = max(
         stats.f.logpdf(d * nu / (nu - 2) / p / s, p, nu).sum() + d.size * np.log(nu / (nu - 2) / p / s)
         for s in np.geomspace(0.5, 2.0, 4001)
     )
-    assert tail_log_likelihood(1 / nu, d, p) == pytest.approx(best, abs=1e-4)
+    assert pixels.tail_log_likelihood(1 / nu, d, p) == pytest.approx(best, abs=1e-4)
 
 
 def test_dependent_pixels_widen_the_limits():
     rng = np.random.default_rng(6)
-    d = distances(pixels(3000, 5, 8.0, rng))
-    every, few = fit_tail_dof(d, 5, estimated_on=3000), fit_tail_dof(d, 5, estimated_on=3000, independent=300)
+    d = distances(drawn(3000, 5, 8.0, rng))
+    every, few = (
+        pixels.fit_tail_dof(d, 5, estimated_on=3000),
+        pixels.fit_tail_dof(d, 5, estimated_on=3000, independent=300),
+    )
     assert few.dof == pytest.approx(every.dof, rel=1e-3)
     assert few.upper - few.lower > 2.5 * (every.upper - every.lower)
 
 
 def test_exceedance_is_that_of_pixels():
     rng = np.random.default_rng(7)
-    z = pixels(200_000, 4, 6.0, rng) / np.geomspace(3.0, 0.1, 4)
+    z = drawn(200_000, 4, 6.0, rng) / np.geomspace(3.0, 0.1, 4)
     far = np.sum(z**2, axis=1)
     at = np.array([2.0, 10.0, 40.0])
     share = (far[:, None] > at).mean(axis=0)
-    expected = exceedance_of_distance(at, 4, 6.0)
+    expected = pixels.exceedance_of_distance(at, 4, 6.0)
     # Binomial: four standard deviations of each share.
     assert np.all(np.abs(share - expected) < 4 * np.sqrt(expected / far.size))
-    assert exceedance_of_distance(at, 4, np.inf) == pytest.approx(stats.chi2.sf(at, 4))
+    assert pixels.exceedance_of_distance(at, 4, np.inf) == pytest.approx(stats.chi2.sf(at, 4))
 
 
 @pytest.mark.simulation
@@ -100,11 +85,11 @@ def test_limits_of_tails_are_where_the_likelihood_has_dropped(estimated):
     x = rng.standard_normal((n, p)) * np.sqrt((nu - 2) / rng.chisquare(nu, n))[:, None]
     z = x - x.mean(axis=0)
     d = np.einsum("ij,jk,ik->i", z, np.linalg.inv(np.cov(x.T)), z)
-    found = fit_tail_dof(d, p, estimated_on=n if estimated else None)
+    found = pixels.fit_tail_dof(d, p, estimated_on=n if estimated else None)
     # Distances from the other pixels of a normal law are a t of n - 1 - p degrees of freedom already.
-    used, offset = (left_out_distances(d, n), 1 / (n - 1 - p)) if estimated else (d, 0.0)
+    used, offset = (pixels.left_out_distances(d, n), 1 / (n - 1 - p)) if estimated else (d, 0.0)
     grid = np.linspace(0.0, 0.49 - offset, 4000)
-    likelihood = np.array([tail_log_likelihood(a + offset, used, p) for a in grid])
+    likelihood = np.array([pixels.tail_log_likelihood(a + offset, used, p) for a in grid])
     top = likelihood.max()
     inside = grid[likelihood >= top - stats.chi2.ppf(0.95, 1) / 2]
     assert 1 / found.dof == pytest.approx(grid[likelihood.argmax()], abs=2e-4)
@@ -128,14 +113,14 @@ def clusters(n: int, seed: int, centres=((-1.5, 0.0), (1.0, 1.5), (0.5, -1.5))):
 def test_the_penalised_likelihood_never_falls(dof, seed):
     x, _ = clusters(400, seed)
     for count in (1, 2, 5):
-        steps = np.diff(fit_mixture(x, count, np.random.default_rng(seed), dof=dof).history)
+        steps = np.diff(pixels.fit_mixture(x, count, np.random.default_rng(seed), dof=dof).history)
         assert np.all(steps > -1e-10)
 
 
 def test_three_clusters_as_another_package_finds_them():
     x, _ = clusters(2000, 1)
     peer = GaussianMixture(3, reg_covar=0.0, tol=1e-9, max_iter=500, n_init=3, random_state=0).fit(x)
-    ours = fit_mixture(x, 3, np.random.default_rng(0), prior_pixels=0.0)
+    ours = pixels.fit_mixture(x, 3, np.random.default_rng(0), prior_pixels=0.0)
     assert float(ours.log_density(x).mean()) == pytest.approx(peer.score(x), abs=1e-4)
     mine, theirs = np.argsort(ours.weights), np.argsort(peer.weights_)
     assert ours.weights[mine] == pytest.approx(peer.weights_[theirs], abs=1e-3)
@@ -147,20 +132,20 @@ def test_three_clusters_as_another_package_finds_them():
 def test_density_of_a_t_law_is_the_published_one():
     scale = np.array([[1.0, 0.3], [0.3, 0.5]])
     x = np.random.default_rng(2).standard_normal((20, 2))
-    fit = MixtureFit(np.ones(1), np.array([[0.2, -0.1]]), scale[None], 5.0)
+    fit = pixels.MixtureFit(np.ones(1), np.array([[0.2, -0.1]]), scale[None], 5.0)
     assert fit.log_density(x) == pytest.approx(stats.multivariate_t([0.2, -0.1], scale, df=5.0).logpdf(x), rel=1e-12)
 
 
 def test_blocks_choose_as_many_components_as_there_are():
     block = np.arange(1200) // 60
     x, _ = clusters(1200, 5)
-    assert chosen_count(x, block, (1, 2, 3, 4, 6), np.random.default_rng(0))[0] == 3
+    assert pixels.chosen_count(x, block, (1, 2, 3, 4, 6), np.random.default_rng(0))[0] == 3
     one = np.random.default_rng(6).standard_normal((1200, 2))
-    count, score = chosen_count(one, block, (1, 2, 4), np.random.default_rng(0))
+    count, score = pixels.chosen_count(one, block, (1, 2, 4), np.random.default_rng(0))
     assert count == 1
     assert score[0] > score[1]
     heavy = stats.multivariate_t(np.zeros(2), 0.5 * np.eye(2), df=4.0, seed=7).rvs(1200)
-    assert chosen_dof(heavy, block, 1, np.random.default_rng(0)) in (None, 4.0, 8.0)
+    assert pixels.chosen_dof(heavy, block, 1, np.random.default_rng(0)) in (None, 4.0, 8.0)
 
 
 @pytest.mark.simulation
@@ -171,34 +156,34 @@ def test_components_in_all_bands_have_the_moments_of_their_clusters(tails):
     values, which = clusters(3000, 8)
     rng = np.random.default_rng(8)
     into = rng.normal(size=(2, 12))
-    pixels = 0.3 + 0.05 * values @ into + rng.normal(scale=0.002, size=(3000, 12))
-    mixture = class_mixture(pixels, np.arange(3000) // 100, "auto", tails=tails)
+    sample = 0.3 + 0.05 * values @ into + rng.normal(scale=0.002, size=(3000, 12))
+    mixture = pixels.class_mixture(sample, np.arange(3000) // 100, "auto", tails=tails)
     assert mixture is not None
-    parts = mixture.components(pixels)
+    parts = mixture.components(sample)
     assert parts is not None
     assert len(parts) == 3
     for k, own in zip(np.argsort(-parts.weights), range(3), strict=True):
-        mine = pixels[which == own]
+        mine = sample[which == own]
         assert parts.weights[k] == pytest.approx(np.mean(which == own), abs=0.01)
         sd = np.sqrt(np.diag(np.cov(mine.T)))
-        assert np.all(np.abs(pixels.mean(axis=0) + parts.offsets[k] - mine.mean(axis=0)) < 0.1 * sd)
+        assert np.all(np.abs(sample.mean(axis=0) + parts.offsets[k] - mine.mean(axis=0)) < 0.1 * sd)
         assert np.sqrt(np.diag(parts.covariances[k])) == pytest.approx(sd, rel=0.13)
-    assert np.diag(parts.covariance) == pytest.approx(np.var(pixels, axis=0, ddof=1), rel=0.02)
+    assert np.diag(parts.covariance) == pytest.approx(np.var(sample, axis=0, ddof=1), rel=0.02)
 
 
 def test_one_law_has_no_components():
-    pixels = np.random.default_rng(9).standard_normal((600, 5))
+    sample = np.random.default_rng(9).standard_normal((600, 5))
     block = np.arange(600) // 30
-    assert class_mixture(pixels, block, "auto", tails=False) is None
-    assert class_mixture(pixels, block, 1, tails=False) is None
-    assert class_mixture(pixels[:100], block[:100], "auto", tails=False) is None  # too few to tell
+    assert pixels.class_mixture(sample, block, "auto", tails=False) is None
+    assert pixels.class_mixture(sample, block, 1, tails=False) is None
+    assert pixels.class_mixture(sample[:100], block[:100], "auto", tails=False) is None  # too few to tell
 
 
 def test_few_pixels_are_shrunk_and_many_keep_what_is_theirs():
     rng = np.random.default_rng(10)
     wide, narrow = np.cov(4.0 * rng.standard_normal((6, 5000))), np.cov(rng.standard_normal((6, 5000)))
     few = np.cov(rng.standard_normal((6, 4)))
-    out = shrunk_covariances(np.array([wide, narrow, few]), np.array([5000.0, 5000.0, 4.0]))
+    out = pixels.shrunk_covariances(np.array([wide, narrow, few]), np.array([5000.0, 5000.0, 4.0]))
     assert out[0] == pytest.approx(wide, abs=0.05 * wide.max())
     assert np.linalg.eigvalsh(few)[0] < 1e-9 < 1e-3 < np.linalg.eigvalsh(out[2])[0]
 
@@ -208,26 +193,26 @@ SIDE = 110
 
 def test_parts_are_compact_and_equal():
     lines, samples = np.nonzero(np.hypot(*(np.indices((40, 40)) - 20)) < 19)
-    part = compact_parts(lines, samples)
+    part = pixels.compact_parts(lines, samples)
     assert np.ptp(np.bincount(part, minlength=16)) <= 1
     # 70 pixels each: a square of them has an extent of 8.
     assert max(np.ptp(lines[part == g]) + np.ptp(samples[part == g]) for g in range(16)) < 40
-    assert compact_parts(lines[:20], samples[:20]).max() == 1  # ten pixels each
-    assert compact_parts(lines[:15], samples[:15]).max() == 0
+    assert pixels.compact_parts(lines[:20], samples[:20]).max() == 1  # ten pixels each
+    assert pixels.compact_parts(lines[:15], samples[:15]).max() == 0
 
 
 def test_moments_and_tails_without_each_part_are_those_of_the_rest():
     rng = np.random.default_rng(3)
-    pixels = 5.0 + rng.standard_t(5, (800, 3)) @ np.array([[2.0, 0.3, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 0.5]])
-    part = compact_parts(*np.divmod(np.arange(800), 40))
-    for g, (mean, covariance) in enumerate(moments_without_each(pixels, part)):
-        rest = pixels[part != g]
+    sample = 5.0 + rng.standard_t(5, (800, 3)) @ np.array([[2.0, 0.3, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 0.5]])
+    part = pixels.compact_parts(*np.divmod(np.arange(800), 40))
+    for g, (mean, covariance) in enumerate(pixels.moments_without_each(sample, part)):
+        rest = sample[part != g]
         np.testing.assert_allclose(mean, rest.mean(axis=0), rtol=1e-12)
         np.testing.assert_allclose(covariance, np.cov(rest.T), rtol=1e-9)
     away = np.linalg.solve(np.linalg.cholesky(covariance), (rest - mean).T)
-    whole = fit_tail_dof((away**2).sum(axis=0), 3, estimated_on=rest.shape[0])
-    assert leading_tail_dof(rest, mean, covariance) == pytest.approx(whole.dof, rel=1e-6)
-    assert not list(moments_without_each(pixels, np.zeros(800, int)))
+    whole = pixels.fit_tail_dof((away**2).sum(axis=0), 3, estimated_on=rest.shape[0])
+    assert pixels.leading_tail_dof(rest, mean, covariance) == pytest.approx(whole.dof, rel=1e-6)
+    assert not list(pixels.moments_without_each(sample, np.zeros(800, int)))
 
 
 def world(seed: int, blur: float) -> np.ndarray:
@@ -248,14 +233,14 @@ def test_interval_of_a_ratio_holds_that_of_the_laws(same):
     x = np.array([0.5, 1.3, 1.9, 2.3, 2.8, 3.1, 3.4, 3.7])
     for seed in range(50 if same else 100):
         scores, fitted = (world(s, 1.5) for s in (seed, seed if same else 1000 + seed))
-        part = compact_parts(*np.indices(fitted.shape).reshape(2, -1))
-        moments = [(fitted.mean(), fitted.var(ddof=1)), *moments_without_each(fitted.reshape(-1, 1), part)]
+        part = pixels.compact_parts(*np.indices(fitted.shape).reshape(2, -1))
+        moments = [(fitted.mean(), fitted.var(ddof=1)), *pixels.moments_without_each(fitted.reshape(-1, 1), part)]
         stated, *without = (stats.norm.logsf(x, np.squeeze(m), np.sqrt(np.squeeze(v))) for m, v in moments)
         half = 1.96 * np.sqrt((jackknife_directions(without) ** 2).sum(axis=0))
-        measured = exceedance_curve(AlarmBlocks.of_map(scores, np.ones(scores.shape, bool)))
+        measured = pixels.exceedance_curve(pixels.AlarmBlocks.of_map(scores, np.ones(scores.shape, bool)))
         for width in (half, 0.0):
             law = ExceedanceCurve(x, *(np.exp(stated + s * width) for s in (0.0, -1.0, 1.0)))
-            ratio = false_alarm_ratio(law, measured, 1e-2)
+            ratio = pixels.false_alarm_ratio(law, measured, 1e-2)
             assert (ratio.law_factor > 1.0) == np.any(width)
             hit = ratio.lower <= 1.0 <= ratio.upper
             both, alone = both + (np.any(width) and hit), alone + (not np.any(width) and hit)

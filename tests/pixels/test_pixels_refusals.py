@@ -7,19 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyperval import pixels
+from hyperval import model, pixels
 from hyperval.errors import UsageError
-from hyperval.model import (
-    ClassLaw,
-    RocArea,
-    bounded_mean_limits,
-    clopper_pearson,
-    feature_bands,
-    mid_p_limits,
-    minimum_noise_fraction,
-    principal_components,
-    with_distances,
-)
 
 EYE, RNG = np.eye(3), np.random.default_rng(0)
 GAIN, OFFSET = np.array([10.0, 6.0, 2.0]), np.array([1.0, 0.5, 0.1])
@@ -59,12 +48,12 @@ def curve(*pfa):
         (lambda: pixels.pixel_detector("rx", None, np.zeros(3), EYE).score(EYE), "whitener"),
         (lambda: pixels.register_detector("My detector", lambda *a: None), "detector name 'My detector'"),
         (lambda: pixels.register_detector("cem", lambda *a: None), "there is a detector 'cem' already"),
-        (lambda: feature_bands(np.arange(3.0), np.zeros(3, bool), ()), "no usable band for classification"),
-        (lambda: principal_components(EYE, 0), "0 principal components of 3 bands"),
-        (lambda: principal_components(EYE, 4), "4 principal components of 3 bands"),
-        (lambda: minimum_noise_fraction(EYE, np.array([1.0, 0.0, 1.0]), 1), "need noise in every band"),
+        (lambda: model.feature_bands(np.arange(3.0), np.zeros(3, bool), ()), "no usable band for classification"),
+        (lambda: model.principal_components(EYE, 0), "0 principal components of 3 bands"),
+        (lambda: model.principal_components(EYE, 4), "4 principal components of 3 bands"),
+        (lambda: model.minimum_noise_fraction(EYE, np.array([1.0, 0.0, 1.0]), 1), "need noise in every band"),
         (lambda: pixels.EigenDirections.of(np.zeros((3, 3))), "a covariance without variance has no eigenvalues"),
-        (lambda: with_distances(None, [ClassLaw(np.zeros(3), EYE)]), "classification needs two classes"),
+        (lambda: model.with_distances(None, [model.ClassLaw(np.zeros(3), EYE)]), "classification needs two classes"),
         (lambda: line(change={"reflectance_error": -np.ones(3)}), "panel 'white': a variance is negative"),
         (lambda: line(change={"radiance_error": -np.ones(3)}), "panel 'white': a variance is negative"),
         (lambda: line(change={"n": 0}), "panel 'white' has no pixels"),
@@ -85,7 +74,7 @@ def curve(*pfa):
         (lambda: pixels.empirical_roc([], [0.0]), "no target scores"),
         (lambda: pixels.empirical_roc([1.0], []), "no background scores"),
         (lambda: pixels.empirical_roc([1.0], [0.0], 0.0), "must lie in"),
-        (lambda: RocArea(0.2, 0.1), "no range of false-alarm probabilities"),
+        (lambda: model.RocArea(0.2, 0.1), "no range of false-alarm probabilities"),
         (lambda: pixels.alarms_at_detection([1.0], [0.0], [0.0]), "detection probability of 0"),
         (lambda: pixels.pooled_roc([]), "no curve to pool"),
         (lambda: pixels.pooled_roc([curve(), replace(curve(), unit="object")]), "that count the same thing"),
@@ -97,9 +86,9 @@ def curve(*pfa):
         (lambda: pixels.osp_filter(np.array([0.3, 0.7, 0.0]), EYE[:2]), "mixture of the undesired"),
         (lambda: pixels.osp_filter(np.ones(3), None), "needs the spectra"),
         (lambda: pixels.osp_filter(np.ones(3), EYE[:, :2]), "2 bands"),
-        (lambda: mid_p_limits(3, 2), "between 0 and the number of trials"),
-        (lambda: bounded_mean_limits([1.2]), "between 0 and 1"),
-        (lambda: clopper_pearson(1, 2, 95.0), "expected: a number between 0 and 1"),
+        (lambda: model.mid_p_limits(3, 2), "between 0 and the number of trials"),
+        (lambda: model.bounded_mean_limits([1.2]), "between 0 and 1"),
+        (lambda: model.clopper_pearson(1, 2, 95.0), "expected: a number between 0 and 1"),
         (lambda: pixels.fit_tail_dof(np.ones(5), 2), "say nothing of tails"),
         (lambda: pixels.fit_tail_dof(np.ones(20), 20, estimated_on=20), "20 pixels for distances in 20 bands"),
         (lambda: pixels.fit_mixture(np.ones((30, 2)), 40, RNG), "40 components of 30 pixels"),

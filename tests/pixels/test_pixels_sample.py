@@ -6,24 +6,9 @@ import numpy as np
 import pytest
 from scipy import ndimage, stats
 
+from hyperval import pixels
 from hyperval.compare import chi_square_full, chi_square_shape, covariance_dof
 from hyperval.model import bhattacharyya_distance
-from hyperval.pixels import (
-    EigenDirections,
-    SamplingBand,
-    components,
-    covariance_distance,
-    factor_covariance,
-    full_rank,
-    independent_pixels,
-    kurtosis_parameter,
-    lag_correlation,
-    neighbour_shares,
-    noise_part,
-    principal_angles_deg,
-    sampling_band,
-    small_sample_factor,
-)
 from hyperval.products import EstimatedPart
 from hyperval.simulate import correlated_field
 from hyperval.spectra import SpectralAxis
@@ -40,14 +25,14 @@ def sigma():
     return q @ np.diag(VALUES) @ q.T
 
 
-def pixels(n, rng, dof=np.inf):
+def standard(n, rng, dof=np.inf):
     z = rng.standard_normal((n, P)) @ np.linalg.cholesky(sigma()).T
     return z if np.isinf(dof) else z * np.sqrt((dof - 2) / rng.chisquare(dof, n))[:, None]
 
 
 def sample_eigenvalues(n, draws, dof=np.inf):
     rng = np.random.default_rng(7)
-    return np.array([np.linalg.eigvalsh(np.cov(pixels(n, rng, dof).T))[::-1] for _ in range(draws)])
+    return np.array([np.linalg.eigvalsh(np.cov(standard(n, rng, dof).T))[::-1] for _ in range(draws)])
 
 
 @pytest.mark.parametrize("n", [6, 15, 400])
@@ -55,24 +40,28 @@ def test_drawn_eigenvalues_are_those_of_samples_of_pixels(n):
     # n = 6 is of less than full rank; 15 is strongly biased. Two-sample Kolmogorov-Smirnov on the first and third
     # eigenvalue; at p > 1e-3 each of the 6 comparisons rejects a right sampler once in a thousand.
     truth = sample_eigenvalues(n, 600)
-    band = sampling_band(EigenDirections.of(sigma()), n - 1.0, 3, (1,), np.random.default_rng(3), draws=600)
+    band = pixels.sampling_band(
+        pixels.EigenDirections.of(sigma()), n - 1.0, 3, (1,), np.random.default_rng(3), draws=600
+    )
     for k in (0, 2):
         assert stats.ks_2samp(band.eigenvalues[:, k], truth[:, k]).pvalue > 1e-3
 
 
 def test_covariance_distance_is_bhattacharyya_without_a_difference_of_means():
-    other = np.cov(pixels(40, np.random.default_rng(9)).T)
-    directions = EigenDirections.of(sigma())
+    other = np.cov(standard(40, np.random.default_rng(9)).T)
+    directions = pixels.EigenDirections.of(sigma())
     expected = bhattacharyya_distance(np.zeros(P), sigma(), np.zeros(P), other)
-    assert covariance_distance(directions.of_other(other)) == pytest.approx(expected, rel=1e-9)
-    assert covariance_distance(np.eye(P)) == pytest.approx(0.0, abs=1e-15)
-    assert covariance_distance(np.diag([1.0, 0.0])) == np.inf
+    assert pixels.covariance_distance(directions.of_other(other)) == pytest.approx(expected, rel=1e-9)
+    assert pixels.covariance_distance(np.eye(P)) == pytest.approx(0.0, abs=1e-15)
+    assert pixels.covariance_distance(np.diag([1.0, 0.0])) == np.inf
 
 
 def test_principal_angle_of_a_turned_plane():
     a = np.radians(25.0)
     turned = np.array([[np.cos(a), 0.0], [0.0, 1.0]])
-    assert principal_angles_deg([turned, np.eye(2)], (1, 2)) == pytest.approx(np.array([[25.0, 25.0], [0.0, 0.0]]))
+    assert pixels.principal_angles_deg([turned, np.eye(2)], (1, 2)) == pytest.approx(
+        np.array([[25.0, 25.0], [0.0, 0.0]])
+    )
 
 
 BANDS = 80
@@ -93,7 +82,7 @@ def drawn(rng, n, amplitude):
 
 def test_pure_noise_has_no_factors():
     rng = np.random.default_rng(1)
-    found, dof = factor_covariance(np.cov(drawn(rng, 30, 0.0).T), 30)
+    found, dof = pixels.factor_covariance(np.cov(drawn(rng, 30, 0.0).T), 30)
     assert np.count_nonzero(found - np.diag(np.diag(found))) == 0
     # 2 tr(D^2)/m against {tr(C^2) + tr(C)^2}/nu, all variances alike.
     assert dof == pytest.approx(29 * (1 + BANDS) / 2)
@@ -102,7 +91,7 @@ def test_pure_noise_has_no_factors():
 def test_factors_that_stand_out_are_found_and_the_rest_is_diagonal():
     rng = np.random.default_rng(2)
     x = drawn(rng, 40, 20.0)
-    found, dof = factor_covariance(np.cov(x.T), 40)
+    found, dof = pixels.factor_covariance(np.cov(x.T), 40)
     sd = np.sqrt(np.diag(np.cov(x.T)))
     off = found / np.outer(sd, sd)
     values = np.linalg.eigvalsh(off)
@@ -132,7 +121,7 @@ def test_p_values_of_true_means_are_uniform_where_bands_hang_together(n):
     for _ in range(300):
         x = rng.standard_normal((n, 163)) @ root.T
         sample = np.cov(x.T)
-        covariance, dof = factor_covariance(sample, n) if n < 163 else (sample, n - 1.0)
+        covariance, dof = pixels.factor_covariance(sample, n) if n < 163 else (sample, n - 1.0)
         part = EstimatedPart(covariance / n, dof, sample=sample / n, sample_dof=n - 1.0)
         found.append(chi_square_full(x.mean(0), covariance / n, [part]).p_value)
     p = np.array(found)
@@ -145,7 +134,7 @@ def test_lags_are_the_products_of_all_pairs_of_pixels():
     rng = np.random.default_rng(4)
     windows = [(rng.standard_normal((2, *shape)), rng.random(shape) < 0.7) for shape in ((9, 14), (9, 14), (3, 20))]
     reach = 4
-    found = lag_correlation(windows, reach)
+    found = pixels.lag_correlation(windows, reach)
     total, pairs = np.zeros((2, 2 * reach + 1, 2 * reach + 1)), np.zeros((2 * reach + 1, 2 * reach + 1))
     for values, mask in windows:
         at = np.argwhere(mask)
@@ -161,7 +150,7 @@ def test_lags_are_the_products_of_all_pairs_of_pixels():
 
 def test_neighbour_shares_by_counting_shifted_masks():
     mask = np.random.default_rng(3).random((9, 12)) < 0.4
-    shares = neighbour_shares(mask, 3, np.random.default_rng(0))
+    shares = pixels.neighbour_shares(mask, 3, np.random.default_rng(0))
     padded = np.pad(mask, 3)
     for i, down in enumerate(range(-3, 4)):
         for j, right in enumerate(range(-3, 4)):
@@ -185,7 +174,7 @@ def test_intervals_of_regions_of_a_few_patches_hold_the_truth(side, correlation)
     # a thousand.  Before, 77 % (10, 4), 78 % (12, 4), 85 % (8, 2), 87 % (24, 6) and 89 % (20, 4).
     rng = np.random.default_rng(17)
     inside, reach = np.ones((side, side), bool), min(REACH, side - 1)
-    shares = neighbour_shares(inside, reach, rng)
+    shares = pixels.neighbour_shares(inside, reach, rng)
     gap = int(side + 6 * correlation)  # so far apart, cuts of one field are independent
     held = count = 0
     while count < 300:
@@ -193,29 +182,29 @@ def test_intervals_of_regions_of_a_few_patches_hold_the_truth(side, correlation)
         for line in range(20, wide.shape[0] - side - 20, gap):
             for sample in range(20, wide.shape[1] - side - 20, gap):
                 f = wide[line : line + side, sample : sample + side].astype(float)
-                n, _ = independent_pixels([((f - f.mean())[None], inside)], shares, f.size, reach)
-                u = f.std(ddof=1) * np.sqrt(small_sample_factor(n[0]) / n[0])
+                n, _ = pixels.independent_pixels([((f - f.mean())[None], inside)], shares, f.size, reach)
+                u = f.std(ddof=1) * np.sqrt(pixels.small_sample_factor(n[0]) / n[0])
                 held += abs(f.mean()) <= 1.959964 * u
                 count += 1
     assert held / count > 0.90
 
 
 def test_small_samples_are_widened_and_large_ones_are_not():
-    assert small_sample_factor(1e6) == pytest.approx(1.0, abs=1e-5)
+    assert pixels.small_sample_factor(1e6) == pytest.approx(1.0, abs=1e-5)
     # Half of 22, less 1: the t of ten degrees of freedom is 2.228 (tables).
-    assert small_sample_factor(22.0) == pytest.approx((2.228 / 1.960) ** 2, rel=1e-3)
-    assert small_sample_factor(1.0) == small_sample_factor(4.0)
+    assert pixels.small_sample_factor(22.0) == pytest.approx((2.228 / 1.960) ** 2, rel=1e-3)
+    assert pixels.small_sample_factor(1.0) == pixels.small_sample_factor(4.0)
 
 
 def test_a_covariance_of_few_directions_has_no_other_components():
-    along = components(np.diag([4.0, 1.0, 0.0]), np.random.default_rng(1), count=2)
+    along = pixels.components(np.diag([4.0, 1.0, 0.0]), np.random.default_rng(1), count=2)
     assert along.rest.shape == (3, 0)
     np.testing.assert_allclose(along.values, [4.0, 1.0])
     np.testing.assert_allclose(along.scores(np.array([[[2.0, 1.0, 0.0]]]))[:, 0, 0] ** 2, [1.0, 1.0])
 
 
 def test_limits_of_draws_are_the_third_from_each_end_of_119():
-    low, high = SamplingBand.limits(np.random.default_rng(0).permutation(119).astype(float) + 1)
+    low, high = pixels.SamplingBand.limits(np.random.default_rng(0).permutation(119).astype(float) + 1)
     assert (low, high) == (3.0, 117.0)  # a further draw is below 3 of 120 places, or above: 6/120 = 0.05
 
 
@@ -223,14 +212,14 @@ def test_independent_pixels_behind_a_variance_are_those_of_the_squared_correlati
     # Blurred noise, sd w: rho = exp(-h^2/(4 w^2)).  Over 12 fields of 4,096 pixels the number is known to some 3 %.
     rng = np.random.default_rng(9)
     size, w, reach = 64, 1.6, 16
-    shares = neighbour_shares(np.ones((size, size), bool), reach, rng)
+    shares = pixels.neighbour_shares(np.ones((size, size), bool), reach, rng)
     steps = np.arange(-reach, reach + 1)
     rho = np.exp(-(np.hypot(steps[:, None], steps[None]) ** 2) / (4 * w**2))
     found = []
     for _ in range(12):
         z = ndimage.gaussian_filter(rng.standard_normal((size, size)), w, mode="wrap")
         windows = [(((z - z.mean()) / z.std())[None], np.ones((size, size), bool))]
-        found.append([v[0] for v in independent_pixels(windows, shares, size**2, reach)])
+        found.append([v[0] for v in pixels.independent_pixels(windows, shares, size**2, reach)])
     for_mean, for_variance = np.mean(found, axis=0)
     assert for_variance == pytest.approx(size**2 / np.sum(rho**2 * shares), rel=0.15)
     assert for_mean == pytest.approx(size**2 / np.sum(rho * shares), rel=0.25)
@@ -242,21 +231,21 @@ def test_a_ring_counts_where_its_mean_is_two_standard_errors_of_its_pairs_above_
     for changes, independent in ((41, 101.0), (38, 101.0 / (1.0 + 2.0 * 0.24**2))):
         sign = np.ones((1, 1, 101))
         sign[..., np.linspace(1, 100, changes).astype(int)] = -1.0
-        found = independent_pixels([(np.cumprod(sign, axis=-1), np.ones((1, 101), bool))], shares, 101, 1)[1]
+        found = pixels.independent_pixels([(np.cumprod(sign, axis=-1), np.ones((1, 101), bool))], shares, 101, 1)[1]
         assert found == pytest.approx([independent])
 
 
 def test_noise_of_one_band_has_the_scatter_of_its_tails_and_of_its_columns():
     # (2 + 3 kappa)/n of the square for the pixels (Waternaux 1976), 2/(columns - 1) for what the columns share.
-    found = noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, calibration=[1.0], samples=11)
+    found = pixels.noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, calibration=[1.0], samples=11)
     assert (found.factor, found.uncertainty**2) == pytest.approx((2.0, 4.0 * 8.0 / 100.0 + 0.2 / 16.0))
 
 
 def test_kurtosis_rank_and_directions():
-    assert [kurtosis_parameter(dof) for dof in (np.inf, 6.0, 4.0)] == [0.0, 1.0, np.inf]
-    assert full_rank(24.0, 8)
-    assert not full_rank(np.array([100.0, 23.0]), 8)
-    assert EigenDirections.of(np.diag([0.0, 2.0, 0.0])).values.tolist() == [2.0]  # what is rounding is left out
+    assert [pixels.kurtosis_parameter(dof) for dof in (np.inf, 6.0, 4.0)] == [0.0, 1.0, np.inf]
+    assert pixels.full_rank(24.0, 8)
+    assert not pixels.full_rank(np.array([100.0, 23.0]), 8)
+    assert pixels.EigenDirections.of(np.diag([0.0, 2.0, 0.0])).values.tolist() == [2.0]  # what is rounding is left out
 
 
 def test_degrees_of_freedom_of_a_covariance():

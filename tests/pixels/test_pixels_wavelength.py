@@ -9,22 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hyperval import pixels
 from hyperval.compare import compare_spectra
 from hyperval.observe import wavelength_notes
-from hyperval.pixels import (
-    FEATURES,
-    OXYGEN_RESIDUAL,
-    RED_EDGE,
-    absorption_centre,
-    centre_uncertainty,
-    oxygen_residual,
-    red_edge,
-    wavelength_shifts,
-)
 from hyperval.products import SpectralEstimate
 from hyperval.spectra import SpectralAxis
 
-OXYGEN, WATER, _ = FEATURES
+OXYGEN, WATER, _ = pixels.FEATURES
 
 
 SITES = ("184227_rdn_v2p11_AstroGreenBaseball", "184227_rdn_v2p11_BeckmanLawn", "184829_rdn_v2p11_darklot")
@@ -48,7 +39,7 @@ def test_the_centre_of_an_absorption_is_its_first_moment_whatever_the_band_width
     w = np.arange(700.0, 830.0, 1.0)
     lines = 0.3 * np.exp(-0.5 * ((w - 761.9) / width) ** 2) + 0.5 * np.exp(-0.5 * ((w - 763.9) / width) ** 2)
     level = 40.0 - 0.1 * (w - 760.0)
-    centre, depth = absorption_centre(w, level * (1.0 - lines), OXYGEN)
+    centre, depth = pixels.absorption_centre(w, level * (1.0 - lines), OXYGEN)
     assert centre == pytest.approx((0.3 * 761.9 + 0.5 * 763.9) / 0.8, abs=0.05)
     assert 0.5 < depth < 0.8
 
@@ -57,11 +48,11 @@ def test_the_centre_of_an_absorption_is_its_first_moment_whatever_the_band_width
 def test_collected_spectra_stand_where_they_should_and_planted_shifts_are_found(name):
     w, radiance = site(name)
     bands = np.full(w.size, 5.5)
-    unmoved = {s.feature: s for s in wavelength_shifts(radiance, SpectralAxis(w, bands))}
-    assert set(unmoved) == {f.name for f in FEATURES}
+    unmoved = {s.feature: s for s in pixels.wavelength_shifts(radiance, SpectralAxis(w, bands))}
+    assert set(unmoved) == {f.name for f in pixels.FEATURES}
     assert not any(s.certain for s in unmoved.values())
     for planted in PLANTED:
-        found = {s.feature: s for s in wavelength_shifts(radiance, SpectralAxis(w + planted, bands))}
+        found = {s.feature: s for s in pixels.wavelength_shifts(radiance, SpectralAxis(w + planted, bands))}
         for feature, shift in found.items():
             assert shift.nm - unmoved[feature].nm == pytest.approx(planted, abs=0.05)
         # The oxygen band sees 5 nm with certainty on every site; 2 nm from the side on which it stood.
@@ -102,8 +93,10 @@ def test_the_uncertainty_of_a_centre_is_its_spread_over_draws():
         c = np.outer(u, u) * np.exp(-0.5 * ((w[:, None] - w) / length) ** 2)
         root = np.linalg.cholesky(c + 1e-12 * np.eye(w.size))
         rng = np.random.default_rng(31)
-        found = np.array([absorption_centre(w, y + root @ rng.standard_normal(w.size), OXYGEN)[0] for _ in range(1000)])
-        stated = centre_uncertainty(w, y, c, OXYGEN, absorption_centre(w, y, OXYGEN)[0])
+        found = np.array(
+            [pixels.absorption_centre(w, y + root @ rng.standard_normal(w.size), OXYGEN)[0] for _ in range(1000)]
+        )
+        stated = pixels.centre_uncertainty(w, y, c, OXYGEN, pixels.absorption_centre(w, y, OXYGEN)[0])
         assert stated == pytest.approx(found.std(), rel=0.15)
 
 
@@ -175,7 +168,7 @@ def roof(w):
 @pytest.mark.parametrize("too_much", [0.8, 1.0, 1.2])
 @pytest.mark.parametrize("shift", [-5.0, -2.0, 1.0, 2.0, 5.0])
 def test_a_planted_shift_is_found(surface, too_much, shift):
-    found = oxygen_residual(*compensated(shift, too_much, surface))
+    found = pixels.oxygen_residual(*compensated(shift, too_much, surface))
     assert found is not None
     assert abs(found.shift_nm - shift) < 1.25
     assert 1.0 < found.uncertainty_nm < 1.3
@@ -183,7 +176,7 @@ def test_a_planted_shift_is_found(surface, too_much, shift):
 
 @pytest.mark.parametrize("too_much", [0.6, 1.5])
 def test_too_much_or_too_little_oxygen_is_no_shift(too_much):
-    assert abs(oxygen_residual(*compensated(0.0, too_much, roof)).shift_nm) < 0.3
+    assert abs(pixels.oxygen_residual(*compensated(0.0, too_much, roof)).shift_nm) < 0.3
 
 
 def test_where_nothing_is_left_nothing_is_said():
@@ -191,10 +184,10 @@ def test_where_nothing_is_left_nothing_is_said():
     rng = np.random.default_rng(3)
     w = np.arange(735.0, 795.0, 3.6)
     draws = [roof(w) * (1.0 + 0.005 * rng.standard_normal(w.size)) for _ in range(60)]
-    assert sum(oxygen_residual(w, y, np.full(w.size, 4.8)) is not None for y in draws) <= 1
-    assert oxygen_residual(w, roof(w), np.full(w.size, 4.8)) is None
+    assert sum(pixels.oxygen_residual(w, y, np.full(w.size, 4.8)) is not None for y in draws) <= 1
+    assert pixels.oxygen_residual(w, roof(w), np.full(w.size, 4.8)) is None
     coarse = np.arange(735.0, 795.0, 10.0)
-    assert oxygen_residual(coarse, grass(coarse), np.full(coarse.size, 10.0)) is None
+    assert pixels.oxygen_residual(coarse, grass(coarse), np.full(coarse.size, 10.0)) is None
 
 
 @pytest.mark.data
@@ -205,7 +198,7 @@ def test_the_wavelengths_of_a_compensated_image_are_checked_to_a_nanometre():
     table = np.genfromtxt(root, delimiter=",")[1:]
     w = table[:, 0] * (1000.0 if table[0, 0] < 10.0 else 1.0)
     fwhm = np.full(w.size, 4.76)
-    stands = [(y, s) for y in table.T[1:] if (s := oxygen_residual(w, y, fwhm)) is not None]
+    stands = [(y, s) for y in table.T[1:] if (s := pixels.oxygen_residual(w, y, fwhm)) is not None]
     assert len(stands) >= 3  # of six materials, the rest of which varies more
     assert all(abs(s.shift_nm) < 1.0 for _, s in stands)
     notes = wavelength_notes([stands[0][0]], SpectralAxis(w, fwhm), reflectance=True)
@@ -224,28 +217,28 @@ WIDE = np.arange(400.0, 1250.0, 5.0)
 
 def spectrum_at(nm, shift):
     out = np.full(nm.size, 10.0)
-    for feature, width, depth in zip(FEATURES, (3.5, 18.0, 15.0), (0.5, 0.6, 0.6), strict=True):
+    for feature, width, depth in zip(pixels.FEATURES, (3.5, 18.0, 15.0), (0.5, 0.6, 0.6), strict=True):
         out *= 1.0 - depth * np.exp(-0.5 * ((nm - feature.centre_nm - shift) / width) ** 2)
     return out
 
 
 def test_wide_bands_and_few_of_them_tell_nothing():
     wide = SpectralAxis(WIDE, np.full(WIDE.size, 20.0))
-    assert FEATURES[0].name not in {s.feature for s in wavelength_shifts(spectrum_at(WIDE, 0.0), wide)}
+    assert pixels.FEATURES[0].name not in {s.feature for s in pixels.wavelength_shifts(spectrum_at(WIDE, 0.0), wide)}
     few = SpectralAxis(WIDE[:3], np.full(3, 5.0))
-    assert list(wavelength_shifts(np.ones(3), few)) == []
+    assert list(pixels.wavelength_shifts(np.ones(3), few)) == []
     unknown = SpectralAxis(WIDE, np.full(WIDE.size, 5.0))
-    assert list(wavelength_shifts(np.full(WIDE.size, np.nan), unknown)) == []
+    assert list(pixels.wavelength_shifts(np.full(WIDE.size, np.nan), unknown)) == []
 
 
 def test_reflectance_is_looked_at_for_the_red_edge():
     plant = 0.04 + 0.4 / (1.0 + np.exp(-(WIDE - 717.0 - 6.0) / 9.0))
     axis = SpectralAxis(WIDE, np.full(WIDE.size, 5.0))
-    found = {s.feature: s.nm for s in wavelength_shifts(plant, axis, reflectance=True)}
-    assert found[RED_EDGE.name] == pytest.approx(6.0, abs=1.0)
-    assert set(found) <= {RED_EDGE.name, OXYGEN_RESIDUAL}
-    assert np.isnan(red_edge(WIDE, np.full(WIDE.size, 0.2)))  # nothing rises
-    assert np.isnan(red_edge(WIDE[WIDE < 640.0], plant[WIDE < 640.0]))  # nothing is seen of it
+    found = {s.feature: s.nm for s in pixels.wavelength_shifts(plant, axis, reflectance=True)}
+    assert found[pixels.RED_EDGE.name] == pytest.approx(6.0, abs=1.0)
+    assert set(found) <= {pixels.RED_EDGE.name, pixels.OXYGEN_RESIDUAL}
+    assert np.isnan(pixels.red_edge(WIDE, np.full(WIDE.size, 0.2)))  # nothing rises
+    assert np.isnan(pixels.red_edge(WIDE[WIDE < 640.0], plant[WIDE < 640.0]))  # nothing is seen of it
 
 
 @pytest.mark.parametrize(
@@ -261,7 +254,7 @@ def test_reflectance_is_looked_at_for_the_red_edge():
     ],
 )
 def test_an_absorption_has_a_centre_where_all_of_it_is_seen(kept, options, found):
-    centre, depth = absorption_centre(NM[kept], dip(**options)[kept], FEATURES[0])
+    centre, depth = pixels.absorption_centre(NM[kept], dip(**options)[kept], pixels.FEATURES[0])
     assert np.isfinite(centre) == found
     if found:
         assert (depth > 0.3, centre) == (True, pytest.approx(options["centre"], abs=2.5))

@@ -7,15 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import beta, norm
 
+from hyperval import products
 from hyperval.figures import Quicklook, ScoreMap
-from hyperval.products import (
-    Abundance,
-    ObservedProducts,
-    PredictedProducts,
-    RocCurve,
-    ScoreDistribution,
-    SpectralEstimate,
-)
 from hyperval.report import RunReport
 from hyperval.results import Outcome, Result, ResultTable, Role
 from hyperval.spectra import SpectralAxis
@@ -40,18 +33,18 @@ def _estimate(w, level, rng, *, relative, n, shift=0.0):
     error = sum(np.outer(u, u) for u in budget.values())
     shapes = np.stack([mean * np.cos(k * w / 700.0) for k in range(8)])
     pixel = (shapes.T * (0.03**2 * 0.25 ** np.arange(8))) @ shapes + np.diag((0.002 + 0.004 * mean) ** 2)
-    return SpectralEstimate(mean, error, pixel, n, budget)
+    return products.SpectralEstimate(mean, error, pixel, n, budget)
 
 
 def _roc(separation, n_target, unit, rng):
     pfa = np.logspace(-6, 0, 61)
     exact, low, high = (norm.sf(norm.isf(pfa) - separation + shift) for shift in (0.0, 0.5, -0.5))
-    predicted = RocCurve(pfa, exact, low, high, norm.isf(pfa), unit)
+    predicted = products.RocCurve(pfa, exact, low, high, norm.isf(pfa), unit)
     scores = rng.standard_normal(n_target) + separation
     hits = np.array([(scores > t).sum() for t in norm.isf(pfa)])
     low = np.nan_to_num(beta.ppf(0.025, hits, n_target - hits + 1), nan=0.0)
     high = np.nan_to_num(beta.ppf(0.975, hits + 1, n_target - hits), nan=1.0)
-    measured = RocCurve(pfa, hits / n_target, low, high, norm.isf(pfa), unit, n_target, 12203, 0.02)
+    measured = products.RocCurve(pfa, hits / n_target, low, high, norm.isf(pfa), unit, n_target, 12203, 0.02)
     return predicted, measured
 
 
@@ -78,9 +71,9 @@ def make_run(
         o["radiance"][name] = _estimate(w, level, rng, relative=0.015, n=150 + 500 * i, shift=0.01 + 0.01 * i)
         for side in (p, o):
             mean = 30 * np.sqrt(side["radiance"][name].mean + 0.01) * (1 + 0.05 * (side is o))
-            side["snr"][name] = SpectralEstimate(mean, np.diag((0.06 * mean) ** 2), None, 150)
+            side["snr"][name] = products.SpectralEstimate(mean, np.diag((0.06 * mean) ** 2), None, 150)
             mean = level * (1 + 0.2 * np.sin(w / 300.0)) + 0.01 * rng.standard_normal(w.size)
-            side["reflectance"][name] = SpectralEstimate(mean, 0.01**2 * np.eye(w.size), None, 200)
+            side["reflectance"][name] = products.SpectralEstimate(mean, 0.01**2 * np.eye(w.size), None, 200)
         ratio = p["radiance"][name].mean / o["radiance"][name].mean - 1
         amiss = {} if i % 3 != 1 else {"outcome": Outcome.DISAGREES, "reason": "the budget does not explain it"}
         half = float(np.median(np.abs(ratio)))
@@ -96,14 +89,14 @@ def make_run(
     for i, name in enumerate(targets):
         key, unit, count = (name, "CEM"), "object" if i % 2 else "pixel", 20 + 3 * i
         p["roc"][*key, unit], o["roc"][*key, unit] = _roc(4.5 - 0.35 * i, count, unit, rng)
-        p["scores"][key] = ScoreDistribution(1 - 0.08 * i, 0.1)
-        o["scores"][key] = ScoreDistribution(0.97 - 0.08 * i, 0.12, count)
-        p["abundance"][key] = Abundance(9.0 / 2**i, 0.4 / 2**i)
-        o["abundance"][key] = Abundance(8.2 / 2**i, 0.6 / 2**i, 40)
+        p["scores"][key] = products.ScoreDistribution(1 - 0.08 * i, 0.1)
+        o["scores"][key] = products.ScoreDistribution(0.97 - 0.08 * i, 0.12, count)
+        p["abundance"][key] = products.Abundance(9.0 / 2**i, 0.4 / 2**i)
+        o["abundance"][key] = products.Abundance(8.2 / 2**i, 0.6 / 2**i, 40)
         limits = {"lower": -0.1, "upper": 0.15, "n": count, "limit_high": 0.2}
         table.add(Result(campaign, "roc", *key, "pd_difference@1e-3", 0.02 * i, **limits, **GATE))
     for side, n in ((p, None), (o, 12203)):
-        side["scores"]["background", "CEM"] = ScoreDistribution(0.0, 0.08, n)
+        side["scores"]["background", "CEM"] = products.ScoreDistribution(0.0, 0.08, n)
     skipped = {"role": Role.GATE, "outcome": Outcome.SKIPPED, "reason": "no truth: `hyperval data fetch x` brings it"}
     table.add(Result(campaign, "roc", "green planks", "ACE", "pd_difference@1e-3", **skipped), *rows)
     lines, samples = shape
@@ -119,8 +112,8 @@ def make_run(
     cube = {"reference": "data:invented/cube.img", "sha256": "ab" * 32, "licence": "CC0"}
     return RunReport(
         campaign, "Planks on a court", "Invented spectra in the shape of a small campaign.", simulated, table,
-        PredictedProducts(ax, **p, notes=("Thermal emission is left out.",), provenance={"engine": "6S"}),
-        ObservedProducts(ax, **o),
+        products.PredictedProducts(ax, **p, notes=("Thermal emission is left out.",), provenance={"engine": "6S"}),
+        products.ObservedProducts(ax, **o),
         {
             "yellow planks-CEM": ScoreMap(score, (0.5, 0, 287000.0, 0, -0.5, 4781000.0), "EPSG:32618", masks, 0.5),
             "yellow planks-ACE": ScoreMap(np.where(score > 1, np.nan, score)),

@@ -16,38 +16,16 @@ from PIL import Image
 from scipy.stats import norm
 from synthetic_run import axis, make_run
 
-from hyperval.figures import (
-    MOST_SUBJECTS,
-    Axis,
-    EigenvalueSpectrum,
-    Figure,
-    Mark,
-    Panels,
-    Part,
-    Quicklook,
-    ScoreMap,
-    TailCurve,
-    canvas_of,
-    criteria_figure,
-    densities_figure,
-    draw_pictures,
-    drawings_of,
-    first_figures,
-    further_figures,
-    house_style,
-    many_objects_figure,
-    spectra_figure,
-    statement,
-)
+from hyperval import figures
 from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve
 from hyperval.results import Outcome, Result, ResultTable, Role
 
 LONG = "field spectrum of a target with a long name"
 
 
-def stated(figure: Figure) -> list[dict[str, Any]]:
+def stated(figure: figures.Figure) -> list[dict[str, Any]]:
     """The views of a figure as the page's script reads them: each mark with its columns as arrays."""
-    whole = json.loads(statement(figure))
+    whole = json.loads(figures.statement(figure))
     arrays = [np.frombuffer(base64.b64decode(text), "<f4") for text in whole["columns"]]
     for view in whole["views"]:
         for mark in (mark for part in view["parts"] for mark in part["marks"]):
@@ -55,8 +33,8 @@ def stated(figure: Figure) -> list[dict[str, Any]]:
     return whole["views"]
 
 
-def further(*sides) -> dict[str, Figure]:
-    return {figure.name: figure for figure in further_figures(sides, ResultTable(), {}, {}, None)}
+def further(*sides) -> dict[str, figures.Figure]:
+    return {figure.name: figure for figure in figures.further_figures(sides, ResultTable(), {}, {}, None)}
 
 
 @pytest.fixture(scope="module")
@@ -107,24 +85,27 @@ def reasons() -> list[Result]:
     ]  # fmt: skip
 
 
-def every_figure(sides) -> dict[str, Figure]:
+def every_figure(sides) -> dict[str, figures.Figure]:
     e, d = np.geomspace(10.0, 1e-4, 20), np.linspace(0.5, 9.0, 30)
-    spread = {("grass $x$", "radiance"): EigenvalueSpectrum(1.02 * e, e, 0.95 * e, 1.05 * e, 5000)}
+    spread = {("grass $x$", "radiance"): figures.EigenvalueSpectrum(1.02 * e, e, 0.95 * e, 1.05 * e, 5000)}
     share = np.exp(-d)
-    tails = {"grass": TailCurve(d, share, 0.8 * share, 1.2 * share, None, share**2, share, None, 6.0, 4, 900)}
-    made = [*first_figures(sides), *further_figures(sides, ResultTable(reasons()), spread, tails, 0.1)]
-    made += [densities_figure([("one", sides[0]), ("other", sides[1])]), criteria_figure(list(make_run().table))]
+    tails = {"grass": figures.TailCurve(d, share, 0.8 * share, 1.2 * share, None, share**2, share, None, 6.0, 4, 900)}
+    made = [*figures.first_figures(sides), *figures.further_figures(sides, ResultTable(reasons()), spread, tails, 0.1)]
+    made += [
+        figures.densities_figure([("one", sides[0]), ("other", sides[1])]),
+        figures.criteria_figure(list(make_run().table)),
+    ]
     return {figure.name: figure for figure in made}
 
 
 @pytest.fixture(scope="module")
-def figures(sides):
+def charts(sides):
     return every_figure(sides)
 
 
 @pytest.fixture(scope="module")
-def drawings(figures):
-    return {drawing.name: drawing for drawing in drawings_of(list(figures.values()), simulated=True)}
+def drawings(charts):
+    return {drawing.name: drawing for drawing in figures.drawings_of(list(charts.values()), simulated=True)}
 
 
 def words_of(drawing) -> list[str]:
@@ -132,13 +113,15 @@ def words_of(drawing) -> list[str]:
     return re.findall(r"<!-- (.*?) -->", drawing.content.decode())
 
 
-def test_each_figure_is_the_same_again_and_told_in_words(sides, figures, drawings):
+def test_each_figure_is_the_same_again_and_told_in_words(sides, charts, drawings):
     """Whatever was drawn before, in a page and on paper; nothing is left to those who see alone."""
     again = every_figure(sides)
-    assert {name: statement(figure) for name, figure in figures.items()} == {n: statement(f) for n, f in again.items()}
+    assert {name: figures.statement(figure) for name, figure in charts.items()} == {
+        n: figures.statement(f) for n, f in again.items()
+    }
     some = [figure for name, figure in again.items() if name in ("roc", "radiance-budget", "attribution-effects")]
-    assert all(drawings[one.name].content == one.content for one in drawings_of(some, simulated=True))
-    assert set(figures) == set(drawings) == {
+    assert all(drawings[one.name].content == one.content for one in figures.drawings_of(some, simulated=True))
+    assert set(charts) == set(drawings) == {
         "radiance", "snr", "reflectance", "roc", "radiance-budget", "radiance-eigenvalues", "pixel-tails",
         "class-error", "scores", "object-scores", "object-transforms", "exceedance", "roc-difference", "abundance",
         "unmixing-areas", "attribution-inputs", "attribution-subjects", "attribution-effects", "what-ifs", "densities",
@@ -150,7 +133,7 @@ def test_each_figure_is_the_same_again_and_told_in_words(sides, figures, drawing
         assert any("(simulated collection)" in word for word in words_of(drawing)), drawing.name
 
 
-def test_the_words_of_a_figure_have_its_numbers(figures):
+def test_the_words_of_a_figure_have_its_numbers(charts):
     for name, words in {
         "radiance-eigenvalues": ("20 of 20 inside",),
         "pixel-tails": ("6 degrees of freedom measured",),
@@ -162,17 +145,17 @@ def test_the_words_of_a_figure_have_its_numbers(figures):
         "what-ifs": ("from 1.5 to 1.2",),
         "attribution-subjects": (f"lawn: {LONG}",),
     }.items():
-        assert all(word in figures[name].alt for word in words), name
+        assert all(word in charts[name].alt for word in words), name
 
 
 def test_nothing_to_draw(run):
     nothing = tuple(type(side)(side.axis) for side in (run.prediction, run.observation))
-    assert [*first_figures(nothing), *further(*nothing)] == []
-    assert densities_figure([("one", nothing[0])]) is None
+    assert [*figures.first_figures(nothing), *further(*nothing)] == []
+    assert figures.densities_figure([("one", nothing[0])]) is None
 
 
 def test_spectra_hold_both_sides_and_their_difference(run):
-    figure = spectra_figure((run.prediction, run.observation), "radiance")
+    figure = figures.spectra_figure((run.prediction, run.observation), "radiance")
     assert [view.subject for view in figure.views] == ["grass", "lawn"]
     above, below = stated(figure)[0]["parts"]
     predicted, measured = run.prediction.radiance["grass"], run.observation.radiance["grass"]
@@ -188,32 +171,32 @@ def test_spectra_hold_both_sides_and_their_difference(run):
         np.testing.assert_allclose(mark["columns"]["half"], norm.isf(0.025) * own_u, rtol=1e-5)
     assert [mark["dash"] for mark in above["marks"]] == ["solid", "dashed"]
     # Wavelengths of all subjects stand once, and a half-width in place of two limits: room for pictures.
-    assert len(json.loads(statement(figure))["columns"]) == 1 + 2 * 3 * 2
+    assert len(json.loads(figures.statement(figure))["columns"]) == 1 + 2 * 3 * 2
 
 
 def test_sides_without_a_difference_have_none_drawn(run):
-    same = spectra_figure((run.prediction, run.prediction), "radiance")
+    same = figures.spectra_figure((run.prediction, run.prediction), "radiance")
     assert "which are identical" in same.title
     assert [len(view.parts) for view in same.views] == [1, 1]
     axis_of = run.observation.axis
     moved = dataclasses.replace(run.observation, axis=dataclasses.replace(axis_of, centre_nm=axis_of.centre_nm + 40.0))
     for other in (moved, None):
-        alone = spectra_figure((run.prediction, other), "radiance")
+        alone = figures.spectra_figure((run.prediction, other), "radiance")
         assert [mark.label for mark in alone.marks()] == ["predicted"] * 2
-    assert spectra_figure((run.prediction, dataclasses.replace(run.observation, snr={})), "snr") is None
+    assert figures.spectra_figure((run.prediction, dataclasses.replace(run.observation, snr={})), "snr") is None
     one = dataclasses.replace(run.prediction, snr={"grass": run.prediction.snr["grass"]})
-    compared = spectra_figure((one, run.observation), "snr")
+    compared = figures.spectra_figure((one, run.observation), "snr")
     assert compared.title.endswith("; 1 of 2 are drawn, all are in products.nc")
     assert ("grass" in compared.alt, "lawn" in compared.alt) == (True, False)
 
 
 def test_the_subject_that_disagrees_stands_first_and_their_number_is_bounded(run):
     row = Result("r", "radiance", "lawn", "m", "p_value_full", 0.0, role=Role.GATE, outcome=Outcome.DISAGREES)
-    figure = spectra_figure((run.prediction, run.observation), "radiance", [row])
+    figure = figures.spectra_figure((run.prediction, run.observation), "radiance", [row])
     assert [view.subject for view in figure.views] == ["lawn", "grass"]
     many = make_run(bands=6, subjects=[f"s{i}" for i in range(30)], curves=0, shape=(4, 4))
-    figure = spectra_figure((many.prediction, many.observation), "snr")
-    assert len(figure.views) == MOST_SUBJECTS
+    figure = figures.spectra_figure((many.prediction, many.observation), "snr")
+    assert len(figure.views) == figures.MOST_SUBJECTS
     assert figure.title.endswith("; 24 of 30 are drawn, all are in products.nc")
 
 
@@ -221,25 +204,25 @@ def test_a_side_alone(run):
     """Bands may go by number; the logarithm of an eigenvalue of a large sample has the sd root of 2 / (n - 1)."""
     axis = run.observation.axis
     numbered = dataclasses.replace(axis, centre_nm=np.arange(1.0, 25.0), fwhm_nm=np.ones(24))
-    figure = spectra_figure((None, dataclasses.replace(run.observation, axis=numbered)), "reflectance")
+    figure = figures.spectra_figure((None, dataclasses.replace(run.observation, axis=numbered)), "reflectance")
     assert figure.views[0].x.label == "number of the band"
-    assert "absorption" not in figure.title + statement(figure)
-    known = spectra_figure((None, run.observation), "reflectance")
-    assert [685.0, 693.0] in json.loads(statement(known))["absorption"]
+    assert "absorption" not in figure.title + figures.statement(figure)
+    known = figures.spectra_figure((None, run.observation), "reflectance")
+    assert [685.0, 693.0] in json.loads(figures.statement(known))["absorption"]
     estimate = dataclasses.replace(run.prediction.radiance["grass"], n=51)
     figure = further(None, dataclasses.replace(run.prediction, radiance={"grass": estimate}))["radiance-eigenvalues"]
     (mark,) = figure.views[0].parts[0].marks
     values = np.linalg.eigvalsh(estimate.pixel_covariance)[::-1][: mark.columns["y"].size]
     np.testing.assert_allclose(mark.columns["y"], values, rtol=1e-9)
     np.testing.assert_allclose(np.log(mark.columns["high"] / values), norm.isf(0.025) * 0.2, rtol=1e-12)
-    part = Part(Axis("y"), (Mark("line", {"x": [1.0], "y": [5.0]}),))
-    low, high = Panels(Axis("x"), (part,)).ends("y", part)
+    part = figures.Part(figures.Axis("y"), (figures.Mark("line", {"x": [1.0], "y": [5.0]}),))
+    low, high = figures.Panels(figures.Axis("x"), (part,)).ends("y", part)
     assert low < 5.0 < high, "a single value has an axis"
 
 
-def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(run, figures):
+def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(run, charts):
     """Curves are thinned from end to end; pools of targets have the first place among too many."""
-    figure = figures["roc"]
+    figure = charts["roc"]
     assert list(dict.fromkeys(view.tab for view in figure.views)) == ["CEM, by pixel", "CEM, by object"]
     (part,) = figure.views[0].parts
     assert [(mark.kind, mark.dash) for mark in part.marks] == [("line", "dashed"), ("steps", "solid")]
@@ -248,7 +231,9 @@ def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(
     pfa = np.geomspace(1e-6, 1.0, 50_000)
     curve = RocCurve(pfa, *(np.sqrt(pfa),) * 3, pfa)
     held = {(f"t{i}", "cem", "pixel"): dataclasses.replace(curve, n_target=i) for i in range(30)}
-    figure = next(f for f in first_figures((None, dataclasses.replace(run.observation, roc=held))) if f.name == "roc")
+    figure = next(
+        f for f in figures.first_figures((None, dataclasses.replace(run.observation, roc=held))) if f.name == "roc"
+    )
     assert [view.subject for view in figure.views] == [f"t{i}" for i in range(6, 30)]
     columns = stated(figure)[0]["parts"][0]["marks"][0]["columns"]
     assert columns["x"].size <= 200
@@ -256,22 +241,22 @@ def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(
     np.testing.assert_allclose(columns["y"], np.sqrt(columns["x"]), rtol=1e-5)
 
 
-def test_statements_hold_the_numbers_and_a_view_each(figures):
+def test_statements_hold_the_numbers_and_a_view_each(charts):
     """The ratio below eigenvalues is that of the columns above; of classes without error the axis has an end."""
-    predicted, measured, ratio = (mark.columns for mark in figures["radiance-eigenvalues"].marks())
+    predicted, measured, ratio = (mark.columns for mark in charts["radiance-eigenvalues"].marks())
     np.testing.assert_allclose(predicted["y"] / measured["y"], ratio["y"], rtol=1e-6)
     np.testing.assert_allclose(ratio["high"], 1.05 / 1.02, rtol=1e-6)
-    (view,) = figures["class-error"].views
+    (view,) = charts["class-error"].views
     assert view.ends("x")[0] > 0.0
-    assert [place for _, place in figures["roc-difference"].views[0].parts[0].rules] == [0.0, -0.1, 0.1]
-    many = dataclasses.replace(figures["unmixing-areas"], views=figures["unmixing-areas"].views * 30)
-    sheets = drawings_of([many], simulated=False)
+    assert [place for _, place in charts["roc-difference"].views[0].parts[0].rules] == [0.0, -0.1, 0.1]
+    many = dataclasses.replace(charts["unmixing-areas"], views=charts["unmixing-areas"].views * 30)
+    sheets = figures.drawings_of([many], simulated=False)
     assert [sheet.name for sheet in sheets] == ["unmixing-areas-1", "unmixing-areas-2"]
     assert all(sheet.title.endswith("; 24 of 30 are drawn, all are in products.nc") for sheet in sheets)
 
 
-def test_reasons_are_told_by_shape_and_number_not_by_colour_alone(figures, drawings):
-    inputs, effects, what_ifs = (figures[n] for n in ("attribution-inputs", "attribution-effects", "what-ifs"))
+def test_reasons_are_told_by_shape_and_number_not_by_colour_alone(charts, drawings):
+    inputs, effects, what_ifs = (charts[n] for n in ("attribution-inputs", "attribution-effects", "what-ifs"))
     (bars,) = stated(inputs)[0]["parts"]
     assert bars["marks"][0]["columns"]["right"].tolist() == pytest.approx([130.0, 5.0, 0.2])
     assert bars["marks"][0]["words"][0] == "−3 times its step of 1 %"
@@ -301,8 +286,8 @@ def test_many_objects_are_a_map_and_a_histogram_and_groups_are_judged_together_a
         predicted[subject, "cem"] = ObjectScores(draws)
         measured[subject, "cem"] = ObjectScores(np.full(25, np.median(draws) + 0.1), names)
     sides = [type(s)(axis(2), object_scores=x) for s, x in ((run.prediction, predicted), (run.observation, measured))]
-    score_map = ScoreMap(np.zeros((9, 120)), outlines=outlines)
-    place, scores = stated(many_objects_figure({"planks-cem": score_map}, sides))[0]["parts"]
+    score_map = figures.ScoreMap(np.zeros((9, 120)), outlines=outlines)
+    place, scores = stated(figures.many_objects_figure({"planks-cem": score_map}, sides))[0]["parts"]
     (dots,) = place["marks"]
     np.testing.assert_allclose(dots["columns"]["value"], 0.1, atol=1e-6)
     assert (dots["columns"]["y"][0], dots["columns"]["x"][0]) == (2.5, 1.0), "the middle of its two pixels"
@@ -314,17 +299,17 @@ def test_many_objects_are_a_map_and_a_histogram_and_groups_are_judged_together_a
     assert (dots["linked"], below["linked"]) == (True, True), "what is chosen in one stands out in the other"
     few = dataclasses.replace(score_map, outlines=dict(list(outlines.items())[:40]))
     for name, maps in (("planks-cem", few), ("planks-ace", score_map)):  # a list has room; another detector's map
-        assert many_objects_figure({name: maps}, sides) is None
-    assert many_objects_figure({"planks-cem": score_map}, (sides[0], None)) is None
+        assert figures.many_objects_figure({name: maps}, sides) is None
+    assert figures.many_objects_figure({"planks-cem": score_map}, (sides[0], None)) is None
     groups = further(*sides)
     assert "object-scores" not in groups
     assert "50 objects" in groups["object-transforms"].alt
 
 
 @pytest.mark.parametrize("name", ["radiance", "roc", "object-scores", "attribution-effects", "criteria"])
-def test_panels_and_their_labels_do_not_overlap(figures, name):
-    with house_style():
-        canvas = canvas_of(figures[name], figures[name].views, simulated=True)
+def test_panels_and_their_labels_do_not_overlap(charts, name):
+    with figures.house_style():
+        canvas = figures.canvas_of(charts[name], charts[name].views, simulated=True)
         canvas.canvas.draw()
         renderer = canvas.canvas.get_renderer()
         boxes = [axes.get_tightbbox(renderer) for axes in canvas.axes]
@@ -344,8 +329,8 @@ def test_a_map_has_the_colours_of_its_scores_and_says_where_it_is():
     """Pixels of the picture, each so many points wide: white for none, then from dark to bright."""
     values, outline = np.linspace(0.0, 1.0, 200).reshape(10, 20), np.zeros((10, 20), bool)
     values[0, 0], outline[4:6, 8:12] = np.nan, True
-    maps = (ScoreMap(values), ScoreMap(values, outlines={"panel": outline}, pixel_size_m=2.0))
-    plain, outlined = (draw_pictures(None, {"a": one}, simulated=False)[0] for one in maps)
+    maps = (figures.ScoreMap(values), figures.ScoreMap(values, outlines={"panel": outline}, pixel_size_m=2.0))
+    plain, outlined = (figures.draw_pictures(None, {"a": one}, simulated=False)[0] for one in maps)
     picture, marked = pixels(plain), pixels(outlined)
     top, left = 80, 96
     wide = (picture.shape[1] - left - 190) // 20
@@ -363,7 +348,7 @@ def test_a_target_of_one_pixel_is_seen_in_a_large_map():
     values = np.zeros((1700, 1700))
     values[5:900, 0:40] = np.nan
     values[1203, 704] = 9.0
-    (drawing,) = draw_pictures(None, {"a": ScoreMap(values)}, simulated=False)
+    (drawing,) = figures.draw_pictures(None, {"a": figures.ScoreMap(values)}, simulated=False)
     assert "each point is the largest score of 3 by 3 pixels" in drawing.title
     bright = np.abs(pixels(drawing) - [253, 231, 37]).max(axis=-1)[:, :-190] <= 2
     assert [place.tolist() for place in np.nonzero(bright)] == [[80 + 1203 // 3], [96 + 704 // 3]]
@@ -378,5 +363,7 @@ def test_a_long_strip_is_cut_to_its_regions(turned, shown):
     mask[500:520, 40:50] = True
     for own, cut in ((mask, shown), (mask & False, ""), (np.zeros((300, 200), bool), "")):
         own = own.T if turned else own
-        (drawing,) = draw_pictures(Quicklook(np.full((*own.shape, 3), 9, np.uint8), {"a": own}), {}, simulated=False)
+        (drawing,) = figures.draw_pictures(
+            figures.Quicklook(np.full((*own.shape, 3), 9, np.uint8), {"a": own}), {}, simulated=False
+        )
         assert drawing.title.partition("; ")[2] == cut

@@ -15,18 +15,9 @@ import pytest
 import rasterio
 from synthetic_run import GATE, NASTY, axis, make_run
 
+from hyperval import report
 from hyperval.figures import Drawing
 from hyperval.products import ObservedProducts, PredictedProducts
-from hyperval.report import (
-    MAX_BYTES,
-    PowerWords,
-    RunReport,
-    first_screen,
-    index_page,
-    report_page,
-    write_index,
-    write_outputs,
-)
 from hyperval.results import Outcome, Result, ResultTable
 
 _VOID = {"meta", "img", "br", "link", "input", "hr", "wbr"}  # elements that never have an end tag
@@ -61,12 +52,12 @@ class Page(HTMLParser):
 def page_of(**options) -> Page:
     """The page of an invented run without its pictures; ``change``: what is another in it."""
     change = options.pop("change", {})
-    return Page(report_page(dataclasses.replace(make_run(curves=1, **options), **change), []))
+    return Page(report.report_page(dataclasses.replace(make_run(curves=1, **options), **change), []))
 
 
 def written(run, folder):
     folder.mkdir(parents=True)
-    write_outputs(run, folder)
+    report.write_outputs(run, folder)
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
@@ -129,7 +120,7 @@ def test_page_runs_no_script_but_those_whose_hash_it_states(text):
     charts = [json.loads(chart)["name"] for chart in held]
     assert charts[:3] == ["criteria", "worst", "radiance"]
     assert set(charts) >= {"radiance", "roc", "snr", "reflectance"}  # nothing is planned of the last two
-    assert len(text.encode()) < MAX_BYTES
+    assert len(text.encode()) < report.MAX_BYTES
 
 
 def test_evidence_comes_before_tables_and_reasons_after_assumptions(text):
@@ -139,7 +130,7 @@ def test_evidence_comes_before_tables_and_reasons_after_assumptions(text):
     )  # fmt: skip
     places = [text.index(part) for part in parts]
     assert places == sorted(places)
-    amiss = report_page(make_run(curves=1, rows=[row(product="reflectance", metric="p_value_full")]), [])
+    amiss = report.report_page(make_run(curves=1, rows=[row(product="reflectance", metric="p_value_full")]), [])
     first, second, third = (amiss.index(f'id="chart-{name}"') for name in ("reflectance", "radiance", "snr"))
     assert first < second < third
 
@@ -211,7 +202,7 @@ def test_disagreements_that_do_not_decide_come_first_and_alike_backgrounds_are_o
 
 def test_pages_of_one_side_do_not_call_themselves_validations():
     rows = ResultTable([Result("s", "roc", "t", "cem/pixel", "pd@1e-2", 0.5)])
-    text = Page(report_page(RunReport("s", "S", "", False, rows, kind="Prediction of scenario"), [])).text
+    text = Page(report.report_page(report.RunReport("s", "S", "", False, rows, kind="Prediction of scenario"), [])).text
     assert not re.search("alidat|Verdict|Campaign|simulated", text)
     assert "One side alone: nothing is compared here." in text
 
@@ -219,7 +210,9 @@ def test_pages_of_one_side_do_not_call_themselves_validations():
 def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix():
     """With many subjects the matrix is longer than a screen.  A choice after the data stands after what it was."""
     detected = [("sunlight x 1.05", "undetected", ""), ("fill x 0.8", "1 criterion", "scores | all | cem | p")]
-    table = PowerWords("The criteria detect 1 of 2 injected model errors. Undetected: sunlight x 1.05.", detected, "1")
+    table = report.PowerWords(
+        "The criteria detect 1 of 2 injected model errors. Undetected: sunlight x 1.05.", detected, "1"
+    )
     notes = ["warning: the panels do not lie on one line", "a note", *(f"warning: number {i}" for i in range(3))]
     choices = [("radiance: at most 0.06", "at most 0.05"), ("snr: at most 0.1", "none")]
     text = page_of(change={"chosen_after": choices, "power": table, "notes": notes}).text
@@ -238,7 +231,7 @@ def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix()
 def test_nothing_at_all_is_undecided(tmp_path):
     predicted, observed = PredictedProducts(axis(5)), ObservedProducts(axis(5))
     for number, sides in enumerate([(None, None), (predicted, observed), (predicted, None)]):
-        files = written(RunReport("empty", "Empty", "", False, ResultTable(), *sides), tmp_path / str(number))
+        files = written(report.RunReport("empty", "Empty", "", False, ResultTable(), *sides), tmp_path / str(number))
         assert "nothing is compared here" in Page(files["report.html"].decode()).text
         assert not any(name.startswith(("figures/", "scores/")) for name in files)
     alone = page_of(subjects=("grass",), change={"observation": None, "score_maps": {}, "quicklook": None})
@@ -252,8 +245,8 @@ def test_what_shows_most_is_embedded_whatever_the_rest_takes():
     names = ["score-map-3", "scene", "score-map-2", "score-map-4", "score-map-1-expected", "score-map-1"]
     drawings = [Drawing(n, "scores", n, f"A drawing of {n}.", bytes(200_000), "png") for n in names]
     drawings.append(Drawing("tails", "roc", "tails", "A drawing of tails.", bytes(4_000_000), "png"))
-    text = report_page(big, drawings)
-    assert len(text.encode()) < MAX_BYTES
+    text = report.report_page(big, drawings)
+    assert len(text.encode()) < report.MAX_BYTES
     linked = set(re.findall(r'The figure is in <a href="figures/(.+?)\.png"', text))
     assert "tails" in linked
     assert not linked & {"scene", "score-map-1", "score-map-1-expected"}
@@ -273,24 +266,26 @@ def test_campaigns_without_their_collection_are_folded_by_what_gets_it():
         dataclasses.replace(run, campaign=name, table=table, remedy=remedy)
         for name, remedy in (("line 1", "fetch lines"), ("felt", "fetch felts"), ("line 2", "fetch lines"))
     ]
-    page = index_page(runs, {r.campaign: r.campaign for r in runs})
+    page = report.index_page(runs, {r.campaign: r.campaign for r in runs})
     before, after = Page(page).text.split("3 of the 4 campaigns were skipped")
     assert "line 1" not in before
-    assert first_screen(list(run.table)).lead in before
+    assert report.first_screen(list(run.table)).lead in before
     assert re.search("fetch lines\\s+for\\s+line 1\\s*,\\s*line 2\\s+fetch felts\\s+for\\s+felt", after)
     assert 'href="line 2/report.html"' in page
-    alone = index_page(runs[1:], {r.campaign: r.campaign for r in runs})
+    alone = report.index_page(runs[1:], {r.campaign: r.campaign for r in runs})
     assert "<details open>" in alone
     assert "Collected imagery" not in Page(alone).text
 
 
 def test_an_index_joins_campaigns_and_sets_computed_and_simulated_references_apart(run, tmp_path):
     failed = ResultTable([dataclasses.replace(row("t", product="roc"), campaign="second <b>")])
-    second, network = (RunReport(n, n, "", False, failed, computed=n == "network") for n in ("second <b>", "network"))
+    second, network = (
+        report.RunReport(n, n, "", False, failed, computed=n == "network") for n in ("second <b>", "network")
+    )
     runs = {"invented": run, "second_b_": second, "network": network}
     for name, one in runs.items():
         written(one, tmp_path / name)
-    write_index(list(runs.values()), tmp_path)
+    report.write_index(list(runs.values()), tmp_path)
     page = Page((tmp_path / "report.html").read_text())
     links = [attributes["href"].partition("#")[0] for tag, attributes in page.tags if tag == "a"]
     assert list(dict.fromkeys(links)) == [f"{name}/report.html" for name in ("second_b_", "network", "invented")]

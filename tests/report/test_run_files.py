@@ -18,18 +18,9 @@ import yaml
 from synthetic_run import NASTY, axis, make_run
 
 import hyperval
-from hyperval import cli, products
+from hyperval import cli, products, run
 from hyperval.errors import InputError, UsageError
 from hyperval.results import COLUMNS, Outcome, Result, ResultTable, Role
-from hyperval.run import (
-    OBJECT_QUANTILES,
-    junit_xml,
-    read_pair,
-    results_csv,
-    results_json,
-    write_products,
-    write_table,
-)
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = "pasadena-2017"
@@ -81,7 +72,7 @@ def _sides():
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("nc")
-    write_products(path, dict(zip(("predicted", "observed"), _sides(), strict=True)), title="t", simulated=True)
+    run.write_products(path, dict(zip(("predicted", "observed"), _sides(), strict=True)), title="t", simulated=True)
     return path
 
 
@@ -97,7 +88,7 @@ def test_products_are_variables_with_keys_units_and_names(groups, folder, tmp_pa
     assert np.isnan(at["roc_alarms"].to_numpy()[4:]).all(), "the shorter curve is filled up"
     assert (observed["roc_area_value"].item(), observed["roc_alarm_pfa"].item()) == (0.97, 1.7e-3)
     assert (observed["object_score_name"].item(), observed["object_score"].item()) == ("north", 0.7)
-    np.testing.assert_allclose(predicted["object_score_quantile"][0], np.quantile(DRAWS, OBJECT_QUANTILES))
+    np.testing.assert_allclose(predicted["object_score_quantile"][0], np.quantile(DRAWS, run.OBJECT_QUANTILES))
     np.testing.assert_array_equal(predicted["noise_variance_shot"][0], [1e-4, 2e-4, 3e-4])
     for data in groups.values():
         for name, variable in data.variables.items():
@@ -110,7 +101,7 @@ def test_products_are_variables_with_keys_units_and_names(groups, folder, tmp_pa
     np.testing.assert_array_equal(root["radiance"].sel(at), known.mean)
     np.testing.assert_allclose(root["radiance_standard_uncertainty"].sel(at), known.standard_uncertainty)
     assert (root["radiance"].dims, list(root["wavelength"])) == (("side", "subject", "band"), list(AXIS.centre_nm))
-    write_products(tmp_path, dict(zip(groups, _sides(), strict=True)), title="t", simulated=True)
+    run.write_products(tmp_path, dict(zip(groups, _sides(), strict=True)), title="t", simulated=True)
     assert (tmp_path / "products.nc").read_bytes() == (folder / "products.nc").read_bytes()
 
 
@@ -132,7 +123,7 @@ def _same(one, other, at=""):
 
 def test_every_product_comes_back_as_it_was(folder):
     """But for predicted scores of objects, of which the file has quantiles: to a hundredth of their spread."""
-    read = read_pair(folder)
+    read = run.read_pair(folder)
     for side, back in zip(_sides(), read, strict=True):
         for field in dataclasses.fields(side):
             if field.name != "object_scores":
@@ -155,44 +146,46 @@ def test_figures_are_drawn_from_the_file_in_each_format(folder, tmp_path, kind, 
 
 def test_what_is_no_run_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"products\.nc"):
-        read_pair(tmp_path)
+        run.read_pair(tmp_path)
     (tmp_path / "products.nc").write_bytes(b"no netcdf")
     with pytest.raises(InputError, match="cannot be read"):
-        read_pair(tmp_path)
+        run.read_pair(tmp_path)
     assert cli.run(["figures", str(tmp_path), "-o", str(tmp_path / "out")]) == 3
     assert not (tmp_path / "out").exists()
 
 
 @pytest.fixture(scope="module")
-def run():
+def whole():
     return make_run(bands=8, subjects=("grass", "lawn"), curves=2)
 
 
 @pytest.fixture(scope="module")
-def opened(run, tmp_path_factory):
+def opened(whole, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    write_products(folder, {"predicted": run.prediction, "observed": run.observation}, title=run.title, simulated=True)
-    write_table(run.table, folder)
+    run.write_products(
+        folder, {"predicted": whole.prediction, "observed": whole.observation}, title=whole.title, simulated=True
+    )
+    run.write_table(whole.table, folder)
     return hyperval.open(folder)
 
 
-def test_spectra_curves_and_scores_of_an_opened_run_are_tables(run, opened):
+def test_spectra_curves_and_scores_of_an_opened_run_are_tables(whole, opened):
     rows = opened.spectra.query("side == 'observed' and product == 'radiance' and subject == 'lawn'")
-    known = run.observation.radiance["lawn"]
-    np.testing.assert_array_equal(rows["band_nm"], run.observation.axis.centre_nm)
+    known = whole.observation.radiance["lawn"]
+    np.testing.assert_array_equal(rows["band_nm"], whole.observation.axis.centre_nm)
     np.testing.assert_array_equal(rows["value"], known.mean)
     np.testing.assert_allclose(rows["standard_uncertainty"], known.standard_uncertainty, rtol=1e-12)
-    (key, curve), *_ = run.prediction.roc.items()
+    (key, curve), *_ = whole.prediction.roc.items()
     rows = opened.roc.set_index(["side", "subject", "detector", "unit"]).loc[("predicted", *key)]
     np.testing.assert_array_equal(rows["pd"], curve.pd)
-    (subject, detector), score = next(iter(run.observation.scores.items()))
+    (subject, detector), score = next(iter(whole.observation.scores.items()))
     row = opened.scores.set_index(["side", "subject", "detector"]).loc[("observed", subject, detector)]
     assert (row["mean"], row["sd"], row["n"]) == (score.mean, score.sd, score.n)
-    assert len(opened.summary) == sum(row.planned for row in run.table)
+    assert len(opened.summary) == sum(row.planned for row in whole.table)
 
 
-def test_a_measurand_has_its_errors_by_the_names_of_obsarray(run, opened):
-    data, known = opened.measurand("observed", "radiance", "lawn"), run.observation.radiance["lawn"]
+def test_a_measurand_has_its_errors_by_the_names_of_obsarray(whole, opened):
+    data, known = opened.measurand("observed", "radiance", "lawn"), whole.observation.radiance["lawn"]
     (component,) = data["radiance"].attrs["unc_comps"]
     u, covariance = data[component], known.error_covariance
     assert (u.attrs["err_corr_1_dim"], u.attrs["err_corr_1_form"]) == ("band", "err_corr_matrix")
@@ -211,7 +204,7 @@ def table() -> ResultTable:
 
 
 def read_back(table) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(results_csv(table), newline="")))
+    return list(csv.DictReader(io.StringIO(run.results_csv(table), newline="")))
 
 
 def test_csv_and_json_read_back_exactly(table):
@@ -224,9 +217,9 @@ def test_csv_and_json_read_back_exactly(table):
                 assert float(read[column] or "nan") == pytest.approx(value, rel=0, abs=0, nan_ok=True), column
             elif column != "n" or value is not None:
                 assert read[column] == str(value)
-    text = results_csv([Result("c", "p", "s", "m", "z", np.float64(0.1), n=np.int64(4))])
+    text = run.results_csv([Result("c", "p", "s", "m", "z", np.float64(0.1), n=np.int64(4))])
     assert text.splitlines()[1] == "c,p,s,m,,z,0.1,1,,,4,,,inform,model,none,,,,,,,,,,,,,,False"
-    document = json.loads(results_json(table), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    document = json.loads(run.results_json(table), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     counts = {"agrees": 5, "disagrees": 2, "undecided": 0, "skipped": 1, "error": 0, "none": 81}
     assert document["counts"] == counts
     assert sum(counts.values()) == len(document["rows"]) == len(table)
@@ -236,14 +229,14 @@ def test_csv_and_json_read_back_exactly(table):
 
 def test_junit_counts_match_the_table(table):
     table.add(Result("other", "roc", "a", "CEM", "pd", role=Role.GATE, outcome=Outcome.ERROR, reason="singular"))
-    root = ElementTree.fromstring(junit_xml(table))  # noqa: S314 - our own text
+    root = ElementTree.fromstring(run.junit_xml(table))  # noqa: S314 - our own text
     assert int(root.get("tests")) == len(root.findall(".//testcase")) == len(table.gates())
     for element, key in (("failure", "failures"), ("error", "errors"), ("skipped", "skipped")):
         (found,) = root.findall(f".//{element}")
         assert (found.get("message") != "", root.get(key)) == (True, "1")
     assert [suite.get("name") for suite in root] == ["invented", NASTY, "other"]
-    assert "difference_ratio 400" not in junit_xml(table), "informational rows are no test cases"
-    assert ElementTree.fromstring(junit_xml([])).get("tests") == "0"  # noqa: S314
+    assert "difference_ratio 400" not in run.junit_xml(table), "informational rows are no test cases"
+    assert ElementTree.fromstring(run.junit_xml([])).get("tests") == "0"  # noqa: S314
 
 
 @pytest.mark.parametrize("text", ["one\rtwo", "one\r\ntwo", "\rone", "one\r"])
@@ -251,7 +244,7 @@ def test_a_bare_carriage_return_ends_no_row(text):
     table = [Result("c", "radiance", "s", "m", "bias_ratio", value=1.0, reason=text)]
     (read,) = read_back(table)
     assert read["reason"].lstrip("'") == text.replace("\r\n", "\n").replace("\r", "\n")
-    assert len(pd.read_csv(io.StringIO(results_csv(table)))) == 1
+    assert len(pd.read_csv(io.StringIO(run.results_csv(table)))) == 1
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+A1", "-2+3", "@SUM(A1)", "\t=1"])

@@ -10,16 +10,10 @@ import pytest
 import yaml
 from spectra_shells import CORRELATION, NM, RADCALNET, RADCALNET_ERRORS, hypernets
 
+from hyperval import spectra
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Sources, covariance_in_bands
 from hyperval.scenario import SpectrumSource
-from hyperval.spectra import (
-    SpectralAxis,
-    band_average,
-    read_radcalnet,
-    read_records,
-    read_spectrum,
-)
 
 
 def day_file(folder: Path, text: str = RADCALNET, name: str = "day.input") -> Path:
@@ -29,7 +23,7 @@ def day_file(folder: Path, text: str = RADCALNET, name: str = "day.input") -> Pa
 
 def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
     path = day_file(tmp_path)
-    day = read_radcalnet(path)
+    day = spectra.read_radcalnet(path)
     assert (day.site, day.latitude_deg, day.longitude_deg, day.altitude_m) == ("XXXX01", 40.5, -109.5, 1270.0)
     assert day.quantity == "reflectance"
     assert day.times == (datetime(2020, 2, 29, 3, 30, tzinfo=UTC), datetime(2020, 2, 29, 4, 0, tzinfo=UTC))
@@ -42,25 +36,25 @@ def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
     for clock, words in (("04:00", "04:00 holds no value"), ("05:00", "05:00 is none of the file")):
         with pytest.raises(UsageError, match=words):
             day.at(clock)
-    (found,) = read_records(path)
+    (found,) = spectra.read_records(path)
     assert (found.name, found.wavelength_nm.tolist()) == ("03:30", [400.0, 420.0])
     assert found.standard_deviation.tolist() == [0.01, 0.02]
     with pytest.raises(InputError, match=r"holds top-of-atmosphere reflectance, not reflectance"):
-        read_spectrum(day_file(tmp_path, name="day.output"), record="03:30")
+        spectra.read_spectrum(day_file(tmp_path, name="day.output"), record="03:30")
     with pytest.raises(UsageError, match=r"\.input \(surface\)"):
-        read_radcalnet(day_file(tmp_path, name="day.txt"))
+        spectra.read_radcalnet(day_file(tmp_path, name="day.txt"))
 
 
 @pytest.mark.parametrize("case", yaml.safe_load(Path(__file__).with_name("days.yaml").read_text("utf-8")))
 def test_a_day_that_cannot_be_is_refused(tmp_path, case):
     assert case["old"] in RADCALNET
     with pytest.raises(InputError, match=case["words"]):
-        read_radcalnet(day_file(tmp_path, RADCALNET.replace(case["old"], case["new"], 1)))
+        spectra.read_radcalnet(day_file(tmp_path, RADCALNET.replace(case["old"], case["new"], 1)))
 
 
 def test_a_day_without_its_uncertainties_is_refused(tmp_path):
     with pytest.raises(InputError, match="end of the file"):
-        read_radcalnet(day_file(tmp_path, RADCALNET.replace(RADCALNET_ERRORS, "")))
+        spectra.read_radcalnet(day_file(tmp_path, RADCALNET.replace(RADCALNET_ERRORS, "")))
 
 
 def sequence(folder: Path, **changes) -> Path:
@@ -68,7 +62,7 @@ def sequence(folder: Path, **changes) -> Path:
 
 
 def test_a_series_and_its_errors(tmp_path):
-    first, nadir = read_records(sequence(tmp_path))
+    first, nadir = spectra.read_records(sequence(tmp_path))
     assert (first.name, nadir.name) == ("series 1: zenith 30 azimuth 263", "series 2: zenith 0 azimuth 98")
     covariance = first.errors.covariance()
     assert np.diag(covariance) == pytest.approx(0.04 * (0.01**2 + 0.03**2))
@@ -81,7 +75,7 @@ def test_a_series_and_its_errors(tmp_path):
 def test_rounding_of_the_correlation_leaves_no_negative_variance(tmp_path):
     rounded = np.round(np.exp(-0.5 * (np.subtract.outer(NM, NM) / 40.0) ** 2), 2)
     assert np.linalg.eigvalsh(rounded)[0] < -1e-3
-    found = read_records(sequence(tmp_path, err_corr_systematic_reflectance=rounded))[0].errors.correlation
+    found = spectra.read_records(sequence(tmp_path, err_corr_systematic_reflectance=rounded))[0].errors.correlation
     assert np.linalg.eigvalsh(found)[0] > -1e-12
     assert np.diag(found) == pytest.approx(1.0)
     assert found == pytest.approx(rounded, abs=0.01)
@@ -90,10 +84,13 @@ def test_rounding_of_the_correlation_leaves_no_negative_variance(tmp_path):
 def test_errors_go_into_bands_as_the_mean_does(tmp_path):
     """Draws averaged over bands have the covariance that the formula gives (seed 4; 1 in 1e4 fails)."""
     path = sequence(tmp_path)
-    covariance, axis = read_records(path)[1].errors.covariance(), SpectralAxis(np.array([410.0, 430.0, 450.0]), 10.0)
+    covariance, axis = (
+        spectra.read_records(path)[1].errors.covariance(),
+        spectra.SpectralAxis(np.array([410.0, 430.0, 450.0]), 10.0),
+    )
     expected = covariance_in_bands(NM, covariance, axis)
     draws = np.random.default_rng(4).multivariate_normal(np.zeros(NM.size), covariance, 40_000)
-    assert np.cov(band_average(NM, draws, axis).T) == pytest.approx(expected, rel=0.05)
+    assert np.cov(spectra.band_average(NM, draws, axis).T) == pytest.approx(expected, rel=0.05)
     surface = Sources(axis, {}, Path).spectrum(SpectrumSource(file=str(path), record="zenith 0"), "sand")
     assert surface.mean_error == pytest.approx(expected)
 
@@ -113,18 +110,18 @@ def test_a_sequence_that_cannot_be_is_refused(tmp_path, changes, words):
     if changes is None:
         path.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(InputError, match=words):
-        read_records(path)
+        spectra.read_records(path)
 
 
 @pytest.mark.data
 def test_real_files(data_dir):
-    day = read_radcalnet(data_dir("radcalnet/BTCN02_2018_148_v00.03.input"))
+    day = spectra.read_radcalnet(data_dir("radcalnet/BTCN02_2018_148_v00.03.input"))
     assert day.valid == ("04:00", "04:30", "05:00", "05:30", "06:00", "06:30", "07:00")
     assert day.at("05:30")["angstrom_exponent"] == 0.196
-    top = read_radcalnet(data_dir("radcalnet/BTCN02_2018_148_v02.03.output"))
+    top = spectra.read_radcalnet(data_dir("radcalnet/BTCN02_2018_148_v02.03.output"))
     assert (top.quantity, top.values[top.column("05:30"), 0]) == ("top-of-atmosphere reflectance", 0.1784)
     name = "hypernets/HYPERNETS_L_GHNA_L2A_REF_20231103T0901_20240124T2246_v2.0.nc"
-    found = read_records(data_dir(name))
+    found = spectra.read_records(data_dir(name))
     assert (len(found), found[0].wavelength_nm.size) == (45, 1554)
     assert [i for i, series in enumerate(found) if series.notes] == [7, 9]
     total = np.sqrt(np.diag(found[23].errors.covariance())) / found[23].values

@@ -13,37 +13,27 @@ from typing import Any
 import requests
 import uvicorn
 
+from hyperval import web
 from hyperval.errors import HypervalError
 from hyperval.progress import set_listener
-from hyperval.web import (
-    Cancelled,
-    Full,
-    Limits,
-    ServerSettings,
-    TaskFailed,
-    WorkerTask,
-    connections_of,
-    make_app,
-    said,
-    tasks,
-)
+from hyperval.web import tasks
 
 
 class Crew:
     """A thread in place of the processes."""
 
     def __init__(self, most: int = 64):
-        self.waiting: queue.Queue[WorkerTask | None] = queue.Queue(most)
+        self.waiting: queue.Queue[web.WorkerTask | None] = queue.Queue(most)
         self.gate = threading.Event()
         self.gate.set()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def submit(self, job: WorkerTask) -> WorkerTask:
+    def submit(self, job: web.WorkerTask) -> web.WorkerTask:
         try:
             self.waiting.put_nowait(job)
         except queue.Full:
-            raise Full from None
+            raise web.Full from None
         return job
 
     def close(self) -> None:
@@ -55,7 +45,7 @@ class Crew:
         while (job := self.waiting.get()) is not None:
             self.gate.wait(30.0)
             if job.is_cancelled:
-                job.future.set_exception(Cancelled("cancelled before it began"))
+                job.future.set_exception(web.Cancelled("cancelled before it began"))
                 continue
             job.started = time.monotonic()
             if job.begun is not None:
@@ -64,7 +54,7 @@ class Crew:
             try:
                 result = tasks.TASKS[job.task](**job.arguments)
             except HypervalError as error:
-                job.future.set_exception(TaskFailed(said(error)))
+                job.future.set_exception(web.TaskFailed(web.said(error)))
             except Exception as error:
                 job.future.set_exception(error)
             else:
@@ -73,10 +63,10 @@ class Crew:
                 set_listener(None)
 
     @staticmethod
-    def _report(job: WorkerTask, what: str, done: int, total: int | None) -> None:
+    def _report(job: web.WorkerTask, what: str, done: int, total: int | None) -> None:
         job.progress = (what, done, total)
         if job.is_cancelled:
-            raise Cancelled("cancelled")
+            raise web.Cancelled("cancelled")
 
 
 @dataclass
@@ -98,9 +88,9 @@ class Server:
 
 def serve(folder: Path, campaigns: Path | None = None, data: Path | None = None, **limits: Any) -> Iterator[Server]:
     quick, long = Crew(limits.get("queue", 64)), Crew(limits.get("queue", 64))
-    app = make_app(ServerSettings(folder, campaigns, limits=Limits(**limits), data=data), (quick, long))
+    app = web.make_app(web.ServerSettings(folder, campaigns, limits=web.Limits(**limits), data=data), (quick, long))
     config = uvicorn.Config(
-        app, host="127.0.0.1", port=0, log_level="error", server_header=False, ws="none", http=connections_of(256)
+        app, host="127.0.0.1", port=0, log_level="error", server_header=False, ws="none", http=web.connections_of(256)
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, daemon=True)
