@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import MOST_COMPONENTS, ClassStatistics, Components, statistics_of
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
@@ -64,8 +64,8 @@ def statistics_of_samples(
     UsageError : fewer than two samples, another number of bands, or NaN.
     """
     x = np.asarray(samples, dtype=float)
-    if x.ndim != 2 or x.shape[0] < 2 or x.shape[1] != len(axis):
-        raise UsageError(f"class {name!r}: samples of shape {x.shape}", expected=f"(2 or more, {len(axis)})")
+    wrong = x.ndim != 2 or x.shape[0] < 2 or x.shape[1] != len(axis)
+    refuse(wrong, "class.samples", name=name, shape=x.shape, bands=len(axis))
     sample = statistics_of(x)
     return ClassStatistics(name, axis, sample.mean, sample.covariance, sample.n, source, tail_dof, components)
 
@@ -78,11 +78,9 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
     UsageError : no class, a name that stands twice, or different bands.
     """
     names = [c.name for c in classes]
-    if not classes or len(set(names)) < len(names):
-        raise UsageError("a statistics library needs classes, each with its own name", where=str(path))
+    refuse(not classes or len(set(names)) < len(names), "classes.names", path)
     axis = classes[0].axis
-    if not all(c.axis.matches(axis, 1e-6) for c in classes):
-        raise UsageError("the classes of a statistics library share one set of bands", where=str(path))
+    refuse(not all(c.axis.matches(axis, 1e-6) for c in classes), "classes.bands", path)
     import xarray as xr  # 80 MB with pandas, which most runs do not need
 
     values: dict[str, npt.ArrayLike] = {
@@ -91,8 +89,9 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
         "tail_dof": [np.nan if c.tail_dof is None else c.tail_dof for c in classes],
         "source": np.array([c.source for c in classes], dtype=object), "class_name": np.array(names, dtype=object),
     }  # fmt: skip
-    if most := max(len(c.components) if c.components is not None else 0 for c in classes):
-        values |= dict(zip(_OF_COMPONENTS, _padded([c.components for c in classes], most, len(axis)), strict=True))
+    mixtures = [c.components for c in classes]
+    if most := max(0 if parts is None else len(parts) for parts in mixtures):
+        values |= dict(zip(_OF_COMPONENTS, _padded(mixtures, most, len(axis)), strict=True))
     units = {"fwhm": {"units": "nm"}, "source": {}, "class_name": {}}
     data = xr.Dataset(
         {name: (_along(name), np.asarray(v), units.get(name, {"units": "1"})) for name, v in values.items()},
@@ -140,13 +139,13 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
     try:
         data = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
     except Exception as error:
-        raise InputError(f"not a NetCDF-4 file ({error})", where=str(path)) from error
+        raise refusal("classes.file", path, why=error) from error
     with data:
         _check_sizes(data, str(path))
         try:
             return _class_of(data, path, record)
         except (OSError, ValueError, TypeError) as error:
-            raise InputError(f"cannot be read: {error}", where=str(path)) from error
+            raise refusal("classes.unreadable", path, why=error) from error
 
 
 def _check_sizes(data: xr.Dataset, where: str) -> None:
@@ -155,28 +154,22 @@ def _check_sizes(data: xr.Dataset, where: str) -> None:
     lacking = ", ".join(name for name in needed if name not in data.variables)
     sizes = {name: data.sizes.get(name, 0) for name in ("band", "class", "component")}
     bands, count, parts = sizes.values()
-    if mixed and (lacking or not 0 < parts <= MOST_COMPONENTS):
-        what = f"classes of {parts} components" + (f" without {lacking}" if lacking else "")
-        expected = f"weights, offsets, covariances and dof of 1-{MOST_COMPONENTS}"
-        raise InputError(what, where=where, expected=expected)
-    if lacking:
-        raise InputError(f"has no variable {lacking}", where=where, expected="a statistics library")
-    if not (0 < bands <= MAX_BANDS and 0 < count <= MAX_CLASSES):
-        expected = f"1-{MAX_CLASSES} classes, 1-{MAX_BANDS} bands"
-        raise InputError(f"{count} classes of {bands} bands", where=where, expected=expected)
+    wrong = mixed and (lacking or not 0 < parts <= MOST_COMPONENTS)
+    refuse(wrong, "classes.components", where, parts=parts, lacking=lacking or "nothing", most=MOST_COMPONENTS)
+    refuse(lacking, "classes.lacking", where, lacking=lacking)
+    large = not (0 < bands <= MAX_BANDS and 0 < count <= MAX_CLASSES)
+    refuse(large, "classes.size", where, count=count, bands=bands, most=MAX_CLASSES, most_bands=MAX_BANDS)
     shapes = {name: tuple((sizes | {"band_2": bands})[d] for d in _along(name)) for name in needed}
-    wrong = [f"{name} {data[name].shape}" for name, shape in shapes.items() if data[name].shape != shape]
-    if wrong:
-        raise InputError(f"sizes contradict each other: {', '.join(wrong)}", where=where)
+    unlike = [f"{name} {data[name].shape}" for name, shape in shapes.items() if data[name].shape != shape]
+    refuse(unlike, "classes.shapes", where, shapes=", ".join(unlike))
 
 
 def _class_of(data: xr.Dataset, path: Path, record: str | None) -> ClassStatistics:
     names = [str(n) for n in data["class_name"].values]
-    if record is None and len(names) > 1:
-        raise UsageError("holds several classes", where=str(path), expected="record: one of " + ", ".join(names))
-    if record is not None and record not in names:
-        raise UsageError(f"has no class {record!r}", where=str(path), expected="one of " + ", ".join(names))
-    at = names.index(record) if record is not None else 0
+    refuse(record is None and len(names) > 1, "classes.several", path, names=", ".join(names))
+    wanted = names[0] if record is None else record
+    refuse(wanted not in names, "classes.none", path, name=wanted, names=", ".join(names))
+    at = names.index(wanted)
     one = data.isel({"class": at})
     good = one["good_band"].values > 0 if "good_band" in one else np.ones(0, bool)
     tail, components = float(one["tail_dof"]) if "tail_dof" in one else np.nan, None
@@ -207,17 +200,9 @@ def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 1
         return statistics
     at, to = statistics.axis.centre_nm, axis.centre_nm
     short = (to < at[0] - edge_nm) | (to > at[-1] + edge_nm)
-    if at.size < 2 or np.any(short):
-        raise UsageError(
-            f"class {statistics.name!r} covers {at[0]:g}-{at[-1]:g} nm and {int(short.sum())} bands lie outside it "
-            f"(first {to[short][0] if short.any() else to[0]:g} nm)",
-            expected="statistics over the whole band set",
-        )
-    i = np.clip(np.searchsorted(at, to) - 1, 0, at.size - 2)
-    share = np.clip((to - at[i]) / (at[i + 1] - at[i]), 0.0, 1.0)
-    weights = np.zeros((to.size, at.size))
-    rows = np.arange(to.size)
-    weights[rows, i], weights[rows, i + 1] = 1.0 - share, share
+    ends = {"low": at[0], "high": at[-1], "count": int(short.sum()), "first": to[int(np.argmax(short))]}
+    refuse(at.size < 2 or short.any(), "class.bands", name=statistics.name, **ends)
+    weights = np.stack([np.interp(to, at, one) for one in np.eye(at.size)], axis=1)
     covariance = weights @ statistics.covariance @ weights.T
     return ClassStatistics(
         statistics.name, axis, weights @ statistics.mean, 0.5 * (covariance + covariance.T),
@@ -308,11 +293,10 @@ def builtin_mean(name: str, axis: SpectralAxis) -> Array:
     ------
     UsageError : as by :func:`builtin_class`.
     """
-    if not _GREY.match(name) and name not in BUILTIN_NAMES[:-1]:
-        raise UsageError(f"unknown built-in surface {name!r}", expected="one of " + ", ".join(BUILTIN_NAMES))
-    w = axis.centre_nm
-    if w[0] < RANGE_NM[0] or w[-1] > RANGE_NM[1]:
-        raise UsageError(f"built-in surfaces cover {RANGE_NM[0]:g}-{RANGE_NM[1]:g} nm, the bands {w[0]:g}-{w[-1]:g} nm")
+    unknown, known = not _GREY.match(name) and name not in BUILTIN_NAMES[:-1], ", ".join(BUILTIN_NAMES)
+    refuse(unknown, "class.unknown", name=name, known=known)
+    w, (low, high) = axis.centre_nm, RANGE_NM
+    refuse(w[0] < low or w[-1] > high, "class.range", low=low, high=high, first=w[0], last=w[-1])
     return _mean(name, w)
 
 

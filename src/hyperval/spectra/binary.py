@@ -11,24 +11,29 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, refuse
-from hyperval.spectra.record import Record
+from hyperval.errors import refusal, refuse
+from hyperval.spectra.record import FieldSpectrum
 
 Array = npt.NDArray[np.float64]
 
 _VERSIONS = (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
+HEADER_BYTES = 484
+_HEADER = np.dtype({
+    "names": ("kind", "first", "step", "format", "channels", "integration", "optic", "gains", "joins"),
+    "formats": ("u1", "<f4", "<f4", "u1", "<u2", "<u4", "<i2", ("<u2", 2), ("<f4", 2)),
+    "offsets": (186, 191, 195, 199, 204, 390, 394, 436, 444), "itemsize": HEADER_BYTES,
+})  # fmt: skip
 _FORMATS = {0: "<f4", 1: "<i4", 2: "<f8"}
 _TYPES = {
     0: "raw counts", 1: "reflectance", 2: "radiance", 3: "no units", 4: "irradiance", 5: "quality index",
     6: "transmittance", 7: "unknown", 8: "absolute reflectance",
 }  # fmt: skip
-HEADER_BYTES = 484
 MAX_CHANNELS = 10_000
 RANGE_NM = (200.0, 2600.0)  # of the instruments
 # How far a single channel may stick out above or below both beside it: as a share of the greatest value, and in
@@ -41,8 +46,7 @@ GREATEST = 20.0  # [W m-2 sr-1 nm-1]; sunlit white reaches 0.7, raw counts go to
 MAX_STEP = 0.25  # at a join of two detectors; a drifting instrument steps by a tenth
 _NO_ANGLE = 180  # fore optic of 180 degrees and more: a cosine receptor, which sees irradiance
 _CLASSIFIER_TEXTS = 20
-_ENTRY = struct.Struct("<b20sihh")
-_MEND = "export the calibrated spectrum as text, with its unit in the title"
+_ENTRY = np.dtype([("kind", "i1"), ("name", "S20"), ("integration", "<i4"), ("gains", "<i2", 2)])
 
 
 def is_asd(raw: bytes) -> bool:
@@ -50,28 +54,24 @@ def is_asd(raw: bytes) -> bool:
     return raw[:3] in _VERSIONS and len(raw) > HEADER_BYTES and b"\0" in raw[3:HEADER_BYTES]
 
 
-def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> Record:
+def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> FieldSpectrum:
     """Reflectance (relative to the white reference), radiance or irradiance of an ASD file, as its type says.
 
     Raises
     ------
     InputError : cut short, another data type, no reference in it, or counts without a calibration that fits.
     """
-    where, kind = str(path), raw[186]
-    first, step = struct.unpack_from("<2f", raw, 191)
-    (channels,) = struct.unpack_from("<H", raw, 204)
-    wrong = raw[199] not in _FORMATS or not 2 <= channels <= MAX_CHANNELS or not (np.isfinite(first) and step > 0)
-    refuse(wrong, "the ASD header is not valid", where)
+    where, head = str(path), np.frombuffer(raw, _HEADER, 1)[0]
+    kind, channels, first, step = int(head["kind"]), int(head["channels"]), float(head["first"]), float(head["step"])
     last, (least, most) = first + step * (channels - 1), RANGE_NM
-    what = f"the ASD header is not valid: wavelengths from {first:g} to {last:g} nm"
-    refuse(not least <= first < last <= most, what, where, f"{least:g} to {most:g} nm")
-    expected = "reflectance, raw counts with their white reference, radiance or irradiance"
-    export = "export the reflectance as text"
-    refuse(kind not in (0, 1, 2, 4), f"the file holds {_TYPES.get(kind, 'unknown data')}", where, expected, export)
-    dtype, alone = np.dtype(_FORMATS[raw[199]]), raw[:3] == b"ASD"  # version 1 stores the reflectance and no reference
+    known = head["format"] in _FORMATS and 2 <= channels <= MAX_CHANNELS and step > 0
+    wrong = not (known and least <= first < last <= most)
+    refuse(wrong, "asd.header", where, first=first, last=last, least=least, most=most)
+    refuse(kind not in (0, 1, 2, 4), "asd.kind", where, held=_TYPES.get(kind, "unknown data"))
+    dtype, alone = np.dtype(_FORMATS[int(head["format"])]), raw[:3] == b"ASD"  # version 1: reflectance, no reference
     values = _array(raw, HEADER_BYTES, channels, dtype, where, ratio=alone)
     nm = first + step * np.arange(channels, dtype=float)
-    record = Record(path.stem, nm, values, source=where, wavelength_unit="nm")
+    record = FieldSpectrum(path.stem, nm, values, source=where, wavelength_unit="nm")
     flag, end = HEADER_BYTES + values.size * dtype.itemsize, len(raw)
     if not alone and len(raw) >= flag + 20:
         end = flag + 20 + int(struct.unpack_from("<H", raw, flag + 18)[0]) + channels * dtype.itemsize
@@ -80,11 +80,11 @@ def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> Record:
             return replace(record, quantity=_TYPES[kind])
         values, power, notes = calibrated(raw, end, values, nm, dtype, where)
         return replace(record, values=values, quantity=power, notes=notes, unit=_UNITS[power])
-    refuse(alone and kind == 0, "raw counts without a white reference", where)
+    refuse(alone and kind == 0, "asd.counts", where)
     notes = ()
     if not alone:
-        refuse(len(raw) < flag + 20, "the ASD file is cut short", where)
-        refuse(not struct.unpack_from("<H", raw, flag)[0], "the file holds no white reference", where, mend=export)
+        refuse(len(raw) < flag + 20, "asd.short", where)
+        refuse(not struct.unpack_from("<H", raw, flag)[0], "asd.reference", where)
         reference = _array(raw, end - channels * dtype.itemsize, channels, dtype, where)
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(reference != 0, values / reference, np.nan)
@@ -98,7 +98,7 @@ def _array(raw: bytes, at: int, count: int, dtype: np.dtype, where: str, *, rati
     Such are values that are not finite, emptied, or one alone far from both channels beside it; a ``ratio``, a stored
     reflectance, may be anything where there was no light.
     """
-    refuse(len(raw) < at + count * dtype.itemsize, "the ASD file is cut short", where)
+    refuse(len(raw) < at + count * dtype.itemsize, "asd.short", where)
     values = np.frombuffer(raw, dtype, count, at).astype(float)
     before, after = np.pad(values, 1, mode="reflect")[:-2], np.pad(values, 1, mode="reflect")[2:]
     with np.errstate(all="ignore"):
@@ -107,10 +107,9 @@ def _array(raw: bytes, at: int, count: int, dtype: np.dtype, where: str, *, rati
         bad = ~np.isfinite(values) | ((beyond > most) & (not ratio))
     empty = np.convolve(values == 0.0, np.ones(_EMPTY), "valid") == _EMPTY
     channel = int(np.argmax(bad)) if bad.any() else int(np.argmax(empty))
-    what = f"channel {channel + 1} holds {values[channel]:g}"
-    what += "" if bad.any() else f", as do the {_EMPTY - 1} after it"
-    expected, mend = "values like those of the channels beside it", "copy the file again: it is damaged"
-    refuse(bad.any() or empty.any(), what, where, expected, mend)
+    others = "" if bad.any() else f", as do the {_EMPTY - 1} after it"
+    wrong = bad.any() or empty.any()
+    refuse(wrong, "asd.channel", where, channel=channel + 1, value=values[channel], others=others)
     return values
 
 
@@ -133,44 +132,39 @@ def calibrated(
     ------
     InputError : counts without calibration, or a calibration under which the detectors do not join.
     """
-    kind = "irradiance" if raw[186] == 4 else "radiance"
+    head = np.frombuffer(raw, _HEADER, 1)[0]
+    kind, receptor = "irradiance" if head["kind"] == 4 else "radiance", head["optic"] >= _NO_ANGLE
     if float(np.nanmax(np.abs(stored))) <= GREATEST:
         return stored, kind, ()
-    expected = f"at most {GREATEST:g} {_UNITS['radiance']}"
-    what = f"a file of {kind} that holds counts up to {np.nanmax(stored):.0f}, and no calibration"
-    refuse(raw[:3] not in (b"as7", b"as8"), what, where, expected, _MEND)
+    uncalibrated = raw[:3] not in (b"as7", b"as8")
+    refuse(
+        uncalibrated, "asd.large", where, power=kind, value=np.nanmax(stored), most=GREATEST, unit=_UNITS["radiance"]
+    )
     try:
         powers = _calibrations(raw, end_of_reference, stored.size, dtype)
     except (struct.error, IndexError, ValueError) as error:
-        raise InputError(f"the calibration in the file is not understood ({error})", where=where, mend=_MEND) from None
-    (field_of_view,) = struct.unpack_from("<h", raw, 394)
-    needed = (LAMP, RESPONSE) if field_of_view >= _NO_ANGLE else (BASE, LAMP, RESPONSE)
-    what = f"a file of {kind} that holds counts, and no calibration"
-    refuse(any(k not in powers for k in needed), what, where, mend=_MEND)
-    (integration,) = struct.unpack_from("<L", raw, 390)
-    gains, joins = struct.unpack_from("<2H", raw, 436), struct.unpack_from("<2f", raw, 444)
+        raise refusal("asd.calibration", where, why=error) from None
+    needed = (LAMP, RESPONSE) if receptor else (BASE, LAMP, RESPONSE)
+    refuse(any(k not in powers for k in needed), "asd.uncalibrated", where, power=kind)
     response, integration_ms, own_gains = powers[RESPONSE]
-    unset = not (integration and integration_ms > 0 and all(gains) and all(own_gains))
-    refuse(unset, "settings of the calibration that are 0", where, mend=_MEND)
+    gains, joins, integration = head["gains"].tolist(), head["joins"].tolist(), int(head["integration"])
+    refuse(not (integration and integration_ms > 0 and all(gains) and all(own_gains)), "asd.settings", where)
     ratios = [integration_ms / integration, gains[0] / own_gains[0], gains[1] / own_gains[1]]
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.select([wavelength_nm <= joins[0], wavelength_nm <= joins[1]], ratios[:2], ratios[2])
         values = np.where(response > 0, powers[LAMP][0] * stored / response * factor, np.nan)
-    kind = "irradiance"
-    if field_of_view < _NO_ANGLE:
-        values, kind = values * powers[BASE][0] / np.pi, "radiance"
+    kind = "irradiance" if receptor else "radiance"
+    values = values if receptor else values * powers[BASE][0] / np.pi
     for join in joins:
         after = int(np.searchsorted(wavelength_nm, join, side="right"))
         if 1 <= after < values.size:
             low, high = values[after - 1], values[after]
             part = abs(high / low - 1.0) if low else np.inf
-            what = f"calibrated, the spectrum steps by {100 * part:.0f} % at {join:g} nm, where two detectors join: "
-            what += "the calibration in the file does not fit its settings"
-            refuse(not part <= MAX_STEP, what, where, f"at most {100 * MAX_STEP:.0f} %", _MEND)
+            refuse(not part <= MAX_STEP, "asd.join", where, percent=100 * part, join=join, most=100 * MAX_STEP)
     return values, kind, (f"{kind} from counts by the calibration in the file",)
 
 
-def _calibrations(raw: bytes, at: int, channels: int, dtype: np.dtype) -> dict[int, tuple[Array, int, tuple[int, int]]]:
+def _calibrations(raw: bytes, at: int, channels: int, dtype: np.dtype) -> dict[int, tuple[Array, int, list[int]]]:
     """The calibration spectra by kind, each with integration time [ms] and gains.
 
     ValueError where the blocks before them are not empty ones.
@@ -185,40 +179,28 @@ def _calibrations(raw: bytes, at: int, channels: int, dtype: np.dtype) -> dict[i
         if length < 0:
             raise ValueError("a text of negative length")
         at += 2 + length
-    (constituents,) = struct.unpack_from("<h", raw, at)
-    (dependents,) = struct.unpack_from("<h", raw, at + 6)
+    constituents, _, _, dependents = struct.unpack_from("<4h", raw, at)
     if constituents or dependents:
         raise ValueError("classifier data come first")
-    at += 12
-    count = raw[at]
-    at += 1
-    entries = [_ENTRY.unpack_from(raw, at + i * _ENTRY.size) for i in range(count)]
-    at += count * _ENTRY.size
-    calibrations = {}
-    for kind, _, integration, first, second in entries:
-        if at + channels * dtype.itemsize > len(raw):
-            raise ValueError("cut short")
-        values = np.frombuffer(raw, dtype, channels, at).astype(float)
-        calibrations[kind] = (values, integration, (first, second))
-        at += channels * dtype.itemsize
-    return calibrations
+    entries = np.frombuffer(raw, _ENTRY, raw[at + 12], at + 13)
+    at += 13 + entries.nbytes
+    if at + entries.size * channels * dtype.itemsize > len(raw):
+        raise ValueError("cut short")
+    spectra = np.frombuffer(raw, dtype, entries.size * channels, at).astype(float).reshape(-1, channels)
+    told = (entries[name].tolist() for name in ("kind", "integration", "gains"))
+    return {kind: (values, time, gains) for kind, time, gains, values in zip(*told, spectra, strict=True)}
 
 
 MARK = b"SPECPR_MAGIC"
-RECORD_BYTES = 1536
 MAX_SPECPR_BYTES = 256 << 20
 MOST_CHANNELS = 4852  # of the format
 _CONTINUATION, _TEXT, _ERRORS = 1, 2, 8
 _FIRST, _MORE = 256, 383
-
-
-class _Spectrum(NamedTuple):
-    number: int
-    title: str
-    channels: int
-    wavelength_record: int
-    width_record: int
-    errors_follow: bool
+_RECORD = np.dtype({
+    "names": ("flags", "title", "channels", "grid", "widths", "first", "more"),
+    "formats": (">u4", "S40", ">i4", ">i4", ">i4", (">f4", _FIRST), (">f4", _MORE)),
+    "offsets": (0, 4, 80, 100, 104, 512, 4), "itemsize": 1536,
+})  # fmt: skip
 
 
 def is_specpr(head: bytes) -> bool:
@@ -226,7 +208,7 @@ def is_specpr(head: bytes) -> bool:
     return head.startswith(MARK)
 
 
-def specpr_records(path: Path) -> list[Record]:
+def specpr_records(path: Path) -> list[FieldSpectrum]:
     """Every spectrum of a SPECPR file but wavelengths, band widths and errors; the errors go with their spectrum.
 
     Records have 1536 bytes, big-endian, and begin with 32 bits of flags: bit 0 continuation, bit 1 text, bit 3
@@ -240,53 +222,42 @@ def specpr_records(path: Path) -> list[Record]:
     ------
     InputError : cut short, too large, records that contradict each other, or no spectrum.
     """
-    where = str(path)
-    size = path.stat().st_size
-    expected, cut = f"records of {RECORD_BYTES} bytes, at most {MAX_SPECPR_BYTES}", size % RECORD_BYTES
-    refuse(cut or not 0 < size <= MAX_SPECPR_BYTES, f"{size} bytes", where, expected, "copy the file again")
-    raw = np.fromfile(path, np.uint8).reshape(-1, RECORD_BYTES)
-    flags = raw[:, :4].copy().view(">u4").ravel()
-    heads = [_head(raw[i], i) for i in range(1, len(raw)) if not flags[i] & (_CONTINUATION | _TEXT)]
-    spectra = [h for h in heads if h.channels > 0]
-    by_number = {s.number: s for s in spectra}
-    auxiliary = {n for s in spectra for n in (s.wavelength_record, s.width_record) if n > 0}
-    auxiliary |= {after.number for s in spectra if s.errors_follow and (after := _after(s, spectra)) is not None}
+    where, size = str(path), path.stat().st_size
+    cut = size % _RECORD.itemsize or not 0 < size <= MAX_SPECPR_BYTES
+    refuse(cut, "specpr.size", where, size=size, one=_RECORD.itemsize, most=MAX_SPECPR_BYTES)
+    raw = np.fromfile(path, _RECORD)
+    begins = (raw["flags"] & (_CONTINUATION | _TEXT) == 0) & (raw["channels"] > 0)
+    starts = [int(i) for i in np.flatnonzero(begins) if i > 0]
+    heads = set(starts)
+    # The spectrum of as many channels that follows one with this flag holds its errors.
+    errors = {
+        one: after for one, after in pairwise(starts)
+        if raw["flags"][one] & _ERRORS and raw["channels"][one] == raw["channels"][after]
+    }  # fmt: skip
+    auxiliary = {*raw["grid"][starts].tolist(), *raw["widths"][starts].tolist(), *errors.values()}
     out = []
-    for spectrum in spectra:
-        if spectrum.number in auxiliary or spectrum.wavelength_record <= 0:
-            continue
-        grid = by_number.get(spectrum.wavelength_record)
-        if grid is None or grid.channels != spectrum.channels:
-            at = f"record {spectrum.wavelength_record}, which holds none for {spectrum.channels} channels"
-            raise InputError(f"record {spectrum.number} ({spectrum.title!r}) has its wavelengths in {at}", where=where)
-        errors = _after(spectrum, spectra) if spectrum.errors_follow else None
-        spread = None if errors is None else _values(raw, flags, errors, where)
-        wavelength, values = (_values(raw, flags, s, where) for s in (grid, spectrum))
-        record = Record(spectrum.title, wavelength, values, spread, source=where)
+    for i in (i for i in starts if i not in auxiliary and raw["grid"][i] > 0):
+        grid, channels = int(raw["grid"][i]), int(raw["channels"][i])
+        none = grid not in heads or raw["channels"][grid] != channels
+        refuse(none, "specpr.grid", where, number=i, title=_title(raw[i]), grid=grid, channels=channels)
+        wavelength, values = (_values(raw, at, where) for at in (grid, i))
+        spread = _values(raw, errors[i], where) if i in errors else None
+        record = FieldSpectrum(_title(raw[i]), wavelength, values, spread, source=where)
         out.append(replace(record, wavelength_unit="um", unit="fraction"))
-    refuse(not out, "the file holds no spectrum with wavelengths", where)
+    refuse(not out, "specpr.none", where)
     return out
 
 
-def _head(record: npt.NDArray[np.uint8], number: int) -> _Spectrum:
-    title = record[4:44].tobytes().split(b"\0")[0].decode("latin-1").strip()
-    words = record[:512].copy().view(">i4")
-    return _Spectrum(number, title, int(words[20]), int(words[25]), int(words[26]), bool(int(words[0]) & _ERRORS))
+def _title(record: np.void) -> str:
+    return bytes(record["title"]).split(b"\0")[0].decode("latin-1").strip()
 
 
-def _after(spectrum: _Spectrum, spectra: list[_Spectrum]) -> _Spectrum | None:
-    """The spectrum of as many channels that follows, which holds the errors."""
-    follows = next((s for s in spectra if s.number > spectrum.number), None)
-    return follows if follows is not None and follows.channels == spectrum.channels else None
-
-
-def _values(raw: npt.NDArray[np.uint8], flags: npt.NDArray[np.uint32], spectrum: _Spectrum, where: str) -> Array:
+def _values(raw: npt.NDArray[np.void], at: int, where: str) -> Array:
     """The channels (n,) of a spectrum from its first record and the continuations behind it."""
-    n, at = spectrum.channels, spectrum.number
+    n = int(raw["channels"][at])
     more = max(0, -(-(n - _FIRST) // _MORE))
-    behind = flags[at + 1 : at + 1 + more]
-    what = f"record {at} ({spectrum.title!r}): {n} channels, and {behind.size} records behind it"
-    lacking = n > MOST_CHANNELS or behind.size != more or np.any((behind & (_CONTINUATION | _TEXT)) != _CONTINUATION)
-    refuse(lacking, what, where, f"{more} continuations", "the file is damaged: copy it again")
-    parts = [raw[at, 512:].tobytes(), *(raw[i, 4:].tobytes() for i in range(at + 1, at + 1 + more))]
-    return np.frombuffer(b"".join(parts), ">f4")[:n].astype(float)
+    behind = raw[at + 1 : at + 1 + more]
+    broken = np.any((behind["flags"] & (_CONTINUATION | _TEXT)) != _CONTINUATION)
+    cut, title = n > MOST_CHANNELS or behind.size != more or broken, _title(raw[at])
+    refuse(cut, "specpr.continued", where, number=at, title=title, channels=n, count=behind.size, more=more)
+    return np.concatenate([raw["first"][at], behind["more"].ravel()])[:n].astype(float)

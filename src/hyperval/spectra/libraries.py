@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperval.envi_header import EnviHeader, read_header
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import refusal, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, Record
+from hyperval.spectra.record import MAX_BYTES, FieldSpectrum
 from hyperval.spectra.text import is_number, number_table, wavelength_unit_in
 from hyperval.storage import decoded
 
@@ -25,7 +25,7 @@ MAX_WAVELENGTH_FILES = 40  # that are looked into
 _SUFFIXES = (".sli", ".lib", ".img", "", ".SLI", ".LIB", ".IMG")
 
 
-def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None) -> list[Record]:
+def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None) -> list[FieldSpectrum]:
     """Every spectrum of a library; ``path`` is the header when ``header`` is None, else the data file.
 
     Raises
@@ -35,22 +35,22 @@ def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None
     if header is None:
         header = read_header(path)
         files = [path.with_suffix(end) for end in _SUFFIXES if path.with_suffix(end).is_file()]
-        refuse(len(files) != 1, f"{len(files)} data files beside the header", path)
+        refuse(len(files) != 1, "library.files", path, count=len(files))
         path = files[0]
     path = checked_file(path, root=root, what="spectral library")
     checked_file(header.path, root=root, what="ENVI header")
     lines, channels, size = header.lines, header.samples, path.stat().st_size
-    what = f"file type {header.file_type!r} with {header.bands} bands"
     other = header.file_type.lower() != "envi spectral library" or header.bands != 1
-    refuse(other, what, header.where("file type"), "ENVI Spectral Library with one band")
-    expected = f"{header.expected_bytes} bytes ({lines} spectra of {channels} channels), at most {MAX_BYTES}"
-    refuse(size != header.expected_bytes or size > MAX_BYTES, f"{size} bytes", path, expected)
+    refuse(other, "library.type", header.where("file type"), type=header.file_type, bands=header.bands)
+    whole, most = header.expected_bytes, MAX_BYTES
+    wrong = size != whole or size > most
+    refuse(wrong, "library.size", path, size=size, lines=lines, channels=channels, whole=whole, most=most)
     listed = header.numbers("wavelength")
     wavelength = np.array([]) if listed is None else listed
-    what = f"{wavelength.size} wavelengths for {channels} channels"
-    refuse(listed is None or wavelength.size != channels, what, header.where("wavelength"))
+    unlike = wavelength.size != channels
+    refuse(unlike, "library.wavelengths", header.where("wavelength"), count=wavelength.size, channels=channels)
     names = header.strings("spectra names") or tuple(f"spectrum {i + 1}" for i in range(lines))
-    refuse(len(names) != lines, f"{len(names)} names for {lines} spectra", header.where("spectra names"))
+    refuse(len(names) != lines, "library.names", header.where("spectra names"), count=len(names), lines=lines)
     values = np.fromfile(path, header.dtype, offset=header.header_offset).reshape(lines, channels).astype(float)
     # An ignore value and a list of bad bands both say that channels hold no value.
     ignore, flags = header.number("data ignore value"), header.numbers("bbl", channels)
@@ -59,13 +59,13 @@ def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None
         empty |= flags == 0.0
     key, factor = "reflectance scale factor", header.number("reflectance scale factor")
     absurd = factor is not None and not (np.isfinite(factor) and factor > 0)
-    refuse(absurd, f"{key!r} is {factor or 0.0:g}", header.where(key))
+    refuse(absurd, "library.scale", header.where(key), key=key, factor=factor or 0.0)
     # A factor of 1 is what ENVI writes when nobody told it: it states nothing.
     scale = f"scaled:{factor!r}" if factor not in (None, 1.0) else None
     return _records(names, wavelength, np.where(empty, np.nan, values), path, header.text("wavelength units"), scale)
 
 
-def library_at_hand(library: Any) -> list[Record]:
+def library_at_hand(library: Any) -> list[FieldSpectrum]:
     """The spectra of a library of SPy, or of an array of xarray (spectrum, wavelength).
 
     Raises
@@ -82,39 +82,35 @@ def library_at_hand(library: Any) -> list[Record]:
         names = ordered[ordered.dims[0]].values if named else [f"spectrum {i + 1}" for i in range(len(rows))]
         unit = ordered["wavelength"].attrs.get("units")
     else:
-        raise UsageError(
-            f"an object of type {type(library).__name__} without wavelengths",
-            expected="a path, a library of SPy (spectral), or an array of xarray (spectrum, wavelength)",
-        )
+        raise refusal("library.object", type=type(library).__name__)
     return _records(names, wavelength, rows, "library at hand", None if unit is None else str(unit))
 
 
 def _records(
     names: Iterable[Any], wavelength: Any, rows: Any, where: object, unit: str | None, scale: str | None = None
-) -> list[Record]:
+) -> list[FieldSpectrum]:
     """Spectra (spectrum, channel) on one set of wavelengths, whose unit may be said to be unknown."""
     unit = None if unit is None or unit.lower() in ("", "unknown", "none", "<unspecified>") else unit
     named = zip(names, np.asarray(rows, float), strict=True)
-    record = Record(
+    record = FieldSpectrum(
         "", np.asarray(wavelength, float), np.array([]), source=str(where), wavelength_unit=unit, unit=scale
     )
     return [replace(record, name=str(name), values=row) for name, row in named]
 
 
-def usgs_record(path: Path, grid: Path, beside: bool) -> Record:
+def usgs_record(path: Path, grid: Path, beside: bool) -> FieldSpectrum:
     """A spectrum of a library that keeps values and wavelengths in files of one column each.
 
     ``beside`` says that the wavelengths were found in the folder, and not named.
     """
     header, values, _ = number_table(decoded(path.read_bytes()), path)
     grid_header, wavelength, _ = number_table(decoded(grid.read_bytes()), grid)
-    expected = f"one column of {len(wavelength)} rows, as in {grid}"
-    unlike = values.shape[1] != 1 or wavelength.shape != values.shape
-    refuse(unlike, "{} rows of {} columns".format(*values.shape), path, expected)
+    unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
+    refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
     unit = wavelength_unit_in(" ".join(grid_header), "", str(grid))
     note = (f"wavelengths from {grid.name}, which lies beside it",) if beside else ()
-    record = Record(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], source=str(path))
+    record = FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], source=str(path))
     return replace(record, wavelength_unit=unit, notes=note)
 
 
@@ -161,6 +157,5 @@ def library_to_xarray(spectra: Sequence[FieldSpectrum]) -> xr.DataArray:
 
 def _on_one_set(spectra: Sequence[FieldSpectrum]) -> tuple[np.ndarray, list[str], np.ndarray]:
     unlike = not spectra or any(not np.array_equal(s.wavelength_nm, spectra[0].wavelength_nm) for s in spectra)
-    what, mend = "a library needs spectra on one set of wavelengths", "resample them first"
-    refuse(unlike, what, "", mend=mend, kind=UsageError)
+    refuse(unlike, "library.unlike")
     return spectra[0].wavelength_nm, [s.name for s in spectra], np.stack([s.values for s in spectra])

@@ -3,7 +3,7 @@
 A file is tab-separated text: the site, one column a half hour, the state, reflectance every 10 nm, and after an
 empty line the standard uncertainties of all of it in the same columns.  ``.input`` holds what was measured on the
 ground, ``.output`` what the network computed for the top of the atmosphere, seen from nadir; the text of the two
-does not tell them apart.  9996 and above: no value.
+does not tell them apart, but that the latter may list the place of the sun.  9996 and above: no value.
 
 Surface reflectance of HYPERNETS (L2A): a sequence of views, its errors by kind with their correlation.
 
@@ -25,10 +25,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse
+from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
-from hyperval.spectra.record import MAX_BYTES, Record, SpectrumErrors
+from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectrumErrors
 
 Array = npt.NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def is_hypernets(raw: bytes) -> bool:
     return raw.startswith(HDF5_MARK) and b"hypernets_processor" in raw
 
 
-def hypernets_records(path: Path) -> list[Record]:
+def hypernets_records(path: Path) -> list[FieldSpectrum]:
     """The series of an L2A file as spectra, named by number and direction of view; flagged ones say so.
 
     Raises
@@ -57,11 +57,11 @@ def hypernets_records(path: Path) -> list[Record]:
     values = _variables(path)
     nm, rho, matrix = values["wavelength"], values["reflectance"].T, values["err_corr_systematic_reflectance"]
     disorder = nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0)
-    refuse(disorder, "wavelengths do not increase within 200 to 3000 nm", path)
+    refuse(disorder, "hypernets.wavelengths", path)
     beyond = not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01)
-    refuse(beyond, "a correlation beyond -1 to 1, or other than 1 with itself", path)
+    refuse(beyond, "hypernets.correlation", path)
     random, systematic = (0.01 * values[f"u_rel_{kind}_reflectance"].T for kind in ("random", "systematic"))
-    refuse(np.any(random < 0.0) or np.any(systematic < 0.0), "uncertainties below 0", path)
+    refuse(np.any(random < 0.0) or np.any(systematic < 0.0), "network.negative", path)
     flags, scans = (np.nan_to_num(values[name]).astype(np.int64) for name in ("quality_flag", "n_valid_scans"))
     views = zip(values["viewing_zenith_angle"], values["viewing_azimuth_angle"], strict=True)
     correlation, records = _without_rounding(matrix), []
@@ -69,7 +69,7 @@ def hypernets_records(path: Path) -> list[Record]:
         name = f"series {i + 1}: zenith {zenith:.0f} azimuth {azimuth:.0f}"
         size, spread = np.abs(rho[i]), values["std_reflectance"][:, i]
         notes = (f"quality flags {flags[i]:#x}",) if flags[i] else ()
-        record = Record(name, nm, rho[i], spread, int(scans[i]) or None, str(path), notes=notes)
+        record = FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, str(path), notes=notes)
         errors = SpectrumErrors(random[i] * size, systematic[i] * size, correlation)
         records.append(replace(record, errors=errors, wavelength_unit="nm", unit="fraction"))
     return records
@@ -80,24 +80,22 @@ def _variables(path: Path) -> dict[str, Array]:
     import xarray as xr
 
     check_hdf5(path)
-    expected = "a HYPERNETS file of level L2A"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the dimension that stands twice
             with xr.open_dataset(path, engine="h5netcdf") as data:
                 lacking = next((name for name in _SHAPES if name not in data.variables), "")
-                refuse(lacking, f"holds no {lacking}", path, expected)
+                refuse(lacking, "hypernets.lacking", path, name=lacking)
                 sizes = {"w": data["wavelength"].size, "s": data["quality_flag"].size}
-                many = sizes["w"] > MAX_WAVELENGTHS or sizes["s"] > MAX_SERIES
-                refuse(many, "too many wavelengths or series", path, "one sequence")
+                refuse(sizes["w"] > MAX_WAVELENGTHS or sizes["s"] > MAX_SERIES, "hypernets.large", path)
                 values = {name: np.asarray(data[name].values, dtype=float) for name in _SHAPES}
     except HypervalError:
         raise
     except Exception as error:  # whatever a damaged file makes of the libraries
-        raise InputError(f"cannot be read: {error}", where=str(path), expected=expected) from error
+        raise refusal("hypernets.unreadable", path, why=error) from error
     for name, axes in _SHAPES.items():
-        shape = tuple(sizes[axis] for axis in axes)
-        refuse(values[name].shape != shape, f"{name} has shape {values[name].shape}", path, str(shape))
+        shape, wanted = values[name].shape, tuple(sizes[axis] for axis in axes)
+        refuse(shape != wanted, "hypernets.shape", path, name=name, shape=shape, wanted=wanted)
     return values
 
 
@@ -117,10 +115,9 @@ STATE = {
     "AOD": "aot550", "Ang": "angstrom_exponent",
 }  # fmt: skip
 SURFACE, TOP = "reflectance", "top-of-atmosphere reflectance"
-_KINDS = {".input": SURFACE, ".output": TOP}
 _DOBSON_PER_ATM_CM = 1000.0
-# First words of the lines, but for those of the spectra, behind the types and at the end.
-_KEYS = ("Site", "Lat", "Lon", "Alt", "Year", "DOY(U)", "UTC", "DOY(L)", "Local", *STATE, "Type", *STATE)
+# First words of the lines that are read, but for those of the spectra.
+_PLACE, _TIME = ("Lat", "Lon", "Alt"), ("Year", "DOY(U)", "UTC")
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +163,9 @@ class RadCalNetDay:
 
     def column(self, label: str) -> int:
         """Number of a half hour by its label; raises UsageError where it holds no value."""
-        what = f"the half hour {label} {'holds no value' if label in self.labels else 'is none of the file'}"
-        refuse(label not in self.valid, what, self.source, ", ".join(self.valid), kind=UsageError)
+        told = "holds no value" if label in self.labels else "is none of the file"
+        unknown, known = label not in self.valid, ", ".join(self.valid)
+        refuse(unknown, "radcalnet.half_hour", self.source, label=label, told=told, known=known)
         return self.labels.index(label)
 
     def at(self, label: str) -> dict[str, float]:
@@ -187,7 +185,7 @@ def read_radcalnet(path: Path | str) -> RadCalNetDay:
     Raises
     ------
     InputError : missing, too large, not of this form, or values that cannot be.
-    UsageError : a name that ends in neither .input nor .output.
+    UsageError : neither the name, by .input or .output, nor the content says what was measured.
     """
     path = checked_file(path, what="daily file of RadCalNet", most=MAX_BYTES)
     return day_of(path.read_text("utf-8", errors="replace"), path)
@@ -198,52 +196,48 @@ def is_radcalnet(head: bytes) -> bool:
     return head.startswith(b"Site:") and b"\nLat:" in head.replace(b"\r", b"")
 
 
-def radcalnet_records(text: str, path: Path) -> list[Record]:
+def radcalnet_records(text: str, path: Path) -> list[FieldSpectrum]:
     """The valid half hours of a file as spectra, named by their time; the spread is the standard uncertainty."""
     day = day_of(text, path)
     kind, records = "" if day.quantity == SURFACE else day.quantity, []
     for label in day.valid:
         values, uncertainty = day.values[i := day.column(label)], day.uncertainty[i]
-        record = Record(label, day.wavelength_nm, values, uncertainty, source=str(path), quantity=kind)
+        record = FieldSpectrum(label, day.wavelength_nm, values, uncertainty, source=str(path), quantity=kind)
         records.append(replace(record, wavelength_unit="nm", unit="fraction"))
     return records
 
 
 def day_of(text: str, path: Path) -> RadCalNetDay:
     """A daily file from its text; errors as for :func:`read_radcalnet`."""
-    quantity = _KINDS.get(path.suffix.lower(), "")
-    what = "the text of RadCalNet's files does not say whether the surface or the top of the atmosphere is meant"
-    expected = "a name that ends in .input (surface) or .output (top of the atmosphere)"
-    refuse(not quantity, what, path, expected, kind=UsageError)
-    lines = [(f"{path}:{i}", line.split("\t")) for i, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    rows = [_Row(where, words[0].strip(), [w.strip() for w in words[1:] if w.strip()]) for where, words in lines]
-    keyed = [row for row in rows if row.key.endswith(":")][: len(_KEYS)]
-    end = _Row(rows[-1].where if rows else str(path), "the end of the file", [])
-    for key, row in zip(_KEYS, [*keyed, *[end] * len(_KEYS)], strict=False):
-        refuse(row.key != f"{key}:", f"{row.key[:40]!r} where {key!r} belongs", row.where, f"{key}: and values")
-    site, *place, year, days, clock = keyed[:7]
+    parts: list[dict[str, _Row]] = [{}]
+    for number, line in enumerate(text.splitlines(), start=1):
+        key, *words = (word.strip() for word in line.split("\t"))
+        if key in parts[-1]:  # state and spectra once more: the uncertainties of all of it
+            parts.append({})
+        if key:
+            parts[-1][key] = _Row(f"{path}:{number}", key, [word for word in words if word])
+    quantity = SURFACE if path.suffix.lower() == ".input" else TOP
+    told = quantity == SURFACE or path.suffix.lower() == ".output" or {"Zen:", "Azi:"} <= parts[0].keys()
+    refuse(not told, "radcalnet.quantity", path)
+    refuse(len(parts) != 2, "radcalnet.parts", path, count=len(parts))
+    first, second = parts
+    for part, keys in ((first, ("Site", *_PLACE, *_TIME, *STATE)), (second, STATE)):
+        lacking = next((key for key in keys if f"{key}:" not in part), "")
+        refuse(lacking, "radcalnet.lacking", path, key=lacking)
+    year, days, clock = (first[f"{key}:"] for key in _TIME)
     count = len(year.words)
-    latitude, longitude, altitude = (float(row.numbers(1)[0]) for row in place)
+    latitude, longitude, altitude = (float(first[f"{key}:"].numbers(1)[0]) for key in _PLACE)
     times = tuple(map(clock.time, year.numbers(count), days.numbers(count), clock.cells(count)))
-    disorder = any(b <= a for a, b in pairwise(times))
-    refuse(disorder, "the half hours do not follow each other", clock.where, "increasing UTC")
-    # The state and the spectra, and after them the uncertainties of all of it.
-    half = rows.index(keyed[-len(STATE)])
-    (nm, values), (u_nm, uncertainty) = (_spectra(part, count, str(path)) for part in (rows[:half], rows[half:]))
-    state, doubt = (
-        {name: row.numbers(count) for name, row in zip(STATE.values(), keyed[at:], strict=False)}
-        for at in (_KEYS.index("P"), -len(STATE))
-    )
-    refuse(not np.array_equal(nm, u_nm), "uncertainties at other wavelengths than the values", path)
-    negative = any(np.nanmin(u, initial=0.0) < 0 for u in (uncertainty, *doubt.values()))
-    refuse(negative, "uncertainties below 0", path)
+    refuse(any(b <= a for a, b in pairwise(times)), "radcalnet.disorder", clock.where)
+    (nm, values), (u_nm, uncertainty) = (_spectra(part, count, str(path)) for part in parts)
+    state, doubt = ({name: part[f"{key}:"].numbers(count) for key, name in STATE.items()} for part in parts)
+    refuse(not np.array_equal(nm, u_nm), "radcalnet.unlike", path)
+    refuse(any(np.nanmin(u, initial=0.0) < 0 for u in (uncertainty, *doubt.values())), "network.negative", path)
     wrong = np.isfinite(values) & ~((values > -0.1) & (values < 2.0))
-    what = f"{wrong.sum()} values such as {values[wrong][:1]} are neither a reflectance nor a mark"
-    refuse(wrong.any(), what, path, f"a fraction, or {NO_VALUE:g} to 9999 where there is none")
-    return RadCalNetDay(
-        site.cells(1)[0], latitude, longitude, altitude, quantity, times, state, doubt, nm, values, uncertainty,
-        str(path),
-    )  # fmt: skip
+    refuse(wrong.any(), "radcalnet.values", path, count=wrong.sum(), some=values[wrong][:1], least=NO_VALUE)
+    (site,) = first["Site:"].cells(1)
+    place = (site, latitude, longitude, altitude)
+    return RadCalNetDay(*place, quantity, times, state, doubt, nm, values, uncertainty, str(path))
 
 
 class _Row(NamedTuple):
@@ -255,19 +249,17 @@ class _Row(NamedTuple):
 
     def cells(self, count: int) -> list[str]:
         """The words behind the key, as many as there have to be."""
-        what = f"{len(self.words)} values" + (f" of {self.key[:-1]}" if self.key.endswith(":") else "")
-        refuse(len(self.words) != count or not count, what, self.where, f"{count or 1} values, one a half hour")
+        found, wanted = len(self.words), count or 1
+        refuse(found != wanted, "radcalnet.count", self.where, found=found, key=self.key, wanted=wanted)
         return self.words
 
     def numbers(self, count: int) -> Array:
         """The same as numbers, NaN where there is no value."""
         try:
-            values = np.array([float(w) for w in self.cells(count)])
+            values = np.array(self.cells(count), dtype=float)
         except ValueError as error:
-            expected = "numbers separated by tabulators"
-            raise InputError("not a row of numbers", where=self.where, expected=expected) from error
-        expected = f"{NO_VALUE:g} to 9999 where there is none"
-        refuse(not np.all(np.isfinite(values)), "a number is missing", self.where, expected)
+            raise refusal("radcalnet.numbers", self.where) from error
+        refuse(not np.all(np.isfinite(values)), "radcalnet.none", self.where, least=NO_VALUE)
         return np.where(values >= NO_VALUE, np.nan, values)
 
     def time(self, year: float, day: float, clock: str) -> datetime:
@@ -275,16 +267,16 @@ class _Row(NamedTuple):
         try:
             start = datetime.strptime(f"{int(year):04d} {clock}", "%Y %H:%M").replace(tzinfo=UTC)
         except ValueError as error:
-            raise InputError(f"not a time: {clock!r}", where=self.where, expected="UTC as HH:MM") from error
-        refuse(not 1 <= day <= 366, f"day {day:g} of the year", self.where, "1 to 366")
+            raise refusal("radcalnet.time", self.where, clock=clock) from error
+        refuse(not 1 <= day <= 366, "radcalnet.day", self.where, day=day)
         return start + timedelta(days=int(day) - 1)
 
 
-def _spectra(rows: list[_Row], count: int, path: str) -> tuple[Array, Array]:
+def _spectra(part: Mapping[str, _Row], count: int, path: str) -> tuple[Array, Array]:
     """(W,) wavelengths and (count, W) values of the lines that begin with a number."""
-    numbers = [row for row in rows if not row.key.endswith(":")]
-    values = np.array([row.numbers(count) for row in numbers]).reshape(-1, count)
-    nm = np.array([_Row(row.where, "", [row.key]).numbers(1)[0] for row in numbers])
+    rows = [row for key, row in part.items() if not key.endswith(":")]
+    values = np.array([row.numbers(count) for row in rows]).reshape(-1, count)
+    nm = np.array([_Row(row.where, "", [row.key]).numbers(1)[0] for row in rows])
     disorder = nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 300 and nm[-1] < 3000)
-    refuse(disorder, "no increasing wavelengths in nm", path, "400 to 2500 nm")
+    refuse(disorder, "radcalnet.wavelengths", path)
     return nm, values.T

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hyperval.envi_header import header_beside, read_header
-from hyperval.errors import InputError, UsageError, reader, refuse
+from hyperval.errors import reader, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra import binary, libraries, networks, text
-from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
+from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, finished, mean_of
 from hyperval.storage import decoded
 
 # Printable characters of any 8-bit code, tabulators, ends of lines and pages.
@@ -113,7 +113,7 @@ def read_records(
 
 
 def _check_number(number: int, count: int, where: str) -> None:
-    refuse(not 0 <= number < count, f"no record {number}", where, f"0 to {count - 1}", kind=UsageError)
+    refuse(not 0 <= number < count, "record.number", where, number=number, last=count - 1)
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,10 @@ class _File:
     @cached_property
     def raw(self) -> bytes:
         """The whole file (InputError where it is too large, or empty)."""
-        size, expected = self.path.stat().st_size, f"a spectrum file of at most {MAX_BYTES} bytes"
-        refuse(size > MAX_BYTES, f"{size} bytes", self.path, expected)
+        size = self.path.stat().st_size
+        refuse(size > MAX_BYTES, "record.large", self.path, size=size, most=MAX_BYTES)
         raw = self.path.read_bytes()
-        refuse(not raw.strip(), "the file is empty", self.path)
+        refuse(not raw.strip(), "record.empty", self.path)
         return raw
 
     @cached_property
@@ -154,7 +154,7 @@ class _File:
         raw, plain = self.raw, self.raw.replace(b"\0", b"")
         if b"\0" in self.head and not plain.translate(None, _TEXT) and len(plain) >= 0.5 * len(raw):
             raw = plain
-        refuse(b"\0" in raw[:4096], "a binary file of unknown format", self.path, _expected())
+        refuse(b"\0" in raw[:4096], "record.binary", self.path, known=_expected())
         return decoded(raw)
 
     @cached_property
@@ -168,18 +168,17 @@ class Format(NamedTuple):
 
     name: str
     knows: Callable[[_File], object]
-    records: Callable[[_File], list[Record]]
+    records: Callable[[_File], list[FieldSpectrum]]
 
 
 def _expected() -> str:
     return ", ".join(form.name for form in FORMATS if form.name)
 
 
-def _refused(file: _File) -> list[Record]:
+def _refused(file: _File) -> list[FieldSpectrum]:
     """Raise InputError for a format that is known and not read, with how to get at its numbers."""
     name = next(name for mark, name in _NOT_READ.items() if file.head.startswith(mark))
-    mend = "save it as text: a wavelength and a value in every row"
-    raise InputError(f"{name}, which is not read", where=str(file.path), expected=_expected(), mend=mend)
+    raise refusal("record.format", file.path, name=name, known=_expected())
 
 
 def _begins(*marks: bytes) -> Callable[[_File], bool]:
@@ -216,7 +215,9 @@ FORMATS = (
 )  # fmt: skip
 
 
-def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:
+def _records(
+    path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str
+) -> list[FieldSpectrum]:
     file = _File(path, columns, root, quantity)
     records = next(form for form in FORMATS if form.knows(file)).records(file)
     if text.quantity_in(path.stem) != "radiance":
@@ -225,15 +226,12 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
     return [replace(r, quantity=r.quantity or "radiance") for r in records]
 
 
-def _chosen(records: list[Record], record: str | int | None, where: str) -> Record:
+def _chosen(records: list[FieldSpectrum], record: str | int | None, where: str) -> FieldSpectrum:
     """The one that is wanted, by name, part of a name or number."""
     names, count = ", ".join(repr(r.name) for r in records[:40]), len(records)
     if record is None:
         pair = count == 2 and all(r.name.startswith("column ") for r in records)
-        mend = "where the third column is the standard deviation of the second, write above them what they are: "
-        mend = f"{mend}wavelength, reflectance, sd" if pair else ""
-        expected = f"record: one of {names}, or 'mean'"
-        refuse(count > 1, f"the file holds {count} spectra", where, expected, mend, UsageError)
+        refuse(count > 1, "record.pair" if pair else "record.several", where, count=count, names=names)
         return records[0]
     if isinstance(record, int):
         _check_number(record, count, where)
@@ -242,6 +240,5 @@ def _chosen(records: list[Record], record: str | int | None, where: str) -> Reco
     if not exact and record == "mean":
         return mean_of(records)
     matches = exact or [r for r in records if record.lower() in r.name.lower()]
-    what = f"{len(matches)} records match {record!r}" if matches else f"no record {record!r}"
-    refuse(len(matches) != 1, what, where, f"one of {names}", kind=UsageError)
+    refuse(len(matches) != 1, "record.unlike", where, count=len(matches) or "no", record=record, names=names)
     return matches[0]

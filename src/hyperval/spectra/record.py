@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, UsageError, refuse
+from hyperval.errors import refusal, refuse
 from hyperval.units import (
     PLAUSIBLE_NM,
     irradiance_to_internal,
@@ -19,6 +19,7 @@ from hyperval.units import (
 )
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp] | slice
 
 MAX_BYTES = 10_000_000
 MAX_ROWS = 100_000
@@ -47,16 +48,15 @@ class SpectrumErrors:
         """(n, n) D_r^2 + D_s R D_s."""
         return np.diag(self.random**2) + np.outer(self.systematic, self.systematic) * self.correlation
 
-    def at(self, index: npt.NDArray[np.intp], factor: float = 1.0) -> SpectrumErrors:
-        """Of some channels, in another unit."""
-        whole = np.array_equal(index, np.arange(self.random.size))  # spectra of a file go on sharing their matrix
-        correlation = self.correlation if whole else self.correlation[np.ix_(index, index)]
+    def at(self, index: Index, factor: float = 1.0) -> SpectrumErrors:
+        """Of some channels, in another unit; of all of them the spectra of a file go on sharing their matrix."""
+        correlation = self.correlation if isinstance(index, slice) else self.correlation[np.ix_(index, index)]
         return SpectrumErrors(self.random[index] * factor, self.systematic[index] * factor, correlation)
 
 
 @dataclass(frozen=True, eq=False)
 class FieldSpectrum:
-    """One spectrum with what the file says of its spread.
+    """One spectrum with what its file says of it: as it stands there, until :func:`finished` has put it in order.
 
     Attributes
     ----------
@@ -67,37 +67,22 @@ class FieldSpectrum:
     standard_deviation : (n,) of the replicates behind the mean, in the unit of ``values``; None if unknown
     n : number of replicates, None if unknown
     source : the file
-    quantity : "reflectance", "radiance", "irradiance" or "other"
+    quantity : "reflectance", "radiance", "irradiance" or "other"; empty where the file states none
     notes : what was converted, cut or left out
     errors : by kind, where the file states them; None otherwise
+    wavelength_unit, unit : of ``wavelength_nm`` and of the values in the file; None where it states none
+    doubt : why the unit of a reflectance must be stated although the file seems to tell it
     """
 
     name: str
     wavelength_nm: Array
     values: Array
-    standard_deviation: Array | None
-    n: int | None
-    source: str
-    quantity: str = "reflectance"
-    notes: tuple[str, ...] = ()
-    errors: SpectrumErrors | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Record(FieldSpectrum):
-    """A spectrum as it stands in a file, with the facts that the file states.
-
-    Attributes
-    ----------
-    quantity : empty where the file states none
-    wavelength_unit, unit : of ``wavelength_nm`` and of the values; None where the file states none
-    doubt : why the unit of a reflectance must be stated although the file seems to tell it
-    """
-
     standard_deviation: Array | None = None
     n: int | None = None
     source: str = ""
     quantity: str = ""
+    notes: tuple[str, ...] = ()
+    errors: SpectrumErrors | None = None
     wavelength_unit: str | None = None
     unit: str | None = None
     doubt: str | None = None
@@ -110,8 +95,8 @@ def reflectance_factor(unit: str) -> float:
         scale = {"fraction": 1.0, "1": 1.0, "percent": 100.0, "%": 100.0}.get(unit) or float(tail)
     except ValueError:
         scale = np.nan
-    if (tail and head.strip() != "scaled") or not (np.isfinite(scale) and scale > 0):
-        raise UsageError(f"unknown reflectance unit {unit!r}", expected="fraction, percent or scaled:10000")
+    wrong = (tail and head.strip() != "scaled") or not (np.isfinite(scale) and scale > 0)
+    refuse(wrong, "spectrum.reflectance_unit", unit=unit)
     return 1.0 / scale
 
 
@@ -121,7 +106,7 @@ _FACTORS: dict[str, Callable[[str], float]] = {
 
 
 def finished(
-    record: Record,
+    record: FieldSpectrum,
     quantity: str = "reflectance",
     wavelength_unit: str | None = None,
     reflectance_unit: str | None = None,
@@ -142,56 +127,44 @@ def finished(
     UsageError : a unit that nobody states, or in which the file and its caller disagree.
     """
     where, of_light = record.source, quantity in ("radiance", "irradiance")
-    if quantity not in (*_FACTORS, "other"):
-        raise UsageError(f"unknown quantity {quantity!r}", expected="reflectance, radiance, irradiance or other")
-    panel = "give the reflectance: the spectrum over that of a white panel under the same light"
-    mend = panel if quantity == "reflectance" and record.quantity in ("radiance", "irradiance") else None
+    refuse(quantity not in (*_FACTORS, "other"), "spectrum.quantity", quantity=quantity)
     other = record.quantity and quantity not in ("other", record.quantity)
-    refuse(other, f"the file holds {record.quantity}, not {quantity}", where, mend=mend)
+    lit = quantity == "reflectance" and record.quantity in ("radiance", "irradiance")
+    refuse(other, "spectrum.lit" if lit else "spectrum.other", where, found=record.quantity, wanted=quantity)
     record, factor = _ordered(_without_gaps(_in_nm(record, wavelength_unit))), 1.0
     if quantity in _FACTORS:
         stated = record.unit if record.unit and ("W " in record.unit) == of_light else None
         given, doubt = unit if of_light else reflectance_unit, record.doubt if quantity == "reflectance" else None
-        mend = "state reflectance_unit: fraction (or percent)"
-        refuse(doubt and given is None, str(doubt), where, "values in the unit that the file states", mend, UsageError)
+        refuse(doubt and given is None, "spectrum.doubt", where, doubt=doubt)
         final = _agreed(stated, given, _FACTORS[quantity], quantity, where)
         final = final or (unit_if_unstated if of_light else "fraction")
-        refuse(final is None, f"the unit of the {quantity} is not stated", where, mend="state unit:", kind=UsageError)
+        refuse(final is None, "spectrum.unit", where, quantity=quantity)
         factor = _FACTORS[quantity](str(final))
         if not of_light:
             _check_reflectance(record, factor)
     spread = record.standard_deviation
-    refuse(spread is not None and np.any(spread < 0), "standard deviations below 0", where)
-    return replace(
-        _kept(record, np.arange(record.values.size), factor, "" if factor == 1.0 else f"values x {factor:g}"),
-        quantity=quantity,
-    )
+    refuse(spread is not None and np.any(spread < 0), "spectrum.spread", where)
+    return replace(_kept(record, slice(None), factor, f"values x {factor:g}" * (factor != 1.0)), quantity=quantity)
 
 
 def _agreed(stated: str | None, given: str | None, factor: Callable[[str], float], what: str, where: str) -> str | None:
     """The unit that a file states or its caller gives; UsageError where they are not the same."""
     unlike = stated is not None and given is not None and factor(stated) != factor(given)
-    mend = None if what == "wavelengths" else "leave the caller's out"
-    said = f"the file states {what} in {stated}, the caller in {given}"
-    refuse(unlike, said, where, mend=mend, kind=UsageError)
+    refuse(unlike, "spectrum.units", where, of=what, stated=stated, given=given)
     return stated or given
 
 
-def _check_reflectance(record: Record, factor: float) -> None:
+def _check_reflectance(record: FieldSpectrum, factor: float) -> None:
     """Refuse marks of missing values, and what is no fraction."""
     marks = np.isin(record.values, FILLS)
     if marks.any():
-        mark, mend = record.values[marks][0], "delete these channels, or write NaN in their place"
-        what = f"{marks.sum()} channels hold {mark:g}, which marks a missing value and is no reflectance"
-        raise InputError(what, where=record.source, mend=mend)
+        raise refusal("spectrum.fill", record.source, count=marks.sum(), mark=record.values[marks][0])
     middle = float(np.median(record.values)) * factor
     name = "scaled:10000" if middle > 150.0 else "percent"
-    what = f"half of the reflectances exceed {middle:.4g}: the spectrum looks like {name}"
-    mend = f"state reflectance_unit: {name}"
-    refuse(middle > PLAUSIBLE_REFLECTANCE, what, record.source, "reflectance as a fraction", mend)
+    refuse(middle > PLAUSIBLE_REFLECTANCE, "spectrum.percent", record.source, middle=middle, name=name)
 
 
-def _in_nm(record: Record, given: str | None) -> Record:
+def _in_nm(record: FieldSpectrum, given: str | None) -> FieldSpectrum:
     """The record with wavelengths in nm; a unit that nobody states is noted where only one is possible.
 
     Raises
@@ -202,19 +175,17 @@ def _in_nm(record: Record, given: str | None) -> Record:
     unit = _agreed(record.wavelength_unit, given, wavelength_to_nm, "wavelengths", where)
     if unit is None and (unit := only_wavelength_unit(values)) is not None:
         notes = (*notes, wavelength_unit_note(values, unit))
-    least, most = values.min(), values.max()
-    what = f"the file does not say whether its wavelengths ({least:g} to {most:g}) are in nm or um"
-    expected = f"nm, or um (then they are {least * 1e3:g} to {most * 1e3:g} nm)"
-    refuse(unit is None, what, where, expected, "state wavelength_unit", UsageError)
+    ends = {"least": values.min(), "most": values.max()}
+    thousands = {"low": 1e3 * values.min(), "high": 1e3 * values.max()}
+    refuse(unit is None, "spectrum.wavelength_unit", where, **ends, **thousands)
     nm = values * wavelength_to_nm(str(unit))
     low, high = PLAUSIBLE_NM
     absurd = not np.all(np.isfinite(nm)) or nm.min() < low or nm.max() > high
-    what = f"wavelengths from {least:g} to {most:g} cannot be in {unit}"
-    refuse(absurd, what, where, f"{low:g} to {high:g} nm", "correct wavelength_unit (nm or um)", UsageError)
+    refuse(absurd, "spectrum.implausible", where, **ends, unit=unit, low=low, high=high)
     return replace(record, wavelength_nm=nm, wavelength_unit="nm", notes=notes)
 
 
-def _without_gaps(record: Record) -> Record:
+def _without_gaps(record: FieldSpectrum) -> FieldSpectrum:
     """The record without channels that hold no value (NaN, or the mark of a deleted channel)."""
     keep = np.isfinite(record.values) & (record.values > DELETED)
     if record.standard_deviation is not None:
@@ -225,11 +196,11 @@ def _without_gaps(record: Record) -> Record:
             record = replace(record, standard_deviation=None)
     if keep.all():
         return record
-    refuse(keep.sum() < 2, "fewer than two channels hold a value", record.source)
+    refuse(keep.sum() < 2, "spectrum.empty", record.source)
     return _kept(record, np.flatnonzero(keep), note=f"{int((~keep).sum())} channels without a value left out")
 
 
-def _ordered(record: Record) -> Record:
+def _ordered(record: FieldSpectrum) -> FieldSpectrum:
     """The record in strictly increasing wavelength.
 
     A file in falling order is turned round.  Where the wavelength jumps back, a new detector begins:
@@ -237,7 +208,7 @@ def _ordered(record: Record) -> Record:
     from the later one.
     """
     w, where = record.wavelength_nm, record.source
-    refuse(w.size < 2, f"a spectrum of {w.size} channels", where, "at least two")
+    refuse(w.size < 2, "spectrum.short", where, count=w.size)
     step = np.diff(w)
     if np.all(step > 0):
         return record
@@ -245,33 +216,29 @@ def _ordered(record: Record) -> Record:
         return _kept(record, np.arange(w.size)[::-1], note="wavelengths fall in the file: turned round")
     starts = np.flatnonzero(step <= 0) + 1
     parts, cuts = np.split(np.arange(w.size), starts), list[float]()
-    what = f"wavelengths jump back {starts.size} times, first to {w[starts[0]]:g} nm"
-    expected = "increasing wavelengths, or up to five detectors one after the other"
-    refuse(starts.size > MAX_JOINS, what, where, expected)
+    refuse(starts.size > MAX_JOINS, "spectrum.jumps", where, count=starts.size, first=w[starts[0]])
     for i in range(starts.size):
         before, after = parts[i : i + 2]
         overlap = w[before[0]] < w[after[0]] <= w[before[-1]] < w[after[-1]]
-        what = f"wavelengths jump back from {w[before[-1]]:g} to {w[after[0]]:g} nm, but no detectors overlap"
-        refuse(not overlap, what, where)
+        refuse(not overlap, "spectrum.overlap", where, last=w[before[-1]], first=w[after[0]])
         cuts.append(0.5 * (w[before[-1]] + w[after[0]]))
         parts[i], parts[i + 1] = before[w[before] <= cuts[i]], after[w[after] > cuts[i]]
     joined = ", ".join(f"{c:.1f}" for c in cuts)
     return _kept(record, np.concatenate(parts), note=f"overlapping detectors joined at {joined} nm")
 
 
-def mean_of(records: list[Record]) -> Record:
+def mean_of(records: list[FieldSpectrum]) -> FieldSpectrum:
     """Mean, standard deviation (n - 1) and number of replicates on one wavelength grid."""
     first = records[0]
     unlike = len(records) < 2 or any(not np.array_equal(r.wavelength_nm, first.wavelength_nm) for r in records)
-    refuse(unlike, "a mean needs two or more spectra on the same wavelengths", first.source, kind=UsageError)
+    refuse(unlike, "spectrum.mean", first.source)
     values = np.stack([r.values for r in records])
     spread = values.std(axis=0, ddof=1)
-    return replace(
-        first, name="mean", values=values.mean(axis=0), standard_deviation=spread, n=len(records), errors=None
-    )
+    mean = replace(first, name="mean", values=values.mean(axis=0), standard_deviation=spread)
+    return replace(mean, n=len(records), errors=None)
 
 
-def _kept(record: Record, index: npt.NDArray[np.intp], factor: float = 1.0, note: str = "") -> Record:
+def _kept(record: FieldSpectrum, index: Index, factor: float = 1.0, note: str = "") -> FieldSpectrum:
     """Some channels of a record, its values multiplied."""
     spread, errors = record.standard_deviation, record.errors
     return replace(

@@ -17,13 +17,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, UsageError, refuse
-from hyperval.spectra.record import MAX_JOINS, MAX_ROWS, Record
+from hyperval.errors import refusal, refuse
+from hyperval.spectra.record import MAX_JOINS, MAX_ROWS, FieldSpectrum
 from hyperval.units import only_wavelength_unit
 
 Array = npt.NDArray[np.float64]
 MAX_HEADER_LINES, MAX_COLUMNS, MAX_TITLE = 1000, 2000, 1000
-_CUT = "copy the file again: it is damaged or cut short"
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
 # No part of a pattern may begin in more than one place of what the part before it takes: a line of a million digits
@@ -49,7 +48,7 @@ _NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
 _UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
 
 
-def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[Record]:
+def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[FieldSpectrum]:
     """Spectra of a text file: the first column is the wavelength, the others values.
 
     A column whose title says standard deviation belongs to the one before it; a column that repeats the
@@ -59,8 +58,7 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     titles, where, whole, spread = _titles(header, table.shape[1]), str(path), "\n".join(header), dict[int, int]()
     if columns is not None:
         picked = [_column(c, titles, where) for c in columns]
-        what = "columns are (wavelength, value) or (wavelength, value, standard deviation)"
-        refuse(len(picked) not in (2, 3), what, where, kind=UsageError)
+        refuse(len(picked) not in (2, 3), "text.columns", where)
         table, titles = table[:, picked], [titles[i] for i in picked]
         spread = {1: 2} if len(picked) == 3 else {}
     else:
@@ -69,14 +67,13 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         for i in range(2, len(titles)):
             if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
                 spread[i - 1] = i
-    expected = "a wavelength and a value in every row"
-    mend = "where the wavelengths have a file of their own, name it (wavelengths)"
-    refuse(table.shape[1] < 2, "a single column", f"{path}:{first_line}", expected, mend)
+    refuse(table.shape[1] < 2, "text.single", f"{path}:{first_line}")
     nm = table[:, 0]
     ends = [float(e) for key in ("First", "Last") if is_number(e := _entry(whole, f"{key} X Value") or "")]
     check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
     replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
-    unit, y_units, records = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?"), list[Record]()
+    unit, y_units = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?")
+    n, records = int(replicates[1]) if replicates else None, list[FieldSpectrum]()
     for i in range(1, table.shape[1]):
         if i in spread.values() or (i > 1 and np.array_equal(table[:, i], nm)):
             continue
@@ -86,26 +83,25 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         if columns is None and _SPREAD.search(titles[i]):
             record = replace(record, quantity="a standard deviation")
         notes = ("a standard deviation of 0 everywhere is none",) if unmeasured else ()
-        n = int(replicates[1]) if replicates else None
         records.append(replace(record, standard_deviation=None if unmeasured else beside, n=n, notes=notes))
     if len(records) == 1:
         return [replace(r, name=path.stem if r.name in ("", *titles) else r.name) for r in records]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
 
 
-def _of_column(says: str, name: str, wavelength: Array, values: Array, where: str, unit: str | None) -> Record:
+def _of_column(says: str, name: str, wavelength: Array, values: Array, where: str, unit: str | None) -> FieldSpectrum:
     """A column of numbers with the quantity and the units that a text says it has."""
-    record = Record(name, wavelength, values, source=where, quantity=quantity_in(says), wavelength_unit=unit)
+    record = FieldSpectrum(name, wavelength, values, source=where, quantity=quantity_in(says), wavelength_unit=unit)
     return replace(record, unit=power_unit_in(says) or percent_in(says))
 
 
-def plot_records(text: str, path: Path) -> list[Record]:
+def plot_records(text: str, path: Path) -> list[FieldSpectrum]:
     """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
     header, table, _ = number_table(text, path)
     matches = [re.match(r"^Column ([0-9]{1,6}):\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE]) for line in header]
     titles, count = {int(m.group(1)) - 1: m.group(2) for m in matches if m}, table.shape[1]
     unlike = sorted(titles) != list(range(count)) or count < 2
-    refuse(unlike, f"{len(titles)} titles for {count} columns", path)
+    refuse(unlike, "text.titles", path, titles=len(titles), count=count)
     unit = wavelength_unit_in(titles[0], "", str(path))
     return [_of_column(titles[i], titles[i], table[:, 0], table[:, i], str(path), unit) for i in range(1, count)]
 
@@ -130,23 +126,21 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
         numbers = len(cells) > 0 and all(_NUMBER.match(c) for c in cells)
         if not rows and not (numbers and (len(cells) > 1 or not header or is_number(line.strip()))):
             header.append(line.strip())
-            refuse(len(header) > MAX_HEADER_LINES, f"no numbers in the first {MAX_HEADER_LINES} lines", path)
+            refuse(len(header) > MAX_HEADER_LINES, "text.header", path, most=MAX_HEADER_LINES)
             continue
         if rows and _END.match(line) and not ended:
             ended = True
             continue
-        unlike = f"not a row of numbers: {line.strip()[:60]!r}"
-        refuse(not numbers or ended, unlike, where, "one row of numbers per channel")
+        refuse(not numbers or ended, "text.row", where, text=line.strip()[:60])
         if len(rows) == 1 and len(rows[0]) == 1 < len(cells) and rows[0][0].is_integer():
             stated, rows, start = str(int(rows[0][0])), [], 0
         columns = len(rows[0]) if rows else len(cells)
-        refuse(len(cells) != columns, f"{len(cells)} columns", where, f"{columns}, as above")
-        most = len(rows) >= MAX_ROWS or len(cells) > MAX_COLUMNS
-        refuse(most, f"more than {MAX_ROWS} rows or {MAX_COLUMNS} columns", where)
+        refuse(len(cells) != columns, "text.width", where, found=len(cells), wanted=columns)
+        large = len(rows) >= MAX_ROWS or len(cells) > MAX_COLUMNS
+        refuse(large, "text.large", where, rows=MAX_ROWS, columns=MAX_COLUMNS)
         start = start or number
         rows.append([float(c.replace("d", "e").replace("D", "e")) for c in cells])
-    expected = "a wavelength and a value in every row, or a spectrum a row under titles that are wavelengths"
-    refuse(not rows, "the file holds no numbers", path, expected)
+    refuse(not rows, "text.empty", path)
     table = np.array(rows)
     check_stated(table[:, 0], str(path), stated)
     return header, table, start
@@ -166,12 +160,11 @@ def check_stated(wavelength: Array, where: str, count: str | None, ends: Sequenc
     """
     if count is not None:
         as_many = count.strip().isdecimal() and int(count[:9]) == wavelength.size
-        refuse(not as_many, f"{wavelength.size} rows", where, f"{count.strip()[:20]}, as it states", _CUT)
+        refuse(not as_many, "text.rows", where, found=wavelength.size, stated=count.strip()[:20])
     if len(ends) == 2:
         stated, found = np.array(sorted(ends)), np.array([wavelength.min(), wavelength.max()])
-        words, beyond = "{:g} to {:g}", np.abs(found - stated) > _ENDS * np.abs(stated)
-        what, expected = f"wavelengths from {words.format(*found)}", f"{words.format(*stated)}, as it states"
-        refuse(beyond.any(), what, where, expected, _CUT)
+        beyond = np.abs(found - stated) > _ENDS * np.abs(stated)
+        refuse(beyond.any(), "text.ends", where, found=found, stated=stated)
 
 
 def check_last_line(text: str, where: str) -> None:
@@ -180,7 +173,7 @@ def check_last_line(text: str, where: str) -> None:
         above, last = (line.split() for line in text.splitlines()[-2:])
         digits = [len(cells[-1].partition(".")[2]) for cells in (above, last) if cells]
         cut = len(above) != len(last) or digits[-1] < digits[0]
-        refuse(cut, f"the last line is cut: {' '.join(last)[:60]!r}", where, mend=_CUT)
+        refuse(cut, "text.cut", where, text=" ".join(last)[:60])
 
 
 def percent_in(title: str) -> str | None:
@@ -209,12 +202,11 @@ def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     """
     states = r"^\W*(X Units?|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
     lines = [title, *(line for line in header.splitlines() if re.match(states, line, re.IGNORECASE))]
-    mend = "convert them: a wavelength in nm is 1e7 over the wavenumber in cm-1"
     for line in lines:
         nm, um = bool(_NM.search(line)), bool(_UM.search(line))
         if nm != um:
             return "nm" if nm else "um"
-        refuse(_WAVENUMBER.search(line), f"wavenumbers: {line[:60]!r}", where, "wavelengths in nm or um", mend)
+        refuse(_WAVENUMBER.search(line), "text.wavenumbers", where, text=line[:60])
     return None
 
 
@@ -271,17 +263,13 @@ def _titles(header: list[str], count: int) -> list[str]:
         return [""] * count
     titles = _split_titles(header[-1], count)
     if any(titles):
-        above = _split_titles(header[-2], count) if len(header) > 1 and _are_units(titles) else []
+        above = _split_titles(header[-2], count) if len(header) > 1 and all(map(_UNIT_TITLE.match, titles)) else []
         return [f"{a} {t}".strip() for a, t in zip(above, titles, strict=True)] if any(above) else titles
     for line in reversed(header[:-1]):
         further = _split_titles(line, count)
         if _WAVE.match(further[0]):
             return further
     return titles
-
-
-def _are_units(titles: list[str]) -> bool:
-    return all(_UNIT_TITLE.match(t) for t in titles)
 
 
 def _is_index(table: Array, titles: list[str]) -> bool:
@@ -304,13 +292,10 @@ def _split_titles(line: str, count: int) -> list[str]:
 
 
 def _column(wanted: str | int, titles: list[str], where: str) -> int:
-    if isinstance(wanted, int):
-        outside, last = not 0 <= wanted < len(titles), len(titles) - 1
-        refuse(outside, f"no column {wanted}", where, f"0 to {last}", kind=UsageError)
-        return wanted
-    expected = "one of " + ", ".join(t or "?" for t in titles)
-    refuse(titles.count(wanted) != 1, f"no column {wanted!r}", where, expected, kind=UsageError)
-    return titles.index(wanted)
+    found = range(len(titles)).count(wanted) if isinstance(wanted, int) else titles.count(wanted)
+    known = f"0 to {len(titles) - 1}, or one of {', '.join(t or '?' for t in titles)}"
+    refuse(found != 1, "text.column", where, wanted=wanted, known=known)
+    return wanted if isinstance(wanted, int) else titles.index(wanted)
 
 
 FEWEST_BANDS, FEWEST_BANDS_OF_A_DETECTOR = 4, 25
@@ -339,7 +324,7 @@ def _delimiter(line: str) -> str:
     return max("\t;,", key=line.count)
 
 
-def row_records(text: str, path: Path) -> list[Record]:
+def row_records(text: str, path: Path) -> list[FieldSpectrum]:
     """The spectra of a table with one in each row.
 
     A name comes from the first column of an obvious title whose values differ, else the spectra are numbered.  The
@@ -355,17 +340,17 @@ def row_records(text: str, path: Path) -> list[Record]:
     rows: list[tuple[str, list[str]]] = []
     try:
         titles = _without_end([t.strip() for t in next(reader)])
-        first, most = _first_band(titles) or 0, f"more than {MAX_ROWS} rows or {MAX_CELLS} cells"
+        first = _first_band(titles) or 0
         for cells in reader:
             where, cells = f"{path}:{reader.line_num}", _without_end([c.strip() for c in cells], len(titles))
             if any(cells):
-                expected = f"{len(titles)}, as in the first line"
-                refuse(len(cells) != len(titles), f"{len(cells)} cells", where, expected)
+                refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
                 rows.append((where, cells))
-                refuse(len(rows) > MAX_ROWS or len(rows) * len(titles) > MAX_CELLS, most, where)
+                large = len(rows) > MAX_ROWS or len(rows) * len(titles) > MAX_CELLS
+                refuse(large, "text.many", where, rows=MAX_ROWS, cells=MAX_CELLS)
     except csv.Error as error:
-        raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
-    refuse(not rows, "the table has titles and no spectrum", path)
+        raise refusal("text.csv", f"{path}:{reader.line_num}", why=error) from error
+    refuse(not rows, "text.no_spectrum", path)
     lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
     differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
     named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), None)
@@ -377,17 +362,17 @@ def row_records(text: str, path: Path) -> list[Record]:
     return records
 
 
-def _of_row(name: str, about: dict[str, str], titles: list[str], cells: list[str], where: str) -> Record:
+def _of_row(name: str, about: dict[str, str], titles: list[str], cells: list[str], where: str) -> FieldSpectrum:
     """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
     numbers = [_value(cell) for cell in cells]
     if None in numbers:
-        raise InputError(f"the cell under {titles[numbers.index(None)]!r} is no number", where=where)
+        raise refusal("text.cell", where, title=titles[numbers.index(None)])
     values, suffix = np.array(numbers, dtype=float), _WAVELENGTH.match(titles[0])
     unit = (suffix[2] if suffix else None) or wavelength_unit_in(about.get("wavelength units", ""), "", where)
     percent, greatest = "percent" in about.get("measurement units", "").lower(), np.nanmax(values, initial=0.0)
     doubt = f"the file says percent, and the values reach {greatest:.3g}" if percent and greatest <= 1.5 else None
     quantity = quantity_in(about.get("measurement quantity", about.get("measurement", "")))
-    record = Record(name, _wavelengths(titles), values, source=where, quantity=quantity, wavelength_unit=unit)
+    record = FieldSpectrum(name, _wavelengths(titles), values, source=where, quantity=quantity, wavelength_unit=unit)
     return replace(record, unit="percent" if percent and doubt is None else None, doubt=doubt)
 
 
@@ -439,7 +424,7 @@ _SED_COLUMNS = {
 }
 
 
-def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+def svc_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpectrum:
     """A spectrum of an SVC .sig file: columns wavelength [nm], reference, target, reflectance [percent].
 
     ``quantity`` "radiance" or "irradiance" takes the target's column where ``units=`` says so; otherwise the
@@ -452,17 +437,15 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     entries, table = _signature(text, path, (4,), "wavelength, reference, target, reflectance in percent")
     units = entries.get("units", "").split(",")[-1].strip().lower()
     if quantity in SVC_UNITS:
-        what = f"the target is in {units or 'an unknown unit'}, not in {quantity}"
-        refuse(units not in SVC_UNITS, what, path)
+        refuse(units not in SVC_UNITS, "svc.unit", path, unit=units or "an unknown unit", quantity=quantity)
         notes = (f"{units} taken as {SVC_SCALE:g} {SVC_UNITS[units]}, the maker's unit",)
         power = _reflectance_of(entries, path, table, SVC_SCALE * table[:, 2])
         return replace(power, quantity=units, unit=SVC_UNITS[units], notes=notes)
-    what = f"no reflectance: a single scan of {units or 'an unknown quantity'}"
-    refuse(not table[:, 3].any(), what, path, "target over white reference in the fourth column")
+    refuse(not table[:, 3].any(), "svc.single", path, unit=units or "an unknown quantity")
     return _reflectance_of(entries, path, table, table[:, 3])
 
 
-def ger_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+def ger_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpectrum:
     """A spectrum of a GER .sig file: wavelength [nm], target, reference, and perhaps reflectance [percent].
 
     Where the fourth column is missing, target over reference is the reflectance.
@@ -471,18 +454,17 @@ def ger_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     ------
     InputError : not such a file, or another quantity than a reflectance.
     """
-    mend = "convert the target's column to a table of wavelength and value, and state its unit"
-    refuse(quantity in SVC_UNITS, f"the unit of the {quantity} in a GER file is not known", path, mend=mend)
+    refuse(quantity in SVC_UNITS, "ger.unit", path, quantity=quantity)
     entries, table = _signature(text, path, (3, 4), "wavelength, target, reference, perhaps reflectance in percent")
     with np.errstate(divide="ignore", invalid="ignore"):
         percent = np.where(table[:, 2] > 0, 100.0 * (table[:, 1] / table[:, 2]), np.nan)
     return _reflectance_of(entries, path, table, table[:, 3] if table.shape[1] == 4 else percent)
 
 
-def _reflectance_of(entries: dict[str, str], path: Path, table: Array, values: Array) -> Record:
+def _reflectance_of(entries: dict[str, str], path: Path, table: Array, values: Array) -> FieldSpectrum:
     """The spectrum of a .sig file, in percent."""
     name = entries.get("name", "").removesuffix(".sig") or path.stem
-    record = Record(name, table[:, 0], values, source=str(path), quantity="reflectance")
+    record = FieldSpectrum(name, table[:, 0], values, source=str(path), quantity="reflectance")
     return replace(record, wavelength_unit="nm", unit="percent")
 
 
@@ -491,19 +473,19 @@ def _signature(text: str, path: Path, columns: tuple[int, ...], expected: str) -
     entries, lines = dict[str, str](), text.splitlines()
     for number, line in enumerate(lines[1:], start=2):
         key, equals, value = line.partition("=")
-        refuse(line.strip() and not equals, f"not of the form 'key= value': {line[:60]!r}", f"{path}:{number}")
+        refuse(line.strip() and not equals, "sig.form", f"{path}:{number}", text=line[:60])
         entries[key.strip().lower()] = value.strip()
         if "data" in entries:
             break
-    refuse("data" not in entries, "no 'data=' line", path)
+    refuse("data" not in entries, "sig.data", path)
     header, table, start = number_table("\n".join(lines[number:]), path, first=number + 1)
     unlike = header or table.shape[1] not in columns
-    refuse(unlike, f"{table.shape[1]} columns", f"{path}:{start}", expected)
+    refuse(unlike, "sig.columns", f"{path}:{start}", count=table.shape[1], wanted=expected)
     check_last_line(text, str(path))
     return entries, table
 
 
-def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+def sed_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpectrum:
     """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %", "Reflect. [1.0]" or "Tgt./Ref. %".
 
     ``quantity`` "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
@@ -511,27 +493,23 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     """
     lines, where = text.splitlines(), str(path)
     begin = next((i for i, line in enumerate(lines[:-1]) if line.strip().lower() == "data:"), -1)
-    refuse(begin < 0, "no 'Data:' line", where)
+    refuse(begin < 0, "sed.data", where)
     titles, there = [t.strip() for t in lines[begin + 1].split("\t")], f"{path}:{begin + 2}"
     stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
     wanted = quantity if quantity in SVC_UNITS else "reflectance"
     pattern, forms = _SED_COLUMNS[wanted]
     columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
     lacking = len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE)
-    refuse(lacking, f"no {wanted} column: {', '.join(titles)}", there, f"Wvl and one column {forms}")
-    unit = (
-        power_unit_in(stated.get("units", ""))
-        if wanted == quantity != "reflectance"
-        else percent_in(titles[columns[0]])
-    )
-    unknown = unit is None and wanted == "reflectance"
-    refuse(unknown, f"the unit of {titles[columns[0]]!r} is not known", there)
+    refuse(lacking, "sed.column", there, wanted=wanted, titles=", ".join(titles), forms=forms)
+    title = titles[columns[0]]
+    unit = percent_in(title) if wanted == "reflectance" else power_unit_in(stated.get("units", ""))
+    refuse(unit is None and wanted == "reflectance", "sed.unit", there, title=title)
     header, table, start = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
     named = [int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))] or [len(titles)]
-    unlike, what = header or len({table.shape[1], len(titles), named[0]}) > 1, f"{table.shape[1]} columns under"
-    refuse(unlike, f"{what} {len(titles)} titles", f"{path}:{start}", f"{named[0]} of both, as it states")
+    count, unlike = table.shape[1], header or len({table.shape[1], len(titles), named[0]}) > 1
+    refuse(unlike, "sed.titles", f"{path}:{start}", count=count, titles=len(titles), stated=named[0])
     ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
     check_stated(table[:, 0], where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
     check_last_line(text, where)
-    record = Record(path.stem, table[:, 0], table[:, columns[0]], source=where, quantity=wanted)
+    record = FieldSpectrum(path.stem, table[:, 0], table[:, columns[0]], source=where, quantity=wanted)
     return replace(record, wavelength_unit="nm", unit=unit)
