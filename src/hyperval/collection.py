@@ -523,13 +523,6 @@ class LocalWindowSource(Model):
         return self
 
 
-class Bootstrap(Model):
-    """Resampling of target objects, for the intervals of areas under the ROC."""
-
-    draws: int = Field(1000, ge=100, le=100_000)
-    seed: int = Field(0, ge=0)
-
-
 class Detection(Model):
     """How targets are looked for in the image, or anomalies where no target is named."""
 
@@ -571,7 +564,6 @@ class Detection(Model):
         description="subject of a target object; the columns of the truth stand in braces, such as {material}",
     )
     pools: list[Pool] = Field(default_factory=list)
-    bootstrap: Bootstrap = Field(default_factory=Bootstrap)
     areas: list[AreaCheck] = Field(default_factory=list)
     unmixing: Unmixing | None = None
 

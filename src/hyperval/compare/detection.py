@@ -747,7 +747,7 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
     >>> from hyperval.pixels.roc import empirical_roc, with_summary
     >>> rng = np.random.default_rng(0)
     >>> target, background = rng.normal(2.0, 1.0, 40), rng.normal(size=20_000)
-    >>> measured = with_summary(empirical_roc(target, background), target, background, rng=rng)
+    >>> measured = with_summary(empirical_roc(target, background), target, background)
     >>> rows = area_rows(RowMaker("roc", "panel", "cem/pixel"), measured, measured)
     >>> [(r.metric, round(r.value, 2)) for r in rows]
     [('auc_predicted', 0.94), ('auc_measured', 0.94), ('auc_difference', 0.0), ('partial_auc_predicted@0..1e-1',

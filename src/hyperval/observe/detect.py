@@ -7,18 +7,20 @@ are also found by unmixing: endmembers are the target and the background around 
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from hyperval import pixels as px
 from hyperval.collection import Detection, DetectionTarget, Unmixing
-from hyperval.data import SampleStatistics, statistics_of
+from hyperval.data import statistics_of
 from hyperval.errors import InputError, UsageError, one_of, refusal
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects
@@ -26,38 +28,6 @@ from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
 from hyperval.model import PositiveDefinite, Sources, UnmixedSubject, fully_constrained, labelled, own_mean_sampling
 from hyperval.model.filters import whitened
 from hyperval.observe.open import IMAGE, SCENE, Place, number_rows
-from hyperval.pixels import (
-    ANOMALY_DETECTORS,
-    ANOMALY_LEVELS,
-    FEWEST_FOR_A_CURVE,
-    LEAST_EXPECTED_ALARMS,
-    WITHOUT_COVARIANCE,
-    AlarmBlocks,
-    LocalWindow,
-    PixelDetector,
-    Placed,
-    PresetThresholds,
-    Whitener,
-    alarms_before_first,
-    block_side,
-    drawn_pixels,
-    empirical_roc,
-    exceedance_curve,
-    footprint,
-    footprint_maxima,
-    footprint_sums,
-    object_scores,
-    pixel_detector,
-    placed_with_halo,
-    pooled_roc,
-    preset_thresholds,
-    score_cube,
-    score_cube_locally,
-    snr_from_moments,
-    values_on,
-    whitener_of,
-    with_summary,
-)
 from hyperval.products import ANOMALIES, Abundance, ObjectScores, ScoreDistribution, background_of
 from hyperval.progress import track, watch_lines
 from hyperval.spectra import in_window
@@ -79,14 +49,22 @@ _MOST_SCORES = 500  # that a product keeps of one population: the exact ends of 
 
 def map_name(target: str, detector: str) -> str:
     """Name of the score map of a target; anomalies have one map for all targets."""
-    return detector if detector in ANOMALY_DETECTORS else f"{target}-{detector}"
+    return detector if detector in px.ANOMALY_DETECTORS else f"{target}-{detector}"
 
 
-def scored_pixels(target: TargetObject, place: Place) -> Placed:
+def scored_pixels(target: TargetObject, place: Place) -> px.Placed:
     """The pixels of an object that are scored, in their window."""
     if place.target_pixels == "touched" or target.centre_pixel is None:
         return target.placed
     return target.centre_pixel, np.ones((1, 1), bool)
+
+
+def painted(placed: Iterable[px.Placed], shape: tuple[int, ...]) -> Mask:
+    """(lines, samples) the pixels of objects."""
+    out = np.zeros(shape, bool)
+    for corner, part in placed:
+        _window(out, corner, part)[part] = True
+    return out
 
 
 def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form: str) -> Groups:
@@ -133,10 +111,10 @@ class FilterBank:
     background : mean (F,) and covariance that the filters are made of, None where no detector inverts one
     """
 
-    detectors: Mapping[str, PixelDetector]
+    detectors: Mapping[str, px.PixelDetector]
     forms: Mapping[str, tuple[str, Array | None]]
     bands: Mask
-    whitener: Whitener | None
+    whitener: px.Whitener | None
     shrinkage: float
     notes: tuple[str, ...]
     background: tuple[Array, PositiveDefinite] | None = None
@@ -243,24 +221,23 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
         place.region(name)  # refuses a name that no region has
     undesired = np.array([place.in_reflectance(place.statistics[n])[0][bands] for n in detection.undesired])
     forms = {
-        map_name(t.name, name): (name, None if name in ANOMALY_DETECTORS else spectra[t.name][bands])
+        map_name(t.name, name): (name, None if name in px.ANOMALY_DETECTORS else spectra[t.name][bands])
         for t in detection.targets
         for name in detection.detectors
     } or {name: (name, None) for name in detection.detectors}  # anomalies need no target
-    whitener = inverted = behind = None
+    inverts = not set(detection.detectors) <= set(px.WITHOUT_COVARIANCE)
     with single_blas_thread():  # small matrices: more threads only wait for each other
-        if not set(detection.detectors) <= set(WITHOUT_COVARIANCE):
-            inverted = PositiveDefinite(covariance[np.ix_(bands, bands)])
-            behind = mean[bands], inverted
-            notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
+        inverted = PositiveDefinite(covariance[np.ix_(bands, bands)]) if inverts else None
         detectors = {
-            key: pixel_detector(name, spectrum, mean[bands], inverted, undesired)
+            key: px.pixel_detector(name, spectrum, mean[bands], inverted, undesired)
             for key, (name, spectrum) in forms.items()
         }
-        by_distance = any(d.quadratic == "distance" for d in detectors.values())
-        if behind is not None and (detection.local_window or by_distance):
-            whitener = whitener_of(*behind)
-    return FilterBank(detectors, forms, bands, whitener, shrinkage, tuple(notes), behind)
+        if inverted is None:
+            return FilterBank(detectors, forms, bands, None, shrinkage, tuple(notes))
+        notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
+        measures = detection.local_window or any(d.quadratic == "distance" for d in detectors.values())
+        whitener = px.whitener_of(mean[bands], inverted) if measures else None
+    return FilterBank(detectors, forms, bands, whitener, shrinkage, tuple(notes), (mean[bands], inverted))
 
 
 def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) -> tuple[Mask, list[str]]:
@@ -270,19 +247,22 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
     ----------
     spectra : (B,) of the targets, NaN where they are not known
     """
-    axis, line = place.cube.axis, place.line
-    left, parts = np.ones(len(axis), bool), list[str]()
-    rules: dict[str, Mask | None] = {
-        "bad in the band list": axis.good if detection.bands in ("good", "windows") else left,
-        "in absorption bands": in_window(axis.centre_nm) if detection.bands == "windows" else left,
-        "not in the target spectra": np.asarray(np.isfinite([left, *spectra]).all(axis=0)),
-        "without a gain of the empirical line": left if line is None else line.usable,
-        f"with an SNR below {detection.least_snr or 0:g} in the background": None,
+    axis, line, sample = place.cube.axis, place.line, place.statistics[BACKGROUND]
+    rules: dict[str, Mask | bool] = {
+        "bad in the band list": axis.good | (detection.bands == "all"),
+        "in absorption bands": in_window(axis.centre_nm) | (detection.bands != "windows"),
+        "not in the target spectra": np.asarray(np.isfinite([np.zeros(len(axis)), *spectra]).all(axis=0)),
+        "without a gain of the empirical line": True if line is None else line.usable,
     }
+    if detection.least_snr is not None:  # by the bands that are left
+        clear = np.logical_and.reduce([np.broadcast_to(keep, len(axis)) for keep in rules.values()])
+        if (at := np.flatnonzero(clear)).size >= 3:
+            snr = px.snr_from_moments(sample.mean[at], sample.covariance[np.ix_(at, at)])
+            clear[at] = snr >= detection.least_snr
+        rules[f"with an SNR below {detection.least_snr:g} in the background"] = clear
+    left, parts = np.ones(len(axis), bool), list[str]()
     for reason, keep in rules.items():
-        if keep is None:  # of the bands that are left
-            keep = _clear(left, place.statistics[BACKGROUND], detection.least_snr)
-        lost, left = np.flatnonzero(left & ~keep), left & keep
+        lost, left = np.flatnonzero(left & ~np.asarray(keep)), left & keep
         if lost.size:
             runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
             ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
@@ -291,14 +271,6 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
         raise refusal("detection.bands", rules="; ".join(parts))
     notes = [f"detectors use {int(left.sum())} of {len(axis)} bands"]
     return left, [*notes, f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else notes
-
-
-def _clear(left: Mask, background: SampleStatistics, least_snr: float | None) -> Mask:
-    """(B,) where the SNR of the background, by the bands that are left, reaches what is asked for."""
-    at, keep = np.flatnonzero(left), np.ones_like(left)
-    if least_snr is not None and at.size >= 3:
-        keep[at] = snr_from_moments(background.mean[at], background.covariance[np.ix_(at, at)]) >= least_snr
-    return keep
 
 
 def _score_maps(
@@ -310,10 +282,10 @@ def _score_maps(
         "needed": cube.axis.good, "watch": watch_lines("scores", cube.bytes_per_line, cube.lines, show=show),
     }  # fmt: skip
     if local is None or bank.whitener is None:
-        return score_cube(cube, bank.detectors, line, bank.bands, whitener=bank.whitener, **common), []
-    window = LocalWindow(local.outer_pixels, local.inner_pixels)
+        return px.score_cube(cube, bank.detectors, line, bank.bands, whitener=bank.whitener, **common), []
+    window = px.LocalWindow(local.outer_pixels, local.inner_pixels)
     around = place.background([IMAGE] if IMAGE in detection.background else [SCENE])
-    maps, lonely = score_cube_locally(cube, bank.forms, bank.whitener, window, around, line, bank.bands, **common)
+    maps, lonely = px.score_cube_locally(cube, bank.forms, bank.whitener, window, around, line, bank.bands, **common)
     return maps, [
         f"background means from windows of {window.outer} less {window.inner} pixels; "
         f"{lonely} pixels without surroundings take the mean of the background. "
@@ -329,24 +301,23 @@ class _Curves:
         self.alarms = place.background(detection.false_alarms)
         self.products: dict[str, dict[Any, Any]] = {k: {} for k in ("scores", "roc", "object_scores", "exceedance")}
 
-    def background(self, scores: Array, looked_for: str, detector: str) -> AlarmBlocks:
+    def background(self, scores: Array, looked_for: str, detector: str) -> px.AlarmBlocks:
         """The scores of the background with their places; how often they exceed a threshold is a product."""
-        noise = AlarmBlocks.of_map(scores, self.alarms, classes=self.place.classes)
-        if noise.scores.size >= FEWEST_FOR_A_CURVE:
-            self.products["exceedance"][looked_for, detector] = exceedance_curve(noise)
+        noise = px.AlarmBlocks.of_map(scores, self.alarms, classes=self.place.classes)
+        if noise.scores.size >= px.FEWEST_FOR_A_CURVE:
+            self.products["exceedance"][looked_for, detector] = px.exceedance_curve(noise)
         return noise
 
     def add(self, key: str, target: str, detector: str, groups: Groups, scores: Array) -> None:
         """Scores and curves of every subject of a target by one detector, on the score map of this key."""
         found, noise = self.products["scores"], self.background(scores, target, detector)
-        thresholds = preset_thresholds(noise)
         error, bias = self._mean_sampling(key, detector, noise.scores.size)
         background = replace(_moments(noise.scores), mean_error=error, mean_bias=bias)
         for subject, members in groups.items():
             if (subject, detector) in found:
                 raise refusal("detection.subject", "detection.group", subject=subject)
             found[background_of(subject), detector] = background
-            self._add_subject(subject, detector, members, scores, noise, thresholds)
+            self._add_subject(subject, detector, members, scores, noise)
 
     def _mean_sampling(self, key: str, detector: str, n: int) -> tuple[float, float]:
         """Error and bias of the background's mean score where the filter was made of the same pixels, else NaN."""
@@ -355,7 +326,7 @@ class _Curves:
             return np.nan, np.nan
         if not np.array_equal(place.background(detection.background), self.alarms):
             return np.nan, np.nan
-        lines, samples = drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
+        lines, samples = px.drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
         order = np.lexsort((samples, lines))
         lines, samples = lines[order], samples[order]
         values, usable = place.pixels_at(lines, samples)
@@ -365,13 +336,7 @@ class _Curves:
         return own_mean_sampling(bank.detectors[key].weights[0], *bank.background, pixels[usable], stratum, n)
 
     def _add_subject(
-        self,
-        subject: str,
-        detector: str,
-        members: Sequence[TargetObject],
-        scores: Array,
-        noise: AlarmBlocks,
-        thresholds: PresetThresholds,
+        self, subject: str, detector: str, members: Sequence[TargetObject], scores: Array, noise: px.AlarmBlocks
     ) -> None:
         """Moments of the subject's pixels, and its curves by pixel and by object.
 
@@ -382,66 +347,50 @@ class _Curves:
         (Bullwinkle): that favours detection, as an object has as many chances as its halo has pixels, a false alarm
         one.
         """
-        halo, roc = self.detection.halo_pixels, self.products["roc"]
+        halo, area = self.detection.halo_pixels, self.place.pixel_area_m2
         placed = {o.name: scored_pixels(o, self.place) for o in members}
-        pixels = np.concatenate([values_on(scores, own) for own in placed.values()])
-        pixels = pixels[np.isfinite(pixels)]
-        if pixels.size == 0:
+        pixels = np.concatenate([px.values_on(scores, own) for own in placed.values()])
+        if not np.isfinite(pixels).any():
             raise InputError(f"no valid pixel on the targets of {subject!r}")
-        self.products["scores"][subject, detector] = _moments(pixels)
-        counted = int(np.count_nonzero(self.alarms))
-        by_pixel = empirical_roc(pixels, thresholds, unit="pixel", background_area_km2=self._km2(counted))
-        roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise)
-        best = object_scores(scores, placed, halo)
+        self.products["scores"][subject, detector] = _moments(pixels[np.isfinite(pixels)])
+        best = px.object_scores(scores, placed, halo)
+        found, looked_at = np.array(list(best.values())), int(np.count_nonzero(self.alarms))
+        sides = {"pixel": (pixels, noise, looked_at), "object": (found, noise, looked_at)}
         if halo:
-            outside = self._outside(placed.values(), scores.shape)
-            every = AlarmBlocks.of_map(scores, outside, classes=self.place.classes)
-            alarms = {"object": self._placements(scores, placed), BY_PIXEL: (every, int(np.count_nonzero(outside)))}
+            outside = self.alarms & ~px.with_halo(painted(placed.values(), scores.shape), halo)
+            every = px.AlarmBlocks.of_map(scores, outside, classes=self.place.classes)
+            sides["object"] = found, *self._placements(scores, placed)
+            sides[BY_PIXEL] = found, every, int(np.count_nonzero(outside))
         else:  # the model does not know what a halo may catch
-            alarms = {"object": (noise, counted)}
-            self.products["object_scores"][subject, detector] = ObjectScores(np.array(list(best.values())), tuple(best))
-        found, bootstrap = np.array(list(best.values())), self.detection.bootstrap
-        found = found[np.isfinite(found)]
-        for unit, (others, looked_at) in alarms.items():
-            at = preset_thresholds(others) if halo else thresholds
-            curve = empirical_roc(found, at, unit="object", background_area_km2=self._km2(looked_at))
-            rng = np.random.default_rng(bootstrap.seed)
-            roc[subject, detector, unit] = with_summary(curve, found, others, draws=bootstrap.draws, rng=rng)
-        if self.detection.first_detection:
-            first, key = alarms_before_first(pixels, noise.scores), (subject, detector, "object")
-            roc[key] = replace(roc[key], alarms_before_first=first)
+            self.products["object_scores"][subject, detector] = ObjectScores(found, tuple(best))
+        for name, (values, background, count) in sides.items():
+            known = values[np.isfinite(values)]
+            unit: Literal["pixel", "object"] = "pixel" if name == "pixel" else "object"
+            km2 = None if area is None else count * area / 1e6
+            curve = px.empirical_roc(known, background, unit=unit, background_area_km2=km2)
+            curve = px.with_summary(curve, known, background)
+            if self.detection.first_detection and name == "object":
+                curve = replace(curve, alarms_before_first=px.alarms_before_first(pixels, noise.scores))
+            self.products["roc"][subject, detector, name] = curve
 
-    def _km2(self, pixels: int) -> float | None:
-        """Ground area of so many pixels [km2]."""
-        area = self.place.pixel_area_m2
-        return None if area is None else pixels * area / 1e6
-
-    def _outside(self, placed: Iterable[Placed], shape: tuple[int, ...]) -> Mask:
-        """(lines, samples) the background outside the halos of objects."""
-        outside = self.alarms.copy()
-        for own in placed:
-            corner, grown = placed_with_halo(own, self.detection.halo_pixels, shape)
-            _window(outside, corner, grown)[grown] = False
-        return outside
-
-    def _placements(self, scores: Array, placed: Mapping[str, Placed]) -> tuple[AlarmBlocks, int]:
+    def _placements(self, scores: Array, placed: Mapping[str, px.Placed]) -> tuple[px.AlarmBlocks, int]:
         """Greatest score of every placement of the objects' footprints on the background, and the pixels looked at."""
         halo, where = self.detection.halo_pixels, "detection.halo_pixels"
         shapes = {}  # the placements of one shape count once, however many objects have it: they are the same pixels
         for name, (_, part) in placed.items():
-            shape = footprint(part, halo)
+            shape = px.footprint(part, halo)
             shapes[shape.shape, shape.tobytes()] = shape
             if any(np.greater(shape.shape, scores.shape)):
                 raise refusal("detection.halo", where, name=name, halo=halo, shape=scores.shape)
-        parts = [footprint_maxima(scores, shape, ~self.alarms) for shape in shapes.values()]
+        parts = [px.footprint_maxima(scores, shape, ~self.alarms) for shape in shapes.values()]
         looked_at = sum(part[0].size * shape.size for part, shape in zip(parts, shapes.values(), strict=True))
         maxima, lines, samples = (np.concatenate(part) for part in zip(*parts, strict=True))
         if maxima.size == 0:
             what = f"with a halo of {halo} pixels no footprint of the targets fits on the background"
             raise UsageError(f"{what} ({', '.join(placed)})", where=where)
         # Blocks as large on the ground as those of the pixels.
-        side = block_side(int(np.count_nonzero(self.alarms)))
-        return AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), looked_at
+        side = px.block_side(int(np.count_nonzero(self.alarms)))
+        return px.AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), looked_at
 
 
 def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
@@ -455,7 +404,7 @@ def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
                     raise UsageError(f"pool {pool.name!r}: no curve of {', '.join(lacking)}")
                 curves = [roc[s, detector, unit] for s in pool.subjects]
                 first = [c.alarms_before_first for c in curves if c.alarms_before_first is not None]
-                pooled = replace(pooled_roc(curves), alarms_before_first=min(first, default=None))
+                pooled = replace(px.pooled_roc(curves), alarms_before_first=min(first, default=None))
                 roc[pool.name, detector, unit] = pooled
 
 
@@ -472,17 +421,23 @@ def _anomaly_note(place: Place, detector: str, scores: Array, background: Mask) 
     threshold, and belong to the groups themselves where the background is the whole scene.
     """
     noise = scores[background & np.isfinite(scores)]
-    level = next((p for p in ANOMALY_LEVELS if p * noise.size >= LEAST_EXPECTED_ALARMS), None)
+    level = next((p for p in px.ANOMALY_LEVELS if p * noise.size >= px.LEAST_EXPECTED_ALARMS), None)
     if level is None:
         return f"{detector}: {noise.size} background pixels are too few for a threshold of anomalies"
     threshold = float(np.sort(noise)[noise.size - 1 - int(level * noise.size)])
     labels, count = objects(np.nan_to_num(scores, nan=-np.inf) > threshold)
     if not count:
         return f"{detector}: no pixel beyond {threshold:.4g}, which {level:g} of the background exceeds"
-    numbers = np.arange(1, count + 1)
-    best, sizes = ndimage.maximum(scores, labels, numbers), np.bincount(labels.ravel())[1:]
-    strongest = np.argsort(-best, kind="stable")[:MOST_NAMED]
-    words = [_in_words(place, scores, labels == numbers[i], int(sizes[i])) for i in strongest]
+    sizes, of = np.bincount(labels.ravel()), np.arange(1, count + 1)
+    best = ndimage.maximum(scores, labels, of)
+    words = []
+    for number in of[np.argsort(-best, kind="stable")[:MOST_NAMED]]:
+        line, sample = (int(i) for i in ndimage.maximum_position(scores, labels, number))
+        where, size = f"line {line}, sample {sample}", int(sizes[number])
+        if place.cube.transform is not None:
+            x, y = place.cube.transform @ (sample + 0.5, line + 0.5)
+            where += f" ({x:.2f}, {y:.2f})"
+        words.append(f"{where}: {scores[line, sample]:.4g}, {size} pixel{'' if size == 1 else 's'}")
     more = f"; and {count - MOST_NAMED} weaker" if count > MOST_NAMED else ""
     return (
         f"{detector}: {count} anomalies, groups of touching pixels beyond {threshold:.4g}, which {level:g} of the "
@@ -490,13 +445,12 @@ def _anomaly_note(place: Place, detector: str, scores: Array, background: Mask) 
     )
 
 
-def _in_words(place: Place, scores: Array, group: Mask, size: int) -> str:
-    line, sample = (int(i) for i in np.unravel_index(np.argmax(np.where(group, scores, -np.inf)), scores.shape))
-    where = f"line {line}, sample {sample}"
-    if place.cube.transform is not None:
-        x, y = place.cube.transform @ (sample + 0.5, line + 0.5)
-        where += f" ({x:.2f}, {y:.2f})"
-    return f"{where}: {scores[line, sample]:.4g}, {size} pixel{'' if size == 1 else 's'}"
+class ObjectSum(NamedTuple):
+    """Sum of scores or abundances over an object, the pixels summed, and the same sum elsewhere on the background."""
+
+    total: float
+    pixels: int
+    elsewhere: Sequence[float] | Array
 
 
 def target_areas(
@@ -511,44 +465,50 @@ def target_areas(
     nominal: dict[tuple[str, str], float] = {}
     targets = {t.name: t for t in detection.targets}
     for check in detection.areas:
-        pixel_area, target = _pixel_area(place, "areas"), targets.get(check.target)
+        target = targets.get(check.target)
         if target is None or check.detector not in detection.detectors:
             raise UsageError(f"areas: no score map of target {check.target!r} with detector {check.detector!r}")
         sums = _footprint_sums(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
         for subject, members in target_groups(place.targets, target, detection.group).items():
-            total, pixels, variance = (sum(part) for part in zip(*map(sums, members), strict=True))
-            each = pixel_area / len(members)
-            areas[subject, check.detector] = Abundance(total * each, float(np.sqrt(variance)) * each, int(pixels))
+            areas[subject, check.detector] = _mean_area(place, map(sums, members))
             stated = float(np.mean([o.area_m2 for o in members]))
             if np.isfinite(stated):  # a truth may say where the objects are and not how large
                 nominal[subject, check.detector] = stated
     return areas, nominal
 
 
-def _pixel_area(place: Place, what: str) -> float:
+def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
+    """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere."""
+    found = list(objects)
+    each = _pixel_area(place) / len(found)
+    variance = sum(float(np.var(s.elsewhere, ddof=1)) if len(s.elsewhere) > 1 else math.nan for s in found)
+    total, pixels = sum(s.total for s in found), sum(s.pixels for s in found)
+    return Abundance(total * each, math.sqrt(variance) * each, pixels, nominal)
+
+
+def _pixel_area(place: Place) -> float:
     if place.pixel_area_m2 is None:
-        raise UsageError(f"{what} need the ground area of a pixel; the cube is not georeferenced")
+        raise UsageError("areas need the ground area of a pixel; the cube is not georeferenced")
     return place.pixel_area_m2
 
 
 def _footprint_sums(
     place: Place, detection: Detection, scores: Array, margin: int
-) -> Callable[[TargetObject], tuple[float, int, float]]:
-    """What gives the sum of a score map over an object with its margin, its pixels, and the variance of the sum."""
+) -> Callable[[TargetObject], ObjectSum]:
+    """What sums a score map over an object with its margin, and over the same footprint on the background."""
     targets = all_pixels(place.targets, place.cube.shape)
     # A background of "image" holds the targets too; their sums say nothing of the error.
     taken = ~(place.background(detection.background) & ~place.near_targets)
-    spread: dict[tuple[tuple[int, ...], bytes], float] = {}  # by shape of the footprint
+    spread: dict[tuple[tuple[int, ...], bytes], Array] = {}  # by shape of the footprint
 
-    def of(item: TargetObject) -> tuple[float, int, float]:
-        corner, grown = placed_with_halo(item.placed, margin, scores.shape)
+    def of(item: TargetObject) -> ObjectSum:
+        corner, grown = px.placed_with_halo(item.placed, margin, scores.shape)
         summed = grown & (~_window(targets, corner, grown) | _window(item.mask, corner, grown))  # not those of others
-        shape = footprint(summed)
+        shape = px.footprint(summed)
         key = shape.shape, shape.tobytes()
         if key not in spread:
-            elsewhere = footprint_sums(scores, shape, taken)
-            spread[key] = float(np.var(elsewhere, ddof=1)) if elsewhere.size > 1 else float("nan")
-        return float(np.nansum(_window(scores, corner, grown)[summed])), int(summed.sum()), spread[key]
+            spread[key] = px.footprint_sums(scores, shape, taken)
+        return ObjectSum(float(np.nansum(_window(scores, corner, grown)[summed])), int(summed.sum()), spread[key])
 
     return of
 
@@ -576,13 +536,12 @@ class Unmixed:
     pixel_area_m2: float
 
 
-@dataclass(frozen=True, eq=False)
-class _ObjectSurroundings:
-    """An object, and the places of the background at which its footprint was laid too.
+class _Footprints(NamedTuple):
+    """The footprint of an object: first on the object, then on places of the background.
 
     Attributes
     ----------
-    pixels : (N, F) reflectance of the pixels of all footprints, the object's first
+    pixels : (N, F) reflectance of the pixels of all footprints
     place : (N,) footprint that each belongs to
     background : (P, F) mean reflectance around each footprint
     ring : pixels around the object
@@ -607,7 +566,7 @@ def unmix(
     UsageError : names that do not fit, or a cube without ground size of its pixels.
     InputError : an object without background around it.
     """
-    pixel_area, region = _pixel_area(place, "unmixing: areas"), place.pixels_of(task.background)
+    pixel_area, region = _pixel_area(place), place.pixels_of(task.background)
     covariance = place.in_reflectance(place.statistics[task.background])[1][np.ix_(bands, bands)]
     covariances = {METHODS[w]: None if w == "equal" else covariance for w in task.weights}
     noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
@@ -616,7 +575,7 @@ def unmix(
         if item.target not in targets:
             raise UsageError(f"unmixing: no detection target {item.target!r}", expected=one_of(targets))
     sources, rng = Sources(place.cube.axis, {}, resolve), np.random.default_rng(task.seed)
-    surroundings: dict[str, _ObjectSurroundings] = {}
+    footprints: dict[str, _Footprints] = {}
     areas: dict[tuple[str, str], Abundance] = {}
     subjects: list[UnmixedSubject] = []
     for item in track(task.targets, "unmixing", show=show):
@@ -630,85 +589,55 @@ def unmix(
             if not np.isfinite(nominal):
                 raise refusal("unmixing.size", "detection.unmixing", subject=subject)
             for o in members:
-                if o.name not in surroundings:
-                    surroundings[o.name] = _surroundings(place, o, region, task, bands, rng)
-            around = [surroundings[o.name] for o in members]
+                if o.name not in footprints:
+                    footprints[o.name] = _footprints(place, o, region, task, bands, rng)
+            own = [footprints[o.name] for o in members]
             for method, weights in noise.items():
-                found = _unmixed_area(around, whole[bands], weights, pixel_area, nominal)
-                areas[subject, labelled(method, item.endmembers)] = found
+                sums = (_abundance_sum(f, whole[bands], weights) for f in own)
+                areas[subject, labelled(method, item.endmembers)] = _mean_area(place, sums, nominal)
             subjects.append(
                 UnmixedSubject(
-                    subject, population, item.scenario_target or item.target, whole, item.relative_uncertainty,
-                    item.correlation_nm, item.endmembers, len(members), nominal,
-                    int(np.mean([s.ring for s in around])),
+                    subject, population, stands.name, whole, item.relative_uncertainty, item.correlation_nm,
+                    item.endmembers, len(members), nominal, int(np.mean([f.ring for f in own])),
                 )
             )  # fmt: skip
     return Unmixed(areas, tuple(subjects), bands, covariances, pixel_area)
 
 
-def _unmixed_area(
-    around: Sequence[_ObjectSurroundings],
-    spectrum: Array,
-    noise: PositiveDefinite | None,
-    pixel_area: float,
-    nominal: float,
-) -> Abundance:
-    total, variance, n, count = 0.0, 0.0, 0, len(around)
-    for s in around:
-        between = np.stack([np.broadcast_to(spectrum, s.background.shape), s.background], axis=1)
-        parts = fully_constrained(whitened(s.pixels, noise), whitened(between, noise)[s.place])[:, 0]
-        own, *elsewhere = np.bincount(s.place, parts, minlength=len(s.background)).tolist()
-        total += own
-        n += int(np.count_nonzero(s.place == 0))
-        variance += float(np.var(elsewhere, ddof=1)) if len(elsewhere) > 1 else float("nan")
-    return Abundance(total / count * pixel_area, float(np.sqrt(variance)) / count * pixel_area, n, nominal)
+def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite | None) -> ObjectSum:
+    """Sum of the abundances of a spectrum on the object, and on each of the other places."""
+    between = np.stack([np.broadcast_to(spectrum, found.background.shape), found.background], axis=1)
+    parts = fully_constrained(whitened(found.pixels, noise), whitened(between, noise)[found.place])[:, 0]
+    own, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
+    return ObjectSum(own, int(np.count_nonzero(found.place == 0)), elsewhere)
 
 
-def _surroundings(
+def _footprints(
     place: Place, target: TargetObject, region: Mask, task: Unmixing, bands: Mask, rng: np.random.Generator
-) -> _ObjectSurroundings:
-    lines, samples = np.nonzero(target.part)
-    parts: list[tuple[Indices, Indices]] = []
-    for line, sample in (target.corner, *_free_places(region, target.part, rng)):
-        own = lines + line, samples + sample
-        parts += [own, _ring(own, region, task.ring_pixels)]
-    read = list(_valid_reflectance(place, parts, bands))
-    (own_pixels, own_ring), *others = zip(read[::2], read[1::2], strict=True)
-    if not len(own_ring):
-        raise refusal("unmixing.ring", name=target.name, background=task.background, ring_pixels=task.ring_pixels)
-    whole = [(own_pixels, own_ring), *((x, r) for x, r in others if len(r) and len(x) == lines.size)]
-    of = np.repeat(np.arange(len(whole)), [len(x) for x, _ in whole])
-    means = np.array([r.mean(axis=0) for _, r in whole])
-    return _ObjectSurroundings(np.concatenate([x for x, _ in whole]), of, means, len(own_ring))
-
-
-def _ring(own: tuple[Indices, Indices], region: Mask, reach: int) -> tuple[Indices, Indices]:
-    """The pixels of the region within ``reach`` pixels of some pixels, these left out."""
-    first = np.maximum([own[0].min() - reach, own[1].min() - reach], 0)
-    last = np.minimum([own[0].max() + reach + 1, own[1].max() + reach + 1], region.shape)
-    inside = np.zeros(tuple(last - first), bool)
-    inside[own[0] - first[0], own[1] - first[1]] = True
-    near = ndimage.distance_transform_edt(~inside) <= reach
-    lines, samples = np.nonzero(near & ~inside & region[first[0] : last[0], first[1] : last[1]])
-    return lines + first[0], samples + first[1]
-
-
-def _valid_reflectance(place: Place, parts: Sequence[tuple[Indices, Indices]], bands: Mask) -> Iterator[Array]:
-    """(n, F) reflectance of the valid ones among several sets of pixels, all read at once: each line once."""
-    flat = [lines * place.cube.samples + samples for lines, samples in parts]
+) -> _Footprints:
+    """Pixels of the object and of places at random at which its footprint lies on the region as a whole."""
+    inside, size = np.pad(target.part, task.ring_pixels), target.part.shape
+    around = (ndimage.distance_transform_edt(~inside) <= task.ring_pixels) & ~inside
+    own, ring = (np.argwhere(mask) - task.ring_pixels for mask in (inside, around))  # from the corner on
+    fits = ndimage.binary_erosion(region, target.part, origin=(-(size[0] // 2), -(size[1] // 2)))
+    free = np.argwhere(fits)
+    corners = [np.array(target.corner), *free[rng.choice(len(free), min(PLACES, len(free)), replace=False)]]
+    parts: list[Indices] = []
+    for corner in corners:
+        near = ring + corner
+        near = near[np.all((near >= 0) & (near < region.shape), axis=1)]
+        parts += [own + corner, near[region[tuple(near.T)]]]
+    # All read at once: each line once.
+    flat = [np.ravel_multi_index(tuple(part.T), region.shape) for part in parts]
     every, index = np.unique(np.concatenate(flat), return_inverse=True)
-    values, usable = place.pixels_at(*np.divmod(every, place.cube.samples))
-    reflectance = values[:, bands]
-    valid = usable & np.isfinite(reflectance).all(axis=1)
-    for own in np.split(index, np.cumsum([f.size for f in flat])[:-1]):
-        yield reflectance[own[valid[own]]]
-
-
-def _free_places(region: Mask, part: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Corners at random at which a footprint lies on the region as a whole."""
-    fits = ndimage.binary_erosion(region, part, origin=(-(part.shape[0] // 2), -(part.shape[1] // 2)))
-    places = np.argwhere(fits)
-    if not len(places):
-        return []
-    chosen = rng.choice(len(places), min(PLACES, len(places)), replace=False)
-    return [(int(a), int(b)) for a, b in places[chosen]]
+    values, usable = place.pixels_at(*np.divmod(every, region.shape[1]))
+    values = values[:, bands]
+    usable &= np.isfinite(values).all(axis=1)
+    read = [values[at[usable[at]]] for at in np.split(index, np.cumsum([f.size for f in flat])[:-1])]
+    if not len(read[1]):
+        raise refusal("unmixing.ring", name=target.name, background=task.background, ring_pixels=task.ring_pixels)
+    pairs = list(zip(read[::2], read[1::2], strict=True))
+    pairs = pairs[:1] + [(x, r) for x, r in pairs[1:] if len(r) and len(x) == len(own)]
+    of = np.repeat(np.arange(len(pairs)), [len(x) for x, _ in pairs])
+    means = np.array([r.mean(axis=0) for _, r in pairs])
+    return _Footprints(np.concatenate([x for x, _ in pairs]), of, means, len(read[1]))

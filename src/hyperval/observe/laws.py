@@ -15,35 +15,12 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from hyperval import pixels as px
 from hyperval.collection import Classification
 from hyperval.data import ClassStatistics, Components, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal
 from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe.open import Place
-from hyperval.pixels import (
-    FEWEST_LEADING,
-    ClassMixture,
-    EigenDirections,
-    block_side,
-    class_mixture,
-    compact_parts,
-    components,
-    drawn_pixels,
-    factor_covariance,
-    fit_tail_dof,
-    independent_pixels,
-    independent_values,
-    lag_correlation,
-    leading_count,
-    leading_tail_dof,
-    left_out_distances,
-    mean_error_covariance,
-    moments_without_each,
-    neighbour_shares,
-    nth_pixels,
-    small_sample_factor,
-    squared_mahalanobis,
-)
 from hyperval.products import ClassificationError, EstimatedPart, PixelDistribution
 from hyperval.scenario import BackgroundClass, Scenario
 from hyperval.spectra import in_window
@@ -79,21 +56,21 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Cal
     n, axis = statistics.n, place.cube.axis
     variance = np.diag(statistics.covariance)
     bands = np.flatnonzero(in_window(axis.centre_nm) & axis.good & np.isfinite(variance) & (variance > 0))
-    if n < FEWEST_PIXELS or bands.size < FEWEST_LEADING:
+    if n < FEWEST_PIXELS or bands.size < px.FEWEST_LEADING:
         return None
     rng = np.random.default_rng(_TAIL_SEED)
     mean, covariance = statistics.mean[bands], statistics.covariance[np.ix_(bands, bands)]
-    every = EigenDirections.of(covariance)
+    every = px.EigenDirections.of(covariance)
     dimension = min(every.values.size, n // PIXELS_PER_BAND)
-    directions = EigenDirections(every.vectors[:, :dimension], every.values[:dimension])
-    leading = leading_count(directions.values, float(np.trace(covariance)))
+    directions = px.EigenDirections(every.vectors[:, :dimension], every.values[:dimension])
+    leading = px.leading_count(directions.values, float(np.trace(covariance)))
     independent, shares = _independence(place, region, n, bands, mean, directions, leading, rng)
-    lines, samples = drawn_pixels(region, max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS), rng)
+    lines, samples = px.drawn_pixels(region, max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS), rng)
     order = np.lexsort((samples, lines))
     parts = []
     for pixels, _ in place.valid_pixels(lines[order], samples[order], bands):
         in_some = [
-            squared_mahalanobis(pixels, mean, directions.vectors[:, :k], directions.values[:k])
+            px.squared_mahalanobis(pixels, mean, directions.vectors[:, :k], directions.values[:k])
             for k in (dimension, leading)
         ]
         parts.append(in_some)
@@ -104,10 +81,10 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Cal
 
     def distribution() -> PixelDistribution:
         whole, lead = (
-            fit_tail_dof(d, k, estimated_on=n, independent=share * d.size)
+            px.fit_tail_dof(d, k, estimated_on=n, independent=share * d.size)
             for d, k, share in zip(distances, (dimension, leading), shares, strict=True)
         )
-        distance, exceedance = _exceedance_curve(left_out_distances(distances[1], n))
+        distance, exceedance = _exceedance_curve(px.left_out_distances(distances[1], n))
         return PixelDistribution(
             whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
             leading, whole.n, independent, distance, exceedance, columns,
@@ -129,7 +106,7 @@ def _independence(
     n: int,
     bands: Index,
     mean: Array,
-    directions: EigenDirections,
+    directions: px.EigenDirections,
     leading: int,
     rng: np.random.Generator,
 ) -> tuple[Array, tuple[float, float]]:
@@ -148,10 +125,10 @@ def _independence(
         return values
 
     windows = _projected_windows(place, region, bands, rng, project, centred)
-    correlation = lag_correlation(windows, REACH).significant()
-    shares = neighbour_shares(region, REACH, rng)
-    every, few = independent_values(n, correlation[count:], shares) / n
-    return independent_values(n, correlation[:count] ** 2, shares), (every, few)
+    correlation = px.lag_correlation(windows, REACH).significant()
+    shares = px.neighbour_shares(region, REACH, rng)
+    every, few = px.independent_values(n, correlation[count:], shares) / n
+    return px.independent_values(n, correlation[:count] ** 2, shares), (every, few)
 
 
 def _projected_windows(
@@ -185,7 +162,7 @@ def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[in
     independent pixels for fewer than they are.
     """
     count = int(np.count_nonzero(region))
-    lines, samples = nth_pixels(region, rng.choice(count, min(_TRIES * WINDOWS, count), replace=False))
+    lines, samples = px.nth_pixels(region, rng.choice(count, min(_TRIES * WINDOWS, count), replace=False))
     corners = zip((lines // WINDOW * WINDOW).tolist(), (samples // WINDOW * WINDOW).tolist(), strict=True)
     return list(dict.fromkeys(corners))[:WINDOWS]
 
@@ -206,7 +183,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     if known.size == 0:
         return EstimatedPart(covariance / n, float(n - 1))
     sample = covariance[np.ix_(known, known)]
-    inner, known_by = factor_covariance(sample, n) if n <= known.size else (sample, float(n - 1))
+    inner, known_by = px.factor_covariance(sample, n) if n <= known.size else (sample, float(n - 1))
 
     def full(part: Array) -> Array:
         out = covariance / n
@@ -216,15 +193,15 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     if n < FEWEST_FOR_CORRELATION:
         return EstimatedPart(full(inner / n), known_by, sample=covariance / n, sample_dof=float(n - 1))
     mean, rng = statistics.mean[known], np.random.default_rng(_MEAN_SEED)
-    along = components(inner, rng)
+    along = px.components(inner, rng)
     windows = _projected_windows(place, region, known, rng, lambda pixels: along.scores(pixels - mean))
     reach = min(REACH, max(*region.shape) - 1)
-    independent, of_variance = independent_pixels(windows, neighbour_shares(region, reach, rng), n, reach)
+    independent, of_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
     counted = float(np.median(of_variance)) - 1.0
     widened, model, own = (
-        full(mean_error_covariance(c, along, by))
+        full(px.mean_error_covariance(c, along, by))
         for c, by in (
-            (inner, independent / small_sample_factor(independent)), (inner, independent), (sample, independent)
+            (inner, independent / px.small_sample_factor(independent)), (inner, independent), (sample, independent)
         )
     )  # fmt: skip
     return EstimatedPart(widened, counted * known_by / (n - 1), model, own, counted)
@@ -256,7 +233,7 @@ class RegionPixels:
             raise UsageError("the collection has no image whose pixels could be fitted")
         axis, rng = place.cube.axis, np.random.default_rng(_LAW_SEED)
         most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
-        lines, samples = drawn_pixels(place.pixels_of(region), most, rng)
+        lines, samples = px.drawn_pixels(place.pixels_of(region), most, rng)
         pixels, valid = place.pixels_at(lines, samples)
         known = np.isfinite(pixels[valid]).any(axis=0)
         pixels = np.where(known, pixels, 0.0)
@@ -270,7 +247,7 @@ class RegionLaws:
 
     def __init__(self, place: Place | None, statistics: Mapping[str, ClassStatistics]):
         self._place, self._statistics = place, statistics
-        self._made: dict[Key, tuple[ClassMixture, Components | None] | None] = {}
+        self._made: dict[Key, tuple[px.ClassMixture, Components | None] | None] = {}
         self._without: dict[tuple[str, Key | None, bool], list[ClassStatistics]] = {}
 
     def statistics(self, scenario: Scenario) -> Mapping[str, ClassStatistics]:
@@ -300,16 +277,16 @@ class RegionLaws:
                 yield region, self._without[asked]
 
     def _parts(
-        self, region: str, mixture: tuple[ClassMixture, Components | None] | None, *, tails: bool
+        self, region: str, mixture: tuple[px.ClassMixture, Components | None] | None, *, tails: bool
     ) -> Iterator[ClassStatistics]:
         """The statistics of a region without each of its parts; ``tails``: with a tail of their own."""
         pixels, stated = RegionPixels.of(self._place, region), self._statistics[region]
-        part, lead = compact_parts(pixels.lines, pixels.samples), pixels.lead
-        for number, (mean, covariance) in enumerate(moments_without_each(pixels.values, part)):
+        part, lead = px.compact_parts(pixels.lines, pixels.samples), pixels.lead
+        for number, (mean, covariance) in enumerate(px.moments_without_each(pixels.values, part)):
             tail = stated.tail_dof
             if tails and tail is not None:
                 rest = pixels.values[part != number][:, lead]
-                dof = leading_tail_dof(rest, mean[lead], covariance[np.ix_(lead, lead)])
+                dof = px.leading_tail_dof(rest, mean[lead], covariance[np.ix_(lead, lead)])
                 tail = None if np.isinf(dof) else dof
             own = None if mixture is None else mixture[0].components_without(pixels.values, part, number)
             yield replace(stated, mean=mean, covariance=covariance, tail_dof=tail, components=own)
@@ -330,7 +307,7 @@ class RegionLaws:
                 raise UsageError(f"two classes ask for different components of region {region!r}")
         return out
 
-    def _mixture(self, name: str, key: Key | None) -> tuple[ClassMixture, Components | None] | None:
+    def _mixture(self, name: str, key: Key | None) -> tuple[px.ClassMixture, Components | None] | None:
         """The mixture that a region's pixels are and its components; None where one law is all that they show.
 
         Blocks of the image for the choice of their number are those of false alarms: the region fills about 64.
@@ -342,9 +319,9 @@ class RegionLaws:
             try:
                 pixels = RegionPixels.of(self._place, region)
                 assert self._place is not None  # noqa: S101 - its pixels were read
-                side = block_side(int(np.count_nonzero(self._place.pixels_of(region))))
+                side = px.block_side(int(np.count_nonzero(self._place.pixels_of(region))))
                 block = (pixels.lines // side) * (self._place.cube.samples // side + 1) + pixels.samples // side
-                made = class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
+                made = px.class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
                 self._made[key] = None if made is None else (made, made.components(pixels.values))
             except UsageError as error:
                 where = f"mixture of class {name!r}, region {region!r}"

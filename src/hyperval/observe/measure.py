@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
 from hyperval.data import ClassStatistics, SampleStatistics
-from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, scored_pixels, target_groups, unmix
+from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, painted, scored_pixels, target_groups, unmix
 from hyperval.observe.laws import RegionLaws, classification_errors, mean_error, pixel_tails
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
 from hyperval.observe.sites import (
@@ -123,7 +123,7 @@ def observe(
     cube = place.cube
     masks, populations = _labels(place, detection)
     known = {n for n in before.masks if n in masks and np.array_equal(before.masks[n], masks[n])}
-    refuse_saturated(collection.empirical_line, masks, cube)
+    refuse_saturated(collection.empirical_line, masks, place)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
     measured = region_statistics(cube, masks, watch=watch)
     sampling = {
@@ -188,10 +188,7 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> Itera
         first.setdefault(target.material, target)
     for target in first.values():
         for subject, members in target_groups(place.targets, target, detection.group).items():
-            union = np.zeros(place.cube.shape, bool)
-            for item in members:
-                (line, sample), part = scored_pixels(item, place)
-                union[line : line + part.shape[0], sample : sample + part.shape[1]] |= part
+            union = painted((scored_pixels(item, place) for item in members), place.cube.shape)
             if subject not in taken and np.count_nonzero(union) > 1:
                 yield subject, union
 

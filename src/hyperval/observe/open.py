@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperval import imagery
 from hyperval.collection import (
     BandTableFile,
     CollectionSection,
@@ -32,30 +33,7 @@ from hyperval.collection import (
 )
 from hyperval.data import SampleStatistics
 from hyperval.errors import InputError, UsageError, one_of, reader, refusal
-from hyperval.imagery import (
-    Cube,
-    LookupTable,
-    Region,
-    TargetObject,
-    acquisition_notes,
-    all_pixels,
-    guard,
-    half_region,
-    holes,
-    intersected_objects,
-    location_table,
-    open_cube,
-    open_lookup_table,
-    open_raster,
-    overlaps,
-    pixel_sides_m,
-    read_regions,
-    read_targets,
-    rectangle_region,
-    region_objects,
-    ring_region,
-    table_of,
-)
+from hyperval.imagery import Cube, LookupTable, Region, TargetObject
 from hyperval.observe.truth_images import abundance_targets, finer_targets, material_regions
 from hyperval.paths import checked_file
 from hyperval.pixels import EmpiricalLine, Labels
@@ -225,14 +203,14 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
             raise UsageError(f"two regions are named {twice[0]!r}")
         regions |= new
     targets, remarks = ([], []) if truth is None else site.targets_of(truth)
-    near = all_pixels(targets, cube.shape)
+    near = imagery.all_pixels(targets, cube.shape)
     if targets and truth is not None and truth.guard_pixels:
-        near = guard(near, truth.guard_pixels)
+        near = imagery.guard(near, truth.guard_pixels)
     for name in collection.leave_out:
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
     sides = cube.samples, cube.raster.bands
-    told = acquisition_notes(cube.extras, cube.axis, *sides, lines=cube.lines, quantity=cube.quantity)
+    told = imagery.acquisition_notes(cube.extras, cube.axis, *sides, lines=cube.lines, quantity=cube.quantity)
     notes = (*cube.notes, *notes, *told)
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
@@ -264,7 +242,7 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | Non
     unit = source.unit if source.quantity == "radiance" else None
     if unit is None and source.quantity == "radiance" and not source.may_state_unit:
         unit = RADIANCE_UNIT  # as simulations write it; others that state none were refused with the campaign
-    return open_cube(
+    return imagery.open_cube(
         resolve(source.path),
         axis="numbers" if source.by_number else read_band_table(resolve(bands.path), bands) if bands else None,
         quantity=source.quantity,
@@ -311,13 +289,13 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
 def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
     """What places the pixels of a cube in scanner geometry, stated or found, and notes on it."""
     if source.glt is None:
-        return table_of(cube.raster)
+        return imagery.table_of(cube.raster)
     if cube.transform is not None:
         raise refusal("place.glt", source.path)
-    raster = open_raster(resolve(source.glt))
+    raster = imagery.open_raster(resolve(source.glt))
     if raster.dtype.kind == "f" and raster.transform is None:
-        return location_table(raster, cube.shape), ()
-    return open_lookup_table(raster, cube.shape), ()
+        return imagery.location_table(raster, cube.shape), ()
+    return imagery.open_lookup_table(raster, cube.shape), ()
 
 
 @dataclass(frozen=True)
@@ -333,7 +311,7 @@ class _Site:
     def read(self, path: Path, source: VectorSource, patterns: Sequence[str], **options: Any) -> dict[str, Region]:
         """Regions of a file, placed by the lookup table where there is one, else as the cube lies."""
         table, cube = self.table, self.cube
-        return read_regions(
+        return imagery.read_regions(
             path, cube.shape, transform=table or cube.transform, crs=table.crs if table else cube.crs,
             coordinates=source.coordinates, name_field=source.name_field, patterns=patterns, **options,
         )  # fmt: skip
@@ -345,12 +323,14 @@ class _Site:
             return self._of_file(source, self.resolve(source.file))
         if source.rectangle is not None:
             line, sample, lines, samples = source.rectangle
-            return {name: rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), shape)}
+            return {
+                name: imagery.rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), shape)
+            }
         if source.whole_image:
             return {name: Region(name, np.broadcast_to(np.True_, shape), "the whole image")}
         if source.half is not None:
             whole = _above(name, "half of", source.half.of, above)
-            return {name: half_region(name, whole, first=source.half.which == "first")}
+            return {name: imagery.half_region(name, whole, first=source.half.which == "first")}
         if source.ring is not None:
             return {name: self._ring(name, source.ring, _above(name, "a ring around", source.ring.of, above))}
         assert source.normalized_difference is not None  # noqa: S101 - one of them is given
@@ -371,10 +351,12 @@ class _Site:
 
     def _ring(self, name: str, ring: Ring, around: Region) -> Region:
         if ring.outer_m is None:
-            return ring_region(name, around, ring.inner_pixels, float(ring.outer_pixels or 0.0))
+            return imagery.ring_region(name, around, ring.inner_pixels, float(ring.outer_pixels or 0.0))
         if self.area_m2 is None:
             raise refusal("place.metres", f"region {name!r}")
-        return ring_region(name, around, ring.inner_m, ring.outer_m, pixel_sides_m(self.cube.transform, self.area_m2))
+        return imagery.ring_region(
+            name, around, ring.inner_m, ring.outer_m, imagery.pixel_sides_m(self.cube.transform, self.area_m2)
+        )
 
     def _normalized_difference(self, rule: NormalizedDifference) -> Mask:
         """Pixels (lines, samples) whose (high - low)/(high + low) lies above and below the limits of ``rule``."""
@@ -401,7 +383,7 @@ class _Site:
                 mend = "state targets.pixel_size_m"
                 raise UsageError("pixels in degrees have no ground size", where=truth.csv, mend=mend)
             side, path = None if area is None else math.sqrt(area), self.resolve(truth.csv)
-            return read_targets(path, cube.shape, transform=table or cube.transform, pixel_size_m=side), []
+            return imagery.read_targets(path, cube.shape, transform=table or cube.transform, pixel_size_m=side), []
         if truth.finer is not None:
             return finer_targets(truth.finer, cube, area, self.resolve)
         if truth.abundances is not None:
@@ -419,7 +401,7 @@ class _Site:
         wanted: dict[str | int, str] = {value: str(value) for value in rasters.side_m}
         for name, region in self.read(self.resolve(rasters.size_classes), drawn, (), names=wanted).items():
             sizes[region.mask] = int(name)
-        return intersected_objects(masks, sizes, rasters.side_m)
+        return imagery.intersected_objects(masks, sizes, rasters.side_m)
 
     def _drawn(self, truth: TargetTruth) -> tuple[list[TargetObject], list[str]]:
         """Objects drawn as regions: every pixel that a polygon touches, as targets may be smaller than a pixel."""
@@ -436,7 +418,9 @@ class _Site:
             chosen = [region for name, region in drawn.items() if name in kept]
             remarks += [f"{remark} (targets)" for region in chosen for remark in region.remarks]
             whole = source.objects == "regions"
-            new = region_objects(chosen, source.material, whole=whole, side_m=source.side_m, pixel_area_m2=self.area_m2)
+            new = imagery.region_objects(
+                chosen, source.material, whole=whole, side_m=source.side_m, pixel_area_m2=self.area_m2
+            )
             # A class raster for each material, of one name: the material tells the objects apart.
             taken = {o.name for o in out if o.material != source.material}
             out += [replace(o, name=f"{o.material} {o.name}") if o.name in taken else o for o in new]
@@ -461,11 +445,11 @@ def _region_notes(regions: Iterable[Region], by_rule: frozenset[str]) -> list[st
     listed = list(regions)
     notes = [remark for region in listed for remark in region.remarks]
     for region in listed:
-        count, pixels = (0, 0) if region.name in by_rule else holes(region.mask)
+        count, pixels = (0, 0) if region.name in by_rule else imagery.holes(region.mask)
         if count:
             what = "a hole" if count == 1 else f"{count} holes"
             notes.append(f"the region {region.name!r} has {what} of {pixels} pixels, which are not part of it")
-    return notes + [f"the regions {a!r} and {b!r} share {n} pixels" for a, b, n in overlaps(listed)]
+    return notes + [f"the regions {a!r} and {b!r} share {n} pixels" for a, b, n in imagery.overlaps(listed)]
 
 
 def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> list[str]:
@@ -486,7 +470,7 @@ def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], ne
     shared = int(np.sum(touched > 1))
     if shared:
         materials = dict.fromkeys(o.material for o in targets)
-        masks = {m: all_pixels([o for o in targets if o.material == m], near.shape) for m in materials}
+        masks = {m: imagery.all_pixels([o for o in targets if o.material == m], near.shape) for m in materials}
         pairs = [(a, b, int(np.sum(masks[a] & masks[b]))) for a, b in combinations(masks, 2)]
         words = ", ".join(f"{n} of {a!r} and {b!r}" for a, b, n in pairs if n)
         notes.append(f"{shared} pixels may hold parts of more than one target" + (f": {words}" if words else ""))

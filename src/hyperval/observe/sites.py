@@ -22,7 +22,6 @@ from hyperval.collection import (
     RadCalNetSource,
 )
 from hyperval.errors import InputError, UsageError, one_of, refusal
-from hyperval.imagery import Cube
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.observe.open import Place, read_band_table
 from hyperval.pixels import (
@@ -48,7 +47,6 @@ BLACK = "black ground"
 WHERE = "collection.empirical_line"
 FEWEST_USABLE = 0.8  # of the good bands
 MOST_LEFT_OUT = 0.05  # reflectance that the other panels may be off by
-_PIXELS_AT_ONCE = 10_000
 SAME_BAND_NM = 0.5
 # Sites are what the scene has: the gain over its uncertainty decides, and this keeps equal sites from a line.
 LEAST_CONTRAST = 0.01
@@ -196,7 +194,7 @@ def empirical_line(
     return fit_elm(panels, intercept=source.intercept)
 
 
-def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, cube: Cube) -> None:
+def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, place: Place) -> None:
     """Raise UsageError for a panel with a pixel at which the detector, or the stored type, is full in a good band.
 
     Parameters
@@ -205,32 +203,21 @@ def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, cube: Cu
     """
     if source is None:
         return
-    most = np.full(cube.bands, np.nan)
+    cube, full = place.cube, np.full(place.cube.bands, np.nan)
     if cube.dtype.kind in "iu":
-        most = np.broadcast_to(cube.gain * float(np.iinfo(cube.dtype).max) + cube.offset, most.shape)
-    for panel in source.panels:
-        lines, samples = np.nonzero(masks.get(panel.region, np.zeros((1, 1), bool)))
+        full = cube.gain * float(np.iinfo(cube.dtype).max) + cube.offset
+    limit = np.inf if source.saturation is None else source.saturation
+    for region in (panel.region for panel in source.panels if panel.region in masks):
+        lines, samples = np.nonzero(masks[region])
         count, bands = 0, np.zeros(cube.bands, bool)
-        for some in range(0, lines.size, _PIXELS_AT_ONCE):
-            at = slice(some, some + _PIXELS_AT_ONCE)
-            values, valid = cube.marked_pixels((lines[at], samples[at]))
-            full = values == most
-            if source.saturation is not None:
-                full |= values >= source.saturation
-            full &= valid[:, None] & cube.axis.good
-            count += int(full.any(axis=1).sum())
-            bands |= full.any(axis=0)
+        for values, _ in place.valid_pixels(lines, samples):
+            saturated = ((values == full) | (values >= limit)) & cube.axis.good
+            count += int(saturated.any(axis=1).sum())
+            bands |= saturated.any(axis=0)
         if count:
-            first = int(np.argmax(bands))
-            raise refusal(
-                "panel.saturated",
-                WHERE,
-                region=panel.region,
-                count=count,
-                size=lines.size,
-                band=first + 1,
-                centre_nm=cube.axis.centre_nm[first],
-            )
+            band, centre = int(np.argmax(bands)) + 1, cube.axis.centre_nm[np.argmax(bands)]
+            told = {"region": region, "count": count, "size": lines.size, "band": band, "centre_nm": centre}
+            raise refusal("panel.saturated", WHERE, **told)
 
 
 def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
@@ -435,11 +422,17 @@ def _site_reflectance(
         try:
             if not others or (source.intercept and len(others) == 1):
                 raise UsageError(lacks)
-            out[name], words = _by_line(source.intercept, site, others, axis)
+            line = fit_elm(others, intercept=source.intercept, minimum_contrast=LEAST_CONTRAST)
         except UsageError as error:
             notes.append(f"{name}: no reflectance by other sites of its flight line: {error.what}")
             continue
-        notes += [f"{name}: {text}" for text in (f"reflectance by the {how} through {words[0]}", *words[1:])]
+        parts = {"empirical line": line.error_covariance(site.mean)}
+        if np.any(site.own):
+            parts[NOISE] = site.own / np.outer(line.gain, line.gain)
+        out[name] = spectral_estimate(line.reflectance(site.mean), parts, n=site.n)
+        usable = f"usable in {int(line.usable.sum())} of {len(axis)} bands"
+        words = [f"reflectance by the {how} through {' and '.join(line.names)}, {usable}", *line_warnings(line, axis)]
+        notes += [f"{name}: {text}" for text in words]
     return out, notes
 
 
@@ -449,30 +442,6 @@ def _black(stated: PathRadiance, site: Site, axis: SpectralAxis, resolve: Resolv
     # A common error of the calibration moves all sites and not the path: as if the path alone had moved.
     error = black.error_covariance + site.relative * np.outer(black.mean, black.mean)
     return MeasuredPanel("the path radiance of the engine", zero, zero, black.mean, error)
-
-
-def _by_line(
-    intercept: bool, site: Site, panels: Sequence[MeasuredPanel], axis: SpectralAxis
-) -> tuple[SpectralEstimate, list[str]]:
-    """Reflectance of a site by the line through panels, and notes, of which the first names the line.
-
-    Raises
-    ------
-    UsageError : panels that fix no line.
-    """
-    known = np.all([np.isfinite(p.reflectance) for p in panels], axis=0)
-    line = fit_elm([p.bands(known) for p in panels], intercept=intercept, minimum_contrast=LEAST_CONTRAST)
-    level, at = site.mean[known], np.ix_(known, known)
-    parts = {"empirical line": line.error_covariance(level)}
-    if np.any(site.own):
-        parts[NOISE] = site.own[at] / np.outer(line.gain, line.gain)
-    mean = np.full(known.size, np.nan)
-    mean[known] = line.reflectance(level)
-    whole = {name: np.full((known.size, known.size), np.nan) for name in parts}
-    for name, part in parts.items():
-        whole[name][at] = part
-    words = f"{' and '.join(line.names)}, usable in {int(line.usable.sum())} of {known.size} bands"
-    return spectral_estimate(mean, whole, n=site.n), [words, *line_warnings(line, axis.select(known))]
 
 
 def observe_radcalnet(source: RadCalNetSource, resolve: Resolve) -> ObservedProducts:

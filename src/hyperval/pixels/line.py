@@ -33,14 +33,12 @@ _STEP = 1e-4  # of the reflectance of a panel, and of its radiance
 class LineFit:
     """y = intercept + slope x for each of B problems of P points.
 
-    ``slope``, ``intercept``, ``reduced_chi2`` are (B,), ``covariance`` of (slope, intercept) is (B, 2, 2),
-    ``residuals`` y - intercept - slope x are (P, B).
+    ``slope``, ``intercept``, ``reduced_chi2`` are (B,), ``covariance`` of (slope, intercept) is (B, 2, 2).
     """
 
     slope: Array
     intercept: Array
     covariance: Array
-    residuals: Array
     reduced_chi2: Array
 
 
@@ -99,7 +97,7 @@ def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, interc
     residuals = y - level - slope * x
     free = len(x) - 1 - intercept
     reduced = np.where(none | (free == 0), np.nan, np.sum(w * residuals**2, axis=0) / max(free, 1))
-    return LineFit(slope, level, covariance, residuals, reduced)
+    return LineFit(slope, level, covariance, reduced)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,18 +131,6 @@ class MeasuredPanel:
                 raise UsageError(f"panel {self.name!r}: {name} has shape {value.shape}, reflectance {bands}")
             object.__setattr__(self, name, value)
 
-    def bands(self, use: Mask) -> MeasuredPanel:
-        """The panel in some of the bands."""
-
-        def cut(values: Array) -> Array:
-            return values[np.ix_(*values.ndim * [use])]
-
-        sampled = None if self.sampled is None else self.sampled.bands(use)
-        return MeasuredPanel(
-            self.name, cut(self.reflectance), cut(self.reflectance_error), cut(self.radiance), cut(self.radiance_error),
-            self.n, sampled,
-        )  # fmt: skip
-
 
 def variance_of(error: Array) -> Array:
     """(B,) variances of errors given by those, or by their covariance (B, B)."""
@@ -159,12 +145,9 @@ class EmpiricalLine:
     ----------
     gain, offset : (B,) [uW cm-2 sr-1 nm-1]; NaN in bands that are not ``usable``
     covariance : (B, 2, 2) of (gain, offset) in that order
-    residuals : (P, B) collected less fitted radiance by panel
     reduced_chi2 : (B,) chi-square over P - 2 (P - 1 through the origin); NaN where any line fits
-    leave_one_out : (P, B) reflectance error of each panel under the line of the others, an extrapolation for
-        the darkest and the brightest; None where the others fix no line
-    usable : (B,) False where the panels do not differ enough, or are too noisy, to fix a gain
-    panels : in the order of the residuals
+    usable : (B,) False where a panel has no reflectance, or they do not differ enough, or are too noisy, to fix a gain
+    panels : that it goes through
     intercept : False: the line goes through the origin
     least_contrast : of the panels, in a band that is usable
     """
@@ -172,9 +155,7 @@ class EmpiricalLine:
     gain: Array
     offset: Array
     covariance: Array
-    residuals: Array
     reduced_chi2: Array
-    leave_one_out: Array | None
     usable: Mask
     panels: tuple[MeasuredPanel, ...]
     intercept: bool = True
@@ -196,6 +177,20 @@ class EmpiricalLine:
             return fit_elm(others, intercept=self.intercept, minimum_contrast=self.least_contrast)
         except UsageError:
             return None
+
+    @cached_property
+    def leave_one_out(self) -> Array | None:
+        """(P, B) error of the reflectance of each panel by the line through the others; NaN where they fix none.
+
+        An extrapolation for the darkest and the brightest; None where the others are too few.
+        """
+        if len(self.panels) <= 1 + self.intercept:
+            return None
+        error = np.full((len(self.panels), self.gain.size), np.nan)
+        for own, panel in zip(error, self.panels, strict=True):
+            if (others := self.without(panel.name)) is not None:
+                own[self.usable] = (others.reflectance(panel.radiance) - panel.reflectance)[self.usable]
+        return error
 
     @property
     def contradiction(self) -> float:
@@ -285,9 +280,9 @@ def fit_elm(
 ) -> EmpiricalLine:
     """Line through all panels, band by band, with errors in reflectance and in radiance.
 
-    Exact for two panels; more are weighted by York's method (:func:`fit_line`).  A band whose panels differ by less
-    than ``minimum_contrast`` or whose gain is below five times its uncertainty gets NaN; where that
-    is more than half of the bands the panels are refused.
+    Exact for two panels; more are weighted by York's method (:func:`fit_line`).  A band in which a panel has no
+    reflectance (NaN), whose panels differ by less than ``minimum_contrast`` or whose gain is below five times its
+    uncertainty gets NaN; where the latter two are more than half of the known bands the panels are refused.
 
     Parameters
     ----------
@@ -303,38 +298,24 @@ def fit_elm(
     _refuse_bad_panels(panels, least=1 + intercept)
     points = _points(panels)
 
-    def contrast(rows: Mask) -> Array:
-        return np.ptp(points[0][rows], axis=0) if intercept else np.full(points[0].shape[1], np.inf)
-
-    def fitted(rows: Mask, bands: Mask) -> tuple[LineFit, Mask]:
-        """The line through some panels in some bands, and in which of these it has no gain."""
-        fit = fit_line(*(part[np.ix_(rows, bands)] for part in points), intercept=intercept)
-        return fit, ~(fit.slope > MINIMUM_GAIN_SNR * np.sqrt(fit.covariance[:, 0, 0]))
-
-    every = np.ones(len(panels), bool)
-    flat = contrast(every) < minimum_contrast
+    known = np.asarray(np.isfinite(points[0]).all(axis=0))
+    if not known.any():
+        raise UsageError("there is no band in which all panels have a reflectance")
+    contrast = np.ptp(points[0], axis=0) if intercept else np.full(known.size, np.inf)
+    flat = contrast[known] < minimum_contrast
     if np.mean(flat) > 0.5:
-        names, differ = ", ".join(p.name for p in panels), np.median(contrast(every))
+        names, differ = ", ".join(p.name for p in panels), np.median(contrast[known])
         raise refusal("line.contrast", names=names, differ=differ, least=minimum_contrast)
-    fit, noisy = fitted(every, ~flat)
+    usable = known.copy()
+    usable[known] = ~flat
+    fit = fit_line(*(part[:, usable] for part in points), intercept=intercept)
+    noisy = ~(fit.slope > MINIMUM_GAIN_SNR * np.sqrt(fit.covariance[:, 0, 0]))
     if np.mean(noisy) > 0.5:
         raise refusal("line.noisy", least=MINIMUM_GAIN_SNR, count=int(noisy.sum()), bands=noisy.size)
-    usable = ~flat
     usable[usable] = ~noisy
-    left_out = np.full(points[0].shape, np.nan)
-    for i in range(len(panels)) if len(panels) > 1 + intercept else ():
-        rest = np.arange(len(panels)) != i
-        # Without panel i the others may fix no line in a band, which then has no leave-one-out error.
-        clear = usable & (contrast(rest) >= minimum_contrast)
-        part, lost = fitted(rest, clear)
-        error = (points[1][i, clear] - part.intercept) / part.slope - points[0][i, clear]
-        left_out[i, clear] = np.where(lost, np.nan, error)
-    parts = (fit.slope, fit.intercept, fit.covariance.T, fit.residuals, fit.reduced_chi2)
-    gain, offset, covariance, residuals, chi2 = (_spread(part[..., ~noisy], usable) for part in parts)
-    return EmpiricalLine(
-        gain, offset, covariance.T, residuals, chi2, left_out if len(panels) > 1 + intercept else None, usable, panels,
-        intercept, minimum_contrast,
-    )  # fmt: skip
+    parts = (fit.slope, fit.intercept, fit.covariance.T, fit.reduced_chi2)
+    gain, offset, covariance, chi2 = (_spread(part[..., ~noisy], usable) for part in parts)
+    return EmpiricalLine(gain, offset, covariance.T, chi2, usable, panels, intercept, minimum_contrast)
 
 
 def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
@@ -344,9 +325,12 @@ def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
     if len({p.reflectance.size for p in panels}) > 1:
         raise UsageError("the panels have different numbers of bands")
     for p in panels:
-        rho, errors = p.reflectance, np.stack([variance_of(p.reflectance_error), variance_of(p.radiance_error)])
+        errors = np.stack([variance_of(p.reflectance_error), variance_of(p.radiance_error)])
+        known = np.isfinite(p.reflectance)  # a field spectrum may not reach all bands
+        rho = p.reflectance[known]
         for wrong, words, mend in (
-            (~np.isfinite([rho, p.radiance, *errors]), " holds NaN or infinity", "leave those bands out"),
+            (~known.any(), " has no reflectance in any band", None),
+            (~np.isfinite([p.radiance, *errors])[:, known], " holds NaN or infinity", "leave those bands out"),
             (errors < 0, ": a variance is negative", None),
             (p.n < 1, " has no pixels", None),
             (rho > PERCENT_LIMIT, f" has a reflectance of {rho.max():.4g}, not 0 to 1", "divide percent by 100"),

@@ -23,7 +23,7 @@ def with_halo(mask: npt.NDArray[Any], halo: int) -> Mask:
     grown = np.asarray(mask, dtype=bool)
     if halo < 0:
         raise UsageError(f"halo of {halo} pixels", expected="0 or more")
-    return ndimage.binary_dilation(grown, np.ones((2 * halo + 1, 2 * halo + 1), bool)) if halo else grown
+    return np.asarray(ndimage.maximum_filter(grown, 2 * halo + 1, mode="constant"))
 
 
 def placed_with_halo(placed: Placed, halo: int, shape: tuple[int, ...]) -> Placed:

@@ -350,57 +350,9 @@ def bootstrap_areas(counts: RankCounts, areas: list[RocArea], draws: int, rng: n
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class PresetThresholds:
-    """Thresholds at preset false-alarm probabilities: what a curve takes from its background alone.  All (K,).
-
-    Attributes
-    ----------
-    pfa : the probabilities
-    threshold, alarms : lowest threshold whose empirical false-alarm rate is at most that, -inf where all is declared;
-        and the scores above it
-    greatest, least : order statistics that bound the true threshold; inf and -inf where none does
-    n_background : scores of the background
-    """
-
-    pfa: Array
-    threshold: Array
-    alarms: Counts
-    greatest: Array
-    least: Array
-    n_background: int
-
-
-def preset_thresholds(background_scores: Scores, pfa: npt.ArrayLike | None = None) -> PresetThresholds:
-    """Thresholds of :func:`empirical_roc`; one set serves all targets that are looked for in the same scores.
-
-    ``pfa`` defaults to a logarithmic grid from one alarm in the whole background to 1, which holds the decades.
-    """
-    b = ascending(background_scores, "background")
-    n = int(b.size)
-    if pfa is None:
-        decades = int(np.ceil(np.log10(max(n, 10))))
-        grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
-        pfa = grid[grid * n * _ROUNDING >= 1.0]
-    p = np.sort(np.atleast_1d(np.asarray(pfa, dtype=float)))
-    if not (np.all(p > 0) and np.all(p <= 1)):
-        raise UsageError("a preset false-alarm probability must lie in (0, 1]")
-    blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
-    r, s = _ranks(n, p, LEVEL) if blocks is None else blocks.rank_limits(p)
-
-    def greatest(rank: Counts) -> Array:
-        """The ``rank``-th greatest score; inf for rank 0, -inf beyond the last."""
-        return np.where(rank > n, -np.inf, np.where(rank < 1, np.inf, b[np.clip(n - rank, 0, n - 1)]))
-
-    k = np.minimum(np.floor(p * n * _ROUNDING).astype(np.int64), n)
-    threshold = greatest(k + 1)
-    alarms = np.where(k >= n, n, n - np.searchsorted(b, threshold, side="right"))
-    return PresetThresholds(p, threshold, alarms, greatest(r), greatest(s), n)
-
-
 def empirical_roc(
     target_scores: npt.ArrayLike,
-    background_scores: Scores | PresetThresholds,
+    background_scores: Scores,
     pfa: npt.ArrayLike | None = None,
     unit: Literal["pixel", "object"] = "pixel",
     *,
@@ -426,31 +378,44 @@ def empirical_roc(
 
     Parameters
     ----------
-    target_scores, background_scores : any shape; +-inf allowed.  The background may come with its places, or as the
-        thresholds that :func:`preset_thresholds` took from it, with all that follows
-    pfa : preset false-alarm probabilities in (0, 1]; by default the grid of :func:`preset_thresholds`
+    target_scores, background_scores : any shape; +-inf allowed.  The background may come with its places, with all
+        that follows
+    pfa : preset false-alarm probabilities in (0, 1]; by default a logarithmic grid from one alarm in the whole
+        background to 1, which holds the decades
 
     Raises
     ------
     UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
     """
-    t = ascending(target_scores, "target")
-    at = background_scores
-    if not isinstance(at, PresetThresholds):
-        at = preset_thresholds(at, pfa)
-
-    def above(threshold: Array, everything: npt.NDArray[np.bool_]) -> Counts:
-        """How many targets lie above the threshold; all of them where ``everything`` is declared, -inf included."""
-        return np.where(everything, t.size, t.size - np.searchsorted(t, threshold, side="right"))
-
-    detected = above(at.threshold, at.alarms == at.n_background)
-    every = at.pfa >= 1.0  # declares everything, whatever the sample
-    few, many = above(at.greatest, every), above(at.least, np.isneginf(at.least))
-    pd, (low, high) = detected / t.size, mid_p_limits(detected, t.size)
-    lower, upper = _widened(pd, (np.where(every, 1.0, low), high), pd - few / t.size, many / t.size - pd)
-    return RocCurve(
-        at.pfa, pd, lower, upper, at.threshold, unit, int(t.size), at.n_background, background_area_km2, at.alarms
+    t, b = ascending(target_scores, "target"), ascending(background_scores, "background")
+    m, n = t.size, int(b.size)
+    if pfa is None:
+        decades = int(np.ceil(np.log10(max(n, 10))))
+        grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
+        pfa = grid[grid * n * _ROUNDING >= 1.0]
+    p = np.sort(np.atleast_1d(np.asarray(pfa, dtype=float)))
+    if not (np.all(p > 0) and np.all(p <= 1)):
+        raise UsageError("a preset false-alarm probability must lie in (0, 1]")
+    blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
+    r, s = _ranks(n, p, LEVEL) if blocks is None else blocks.rank_limits(p)
+    k = np.minimum(np.floor(p * n * _ROUNDING).astype(np.int64), n)
+    # The scores of these ranks, from the greatest on; inf for rank 0, -inf beyond the last.
+    threshold, greatest, least = (
+        np.where(rank > n, -np.inf, np.where(rank < 1, np.inf, b[np.clip(n - rank, 0, n - 1)]))
+        for rank in (k + 1, r, s)
     )
+    alarms = np.where(k >= n, n, n - np.searchsorted(b, threshold, side="right"))
+
+    def above(at: Array, everything: npt.NDArray[np.bool_]) -> Counts:
+        """How many targets lie above the threshold; all of them where ``everything`` is declared, -inf included."""
+        return np.where(everything, m, m - np.searchsorted(t, at, side="right"))
+
+    detected = above(threshold, alarms == n)
+    every = p >= 1.0  # declares everything, whatever the sample
+    few, many = above(greatest, every), above(least, np.isneginf(least))
+    pd, (low, high) = detected / m, mid_p_limits(detected, m)
+    lower, upper = _widened(pd, (np.where(every, 1.0, low), high), pd - few / m, many / m - pd)
+    return RocCurve(p, pd, lower, upper, threshold, unit, int(m), n, background_area_km2, alarms)
 
 
 def _widened(pd: Array, limits: tuple[Array, Array], below: Array, above: Array) -> tuple[Array, Array]:
@@ -468,19 +433,13 @@ def with_summary(
     background_scores: Scores,
     *,
     draws: int = 1000,
-    rng: np.random.Generator | None = None,
 ) -> RocCurve:
-    """The curve of these scores with its areas and alarms at stated P_D.
-
-    Parameters
-    ----------
-    draws, rng : of the bootstrap over objects; by default a generator of seed 0
-    """
+    """The curve of these scores with its areas, by so many ``draws`` of objects, and alarms at stated P_D."""
     blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
     counts, n = counts_of(target_scores, background_scores), int(curve.n_background or 0)
     # Those whose range the background reaches: the low end expects alarms enough.
     areas = {k: a for k, a in AREAS.items() if not a.logarithmic or a.low * n >= LEAST_EXPECTED_ALARMS}
-    estimates = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0), blocks)
+    estimates = area_estimates(counts, areas, curve.unit, draws, np.random.default_rng(0), blocks)
     return replace(curve, areas=estimates, at_detection=alarms_at_detection(target_scores, background_scores))
 
 
