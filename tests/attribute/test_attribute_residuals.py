@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval import products
-from hyperval.attribute import AlarmRatio, alarm_ratios, quantities, reason_for, sampled_covariance, stacked
+from hyperval import compare, products
+from hyperval.attribute import alarm_ratios, quantities, reason_for, sampled_covariance, stacked
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
@@ -133,7 +133,7 @@ def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
 
 
 def ratio(value, spread=1.2):
-    return AlarmRatio(value, value / spread, value * spread)
+    return compare.row("pfa_ratio@1e-2", value, (value / spread, value * spread))
 
 
 @pytest.mark.parametrize(

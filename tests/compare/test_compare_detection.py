@@ -24,8 +24,6 @@ from hyperval.products import (
 from hyperval.results import Cause, Outcome
 from hyperval.spectra import SpectralAxis
 
-NAMES = {"subject": "planks", "method": "cem/object"}
-MAKE = compare.RowMaker("roc", "planks", "cem/object")
 KM2 = 0.08
 PFA = np.geomspace(1e-4, 0.999, 81)
 
@@ -35,7 +33,7 @@ def by_metric(rows):
 
 
 def roc(predicted, observed, **more):
-    return by_metric(compare.compare_roc(predicted, observed, **NAMES, **more))
+    return by_metric(compare.compare_roc(predicted, observed, **more))
 
 
 def curve(pfa, pd, half=0.0, unit="object", **more):
@@ -128,7 +126,7 @@ def test_score_moments():
     predicted = ScoreDistribution(0.5, 0.2)
 
     def scores(observed):
-        return by_metric(compare.compare_scores(predicted, observed, **NAMES))
+        return by_metric(compare.compare_scores(predicted, observed))
 
     rows, t = scores(ScoreDistribution(0.4, 0.1, 26)), stats.t.ppf(0.975, 25)
     difference, ratio = rows["score_mean_difference"], rows["score_sd_ratio"]
@@ -140,8 +138,6 @@ def test_score_moments():
     own = scores(ScoreDistribution(0.4, 0.1, 26, mean_error=0.004, mean_bias=-0.01))["score_mean_difference"]
     assert (own.value, own.upper) == pytest.approx((0.09, 0.09 + t * 0.004))  # of pixels that the filter is made of
     assert scores(ScoreDistribution(0.4, 0.0, 1))["score_sd_ratio"].outcome is Outcome.SKIPPED
-    (row,) = scores(None).values()
-    assert (row.outcome, row.reason) == (Outcome.SKIPPED, "no scores of planks in the observation")
 
 
 def test_sd_ratio_interval_covers():
@@ -151,7 +147,7 @@ def test_sd_ratio_interval_covers():
     for _ in range(1000):
         x = rng.normal(0, 0.1, 15)
         observed = ScoreDistribution(x.mean(), x.std(ddof=1), 15)
-        row = by_metric(compare.compare_scores(ScoreDistribution(0.0, 0.2), observed, **NAMES))["score_sd_ratio"]
+        row = by_metric(compare.compare_scores(ScoreDistribution(0.0, 0.2), observed))["score_sd_ratio"]
         hits += row.lower <= 2.0 <= row.upper
     assert 0.92 < hits / 1000 < 0.98
 
@@ -170,6 +166,7 @@ def test_every_subject_of_either_side_has_rows():
         ("radiance", "only model", "model"), ("radiance", "only data", "model"), ("snr", "grass", "model"),
         ("reflectance", "grass", "model"), ("roc", "t", "ace/object"), ("roc", "u", "cem/object"),
     }  # fmt: skip
+    assert absent["radiance", "only data", "model"] == "no radiance of only data in the prediction"
     assert absent["roc", "t", "ace/object"] == "no roc of t in the prediction, which has it by cem"
     assert absent["roc", "u", "cem/object"] == "no roc of u in the observation, which has 't'"
     assert {r.product for r in rows if r.outcome is Outcome.NONE} == {"radiance", "roc"}
@@ -233,7 +230,7 @@ def test_the_joint_region_holds_the_truth_though_the_background_sets_the_thresho
     rng, truth, hits = np.random.default_rng(8), model_curve(2.0), 0
     for _ in range(400):
         measured = empirical_roc(rng.normal(2, 1, 25), rng.normal(size=1500), [0.02], unit="object")
-        rows = by_metric(compare.joint_rows(MAKE, truth, measured, 0.02))
+        rows = by_metric(compare.alarm_rows(truth, measured, 0.02))
         x, pfa, pd = measured.threshold[0], rows["joint_pfa@2e-2"], rows["joint_pd@2e-2"]
         if pfa.lower <= norm.sf(x) <= pfa.upper and pd.lower <= norm.sf(x - 2.0) <= pd.upper:
             hits += 1  # the true curve passes through every region that holds the true point
@@ -261,7 +258,7 @@ def test_a_predicted_curve_that_ends_inside_the_rectangle_goes_on_to_nothing():
     measured = curve([1e-3, 1e-2, 1e-1], 0.0, np.nan, "pixel", **counts)
     # The first begins inside: below its first point nothing is detected.
     for start, pd, inside in ((9e-3, 0.5, 1.0), (1e-4, 0.5, 0.0), (1e-4, 0.01, 1.0)):
-        rows = by_metric(compare.joint_rows(MAKE, curve([start, 1e-1], pd, np.nan, "pixel"), measured, 1e-2))
+        rows = by_metric(compare.alarm_rows(curve([start, 1e-1], pd, np.nan, "pixel"), measured, 1e-2))
         assert rows["pd_inside_joint_region@1e-2"].value == inside
         assert rows["joint_pd@1e-2"].upper < 0.03
 
@@ -301,7 +298,7 @@ def test_both_readings_are_reported_where_they_differ():
 
 
 def areas(predicted, observed):
-    return by_metric(compare.compare_abundance(predicted, observed, **NAMES))
+    return by_metric(compare.compare_abundance(predicted, observed))
 
 
 def test_errors_of_areas_by_hand():
@@ -348,13 +345,13 @@ def test_predicted_alarms_lie_where_the_band_reaches_the_stated_detection():
     alarms = AlarmsAtDetection(0.5, 1.0, 10, 0.01, 0.004, 0.03, 0.005, 0.02)
     counts = {"n_target": 20, "n_background": 1000, "background_area_km2": 0.5, "at_detection": (alarms,)}
     measured = curve(pfa, [0.0, 0.2, 0.5, 0.8, 1.0], **counts)
-    rows = by_metric(compare.far_at_detection_rows(MAKE, curve(pfa, pd, 0.1), measured))
+    rows = by_metric(compare.far_at_detection_rows(curve(pfa, pd, 0.1), measured))
     row = rows["far_predicted@pd0.5"]
     assert np.array([row.lower, row.value, row.upper]) / density == pytest.approx([1e-3, 10**-2.5, 1e-2])
     assert rows["far_measured@pd0.5"].value == pytest.approx(20.0)
     assert rows["far_difference@pd0.5"].value == pytest.approx(density * 10**-2.5 - 20.0)
     # An upper limit that begins above that P_D bounds P_FA from below by nothing.
-    wide = by_metric(compare.far_at_detection_rows(MAKE, curve(pfa, pd, 0.4), measured))["far_predicted@pd0.5"]
+    wide = by_metric(compare.far_at_detection_rows(curve(pfa, pd, 0.4), measured))["far_predicted@pd0.5"]
     assert (wide.lower, wide.upper / density) == pytest.approx((0.0, 10**-0.5))
 
 
@@ -363,19 +360,18 @@ def test_ratio_of_false_alarms():
     expected, true = norm.sf(x), 2.0 * norm.sf(x).clip(0, 0.5)
 
     def ratios(n, low=true, high=true):
-        measured = None if n is None else ExceedanceCurve(x, true, low, high, n)
-        law = ExceedanceCurve(x, expected, expected, expected)
-        return by_metric(compare.compare_exceedance(law, measured, subject="t background", method="cem"))
+        law, measured = ExceedanceCurve(x, expected, expected, expected), ExceedanceCurve(x, true, low, high, n)
+        return by_metric(compare.compare_exceedance(law, measured))
 
     rows = ratios(20_000, true / 1.5, true * 1.5)
     assert set(rows) == {"pfa_ratio@1e-1", "pfa_ratio@1e-2", "pfa_ratio@1e-3"}
     for row in rows.values():
         assert (row.value, row.lower, row.upper) == pytest.approx((0.5, 0.5 / 1.5, 0.75))
     assert [r.outcome for r in ratios(500).values()] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
-    assert ratios(None)["comparison"].outcome is Outcome.SKIPPED
 
 
 # Objects of many kinds judged together.
+UNIFORM, JOINT = "pit_uniformity", "joint_distance"
 ROWS, COLUMNS = 200, 40
 
 
@@ -422,19 +418,20 @@ def test_right_predictions_with_common_errors_are_rejected_at_the_stated_rate(mo
         base, truth = drawn(0.1, 0.1, rng)
         predicted = {k: ObjectScores(p.values + s) for (k, p), s in zip(base.items(), shift, strict=True)}
         moved = {k: v + s for (k, v), s in zip(truth.items(), shift, strict=True)}
-        found = compare.judged_together(predicted, moved)
+        found = by_metric(compare.judged_together(predicted, moved))
+        uniform, distance, trend = (found[f"{test}_p_value"].value for test in (UNIFORM, JOINT, "pit_trend"))
         u = [float(compare.probability_integral_transform(moved[k], predicted[k].values)[0]) for k in predicted]
-        ours += found.uniformity.p_value < 0.05
+        ours += uniform < 0.05
         customary += stats.kstest(u, "uniform").pvalue < 0.05
-        joint += 2.0 * min(found.joint.p_value, 1.0 - found.joint.p_value) < 0.05
-        drift += found.drift.p_value < 0.05
+        joint += 2.0 * min(distance, 1.0 - distance) < 0.05
+        drift += trend < 0.05
     assert customary > 30
     assert max(ours, joint, drift) <= 14
 
 
 def test_falsified_scores_turn_the_verdict():
     predicted, truth = drawn(0.02, 0.1, np.random.default_rng(6))
-    tests = ("objects_inside_95_p_value", "pit_uniformity_p_value", "joint_distance_p_value")
+    tests = [f"{test}_p_value" for test in ("objects_inside_95", UNIFORM, JOINT)]
     plan = {"product": "scores", "subjects": ("all objects",), "at_least": 0.01, "reason": "r"}
 
     def verdicts(change, predicted=predicted):
@@ -495,28 +492,28 @@ SD = 1.0 / np.sqrt(PLACE @ PLACE)  # of the least-squares slope of independent s
 
 
 def together(z, predicted=PREDICTED):
-    return compare.judged_together(
-        predicted, {k: np.array([m + x]) for k, m, x in zip(PREDICTED, MEANS, z, strict=True)}
-    )
+    measured = {k: np.array([m + x]) for k, m, x in zip(PREDICTED, MEANS, z, strict=True)}
+    return by_metric(compare.judged_together(predicted, measured))
 
 
 @pytest.mark.parametrize("slope", [0.8, -1.2, 2.0])
 def test_a_drift_is_that_of_a_least_squares_slope(slope):
-    found = together(0.3 + slope * PLACE).drift
-    assert found.effect.value == pytest.approx(slope, rel=0.01)
-    assert found.p_value == pytest.approx(2.0 * norm.sf(abs(slope) / SD), abs=0.032)
+    found = together(0.3 + slope * PLACE)
+    trend, test = found["pit_trend"], found["pit_trend_p_value"]
+    assert trend.value == pytest.approx(slope, rel=0.01)
+    assert test.value == pytest.approx(2.0 * norm.sf(abs(slope) / SD), abs=0.032)
     ends = (slope - 1.959964 * SD, slope + 1.959964 * SD)
-    assert (found.effect.lower, found.effect.upper) == pytest.approx(ends, abs=4.0 * 0.042 * SD)
+    assert (trend.lower, trend.upper) == pytest.approx(ends, abs=4.0 * 0.042 * SD)
     # Rejected at 1 % in both tails together, in four cases of five: the quantiles at 0.995 and at 0.8.
-    assert found.detectable == pytest.approx((norm.isf(0.005) + norm.isf(0.2)) * SD, rel=0.06)
+    assert test.detectable == pytest.approx((norm.isf(0.005) + norm.isf(0.2)) * SD, rel=0.06)
 
 
 def test_a_joint_distance_is_chi_square_of_as_many_objects():
     for scale in (0.8, 1.0, 1.3):
         z = scale * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
-        found = together(z).joint
+        found = together(z)[f"{JOINT}_p_value"]
         # 2,000 sets make a p-value to 0.011, and the covariance of 2,000 others is itself off by a few per cent.
-        assert found.p_value == pytest.approx(stats.chi2.sf(z @ z, OBJECTS), abs=0.06)
+        assert found.value == pytest.approx(stats.chi2.sf(z @ z, OBJECTS), abs=0.06)
         # The limit at 0.005 of chi-square, over the squared width, is passed by 0.75 at twice and 0.98 at three times.
         assert found.detectable == 3.0
 
@@ -529,12 +526,14 @@ def test_a_spread_is_that_of_as_many_normal_numbers(common):
     each = np.hypot(1.0, common)
     found, measured = together(each * (1.0 + 2.0 * PLACE), predicted), each * np.std(2.0 * PLACE, ddof=1)
     low, middle, high = np.sqrt(stats.chi2.ppf([0.025, 0.5, 0.975], OBJECTS - 1) / (OBJECTS - 1)) / measured
-    assert (found.spread.lower, found.spread.value, found.spread.upper) == pytest.approx((low, middle, high), rel=0.06)
+    spread = found["pit_spread_ratio"]
+    assert (spread.lower, spread.value, spread.upper) == pytest.approx((low, middle, high), rel=0.06)
 
 
 def test_the_number_inside_is_binomial():
     found = together(np.array([3.0, -3.0, *(OBJECTS - 2) * [0.5]]))
-    assert found.count.effect.value == pytest.approx((OBJECTS - 2) / OBJECTS)
-    assert found.count.p_value == pytest.approx(stats.binom.cdf(OBJECTS - 2, OBJECTS, 0.95), abs=0.014)
+    share, test = found["objects_inside_95"], found["objects_inside_95_p_value"]
+    assert share.value == pytest.approx((OBJECTS - 2) / OBJECTS)
+    assert test.value == pytest.approx(stats.binom.cdf(OBJECTS - 2, OBJECTS, 0.95), abs=0.014)
     # At most 1 in 40 sets has fewer inside, and none more than all.
-    assert found.expected == pytest.approx((stats.binom.ppf(0.025, OBJECTS, 0.95) / OBJECTS, 1.0))
+    assert f"expects {stats.binom.ppf(0.025, OBJECTS, 0.95) / OBJECTS:.3g} to 1;" in share.reason

@@ -17,7 +17,7 @@ import pytest
 
 from hyperval import products
 from hyperval.cli import app
-from hyperval.compare import compare_products
+from hyperval.compare import compare_products, whitening
 from hyperval.metrics import Evidence, Kind, Metric, metric_of, table
 from hyperval.spectra import SpectralAxis
 
@@ -64,7 +64,7 @@ def test_what_gates_can_be_judged(metric):
 
 @pytest.mark.parametrize("metric", [m for m in METRICS if not math.isnan(m.gives)], ids=lambda m: m.name)
 def test_every_example_gives_what_it_says(metric):
-    names = {"np": np, metric.function.rpartition(".")[2]: function_of(metric)}
+    names = {"np": np, "whitening": whitening, metric.function.rpartition(".")[2]: function_of(metric)}
     value = float(eval(metric.example, names))  # noqa: S307 - of our own table
     assert value == pytest.approx(metric.gives, rel=1e-6)
 

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 from scipy.stats import norm
 
 from hyperval import model
-from hyperval.compare import chi_square_full
+from hyperval.compare import chi_square_full, whitening
 from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate, background_of
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.settings import with_settings
@@ -200,7 +200,7 @@ def test_true_worlds_pass_and_false_ones_do_not():
         seen = truth + (1.0 - own - other) * host
         for name, p in told.items():
             expected = p.reflectance["square"]
-            rejected[name] += chi_square_full(expected.mean - seen, expected.error_covariance).p_value < 0.05
+            rejected[name] += chi_square_full(expected.mean - seen, whitening(expected.error_covariance)).p_value < 0.05
     assert 0.01 < rejected["true"] / 1000 < 0.08
     assert rejected["of the neighbour's material"] / 1000 > 0.9
     assert rejected["target too small"] / 1000 > 0.9

@@ -114,8 +114,8 @@ def test_panels_of_a_line_are_no_evidence_for_it(make_radiance):
     made = make_radiance(relative_noise=0.002)
     seen = made.world.observe().observation
     for panel in ("white", "black"):
-        own, words = seen.reflectance[panel], {"product": "reflectance", "subject": panel, "method": "m"}
-        (row,) = compare_spectra(own, own, axis=seen.axis, **words)
+        own = seen.reflectance[panel]
+        (row,) = compare_spectra(own, own, seen.axis, "reflectance")
         assert np.isnan(row.value)
         assert "no degree of freedom" in row.reason
     # Of more than two, each is seen by the line through the others; the last is not what it is taken for.

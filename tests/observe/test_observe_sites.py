@@ -121,7 +121,7 @@ def test_top_of_atmosphere_reflectance_is_what_comes_back_of_the_light_outside()
 def test_bands_inside_the_stated_uncertainty_are_counted():
     seen = SpectralEstimate(np.array([0.2, 0.2, 0.2]), 1e-8 * np.eye(3), stated=np.array([0.01, 0.01, 0.001]))
     made = SpectralEstimate(np.array([0.215, 0.225, 0.2015]), np.zeros((3, 3)))
-    rows = compare_spectra(made, seen, product="toa_reflectance", subject="s", method="m", axis=THREE)
+    rows = compare_spectra(made, seen, THREE, "toa_reflectance")
     assert {r.metric: r.value for r in rows}["fraction_inside_stated"] == pytest.approx(2.0 / 3.0)
 
 

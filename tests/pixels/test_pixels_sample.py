@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage, stats
 
 from hyperval import pixels
-from hyperval.compare import chi_square_full, chi_square_shape, covariance_dof
+from hyperval.compare import chi_square_full, chi_square_shape, covariance_dof, whitening
 from hyperval.model import bhattacharyya_distance
 from hyperval.products import EstimatedPart
 from hyperval.simulate import correlated_field
@@ -123,7 +123,7 @@ def test_p_values_of_true_means_are_uniform_where_bands_hang_together(n):
         sample = np.cov(x.T)
         covariance, dof = pixels.factor_covariance(sample, n) if n < 163 else (sample, n - 1.0)
         part = EstimatedPart(covariance / n, dof, sample=sample / n, sample_dof=n - 1.0)
-        found.append(chi_square_full(x.mean(0), covariance / n, [part]).p_value)
+        found.append(chi_square_full(x.mean(0), whitening(covariance / n, [part])).p_value)
     p = np.array(found)
     assert abs(p.mean() - 0.5) < 0.058
     assert abs(np.mean(p < 0.05) - 0.05) < 0.045
@@ -263,9 +263,9 @@ def test_directions_are_left_out_until_the_covariance_is_known_well_enough():
     c = np.diag(np.linspace(1.0, 2.0, 10))
     c[0, 1] = c[1, 0] = 0.9
     r = rng.standard_normal(10)
-    some = chi_square_full(r, c, [EstimatedPart(c, 12.0)])
+    some = chi_square_full(r, whitening(c, [EstimatedPart(c, 12.0)]))
     assert (some.dof, some.covariance_dof) == (4, pytest.approx(12.0))
     assert 0.0 < some.p_value < 1.0
-    shape = chi_square_shape(r, np.ones(10), c, [EstimatedPart(c, 12.0)])
+    shape = chi_square_shape(r, np.ones(10), whitening(c, [EstimatedPart(c, 12.0)]))
     assert (shape.dof, shape.covariance_dof) == (3, pytest.approx(12.0))
     assert 0.0 < shape.value < some.value

@@ -109,10 +109,7 @@ def test_a_shift_of_one_side_is_the_difference_of_the_centres(shift):
         y = (40.0 - 0.05 * (w - 760.0)) * (1.0 - 0.5 * np.exp(-0.5 * ((w - centre) / 4.0) ** 2))
         return SpectralEstimate(y, np.diag((0.01 * y) ** 2), None, 100)
 
-    rows = compare_spectra(
-        side(762.9 + shift), side(762.9), product="radiance", subject="s", method="m",
-        axis=SpectralAxis(w, np.full(w.size, 5.0)),
-    )  # fmt: skip
+    rows = compare_spectra(side(762.9 + shift), side(762.9), SpectralAxis(w, np.full(w.size, 5.0)))
     (row,) = [r for r in rows if r.metric.startswith("absorption_centre_difference")]
     assert row.metric.endswith("@oxygen-763")
     assert row.value == pytest.approx(shift, abs=0.05)

@@ -172,9 +172,9 @@ def rows_of(number: int, seed: int) -> list[Result]:
     return list(report.table)
 
 
-def of_classes(*sides: Any, subject: str, **options: Any) -> list[Result]:
+def of_classes(predicted: Any, observed: Any, subject: str, quantity: str) -> Iterable[Result]:
     """Rows of the covariances of classes: no criterion looks at others, whose draws take half of the time."""
-    return compare_covariance(*sides, subject=subject, **options) if subject in CLASSES.values() else []
+    return compare_covariance(predicted, observed, subject, quantity) if subject in CLASSES.values() else []
 
 
 def counted(rows: Iterable[Result]) -> Iterator[tuple[Key, list[float]]]:

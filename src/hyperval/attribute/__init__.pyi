@@ -16,10 +16,10 @@ from .ranking import (
 from .residuals import ComparedQuantity, ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stacked
 from .run import attribute, sensitivity_indices
 from .schema import AttributionOptions, WhatIf
-from .whatif import AlarmRatio, ScenarioModel, Truths, alarm_ratios, changed_scenarios, gaps_of, reason_for
+from .whatif import ScenarioModel, Truths, alarm_ratios, changed_scenarios, gaps_of, reason_for
 
 __all__ = [
-    "COMMON", "DIFFERENT", "AlarmRatio", "AttributionOptions", "Candidate", "ComparedQuantity", "InjectedError",
+    "COMMON", "DIFFERENT", "AttributionOptions", "Candidate", "ComparedQuantity", "InjectedError",
     "NotInjectable", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf", "Whitened", "alarm_ratios",
     "assumed_inputs", "attribute", "budget_covariance", "changed_scenarios", "common_and_own", "explanation",
     "few_objects", "gaps_of", "injected_errors", "injected_prediction", "quantities", "ranking", "rankings",

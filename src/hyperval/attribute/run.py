@@ -13,7 +13,7 @@ from hyperval.attribute.ranking import Candidate, Ranking, budget_covariance, ra
 from hyperval.attribute.residuals import ComparedQuantity, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions
 from hyperval.attribute.whatif import ScenarioModel, Truths, run_what_ifs
-from hyperval.compare.rows import Array, RowMaker
+from hyperval.compare.rows import Array, named, row
 from hyperval.errors import UsageError
 from hyperval.model import Truth, UncertainInput, together
 from hyperval.products import Products
@@ -191,22 +191,23 @@ def _indices(reasons: Sequence[_Reason], evaluate: Evaluate, base: Array, ends: 
 
 
 def _ranking_rows(r: Ranking) -> Iterator[Result]:
-    make = RowMaker("attribution", r.group, _EVERYTHING)
     # The test of all products together concludes too, and informs.
-    whole = make.row("reduced_chi_square", r.chi_square / r.dof, reason=r.conclusion, n=r.dof)
+    whole = row("reduced_chi_square", r.chi_square / r.dof, reason=r.conclusion, n=r.dof)
     if r.too_wide or not r.explained:
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
-    yield whole
-    yield make.row("p_value", r.p_value, n=r.dof)
+    tests = [whole, row("p_value", r.p_value, n=r.dof)]
     if r.together:
         why = "with " + " and ".join(x.candidate.name for x in r.together) + " freed"
-        yield make.row("p_value_explained", r.together[-1].p_value, reason=why, n=r.dof)
+        tests.append(row("p_value_explained", r.together[-1].p_value, reason=why, n=r.dof))
+    yield from named(tests, "attribution", r.group, _EVERYTHING)
     for place, item in enumerate(r.ranked, start=1):
-        make, step = RowMaker("attribution", r.group, item.candidate.name), item.candidate.step
         why = f"rank {place}: {item.in_words}; leaves reduced chi-square {item.chi_square / r.dof:.3g}"
-        yield make.row("likelihood_gain", item.gain, reason=why, n=r.dof)
-        unit = "stated uncertainty" if item.candidate.budgeted else f"step of {step}, none is stated"
-        yield make.row("needed_uncertainty", item.needed, reason=f"in units of its {unit}")
+        unit = "stated uncertainty" if item.candidate.budgeted else f"step of {item.candidate.step}, none is stated"
+        own = [
+            row("likelihood_gain", item.gain, reason=why, n=r.dof),
+            row("needed_uncertainty", item.needed, reason=f"in units of its {unit}"),
+        ]
+        yield from named(own, "attribution", r.group, item.candidate.name)
 
 
 def _sensitivity_rows(
@@ -227,5 +228,5 @@ def _sensitivity_rows(
             reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
         unit = "stated uncertainty" if candidate.budgeted else candidate.step
         method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name
-        make = RowMaker("sensitivity", quantity.subject, method)
-        yield make.row(f"{quantity.product}_{quantity.metric}_change", change, reason=f"per {unit}; {reason}")
+        found = row(f"{quantity.product}_{quantity.metric}_change", change, reason=f"per {unit}; {reason}")
+        yield replace(found, product="sensitivity", subject=quantity.subject, method=method)

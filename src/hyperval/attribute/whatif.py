@@ -13,13 +13,13 @@ import numpy as np
 from hyperval.attribute.ranking import Whitened
 from hyperval.attribute.residuals import POINTS, ComparedQuantity, Stack, stacked
 from hyperval.attribute.schema import WhatIf
-from hyperval.compare.rows import Array, RowMaker, scientific
+from hyperval.compare.detection import compare_exceedance
+from hyperval.compare.rows import Array, named, row, scientific
 from hyperval.errors import UsageError
 from hyperval.model import Truth
-from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import Products, background_of
 from hyperval.progress import track
-from hyperval.results import Result
+from hyperval.results import Outcome, Result
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 
@@ -49,45 +49,31 @@ class ScenarioModel:
         return next(self.predict(scenarios, [[{} for _ in scenarios]]))
 
 
-class AlarmRatio(NamedTuple):
-    """P_FA predicted over measured at the threshold that was measured to give a level, with its interval [1]."""
-
-    value: float
-    lower: float
-    upper: float
-
-    @property
-    def off(self) -> float:
-        """|ln ratio|: by how much it is wrong, either way."""
-        return abs(math.log(self.value)) if self.value > 0.0 else math.inf
-
-    @property
-    def good(self) -> bool:
-        """Within a factor of two."""
-        return self.off <= math.log(FACTOR)
-
-
 class WhatIfOutcome(NamedTuple):
     """What one experiment leaves: residuals over their uncertainty, summary gaps by name, ratios of false alarms."""
 
     item: WhatIf
     residuals: Whitened
     gaps: Mapping[str, float]
-    alarms: Mapping[Key, AlarmRatio]
+    alarms: Mapping[Key, Result]
+
+    @property
+    def reduced(self) -> float:
+        """Reduced chi-square."""
+        return self.residuals.chi_square / self.residuals.dof
 
     def rows(self, before: WhatIfOutcome) -> Iterator[Result]:
         """``reduced_chi_square`` after it, ``likelihood_gain`` and each gap after it.
 
         The gain is the fall of the chi-square: twice the log-likelihood gained under the same covariance.
         """
-        make, n = RowMaker("what-if", "all", self.item.name), before.residuals.dof
-        first, after = (side.residuals.chi_square / side.residuals.dof for side in (before, self))
-        yield make.row("reduced_chi_square", after, n=n, reason=f"{first:.4g} before; {self.item.question}")
+        n = before.residuals.dof
+        yield row("reduced_chi_square", self.reduced, n=n, reason=f"{before.reduced:.4g} before; {self.item.question}")
         why = f"p = {self.residuals.p_value:.2g} after"
-        yield make.row("likelihood_gain", (first - after) * n, n=n, reason=why)
+        yield row("likelihood_gain", (before.reduced - self.reduced) * n, n=n, reason=why)
         for name, gap in before.gaps.items():
             words = name.replace("|", "").replace("@", " at ").split()
-            yield make.row("_".join(words), self.gaps[name], n=n, reason=f"{gap:.4g} before")
+            yield row("_".join(words), self.gaps[name], n=n, reason=f"{gap:.4g} before")
 
 
 def run_what_ifs(
@@ -132,8 +118,9 @@ def run_what_ifs(
                 raise UsageError(f"what-if {item.name!r}: this collection cannot be measured again")
             seen = model.observe(item.observe)
         outcomes.append(left(item, model.assuming(scenarios), seen))
-    outcomes.sort(key=lambda o: o.residuals.chi_square / o.residuals.dof)
-    return [*(row for o in outcomes for row in o.rows(before)), *_alarm_rows(before.alarms, outcomes)]
+    outcomes.sort(key=lambda o: o.reduced)
+    rows = [one for o in outcomes for one in named(o.rows(before), "what-if", "all", o.item.name)]
+    return [*rows, *_alarm_rows(before.alarms, outcomes)]
 
 
 def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scenario]:
@@ -180,53 +167,58 @@ def _renewed(numbers: Sequence[ComparedQuantity], observed: Products) -> list[Co
     return out
 
 
-def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, AlarmRatio]:
-    """By (background, detector, metric), at P_FA 1e-2 and 1e-3 where ten alarms are expected."""
-    ratios = {}
-    for (name, detector), measured in observed.exceedance.items():
-        model = predicted.exceedance.get((name, detector))
-        for level in POINTS:
-            if model is not None and level * (measured.n or 0) >= LEAST_EXPECTED_ALARMS:
-                found = false_alarm_ratio(model, measured, level)
-                key = (background_of(name), detector, f"pfa_ratio@{scientific(level)}")
-                ratios[key] = AlarmRatio(found.value, found.lower, found.upper)
-    return ratios
+def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, Result]:
+    """Rows of P_FA predicted over measured by (background, detector, metric), at 1e-2 and 1e-3 where both have it."""
+    wanted = {f"pfa_ratio@{scientific(level)}" for level in POINTS}
+    return {
+        (background_of(name), detector, one.metric): one
+        for (name, detector), measured in observed.exceedance.items()
+        if (model := predicted.exceedance.get((name, detector))) is not None
+        for one in compare_exceedance(model, measured)
+        if one.metric in wanted and one.outcome is Outcome.NONE
+    }
 
 
-def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> str:
+def _off(ratio: Result) -> float:
+    """|ln ratio|: by how much it is wrong, either way."""
+    return abs(math.log(ratio.value)) if ratio.value > 0.0 else math.inf
+
+
+def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
     """In words, which experiment explains a ratio that is off by more than a factor of two, or that none does.
 
     Examples
     --------
-    >>> r = [AlarmRatio(v, v / 2, v * 2) for v in (6.0, 1.5, 4.0)]
+    >>> r = [row("pfa_ratio@1e-2", v, (v / 2, v * 2)) for v in (6.0, 1.5, 4.0)]
     >>> reason_for(r[0], [("local", r[1]), ("tails", r[2])])
     "off by a factor of 6; 'local' leaves 1.5: it would explain it"
     >>> reason_for(r[1], [("tails", r[2])])
     'within a factor of two'
     """
-    if before.good:
+    if _off(before) <= math.log(FACTOR):
         return "within a factor of two"
-    size = f"off by a factor of {math.exp(before.off):.2g}"
+    size = f"off by a factor of {math.exp(_off(before)):.2g}"
     if before.lower <= FACTOR and before.upper >= 1.0 / FACTOR:
         size += ", within what its interval allows"
-    best = min(tried, key=lambda item: item[1].off, default=None)
-    if best is None or best[1].off >= before.off:
+    name, best = min(tried, key=lambda item: _off(item[1]), default=("", before))
+    if _off(best) >= _off(before):
         return f"{size}; no what-if brings it nearer"
-    end = "it would explain it" if best[1].good else "the nearest, and not enough"
-    return f"{size}; {best[0]!r} leaves {best[1].value:.2g}: {end}"
+    end = "it would explain it" if _off(best) <= math.log(FACTOR) else "the nearest, and not enough"
+    return f"{size}; {name!r} leaves {best.value:.2g}: {end}"
 
 
-def _alarm_rows(before: Mapping[Key, AlarmRatio], outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
+def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
     """Every ratio of false alarms with its reason, then the ratio after each experiment."""
     tried = {key: [(o.item.name, o.alarms[key]) for o in outcomes if key in o.alarms] for key in before}
     tried = {key: each for key, each in tried.items() if each}
-    for (subject, detector, metric), each in tried.items():
-        first = before[subject, detector, metric]
-        make, why = RowMaker("attribution", subject, detector), reason_for(first, each)
-        yield make.row(metric, first.value, first[1:], reason=why)
-    for (subject, detector, metric), each in tried.items():
-        first = before[subject, detector, metric]
-        words = f"{first.value:.3g} before ({first.lower:.2g} to {first.upper:.2g})"
+    for key, each in tried.items():
+        yield _ratio_row(key, "attribution", before[key], reason_for(before[key], each))
+    for key, each in tried.items():
+        words = f"{before[key].value:.3g} before ({before[key].lower:.2g} to {before[key].upper:.2g})"
         for name, after in each:
-            make = RowMaker("what-if", subject, f"{name} / {detector}")
-            yield make.row(metric, after.value, after[1:], reason=words)
+            yield _ratio_row(key, "what-if", after, words, f"{name} / ")
+
+
+def _ratio_row(key: Key, product: str, ratio: Result, reason: str, prefix: str = "") -> Result:
+    subject, detector, _ = key
+    return replace(ratio, product=product, subject=subject, method=f"{prefix}{detector}", n=None, reason=reason)

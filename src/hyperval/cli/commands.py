@@ -262,7 +262,7 @@ def drift(
     ] = None,
 ) -> int:
     """Print a row for each day of finished runs, and the change in a year with its interval."""
-    from hyperval.compare.spectra import drift as drift_of
+    from hyperval.compare import judge, spectra
     from hyperval.errors import UsageError
     from hyperval.results import Outcome
     from hyperval.run import SECONDS_PER_YEAR, days_of
@@ -277,14 +277,14 @@ def drift(
             for when, row in days
         ],
     )
-    trend = drift_of([when.timestamp() / SECONDS_PER_YEAR for when, _ in days], [row.value for _, row in days])
-    words = f"{metric} changes by {trend.per_year:+.3g} in a year, 95 % interval "
+    trend = spectra.drift([when.timestamp() / SECONDS_PER_YEAR for when, _ in days], [row.value for _, row in days])
+    words = f"{metric} changes by {trend.value:+.3g} in a year, 95 % interval "
     words += f"{trend.lower:+.3g} to {trend.upper:+.3g}"
     if within is None:
-        note(f"{words} ({trend.n} days)")
+        note(f"{words} ({len(days)} days)")
         return 0
-    outcome = trend.outcome(*within)
-    note(f"{words} ({trend.n} days): {outcome} with {within[0]:g} to {within[1]:g}")
+    outcome = judge.against_range(trend.lower, trend.upper, *within)
+    note(f"{words} ({len(days)} days): {outcome} with {within[0]:g} to {within[1]:g}")
     return {Outcome.AGREES: 0, Outcome.DISAGREES: 1}.get(outcome, 5)
 
 

@@ -2,6 +2,7 @@
 
 from .covariance import compare_covariance, compare_distribution, independent_pixels
 from .detection import (
+    alarm_rows,
     compare_abundance,
     compare_area_errors,
     compare_classification,
@@ -13,15 +14,22 @@ from .detection import (
     equivalence,
     equivalent,
     far_at_detection_rows,
-    joint_rows,
     judged_together,
     predicted_area,
     probability_integral_transform,
     transforms_of_draws,
 )
-from .judge import Gate, detectable_departure, detectable_share, judged, outcome_of, tail_probability
+from .judge import (
+    Gate,
+    against_range,
+    detectable_departure,
+    detectable_share,
+    judged,
+    outcome_of,
+    tail_probability,
+)
 from .products import compare_products, product_rows
-from .rows import COMPARISON, RowMaker, difference_interval, scientific
+from .rows import COMPARISON, difference_interval, named, row, scientific, skipped
 from .spectra import (
     ChiSquare,
     chi_square_diagonal,
@@ -46,7 +54,8 @@ __all__ = [
     "COMPARISON",
     "ChiSquare",
     "Gate",
-    "RowMaker",
+    "against_range",
+    "alarm_rows",
     "chi_square_diagonal",
     "chi_square_full",
     "chi_square_shape",
@@ -73,19 +82,21 @@ __all__ = [
     "equivalent",
     "far_at_detection_rows",
     "independent_pixels",
-    "joint_rows",
     "judged",
     "judged_together",
     "leading_source",
     "median_interval",
+    "named",
     "outcome_of",
     "predicted_area",
     "probability_integral_transform",
     "product_rows",
     "regions",
+    "row",
     "scientific",
     "share_inside",
     "size_intervals",
+    "skipped",
     "spectral_angle_degrees",
     "tail_probability",
     "transforms_of_draws",

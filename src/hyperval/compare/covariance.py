@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.compare.rows import Array, Mask, RowMaker
+from hyperval.compare.rows import Array, Mask, row, skipped
 from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
 from hyperval.pixels import (
@@ -56,8 +56,8 @@ def independent_pixels(n: int, distribution: PixelDistribution | None, size: int
     return np.maximum(np.concatenate([leading, np.full(size - leading.size, leading[-1])]) - 1.0, 1.0)
 
 
-def compare_covariance(predicted: Products, observed: Products, *, subject: str, method: str) -> list[Result]:
-    """Rows of one subject; ``method`` names the quantity.  There are none where a side has no spread.
+def compare_covariance(predicted: Products, observed: Products, subject: str, quantity: str) -> Iterator[Result]:
+    """Rows of one subject in radiance or reflectance.  There are none where a side has no spread.
 
     The measured covariance is compared with covariances drawn from the predicted one (sampling bands at 95 %):
 
@@ -77,23 +77,23 @@ def compare_covariance(predicted: Products, observed: Products, *, subject: str,
     >>> predicted = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.012 * own)
     >>> observed = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.010 * own, n=400)
     >>> sides = (Products(axis, radiance={"grass": side}) for side in (predicted, observed))
-    >>> rows = compare_covariance(*sides, subject="grass", method="radiance")
+    >>> rows = compare_covariance(*sides, "grass", "radiance")
     >>> [(r.metric, round(r.value, 2)) for r in rows if not r.metric.endswith(("@2", "@3", "@4", "@5"))]
     [('eigenvalue_ratio@1', 1.19), ('eigenvalues_inside_95', 0.0), ('total_variance_ratio', 1.2),
     ('subspace_angle@1', 0.0), ('subspace_inside_95@1', 1.0), ('bhattacharyya_distance', 0.02),
     ('bhattacharyya_covariance_excess', 0.0)]
     """
-    make, sample = RowMaker("covariance", subject, method), sampled(predicted, observed, subject, method, EIGENVALUES)
+    sample = sampled(predicted, observed, subject, quantity, EIGENVALUES)
     if isinstance(sample, str):
-        return make.skipped(Cause.FEW_PIXELS, sample)
-    if sample is None:
-        return []
-    rows = [*_eigenvalue_rows(make, sample), *_space_rows(make, sample)]
-    law = observed.distribution.get(subject)
-    noise = getattr(predicted, "noise", {}).get(subject) if method == "radiance" else None  # a prediction's alone
-    if noise and law is not None and (law.samples or 0) > 1:
-        rows += _noise_rows(make, sample, noise, law.samples or 0)
-    return [*rows, *_distance_rows(make, sample)]
+        yield from skipped(Cause.FEW_PIXELS, sample)
+    elif sample is not None:
+        yield from _eigenvalue_rows(sample)
+        yield from _space_rows(sample)
+        law = observed.distribution.get(subject)
+        noise = getattr(predicted, "noise", {}).get(subject) if quantity == "radiance" else None  # a prediction's alone
+        if noise and law is not None and (law.samples or 0) > 1:
+            yield from _noise_rows(sample, noise, law.samples or 0)
+        yield from _distance_rows(sample)
 
 
 @dataclass(frozen=True)
@@ -168,47 +168,47 @@ def _band(variances: bytes, independent: bytes, count: int, spaces: tuple[int, .
     return sampling_band(directions, np.frombuffer(independent), count, spaces, rng, kurtosis=kurtosis)
 
 
-def _eigenvalue_rows(make: RowMaker, sample: Sampled) -> Iterator[Result]:
+def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
     measured, band, n = sample.measured, sample.band, sample.n
     low, high = SamplingBand.limits(band.eigenvalues)
     expected = band.eigenvalues.mean(axis=0)
     for k, value in enumerate(measured.eigenvalues):
         ends = low[k] / value, high[k] / value
         reason = f"measured {value:.4g}, expected of {n} pixels of the prediction {expected[k]:.4g}"
-        yield _row(make, f"eigenvalue_ratio@{k + 1}", expected[k] / value, ends, n, reason)
+        yield _row(f"eigenvalue_ratio@{k + 1}", expected[k] / value, ends, n, reason)
     inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
-    yield make.row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
+    yield row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
     total = band.total / measured.total
-    yield _row(make, "total_variance_ratio", float(total.mean()), SamplingBand.limits(total), n)
+    yield _row("total_variance_ratio", float(total.mean()), SamplingBand.limits(total), n)
 
 
-def _space_rows(make: RowMaker, sample: Sampled) -> Iterator[Result]:
+def _space_rows(sample: Sampled) -> Iterator[Result]:
     angles = principal_angles_deg(sample.measured.overlap, sample.spaces)
     for k, angle, drawn in zip(sample.spaces, angles, sample.band.angles_deg.T, strict=False):
         # One-sided: only too large an angle tells against the prediction.
         most = float(np.sort(drawn)[-6])  # the sixth of 119 is exceeded with probability 0.05
         reason = f"sampling alone stays below {most:.3g} deg in 95 % of draws"
-        yield make.row(f"subspace_angle@{k}", angle, n=sample.n, reason=reason)
-        yield make.row(f"subspace_inside_95@{k}", float(angle <= most), n=sample.n, reason=reason)
+        yield row(f"subspace_angle@{k}", angle, n=sample.n, reason=reason)
+        yield row(f"subspace_inside_95@{k}", float(angle <= most), n=sample.n, reason=reason)
 
 
-def _distance_rows(make: RowMaker, sample: Sampled) -> Iterator[Result]:
+def _distance_rows(sample: Sampled) -> Iterator[Result]:
     """The distance of the two normal laws, and what of it is the covariance's beyond sampling."""
     found, drawn = sample.measured.distance, sample.band.distance
     if math.isnan(found):
         why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
-        yield from make.skipped(Cause.FEW_PIXELS, why, "bhattacharyya_distance", "bhattacharyya_covariance_excess")
+        yield from skipped(Cause.FEW_PIXELS, why, "bhattacharyya_distance", "bhattacharyya_covariance_excess")
         return
     (p, o), (first, second) = (side.mean[sample.bands] for side in sample.sides), sample.covariances
-    yield make.row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
+    yield row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
     excess = found - float(drawn.mean())
     low, high = SamplingBand.limits(drawn - drawn.mean())
     reason = f"sampling alone gives {drawn.mean():.3g}, {found:.3g} was found"
     ends = excess - float(high), excess - float(low)
-    yield _row(make, "bhattacharyya_covariance_excess", excess, ends, sample.n, reason)
+    yield _row("bhattacharyya_covariance_excess", excess, ends, sample.n, reason)
 
 
-def _noise_rows(make: RowMaker, sample: Sampled, sources: Mapping[str, Array], samples: int) -> list[Result]:
+def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> Iterator[Result]:
     """The noise in the measured covariance; nothing where the model has none.
 
     The sources are those at the mean of the class, and the calibration error follows the mean square of its pixels.
@@ -216,7 +216,7 @@ def _noise_rows(make: RowMaker, sample: Sampled, sources: Mapping[str, Array], s
     (predicted, observed), total = sample.sides, np.sum(list(sources.values()), axis=0)
     bands = sample.bands & np.isfinite(total) & (total > 0)
     if not bands.any():
-        return []
+        return
     at = np.ix_(bands, bands)
     texture = np.asarray(predicted.pixel_covariance)[at] - np.diag(total[bands])
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
@@ -229,27 +229,19 @@ def _noise_rows(make: RowMaker, sample: Sampled, sources: Mapping[str, Array], s
     )
     low, high = (part.factor + sign * Z95 * part.uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
-        return make.skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")
-    value, interval = part.factor**-0.5, (high**-0.5, low**-0.5)
-    share = float(np.median(noise / np.diag(first)))
-    reason = f"noise is {share:.2g} of the predicted variance (median over bands)"
-    return [make.row("noise_ratio", value, interval, n=sample.n, reason=reason)]
+        yield from skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")
+        return
+    why = f"noise is {np.median(noise / np.diag(first)):.2g} of the predicted variance (median over bands)"
+    yield row("noise_ratio", part.factor**-0.5, (high**-0.5, low**-0.5), n=sample.n, reason=why)
 
 
-def _row(make: RowMaker, metric: str, value: float, interval: tuple[Any, Any], n: int, reason: str = "") -> Result:
+def _row(metric: str, value: float, interval: tuple[Any, Any], n: int, reason: str = "") -> Result:
     """A row whose band is that of sampling; the mean of skewed draws may lie beyond an end of it."""
-    low, high = min(float(interval[0]), value), max(float(interval[1]), value)
-    return make.row(metric, value, (low, high), n=n, reason=reason)
+    return row(metric, value, (min(interval[0], value), max(interval[1], value)), n=n, reason=reason)
 
 
-def compare_distribution(
-    predicted: PixelDistribution | None,
-    observed: PixelDistribution | None,
-    *,
-    subject: str,
-    method: str = "pixels",
-) -> list[Result]:
-    """Rows of the tails of one class.
+def compare_distribution(predicted: PixelDistribution | None, observed: PixelDistribution | None) -> Iterator[Result]:
+    """Rows of the tails of one class; none where they were not measured.
 
     ``background_tail_dof`` and ``background_tail_dof_leading``: measured degrees of freedom of a multivariate t in
     all bands and in the few leading components, inf for normal pixels; ``tail_inverse_dof_difference``
@@ -260,34 +252,26 @@ def compare_distribution(
     Examples
     --------
     >>> measured = PixelDistribution(30.0, 20.0, 60.0, 0.3, 6, 25.0, 18.0, 50.0, 3, 400, np.array([300.0, 320.0]))
-    >>> rows = compare_distribution(PixelDistribution(20.0), measured, subject="grass")
-    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    >>> [(r.metric, round(r.value, 3)) for r in compare_distribution(PixelDistribution(20.0), measured)]
     [('background_tail_dof', 30.0), ('background_tail_dof_leading', 25.0), ('tail_inverse_dof_difference',
     0.01), ('normality_p_value', 0.3), ('effective_pixels', 300.0)]
     """
-    make = RowMaker("covariance", subject, method)
     if observed is None:
-        return []
-    o, (dof, low, high) = observed, (observed.leading_tail_dof, observed.leading_lower, observed.leading_upper)
+        return
+    o, dof, ends = observed, observed.leading_tail_dof, (observed.leading_lower, observed.leading_upper)
     note = "no predicted law to compare with" if predicted is None else f"predicted {_dof_text(predicted.tail_dof)}"
     why = f"{note}; in {o.dimension} bands"
-    rows = [make.row("background_tail_dof", o.tail_dof, (o.tail_lower, o.tail_upper), n=o.n, reason=why)]
+    yield row("background_tail_dof", o.tail_dof, (o.tail_lower, o.tail_upper), n=o.n, reason=why)
     if not math.isnan(dof):
         why = f"{note}; in the {o.leading_dimension} leading components"
-        rows.append(make.row("background_tail_dof_leading", dof, (low, high), n=o.n, reason=why))
-    if predicted is not None and not math.isnan(dof):
-        expected = _inverse(predicted.tail_dof)
-        least, value, most = (expected - _inverse(x) for x in (low, dof, high))
-        rows.append(make.row("tail_inverse_dof_difference", value, (least, most), n=o.n, reason=note))
-    about = Effect(_inverse(o.tail_dof), _inverse(o.tail_upper), _inverse(o.tail_lower))
-    rows.append(make.row("normality_p_value", o.normality_p_value, n=o.n, about=about))
+        yield row("background_tail_dof_leading", dof, ends, n=o.n, reason=why)
+        if predicted is not None:
+            least, value, most = (1.0 / predicted.tail_dof - 1.0 / x for x in (ends[0], dof, ends[1]))
+            yield row("tail_inverse_dof_difference", value, (least, most), n=o.n, reason=note)
+    about = Effect(1.0 / o.tail_dof, 1.0 / o.tail_upper, 1.0 / o.tail_lower)
+    yield row("normality_p_value", o.normality_p_value, n=o.n, about=about)
     if o.effective_n is not None and o.effective_n.size:
-        rows.append(make.row("effective_pixels", float(o.effective_n[0]), n=o.n))
-    return rows
-
-
-def _inverse(dof: float) -> float:
-    return 0.0 if math.isinf(dof) else 1.0 / dof
+        yield row("effective_pixels", o.effective_n[0], n=o.n)
 
 
 def _dof_text(dof: float) -> str:

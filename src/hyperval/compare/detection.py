@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Array, Interval, Lack, RowMaker, Valued, comparison, difference_interval, scientific
+from hyperval.compare.rows import Array, Interval, difference_row, named, row, scientific, skipped
 from hyperval.compare.spectra import noncentrality
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence
@@ -41,8 +41,7 @@ def sd_ratio_interval(predicted_sd: float, observed_sd: float, n: int) -> Interv
     return predicted_sd / observed_sd * float(low), predicted_sd / observed_sd * float(high)
 
 
-@comparison("scores")
-def compare_scores(make: RowMaker, predicted: ScoreDistribution, observed: ScoreDistribution) -> Iterator[Result]:
+def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) -> Iterator[Result]:
     """Rows ``score_mean_predicted``, ``score_mean_observed``, ``score_mean_difference``, ``score_sd_ratio``.
 
     The difference (predicted - observed) has the interval of the observed mean, s/sqrt(n) with Student's t, or its
@@ -53,8 +52,7 @@ def compare_scores(make: RowMaker, predicted: ScoreDistribution, observed: Score
 
     Examples
     --------
-    >>> predicted, observed = ScoreDistribution(1.0, 0.2), ScoreDistribution(0.9, 0.25, 50)
-    >>> rows = compare_scores(predicted, observed, subject="panel", method="cem")
+    >>> rows = compare_scores(ScoreDistribution(1.0, 0.2), ScoreDistribution(0.9, 0.25, 50))
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('score_mean_predicted', 1.0), ('score_mean_observed', 0.9), ('score_mean_difference', 0.1),
     ('score_sd_ratio', 0.8)]
@@ -64,22 +62,21 @@ def compare_scores(make: RowMaker, predicted: ScoreDistribution, observed: Score
     if n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd:
         error = observed.sd / math.sqrt(n) if math.isnan(observed.mean_error) else observed.mean_error
         half = float(scipy.stats.t.ppf(0.975, n - 1)) * error
-    yield make.row("score_mean_predicted", predicted.mean, n=predicted.n)
-    yield make.row("score_mean_observed", observed.mean, half=half, n=n)
-    yield make.row("score_mean_difference", predicted.mean - (observed.mean - bias), half=half, n=n)
+    yield row("score_mean_predicted", predicted.mean, n=predicted.n)
+    yield row("score_mean_observed", observed.mean, half=half, n=n)
+    yield row("score_mean_difference", predicted.mean - (observed.mean - bias), half=half, n=n)
     if observed.sd > 0 and n is not None and n >= 2:
         interval = sd_ratio_interval(predicted.sd, observed.sd, n)
-        yield make.row("score_sd_ratio", predicted.sd / observed.sd, interval, n=n)
+        yield row("score_sd_ratio", predicted.sd / observed.sd, interval, n=n)
     else:
         why = "fewer than two observed scores, or no spread among them"
-        yield from make.skipped(Cause.FEW_PIXELS, why, "score_sd_ratio")
+        yield from skipped(Cause.FEW_PIXELS, why, "score_sd_ratio")
 
 
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4)
 
 
-@comparison("scores")
-def compare_exceedance(make: RowMaker, predicted: ExceedanceCurve, observed: ExceedanceCurve) -> Iterator[Result]:
+def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) -> Iterator[Result]:
     """Rows ``pfa_ratio@1e-3`` and the like: predicted over measured P_FA at the threshold that was measured for it.
 
     Beside it ``pfa_repeatability@1e-3``: the factor by which one half of the image misses the other half's P_FA
@@ -93,11 +90,11 @@ def compare_exceedance(make: RowMaker, predicted: ExceedanceCurve, observed: Exc
     """
     n = observed.n or 0
     for level in LEVELS:
-        name = f"pfa_ratio@{scientific(level)}"
+        label = scientific(level)
         if level * n < LEAST_EXPECTED_ALARMS:
             if level >= 1e-3:
                 why = f"{observed.n} background pixels expect {level * n:.3g} alarms"
-                yield from make.skipped(Cause.FEW_ALARMS, why, name)
+                yield from skipped(Cause.FEW_ALARMS, why, f"pfa_ratio@{label}")
             continue
         ratio = false_alarm_ratio(predicted, observed, level)
         at, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
@@ -108,14 +105,13 @@ def compare_exceedance(make: RowMaker, predicted: ExceedanceCurve, observed: Exc
         factor = math.nan if observed.half_image is None else float(observed.half_image[at])
         if observed.half_image is not None:
             words += f"; one half of the image misses the other by a factor of {factor:.2g}"
-        yield make.row(name, ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
+        yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
         if np.isfinite(factor):
             why = f"of {round(measured * n)} alarms; half of the random halves differ less"
-            yield make.row(f"pfa_repeatability@{scientific(level)}", factor, n=observed.n, reason=why)
+            yield row(f"pfa_repeatability@{label}", factor, n=observed.n, reason=why)
 
 
-@comparison("classification")
-def compare_classification(make: RowMaker, p: ClassificationError, o: ClassificationError) -> Iterator[Result]:
+def compare_classification(p: ClassificationError, o: ClassificationError) -> Iterator[Result]:
     """Rows of one set of classes in one set of features.
 
     ``error_predicted``, ``error_observed`` with their intervals; ``error_difference`` predicted - observed with the
@@ -127,27 +123,24 @@ def compare_classification(make: RowMaker, p: ClassificationError, o: Classifica
     --------
     >>> limits = {"bound_lower": 0.02, "bound_upper": 0.22}
     >>> predicted = ClassificationError(0.10, 0.09, 0.11, distance=0.8, approximation=0.1, **limits)
-    >>> observed = ClassificationError(0.12, 0.10, 0.14, 400, 380.0, distance=0.7)
-    >>> rows = compare_classification(predicted, observed, subject="grass / soil", method="2 bands")
+    >>> rows = compare_classification(predicted, ClassificationError(0.12, 0.10, 0.14, 400, 380.0, distance=0.7))
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('error_predicted', 0.1), ('error_observed', 0.12), ('error_difference', -0.02), ('error_inside_interval',
     1.0), ('error_approximation', 0.1), ('distance_predicted', 0.8), ('distance_observed', 0.7),
     ('error_bounds', 0.066)]
     """
     words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
-    yield make.row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
-    yield make.row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
-    difference = p.error - o.error
-    low, high = difference_interval(p.error, (p.lower, p.upper), o.error, (o.lower, o.upper))
-    yield make.row("error_difference", difference, (low, high), n=o.n)
-    about = Effect(difference, low, high)
-    yield make.row("error_inside_interval", float(low <= 0.0 <= high), n=o.n, about=about)
-    yield make.row("error_approximation", p.approximation)
-    yield make.row("distance_predicted", p.distance)
-    yield make.row("distance_observed", o.distance, n=o.n)
+    left = row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
+    right = row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
+    difference = difference_row("error_difference", left, right)
+    about = Effect(difference.value, difference.lower, difference.upper)
+    yield from (left, right, difference)
+    yield row("error_inside_interval", about.lower <= 0.0 <= about.upper, n=o.n, about=about)
+    yield row("error_approximation", p.approximation)
+    yield row("distance_predicted", p.distance)
+    yield row("distance_observed", o.distance, n=o.n)
     if p.bound_lower > 0:
-        middle = float(np.sqrt(p.bound_lower * p.bound_upper))
-        yield make.row("error_bounds", middle, (p.bound_lower, p.bound_upper))
+        yield row("error_bounds", np.sqrt(p.bound_lower * p.bound_upper), (p.bound_lower, p.bound_upper))
 
 
 EVERY_OBJECT = "all objects"
@@ -163,6 +156,7 @@ MOST_JOINED = 200
 # Sets of objects drawn from the prediction, for what the model itself expects of them together.
 REPLICATES = 4000
 _SEED = 17
+_DRAWS = "against draws of the model"
 
 
 def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -> Array:
@@ -189,9 +183,9 @@ def transforms_of_draws(draws: npt.ArrayLike) -> Array:
     ordered = values.ravel()[order]
     middle = np.median(ordered)
     out = np.empty((1 + len(WIDTHS), ordered.size))
-    for row, factor in zip(out, (1.0, *WIDTHS), strict=True):
+    for values_of_width, factor in zip(out, (1.0, *WIDTHS), strict=True):
         moved = ordered if factor == 1.0 else middle + factor * (ordered - middle)
-        row[order] = probability_integral_transform(moved, ordered)
+        values_of_width[order] = probability_integral_transform(moved, ordered)
     return out.reshape(-1, *values.shape)
 
 
@@ -205,125 +199,111 @@ def distance_from_uniform(values: npt.ArrayLike) -> Array:
     return np.asarray(np.maximum((step[1:] - u).max(axis=-1), (u - step[:-1]).max(axis=-1)))
 
 
-@dataclass(frozen=True)
-class Test:
-    """A test by draws of the model: ``p_value``, its effect, and the departure that it rejects in 80 % of draws."""
-
-    p_value: float
-    effect: Effect
-    detectable: float = math.nan
-
-
-@dataclass(frozen=True)
-class Together:
-    """Objects judged together.
-
-    Attributes
-    ----------
-    expected : 95 % range of the part inside that the model expects, with what its objects have in common
-    count : test of so few (or fewer) objects in their predicted 95 % intervals; its effect is their part, with the
-        exact interval if they were independent
-    uniformity : test of so large a distance of the transform values from uniformity
-    joint : test of the Mahalanobis distance of the normal scores, correlation counted, near 1 where the predicted
-        spread is too wide; None for too many objects
-    drift : test of the drift of the normal scores from the weakest expected object to the strongest; None where
-        all are expected alike
-    spread : of the normal scores about their mean, expected over measured; None for one object
-    """
-
-    expected: tuple[float, float]
-    count: Test
-    uniformity: Test
-    joint: Test | None
-    drift: Test | None
-    spread: Effect | None
-
-
-def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str, Array]) -> Together:
-    """Transform values of all objects against what the model expects of them.
+def judged_together(
+    predicted: Mapping[str, ObjectScores], measured: Mapping[str, Array], note: str = ""
+) -> Iterator[Result]:
+    """Rows of transform values of all objects against what the model expects of them.
 
     Objects of one material share the error of its spectrum and all share the blur, so their values are not
     independent and the customary tests would reject right models.  The reference is therefore drawn from the
     prediction: one row of it (one draw of the inputs) for all objects, then each object within that row.  The same
     draws, spread about their medians, say which width the tests would have found.
 
+    - ``objects_inside_95`` their share in their predicted 95 % intervals, with the exact interval if they were
+      independent, and ``objects_inside_95_p_value`` that so few lie inside;
+    - ``pit_uniformity_p_value`` of so large a distance of the transform values from uniformity;
+    - ``joint_distance_p_value`` of the Mahalanobis distance of the normal scores, correlation counted, near 1 where
+      the predicted spread is too wide; SKIPPED for too many objects;
+    - ``pit_trend`` and ``pit_trend_p_value``: drift of the normal scores from the weakest expected object to the
+      strongest; none where all are expected alike;
+    - ``pit_spread_ratio`` of the normal scores about their mean, expected over measured; none of one object.
+
     Parameters
     ----------
     predicted, measured : by subject; (n,) scores of its objects
+    note : what the reasons of the tests end in
 
     Examples
     --------
     >>> draws = np.random.default_rng(0).normal(size=(50, 80))
     >>> predicted = {name: ObjectScores(draws + i) for i, name in enumerate("abc")}
     >>> measured = {name: np.array([i + 0.5]) for i, name in enumerate("abc")}
-    >>> t = judged_together(predicted, measured)
-    >>> [round(x.p_value, 2) for x in (t.count, t.uniformity, t.joint, t.drift)]
+    >>> [round(r.value, 2) for r in judged_together(predicted, measured) if r.metric.endswith("p_value")]
     [1.0, 0.06, 0.86, 1.0]
     >>> scattered = {name: np.array([i - 2.0, i, i + 2.0]) for i, name in enumerate("abc")}
-    >>> wide = judged_together(predicted, scattered).spread
+    >>> *_, wide = judged_together(predicted, scattered)
     >>> [round(x, 2) for x in (wide.value, wide.lower, wide.upper)]
     [0.54, 0.29, 0.85]
     """
     rng = np.random.default_rng(_SEED)
-    rows = {predicted[s].values.shape[0] for s in measured}
-    if len(rows) > 1:
+    counts = {predicted[s].values.shape[0] for s in measured}
+    if len(counts) > 1:
         raise UsageError("the predicted scores of the subjects do not share their draws of the inputs")
-    row = rng.integers(rows.pop(), size=REPLICATES)
+    shared = rng.integers(counts.pop(), size=REPLICATES)[:, None]
     values, drawn, wider, strength = [], [], [], []
     for subject, scores in measured.items():
         draws = predicted[subject].values
         values.append(probability_integral_transform(scores, draws))
         own, *spread = transforms_of_draws(draws)
         column = rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
-        drawn.append(own[row[:, None], column])
-        wider.append(np.stack([x[row[:POWER_DRAWS, None], column[:POWER_DRAWS]] for x in spread]))
+        drawn.append(own[shared, column])
+        wider.append(np.stack([x[shared[:POWER_DRAWS], column[:POWER_DRAWS]] for x in spread]))
         strength += [float(np.median(draws))] * scores.size
     u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
-    inside, n = int(np.sum(central(u))), u.size
-    expected = central(reference).sum(axis=1)
-    low, high = map(float, clopper_pearson(inside, n))
-    share = Effect(inside / n, low, high, partial(drawn_range, expected / n, 1.0, 0.0), decides=False)
+    z, x = scipy.special.ndtri(u), scipy.special.ndtri(reference)
+    yield from _inside_rows(u, reference, wide, note)
+    yield _uniformity_row(u, reference, wide, note)
+    yield from _joint_distance(z, x, wide, note)
+    yield from _drift_rows(z, x, np.array(strength), note)
+    if z.size > 1 and (found := float(np.std(z, ddof=1))):
+        low, middle, high = np.quantile(np.std(x, axis=-1, ddof=1), [0.025, 0.5, 0.975]) / found
+        yield row(SPREAD, middle, (low, high), n=z.size, reason=f"normal scores about their mean, {_DRAWS}")
+
+
+def _tail(statistic: float, reference: Array) -> float:
+    """Share of the reference (R,) at or beyond the statistic."""
+    return float((1 + np.sum(reference >= statistic)) / (1 + reference.size))
+
+
+def _width_found(reference: Array, wide: Array, level: float = POWER_LEVEL) -> float:
+    """The least of the widths whose draws (F, D) lie beyond the level of the reference (R,) in 80 % of cases."""
+    power = np.mean(wide > np.quantile(reference, 1.0 - level), axis=1)
+    return min((f for f, share in zip(WIDTHS, power, strict=True) if share >= POWER), default=math.nan)
+
+
+def _inside_rows(u: Array, reference: Array, wide: Array, note: str) -> Iterator[Result]:
+    inside, n, expected = int(np.sum(central(u))), u.size, central(reference).sum(axis=1)
+    low, high = np.quantile(expected, [0.025, 0.975], method="nearest") / n
+    lower, upper = map(float, clopper_pearson(inside, n))
+    why = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{note}"
+    yield row(OF_ALL[0], inside / n, (lower, upper), n=n, reason=why)
+    about = Effect(inside / n, lower, upper, partial(drawn_range, expected / n, 1.0, 0.0), decides=False)
+    width, why = _width_found(-expected, -central(wide).sum(axis=2)), f"that so few lie inside, by the model{note}"
+    yield row(OF_ALL[1], _tail(-inside, -expected), n=n, detectable=width, reason=why, about=about)
+
+
+def _uniformity_row(u: Array, reference: Array, wide: Array, note: str) -> Result:
     distances, distance = distance_from_uniform(reference), float(distance_from_uniform(u))
     # No distance of two distributions differs from a third one's by more than that of the two.
     reach = float(np.quantile(distances, 0.95))
     ends = max(distance - reach, 0.0), min(distance + reach, 1.0)
-    apart = Effect(distance, *ends, partial(drawn_range, distances, 0.0, 1.0), decides=False)
-    z, x = scipy.special.ndtri(u), scipy.special.ndtri(reference)
-    low, high = np.quantile(expected, [0.025, 0.975], method="nearest") / n
-    return Together(
-        (float(low), float(high)),
-        _test(-inside, -expected, -central(wide).sum(axis=2), share),
-        _test(distance, distances, distance_from_uniform(wide), apart),
-        _joint_test(z, x, wide),
-        _drift_test(z, x, np.array(strength)),
-        _spread(z, x),
-    )
+    about = Effect(distance, *ends, partial(drawn_range, distances, 0.0, 1.0), decides=False)
+    why = f"Kolmogorov-Smirnov distance, against sets of objects drawn from the model{note}"
+    width = _width_found(distances, distance_from_uniform(wide))
+    return row(OF_ALL[2], _tail(distance, distances), n=u.size, detectable=width, reason=why, about=about)
 
 
-def _test(statistic: float, reference: Array, wide: Array, effect: Effect, both: bool = False) -> Test:
-    """Share of the reference (R,) at or beyond the statistic, and the least of the widths that it would reject.
-
-    Parameters
-    ----------
-    wide : (F, D) the statistic of draws of each width
-    both : whether the other tail counts too, so that the level is halved
-    """
-    p = float((1 + np.sum(reference >= statistic)) / (1 + reference.size))
-    limit = np.quantile(reference, 1.0 - (POWER_LEVEL / 2.0 if both else POWER_LEVEL))
-    power = np.mean(wide > limit, axis=1)
-    seen = [f for f, share in zip(WIDTHS, power, strict=True) if share >= POWER]
-    return Test(p, effect, min(seen, default=math.nan))
-
-
-def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
+def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Result]:
     """Mahalanobis distance of the normal scores; their covariance is that of one half of the draws.
 
     The other half is what the distance is compared with: neither it nor the measured set had a part in the
     covariance.
     """
-    if z.size > MOST_JOINED:
-        return None
     half, n = x.shape[0] // 2, z.size
+    if n > MOST_JOINED:
+        why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
+        yield from skipped(Cause.FEW_PIXELS, why, JOINT)
+        return
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
     def distance(v: Array) -> Array:
@@ -333,24 +313,28 @@ def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
     size = math.sqrt(found / n)
     low, high = (math.sqrt(1.0 + noncentrality(found / n, n, math.inf, part) / n) for part in (0.975, 0.025))
     accepted = partial(drawn_range, np.sqrt(reference / n), 0.5, 0.5)
-    effect = Effect(size, min(low, size), max(high, size), accepted)
-    test = _test(found, reference, distance(scipy.special.ndtri(wide)), effect, both=True)
-    return replace(test, effect=replace(effect, detectable=(math.nan, test.detectable)))
+    width = _width_found(reference, distance(scipy.special.ndtri(wide)), POWER_LEVEL / 2.0)  # the other tail counts too
+    about = Effect(size, min(low, size), max(high, size), accepted, (math.nan, width))
+    why = f"Mahalanobis distance of the normal scores, {_DRAWS}{note}"
+    yield row(JOINT, _tail(found, reference), n=n, detectable=width, reason=why, about=about)
 
 
-def _drift_test(z: Array, drawn_scores: Array, strength: Array) -> Test | None:
+def _drift_rows(z: Array, drawn_scores: Array, strength: Array, note: str) -> Iterator[Result]:
     """Drift of the normal scores along the rank of the expected score."""
     place = scipy.stats.rankdata(strength, method="dense")
     if place.max() < 2:
-        return None
+        return
     x = (place - place.mean()) / (place.max() - 1.0)
     weight = x / float(x @ x)
     slope, drawn = float(z @ weight), drawn_scores @ weight
     low, high = (float(q) for q in np.quantile(drawn, [0.025, 0.975]))
-    p = float((1 + np.sum(np.abs(drawn) >= abs(slope))) / (1 + drawn.size))
+    ends = slope - max(high, 0.0), slope - min(low, 0.0)
     found = float(np.quantile(np.abs(drawn), 1.0 - POWER_LEVEL) - np.quantile(drawn, 1.0 - POWER))
     accepted = partial(drawn_range, np.concatenate([drawn, -drawn]), 0.5, 0.5)
-    return Test(p, Effect(slope, slope - max(high, 0.0), slope - min(low, 0.0), accepted, (-found, found)), found)
+    yield row(TREND, slope, ends, n=z.size, reason=_DRAWS)
+    p, about = _tail(abs(slope), np.abs(drawn)), Effect(slope, *ends, accepted, (-found, found))
+    why = f"drift of the normal scores, {_DRAWS}{note}"
+    yield row(f"{TREND}_p_value", p, n=z.size, detectable=found, reason=why, about=about)
 
 
 def drawn_range(sizes: Array, below: float, above: float, level: float) -> Interval:
@@ -359,36 +343,20 @@ def drawn_range(sizes: Array, below: float, above: float, level: float) -> Inter
     return (float(low) if below else math.nan), (float(high) if above else math.nan)
 
 
-def _spread(z: Array, drawn_scores: Array) -> Effect | None:
-    """Standard deviation of the normal scores (n,) that draws of the model (R, n) have, over the measured one."""
-    if z.size < 2 or not (measured := float(np.std(z, ddof=1))):
-        return None
-    low, middle, high = np.quantile(np.std(drawn_scores, axis=-1, ddof=1), [0.025, 0.5, 0.975]) / measured
-    return Effect(float(middle), float(low), float(high))
-
-
 def central(values: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """True for transform values in the central 95 %."""
     return np.asarray((np.asarray(values) >= 0.025) & (np.asarray(values) <= 0.975))
 
 
 def compare_object_scores(
-    predicted: Mapping[str, ObjectScores],
-    measured: Mapping[str, ObjectScores],
-    *,
-    method: str,
-    subject: str = EVERY_OBJECT,
-) -> list[Result]:
+    predicted: Mapping[str, ObjectScores], measured: Mapping[str, ObjectScores], *, method: str
+) -> Iterator[Result]:
     """Every object's measured score against its predicted distribution, then all of them together.
 
     A subject of one object gives ``object_score_measured``, ``object_score_predicted`` (median and 95 % interval),
-    ``object_score_pit`` and ``object_score_inside_95`` (1 or 0); a subject of several gives the summary below for
-    itself.  All together (``subject``): ``objects_inside_95`` the share inside with its Clopper-Pearson interval,
-    and
-    by :func:`judged_together` ``objects_inside_95_p_value``, ``pit_uniformity_p_value``,
-    ``joint_distance_p_value``, ``pit_trend``, ``pit_trend_p_value`` and ``pit_spread_ratio``.  Subjects that
-    were measured and not predicted are left out; one that was predicted and has no valid score gives SKIPPED rows
-    and is named in the reason of the summary.
+    ``object_score_pit`` and ``object_score_inside_95`` (1 or 0); a subject of several, and all objects together, the
+    rows of :func:`judged_together`.  Subjects that were measured and not predicted are left out; one that was
+    predicted and has no valid score gives SKIPPED rows and is named in the reason of the summary.
 
     Examples
     --------
@@ -399,63 +367,38 @@ def compare_object_scores(
     [('object_score_measured', 1.0), ('object_score_predicted', -0.03), ('object_score_pit', 0.84),
     ('object_score_inside_95', 1.0)]
     """
-    out: list[Result] = []
-    common: dict[str, Array] = {}
-    lost: list[str] = []
-    for name, model in predicted.items():
-        make = RowMaker("scores", name, method)
-        scores = measured[name].values if name in measured else np.empty(0)
-        scores = scores[np.isfinite(scores)]
-        if scores.size == 0:
-            out += make.skipped(Cause.NO_OBSERVATION, "no measured score", *OF_ONE)
-            lost.append(name)
-            continue
-        common[name] = scores
-        if scores.size > 1:
-            out += _together_rows(make, {name: model}, {name: scores}, "")
-            continue
+    found = {name: measured[name].values if name in measured else np.empty(0) for name in predicted}
+    found = {name: scores[np.isfinite(scores)] for name, scores in found.items()}
+    for name, scores in found.items():
+        yield from named(_of_subject(predicted[name], scores), "scores", name, method)
+    lost = ", ".join(name for name, scores in found.items() if not scores.size)
+    common = {name: scores for name, scores in found.items() if scores.size}
+    rows = (
+        judged_together(predicted, common, f"; without {lost}" if lost else "")
+        if common
+        else iter(skipped(Cause.NO_OBSERVATION, "no object has both sides", *OF_ALL))
+    )
+    yield from named(rows, "scores", EVERY_OBJECT, method)
+
+
+def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
+    """Rows of the objects of one subject, with their finite scores."""
+    if scores.size == 0:
+        yield from skipped(Cause.NO_OBSERVATION, "no measured score", *OF_ONE)
+    elif scores.size > 1:
+        yield from judged_together({"": model}, {"": scores})
+    else:
         low, middle, high = (float(x) for x in np.quantile(model.values, [0.025, 0.5, 0.975]))
         (u,) = probability_integral_transform(scores, model.values)
         why = f"measured {scores[0]:.4g}, predicted {low:.4g} to {high:.4g}"
-        inside, about = float(central(u)), Effect(float(scipy.special.ndtri(u)))
-        out.append(make.row("object_score_measured", scores[0], n=1))
-        out.append(make.row("object_score_predicted", middle, (low, high)))
-        out.append(make.row("object_score_pit", u, n=1))
-        out.append(make.row("object_score_inside_95", inside, n=1, reason=why, about=about))
-    make = RowMaker("scores", subject, method)
-    if not common:
-        return out + make.skipped(Cause.NO_OBSERVATION, "no object has both sides", *OF_ALL)
-    return [*out, *_together_rows(make, predicted, common, f"; without {', '.join(lost)}" if lost else "")]
+        about = Effect(float(scipy.special.ndtri(u)))
+        yield row("object_score_measured", scores[0], n=1)
+        yield row("object_score_predicted", middle, (low, high))
+        yield row("object_score_pit", u, n=1)
+        yield row("object_score_inside_95", float(central(u)), n=1, reason=why, about=about)
 
 
-def _together_rows(
-    make: RowMaker, predicted: Mapping[str, ObjectScores], scores: Mapping[str, Array], lost: str
-) -> Iterator[Result]:
-    sets, n = judged_together(predicted, scores), sum(x.size for x in scores.values())
-    low, high = sets.expected
-    expects = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}"
-    draws = "against draws of the model"
-    for metric, found, reason in (
-        (OF_ALL[0], sets.count.effect, expects),
-        (OF_ALL[1], sets.count, "that so few lie inside, by the model"),
-        (OF_ALL[2], sets.uniformity, "Kolmogorov-Smirnov distance, against sets of objects drawn from the model"),
-        (JOINT, sets.joint, f"Mahalanobis distance of the normal scores, {draws}"),
-        (TREND, sets.drift and sets.drift.effect, draws),
-        (f"{TREND}_p_value", sets.drift, f"drift of the normal scores, {draws}"),
-        (SPREAD, sets.spread, f"normal scores about their mean, {draws}"),
-    ):
-        if isinstance(found, Effect):
-            yield make.row(metric, found.value, (found.lower, found.upper), n=n, reason=reason)
-        elif found is not None:
-            why = f"{reason}{lost}"
-            yield make.row(metric, found.p_value, n=n, detectable=found.detectable, reason=why, about=found.effect)
-        elif metric == JOINT:
-            why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
-            yield from make.skipped(Cause.FEW_PIXELS, why, JOINT)
-
-
-@comparison("abundance")
-def compare_abundance(make: RowMaker, predicted: Abundance, observed: Abundance) -> Iterator[Result]:
+def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Result]:
     """Rows ``area_predicted``, ``area_observed`` [m2], ``area_ratio`` (observed over predicted),
     ``area_difference_ratio``, ``area_z``, ``area_inside_95``.
 
@@ -467,8 +410,7 @@ def compare_abundance(make: RowMaker, predicted: Abundance, observed: Abundance)
 
     Examples
     --------
-    >>> predicted, observed = Abundance(4.1, 0.2), Abundance(3.8, 0.3, 20, 4.0)
-    >>> rows = compare_abundance(predicted, observed, subject="panel", method="fcls")
+    >>> rows = compare_abundance(Abundance(4.1, 0.2), Abundance(3.8, 0.3, 20, 4.0))
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('area_predicted', 4.1), ('area_observed', 3.8), ('area_ratio', 0.927), ('area_difference_ratio', 0.079),
     ('area_error_predicted', 0.1), ('area_error_observed', -0.2), ('area_nominal_ratio', 0.95),
@@ -478,34 +420,32 @@ def compare_abundance(make: RowMaker, predicted: Abundance, observed: Abundance)
     up, uo = predicted.standard_uncertainty, observed.standard_uncertainty
     # Beside the truth's area the pipeline alone moves the row.
     evidence = None if predicted.modelled else Evidence.PIPELINE
-    yield make.row("area_predicted", p, half=Z95 * up, n=predicted.n, evidence=evidence)
-    yield make.row("area_observed", o, half=Z95 * uo, n=n)
+    yield row("area_predicted", p, half=Z95 * up, n=predicted.n, evidence=evidence)
+    yield row("area_observed", o, half=Z95 * uo, n=n)
     if p > 0:
-        half = Z95 * np.hypot(uo / p, o * up / p**2)
-        yield make.row("area_ratio", o / p, half=half, n=n, evidence=evidence)
+        yield row("area_ratio", o / p, half=Z95 * np.hypot(uo / p, o * up / p**2), n=n, evidence=evidence)
     else:
-        yield from make.skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio")
+        yield from skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio")
     if o > 0:
         half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
-        yield make.row("area_difference_ratio", float(difference_ratio(p, o)), half=half, n=n, evidence=evidence)
+        yield row("area_difference_ratio", float(difference_ratio(p, o)), half=half, n=n, evidence=evidence)
     else:
-        yield from make.skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
+        yield from skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
     if (nominal := observed.nominal_m2) is not None:
-        yield make.row("area_error_predicted", p - nominal, half=Z95 * up, n=predicted.n)
-        yield make.row("area_error_observed", o - nominal, half=Z95 * uo, n=n)
-        yield make.row("area_nominal_ratio", o / nominal, half=Z95 * uo / nominal, n=n)
-        yield make.row("area_in_predicted_95", float(abs(p - o) <= Z95 * up), n=n)
+        yield row("area_error_predicted", p - nominal, half=Z95 * up, n=predicted.n)
+        yield row("area_error_observed", o - nominal, half=Z95 * uo, n=n)
+        yield row("area_nominal_ratio", o / nominal, half=Z95 * uo / nominal, n=n)
+        yield row("area_in_predicted_95", abs(p - o) <= Z95 * up, n=n)
     if (u := float(np.hypot(up, uo))) > 0:
-        yield make.row("area_z", (p - o) / u, evidence=evidence)
-        yield make.row("area_inside_95", float(abs((p - o) / u) <= Z95), evidence=evidence)
+        yield row("area_z", (p - o) / u, evidence=evidence)
+        yield row("area_inside_95", abs((p - o) / u) <= Z95, evidence=evidence)
     else:
-        why = "neither side states an uncertainty"
-        yield from make.skipped(Cause.NO_UNCERTAINTY, why, "area_z", "area_inside_95")
+        yield from skipped(Cause.NO_UNCERTAINTY, "neither side states an uncertainty", "area_z", "area_inside_95")
 
 
 def compare_area_errors(
     predicted: Mapping[tuple[str, str], Abundance], observed: Mapping[tuple[str, str], Abundance]
-) -> list[Result]:
+) -> Iterator[Result]:
     """Rows by nominal area and method: ``area_bias_*`` and ``area_rmse_*`` [m2] of both sides over its targets.
 
     The bias has Student's interval, the root mean square error that of chi-square with as many degrees of freedom
@@ -521,32 +461,31 @@ def compare_area_errors(
     [('area_bias_observed', 0.1), ('area_bias_predicted', 0.1), ('area_rmse_observed', 0.141),
     ('area_rmse_predicted', 0.141)]
     """
-    groups: dict[tuple[str, float], list[tuple[str, str]]] = {}
+    groups: dict[tuple[str, float], list[tuple[float, float, float]]] = {}
     for key, area in observed.items():
-        if area.nominal_m2 is not None and key in predicted:
-            groups.setdefault((key[1], round(area.nominal_m2, 6)), []).append(key)
-    rows: list[Result] = []
-    for (method, nominal), keys in groups.items():
-        if len(keys) < 2:
-            continue
-        make = RowMaker("abundance", f"all targets of {nominal:g} m2", method)
-        error = np.array([observed[k].area_m2 - nominal for k in keys])
-        model = np.array([predicted[k].area_m2 - nominal for k in keys])
-        spread = np.array([predicted[k].standard_uncertainty for k in keys])
-        n = len(keys)
-        half = float(scipy.stats.t.ppf(0.975, n - 1) * np.std(error, ddof=1) / math.sqrt(n))
-        bias, expected = float(error.mean()), float(model.mean())
-        limits = Z95 * float(np.sqrt(np.sum(spread**2))) / n
-        rmse = float(np.sqrt(np.mean(error**2)))
-        low, high = np.sqrt(n / scipy.stats.chi2.ppf([0.975, 0.025], n))
-        rows.append(make.row("area_bias_observed", bias, half=half, n=n))
-        rows.append(make.row("area_bias_predicted", expected, half=limits, n=n))
-        rows.append(make.row("area_rmse_observed", rmse, (rmse * low, rmse * high), n=n))
-        rows.append(make.row("area_rmse_predicted", float(np.sqrt(np.mean(model**2 + spread**2))), n=n))
-    return rows
+        if area.nominal_m2 is not None and (model := predicted.get(key)) is not None:
+            nominal = round(area.nominal_m2, 6)
+            errors = area.area_m2 - nominal, model.area_m2 - nominal, model.standard_uncertainty
+            groups.setdefault((key[1], nominal), []).append(errors)
+    for (method, nominal), found in groups.items():
+        if len(found) > 1:
+            subject = f"all targets of {nominal:g} m2"
+            yield from named(_area_errors(*np.array(found).T), "abundance", subject, method)
+
+
+def _area_errors(error: Array, model: Array, spread: Array) -> Iterator[Result]:
+    """Bias and root mean square of measured errors (n,) and of predicted ones with their standard uncertainty."""
+    n, rmse = error.size, float(np.sqrt(np.mean(error**2)))
+    half = float(scipy.stats.t.ppf(0.975, n - 1) * np.std(error, ddof=1) / math.sqrt(n))
+    low, high = np.sqrt(n / scipy.stats.chi2.ppf([0.975, 0.025], n))
+    yield row("area_bias_observed", error.mean(), half=half, n=n)
+    yield row("area_bias_predicted", model.mean(), half=Z95 * float(np.sqrt(np.sum(spread**2))) / n, n=n)
+    yield row("area_rmse_observed", rmse, (rmse * low, rmse * high), n=n)
+    yield row("area_rmse_predicted", np.sqrt(np.mean(model**2 + spread**2)), n=n)
 
 
 AREA_UNKNOWN = "the ground area of the background is not known"
+_SIDES = ("predicted", "measured", "difference")
 
 
 def samples_per_km2(curve: RocCurve) -> float:
@@ -556,40 +495,59 @@ def samples_per_km2(curve: RocCurve) -> float:
     return curve.n_background / curve.background_area_km2
 
 
-def counted(curve: RocCurve, pfa: float) -> tuple[int, int, float] | None:
-    """Alarms, background samples and P_D at a point of a curve; None where it has no such point or no counts."""
-    at = np.flatnonzero(np.abs(curve.pfa - pfa) <= 1e-9 * pfa)
-    if curve.alarms is None or not curve.n_background or not at.size:
-        return None
-    return int(curve.alarms[at[-1]]), curve.n_background, float(curve.pd[at[-1]])
+def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> Iterator[Result]:
+    """False alarms at the threshold that the background sets for a P_FA; nothing where it expects fewer than 10.
 
+    ``far_measured@1e-2``: alarms per km2.  The interval is that of Clopper & Pearson on the alarms, times the samples
+    per km2; for rare alarms it is the exact Poisson interval.  The share of the background above its own (k + 1)-th
+    greatest score follows a beta distribution whose quantiles lie inside it, so it holds although the threshold was
+    set by the same background.
 
-def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
-    """``far_measured@1e-2``: alarms per km2 at the threshold that the background sets for a P_FA.
-
-    The interval is that of Clopper & Pearson on the alarms, times the samples per km2; for rare alarms it is the
-    exact Poisson interval.  The share of the background above its own (k + 1)-th greatest score follows a beta
-    distribution whose quantiles lie inside it, so it holds although the threshold was set by the same background.
+    ``joint_pfa``, ``joint_pd`` and ``pd_inside_joint_region`` ``@1e-2``: the rectangle of the first two intervals
+    holds the true (P_FA, P_D) of the measured threshold with 95 % probability: two independent statements at level
+    sqrt(0.95) each.  The last row is 1 where the predicted curve (without its band) passes through the rectangle.
 
     Examples
     --------
     >>> pfa = np.array([1e-3, 1e-2, 1e-1])
-    >>> alarms = np.array([10, 100, 1000])
-    >>> curve = RocCurve(pfa, pfa**0.2, pfa**0.3, pfa**0.1, -pfa, "pixel", 40, 10_000, 0.04, alarms)
-    >>> [(r.metric, r.value) for r in far_row(RowMaker("roc", "panel", "cem/pixel"), curve, 1e-2)]
-    [('far_measured@1e-2', 2500.0)]
+    >>> pd, alarms = np.array([0.3, 0.6, 0.9]), np.array([10, 100, 1000])
+    >>> curve = RocCurve(pfa, pd, pfa, pfa, -pfa, "pixel", 40, 10_000, 0.04, alarms)
+    >>> [(r.metric, round(r.value, 3)) for r in alarm_rows(curve, curve, 1e-2)]
+    [('far_measured@1e-2', 2500.0), ('joint_pfa@1e-2', 0.01), ('joint_pd@1e-2', 0.6),
+    ('pd_inside_joint_region@1e-2', 1.0)]
     """
-    name, density = f"far_measured@{scientific(pfa)}", samples_per_km2(observed)
-    if (found := counted(observed, pfa)) is None:
-        return []
+    at, m, n = np.flatnonzero(np.abs(observed.pfa - pfa) <= 1e-9 * pfa), observed.n_target, observed.n_background or 0
+    if observed.alarms is None or pfa * n < LEAST_EXPECTED_ALARMS or not at.size:
+        return
+    label, alarms, density = scientific(pfa), int(observed.alarms[at[-1]]), samples_per_km2(observed)
     if math.isnan(density):
-        return make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, name)
-    (alarms, n, _), area = found, observed.background_area_km2 or math.nan
-    low, high = (float(x) * density for x in clopper_pearson(alarms, n))
-    return [make.row(name, alarms / area, (low, high), n=n, reason=f"{alarms} alarms on {area:.4g} km2")]
+        yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, f"far_measured@{label}")
+    else:
+        area = observed.background_area_km2 or math.nan
+        ends = tuple(float(x) * density for x in clopper_pearson(alarms, n))
+        yield row(f"far_measured@{label}", alarms / area, ends, n=n, reason=f"{alarms} alarms on {area:.4g} km2")
+    if not m:
+        return
+    detected = round(float(observed.pd[at[-1]]) * m)
+    region = joint_region(detected, m, alarms, n)
+    why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; both at 95 % together"
+    span = region.pfa_lower, region.pfa_upper
+    yield row(f"joint_pfa@{label}", region.pfa, span, n=n, reason=why)
+    yield row(f"joint_pd@{label}", region.pd, (region.pd_lower, region.pd_upper), n=m, reason=why)
+    if predicted is None:
+        return
+    name = f"pd_inside_joint_region@{label}"
+    if region.pd_upper - region.pd_lower > WIDEST_INTERVAL:
+        why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"
+        yield from skipped(Cause.VACUOUS, why, name)
+        return
+    first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
+    ends = tuple(0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in span)
+    # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
+    yield row(name, ends[1] >= region.pd_lower and ends[0] <= region.pd_upper, n=m)
 
 
-def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve) -> list[Result]:
+def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator[Result]:
     """``far_predicted``, ``far_measured`` and ``far_difference`` ``@pd0.5`` and the like.
 
     Alarms per km2 at the highest threshold that reaches the stated P_D.  The measured interval holds the sampling
@@ -606,97 +564,34 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
     >>> point = AlarmsAtDetection(0.5, 0.7, 40, 4e-3, 1e-3, 1e-2, 3e-3, 5e-3)
     >>> counts = {"n_target": 40, "n_background": 10_000, "background_area_km2": 0.04}
     >>> observed = replace(predicted, **counts, at_detection=(point,))
-    >>> rows = far_at_detection_rows(RowMaker("roc", "panel", "cem/pixel"), predicted, observed)
-    >>> [(r.metric, round(r.value)) for r in rows]
+    >>> [(r.metric, round(r.value)) for r in far_at_detection_rows(predicted, observed)]
     [('far_predicted@pd0.5', 1160), ('far_measured@pd0.5', 1000), ('far_difference@pd0.5', 160)]
     """
     density = samples_per_km2(observed)
-    rows: list[Result] = []
     for point in observed.at_detection:
         names = [f"far_{side}@pd{point.pd:g}" for side in _SIDES]
         if math.isnan(density):
-            rows += make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names[1])
+            yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names[1])
             continue
-        left: Valued | Lack | None = None
-        if predicted is not None:
-            why = f"the predicted curve does not pass P_D {point.pd:g} within its range of P_FA"
-            left = Lack(Cause.BEYOND_CURVE, why)
-            if not math.isnan(p := _pfa_at(predicted, predicted.pd, point.pd)):
-                low, high = (_pfa_at(predicted, limit, point.pd) for limit in (predicted.pd_upper, predicted.pd_lower))
-                # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
-                ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
-                ends = (p, p) if np.isnan(predicted.pd_lower).any() else ends
-                left = Valued(p * density, (ends[0] * density, ends[1] * density))
-        reason = f"{point.alarms} alarms on {observed.background_area_km2:.4g} km2; at this threshold as it stands "
-        reason += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
+        why = f"{point.alarms} alarms on {observed.background_area_km2:.4g} km2; at this threshold as it stands "
+        why += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
         if point.alarms == 0 and observed.n_background:
-            reason += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
-        right = Valued(point.pfa * density, (point.pfa_lower * density, point.pfa_upper * density))
-        rows += make.side_by_side(names, left, right, observed.n_target, reason)
-    return rows
-
-
-_SIDES = ("predicted", "measured", "difference")
-
-
-def first_detection_rows(make: RowMaker, observed: RocCurve) -> list[Result]:
-    """``alarms_before_first`` (:func:`~hyperval.pixels.roc.alarms_before_first`), where it was counted.
-
-    Examples
-    --------
-    >>> pfa = np.array([1e-2, 1e-1])
-    >>> curve = RocCurve(pfa, pfa, pfa, pfa, -pfa, "object", 7, 10_000, alarms_before_first=3)
-    >>> [(r.metric, r.value) for r in first_detection_rows(RowMaker("roc", "panel", "cem/object"), curve)]
-    [('alarms_before_first', 3.0)]
-    """
-    if observed.alarms_before_first is None:
-        return []
-    reason = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
-    reason += "favours targets of many pixels or pieces"
-    count = observed.alarms_before_first
-    return [make.row("alarms_before_first", float(count), n=observed.n_target, reason=reason)]
-
-
-def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, pfa: float) -> list[Result]:
-    """``joint_pfa``, ``joint_pd`` and ``pd_inside_joint_region`` ``@1e-2``.
-
-    The rectangle of the first two intervals holds the true (P_FA, P_D) of the measured threshold with 95 %
-    probability: two independent statements at level sqrt(0.95) each.  That the background set the threshold does no
-    harm, since its own share above it has a beta distribution that the exact interval holds, and the targets had no
-    part in it.  The last row is 1 where the predicted curve (without its band) passes through the rectangle.
-
-    Examples
-    --------
-    >>> pfa = np.array([1e-3, 1e-2, 1e-1])
-    >>> pd, alarms = np.array([0.3, 0.6, 0.9]), np.array([10, 100, 1000])
-    >>> curve = RocCurve(pfa, pd, pfa, pfa, -pfa, "pixel", 40, 10_000, None, alarms)
-    >>> rows = joint_rows(RowMaker("roc", "panel", "cem/pixel"), curve, curve, 1e-2)
-    >>> [(r.metric, round(r.value, 3)) for r in rows]
-    [('joint_pfa@1e-2', 0.01), ('joint_pd@1e-2', 0.6), ('pd_inside_joint_region@1e-2', 1.0)]
-    """
-    found, m, label = counted(observed, pfa), observed.n_target, scientific(pfa)
-    if found is None or not m:
-        return []
-    alarms, n, pd = found
-    detected = round(pd * m)
-    region = joint_region(detected, m, alarms, n)
-    reason = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; both at 95 % together"
-    span = region.pfa_lower, region.pfa_upper
-    rows = [
-        make.row(f"joint_pfa@{label}", region.pfa, span, n=n, reason=reason),
-        make.row(f"joint_pd@{label}", region.pd, (region.pd_lower, region.pd_upper), n=m, reason=reason),
-    ]
-    if predicted is None:
-        return rows
-    first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
-    ends = [0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in span]
-    name = f"pd_inside_joint_region@{label}"
-    if region.pd_upper - region.pd_lower > WIDEST_INTERVAL:
-        why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"
-        return rows + make.skipped(Cause.VACUOUS, why, name)
-    # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
-    inside = ends[1] >= region.pd_lower and ends[0] <= region.pd_upper
-    return [*rows, make.row(name, float(inside), n=m)]
+            why += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
+        ends = point.pfa_lower * density, point.pfa_upper * density
+        measured = row(names[1], point.pfa * density, ends, n=observed.n_target, reason=why)
+        if predicted is None:
+            yield measured
+            continue
+        p, low, high = (_pfa_at(predicted, y, point.pd) for y in (predicted.pd, predicted.pd_upper, predicted.pd_lower))
+        if math.isnan(p):
+            why = f"the predicted curve does not pass P_D {point.pd:g} within its range of P_FA"
+            (left,) = skipped(Cause.BEYOND_CURVE, why, names[0])
+        else:
+            # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
+            ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
+            ends = (p, p) if np.isnan(predicted.pd_lower).any() else ends
+            left = row(names[0], p * density, (ends[0] * density, ends[1] * density))
+        yield from (left, measured, difference_row(names[2], left, measured))
 
 
 def _pfa_at(curve: RocCurve, values: np.ndarray, pd: float) -> float:
@@ -713,33 +608,49 @@ def _pfa_at(curve: RocCurve, values: np.ndarray, pd: float) -> float:
     return float(np.exp(np.log(pfa[i - 1]) + part * (np.log(pfa[i]) - np.log(pfa[i - 1]))))
 
 
-def predicted_area(curve: RocCurve, area: RocArea) -> Valued:
+def first_detection_rows(observed: RocCurve) -> Iterator[Result]:
+    """``alarms_before_first`` (:func:`~hyperval.pixels.roc.alarms_before_first`), where it was counted.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-2, 1e-1])
+    >>> curve = RocCurve(pfa, pfa, pfa, pfa, -pfa, "object", 7, 10_000, alarms_before_first=3)
+    >>> [(r.metric, r.value) for r in first_detection_rows(curve)]
+    [('alarms_before_first', 3.0)]
+    """
+    if observed.alarms_before_first is not None:
+        why = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
+        why += "favours targets of many pixels or pieces"
+        yield row("alarms_before_first", observed.alarms_before_first, n=observed.n_target, reason=why)
+
+
+def predicted_area(curve: RocCurve, area: RocArea) -> tuple[float, Interval]:
     """Area of a predicted curve and of the limits of its band; without a band the interval is a point."""
     value = curve_area(curve, area)
     low, high = (curve_area(curve, area, limit) for limit in (curve.pd_lower, curve.pd_upper))
     known = not (math.isnan(low) or math.isnan(high))
-    return Valued(value, (min(low, value), max(high, value)) if known else (value, value))
+    return value, ((min(low, value), max(high, value)) if known else (value, value))
 
 
-def _measured_area(observed: RocCurve, full: str, area: RocArea) -> tuple[Valued | Lack, int | None, str]:
-    """Area of a measured curve, how many targets it is of, and how its interval was made."""
+def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) -> Result:
+    """Area of a measured curve, and how its interval was made."""
     n, found = observed.n_background, observed.areas.get(full)
     if found is not None:
-        return Valued(found.value, (found.lower, found.upper)), observed.n_target, found.method
+        return row(metric, found.value, (found.lower, found.upper), n=observed.n_target, reason=found.method)
     if observed.areas and area.logarithmic and n is not None:
-        words = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {full.partition('@')[2]}"
-        return Lack(Cause.FEW_ALARMS, f"{words}; {LEAST_EXPECTED_ALARMS:g} are needed"), observed.n_target, ""
+        why = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {full.partition('@')[2]}"
+        return skipped(Cause.FEW_ALARMS, f"{why}; {LEAST_EXPECTED_ALARMS:g} are needed", metric)[0]
     if math.isnan(value := curve_area(observed, area)):
-        return Lack(Cause.BEYOND_CURVE, "the measured curve does not reach its range of P_FA"), observed.n_target, ""
-    return Valued(value, (math.nan, math.nan)), observed.n_target, "of the curve without its scores: no interval"
+        return skipped(Cause.BEYOND_CURVE, "the measured curve does not reach its range of P_FA", metric)[0]
+    return row(metric, value, n=observed.n_target, reason="of the curve without its scores: no interval")
 
 
-def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | None) -> list[Result]:
+def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator[Result]:
     """``auc_predicted``, ``auc_measured``, ``auc_difference`` and the same of the partial and log-weighted areas.
 
     The names of partial areas end in their range of P_FA.  The predicted interval is that of the curve's band, as
     if its errors went together over the whole curve; the measured one is explained in its reason.  The difference
-    (predicted - measured) has the interval of :func:`~hyperval.compare.spectra.difference_interval`.
+    (predicted - measured) has the interval of :func:`~hyperval.compare.difference_interval`.
 
     Examples
     --------
@@ -748,23 +659,24 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
     >>> rng = np.random.default_rng(0)
     >>> target, background = rng.normal(2.0, 1.0, 40), rng.normal(size=20_000)
     >>> measured = with_summary(empirical_roc(target, background), target, background)
-    >>> rows = area_rows(RowMaker("roc", "panel", "cem/pixel"), measured, measured)
-    >>> [(r.metric, round(r.value, 2)) for r in rows]
+    >>> [(r.metric, round(r.value, 2)) for r in area_rows(measured, measured)]
     [('auc_predicted', 0.94), ('auc_measured', 0.94), ('auc_difference', 0.0), ('partial_auc_predicted@0..1e-1',
     0.59), ('partial_auc_measured@0..1e-1', 0.59), ('partial_auc_difference@0..1e-1', -0.0),
     ('log_auc_predicted@1e-3..1e-1', 0.36), ('log_auc_measured@1e-3..1e-1', 0.36),
     ('log_auc_difference@1e-3..1e-1', 0.0)]
     """
-    rows: list[Result] = []
     for full, area in AREAS.items():
-        name, _, span = full.partition("@")
-        names = [f"{name}_{side}" + (f"@{span}" if span else "") for side in _SIDES]
-        left: Valued | Lack | None = None if predicted is None else predicted_area(predicted, area)
-        if isinstance(left, Valued) and math.isnan(left.value):
-            left = Lack(Cause.BEYOND_CURVE, f"the predicted curve does not reach the range P_FA {span or '0..1'}")
-        right, n, reason = (None, None, "") if observed is None else _measured_area(observed, full, area)
-        rows += make.side_by_side(names, left, right, n, reason)
-    return rows
+        name, at, span = full.partition("@")
+        names, sides = [f"{name}_{side}{at}{span}" for side in _SIDES], []
+        if predicted is not None:
+            value, ends = predicted_area(predicted, area)
+            why = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
+            sides += skipped(Cause.BEYOND_CURVE, why, names[0]) if math.isnan(value) else [row(names[0], value, ends)]
+        if observed is not None:
+            sides.append(_measured_area(names[1], observed, full, area))
+        yield from sides
+        if len(sides) == 2:
+            yield difference_row(names[2], *sides)
 
 
 ALWAYS = (1e-1, 1e-2, 1e-3)
@@ -779,10 +691,10 @@ VERDICTS = ("pd_equivalent", "pd_equivalence")
 SAME_READING = 1e-3
 
 
-def read_at(curve: RocCurve, pfa: float) -> Valued:
+def read_at(curve: RocCurve, pfa: float) -> tuple[float, Interval]:
     """P_D at ``pfa`` with its 95 % limits; NaN outside the curve."""
     value, low, high = (float(detection_at(curve, pfa, y)) for y in (None, curve.pd_lower, curve.pd_upper))
-    return Valued(value, (low, high))
+    return value, (low, high)
 
 
 def equivalent(interval: Interval, margin: float) -> bool:
@@ -808,9 +720,7 @@ def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
     return (-1.0, "different") if apart else (0.0, "undecided")
 
 
-@comparison("roc")
 def compare_roc(
-    make: RowMaker,
     predicted: RocCurve,
     observed: RocCurve,
     pfa: Sequence[float] | None = None,
@@ -842,69 +752,70 @@ def compare_roc(
     >>> pfa = np.array([1e-3, 1e-2, 1e-1, 1.0])
     >>> predicted = RocCurve(pfa, pfa**0.2, pfa**0.25, pfa**0.15, -pfa, preset_pfa=pfa / 2.0)
     >>> observed = RocCurve(pfa, pfa**0.3, pfa**0.4, pfa**0.25, -pfa, "pixel", 40, 10_000)
-    >>> rows = compare_roc(predicted, observed, subject="panel", method="cem/pixel", pfa=[1e-2])
-    >>> [(r.metric, round(r.value, 3)) for r in rows if r.metric.startswith("pd")]
+    >>> [(r.metric, round(r.value, 3)) for r in compare_roc(predicted, observed, [1e-2]) if r.metric.startswith("pd")]
     [('pd_predicted@1e-2', 0.398), ('pd_measured@1e-2', 0.251), ('pd_difference@1e-2', 0.147),
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
     if predicted.unit != observed.unit:
-        what = f"{make.subject}: the predicted curve counts by {predicted.unit}, the measured by {observed.unit}"
-        raise UsageError(what)
+        raise UsageError(f"the predicted curve counts by {predicted.unit}, the measured by {observed.unit}")
     background = observed.n_background
     rare = [x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS]
     for level in pfa or (*ALWAYS, *rare):
-        yield from _at(make, predicted, observed, level, equivalence_margin)
-        if not background or level * background >= LEAST_EXPECTED_ALARMS:
-            yield from far_row(make, observed, level)
-            yield from joint_rows(make, predicted, observed, level)
-    yield from far_at_detection_rows(make, predicted, observed)
-    yield from first_detection_rows(make, observed)
-    yield from area_rows(make, predicted, observed)
+        yield from _at(predicted, observed, level, equivalence_margin)
+        yield from alarm_rows(predicted, observed, level)
+    yield from whole_curve_rows(predicted, observed)
 
 
-def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> Iterator[Result]:
+def whole_curve_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator[Result]:
+    """False alarms at detection probabilities and before the first detection, and areas."""
+    yield from far_at_detection_rows(predicted, observed)
+    yield from first_detection_rows(observed)
+    yield from area_rows(predicted, observed)
+
+
+def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> Iterator[Result]:
     label = scientific(pfa)
     names = [f"{m}@{label}" for m in (*METRICS, *(VERDICTS if margin is not None else ()))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
-        reason = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
-        reason += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
-        yield from make.skipped(Cause.FEW_ALARMS, reason, *names)
+        why = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
+        why += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
+        yield from skipped(Cause.FEW_ALARMS, why, *names)
         return
-    p, o = read_at(predicted, pfa), read_at(observed, pfa)
-    if math.isnan(p.value) or math.isnan(o.value):
-        side = "predicted" if math.isnan(p.value) else "measured"
-        yield from make.skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
+    (p, band), (o, (low, high)) = read_at(predicted, pfa), read_at(observed, pfa)
+    if math.isnan(p) or math.isnan(o):
+        side = "predicted" if math.isnan(p) else "measured"
+        yield from skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
         return
-    if any(map(math.isnan, p.interval)):  # a curve without a band is a curve without width
-        p = Valued(p.value, (p.value, p.value))
-    yield from make.side_by_side(names, p, o, n)
-    low, high = o.interval
+    # A curve without a band is a curve without width.
+    left = row(names[0], p, (p, p) if any(map(math.isnan, band)) else band)
+    right = row(names[1], o, (low, high), n=n)
+    difference = difference_row(names[2], left, right)
+    yield from (left, right, difference)
     if high - low > WIDEST_INTERVAL:
         why = f"the measured interval {low:.2g} to {high:.2g}"
         why += f" from {n} {observed.unit}{'' if n == 1 else 's'}" if n is not None else ""
-        yield from make.skipped(Cause.VACUOUS, f"{why} accepts nearly any prediction", *names[3:])
+        yield from skipped(Cause.VACUOUS, f"{why} accepts nearly any prediction", *names[3:])
         return
-    inside, about = _inside(p, o)
+    yield _inside_row(names[3], difference, right)
     # An unknown measured interval must not read as "outside": the verdict itself is unknown.
-    known = math.nan if math.isnan(inside) else 1.0
-    yield make.row(names[3], inside, n=n, about=about)
-    yield make.row(names[4], known * (low <= p.value <= high), n=n)
+    known = math.nan if math.isnan(low + high) else 1.0
+    yield row(names[4], known * (low <= p <= high), n=n)
     if margin is not None:
-        ends, words = (about.lower, about.upper), f"margin {margin:g}"
-        about = replace(about, accepted=partial(_within, margin))
+        ends, words = (difference.lower, difference.upper), f"margin {margin:g}"
+        about = Effect(difference.value, *ends, partial(_within, margin))
         code, word = equivalence(ends, margin)
-        yield make.row(names[5], known * equivalent(ends, margin), n=n, reason=words, about=about)
-        yield make.row(names[6], known * code, n=n, reason=f"{word} by a {words}", about=about)
-    yield from _preset_rows(make, predicted, pfa, p.value, o, n)
+        yield row(names[5], known * equivalent(ends, margin), n=n, reason=words, about=about)
+        yield row(names[6], known * code, n=n, reason=f"{word} by a {words}", about=about)
+    yield from _preset_rows(predicted, pfa, p, right)
 
 
-def _inside(p: Valued, o: Valued) -> tuple[float, Effect]:
-    """1 or 0, whether the interval of the difference holds 0, NaN without a measured interval; and the difference."""
-    low, high = difference_interval(*p, *o)
-    known = math.nan if any(map(math.isnan, o.interval)) else 1.0
-    return known * (low <= 0.0 <= high), Effect(p.value - o.value, low, high)
+def _inside_row(metric: str, difference: Result, measured: Result, why: str = "") -> Result:
+    """1 or 0, whether the interval of the difference holds 0; NaN without a measured interval."""
+    known = math.nan if math.isnan(measured.lower + measured.upper) else 1.0
+    about = Effect(difference.value, difference.lower, difference.upper)
+    return row(metric, known * (about.lower <= 0.0 <= about.upper), n=measured.n, reason=why, about=about)
 
 
 def _within(margin: float, level: float) -> Interval:
@@ -912,9 +823,7 @@ def _within(margin: float, level: float) -> Interval:
     return -margin, margin
 
 
-def _preset_rows(
-    make: RowMaker, predicted: RocCurve, pfa: float, swept: float, measured: Valued, n: int | None
-) -> Iterator[Result]:
+def _preset_rows(predicted: RocCurve, pfa: float, swept: float, measured: Result) -> Iterator[Result]:
     """P_D of (3.32) at the preset of (3.30) without (3.33), where that is another P_D.
 
     A class that gives ``pfa`` alone, at its part of the scene, gives less in all: the preset lies at a higher
@@ -927,9 +836,10 @@ def _preset_rows(
     if not axis[0] <= pfa <= axis[-1]:
         return
     pd, low, high = (y[order] for y in (predicted.pd, predicted.pd_lower, predicted.pd_upper))
-    preset = read_at(replace(predicted, pfa=axis, pd=pd, pd_lower=low, pd_upper=high), pfa)
-    if abs(preset.value - swept) >= SAME_READING:
-        words = f"(3.32) at the preset, without (3.33): {swept:.3g} with it, measured {measured.value:.3g}"
-        yield make.row(f"pd_predicted_preset@{scientific(pfa)}", *preset, reason=words)
-        inside, about = _inside(preset, measured)
-        yield make.row(f"pd_inside_interval_preset@{scientific(pfa)}", inside, n=n, reason=words, about=about)
+    value, ends = read_at(replace(predicted, pfa=axis, pd=pd, pd_lower=low, pd_upper=high), pfa)
+    if abs(value - swept) >= SAME_READING:
+        why = f"(3.32) at the preset, without (3.33): {swept:.3g} with it, measured {measured.value:.3g}"
+        preset = row(f"pd_predicted_preset@{scientific(pfa)}", value, ends, reason=why)
+        yield preset
+        difference = difference_row("pd_difference", preset, measured)
+        yield _inside_row(f"pd_inside_interval_preset@{scientific(pfa)}", difference, measured, why)

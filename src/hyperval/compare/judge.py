@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from pydantic import Field, model_validator
 from hyperval.compare.rows import COMPARISON
 from hyperval.config import Model
 from hyperval.errors import UsageError
-from hyperval.metrics import Kind, metric_of, product_words
+from hyperval.metrics import Kind, base_name, metric_of, product_words
 from hyperval.model.intervals import Z95, clopper_pearson
 from hyperval.results import Cause, Outcome, Result, Role
 
@@ -140,7 +141,7 @@ class Gate(Model):
 
     def covers(self, row: Result) -> bool:
         """True for the rows this gate is about, and for skipped comparisons that would have held them."""
-        return row.product == self.product and self.covers_band(row) and self.names(row)
+        return self.covers_band(row) and self.names(row.product, row.subject, row.method, row.metric)
 
     def covers_band(self, row: Result) -> bool:
         """Whether the band of a row, if it has one, is among those that the gate is about."""
@@ -148,14 +149,13 @@ class Gate(Model):
             return True
         return self.bands_nm[0] <= row.band_nm <= self.bands_nm[1]
 
-    def names(self, row: Result) -> bool:
-        """Whether product, subject, method and metric of a row are those that the gate names."""
-        if row.product != self.product or not fnmatchcase(row.method, self.method):
-            return False
-        if not any(fnmatchcase(row.subject, pattern) for pattern in self.subjects):
-            return False
-        return row.metric == COMPARISON or any(
-            fnmatchcase(name, self.metric) for name in (row.metric, row.metric.partition("@")[0])
+    def names(self, product: str, subject: str, method: str, metric: str) -> bool:
+        """Whether a row's names are those that the gate has."""
+        return (
+            product == self.product
+            and fnmatchcase(method, self.method)
+            and any(fnmatchcase(subject, pattern) for pattern in self.subjects)
+            and (metric == COMPARISON or any(fnmatchcase(name, self.metric) for name in (metric, base_name(metric))))
         )
 
 
@@ -176,24 +176,25 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     planned goes missing.  A pooled gate adds a row METRIC_fraction with the share and its Clopper-Pearson interval.
     """
     rows = list(rows)
+    # Bands of one spectrum have many rows under one name.
+    names = cache(lambda *name: [gate for gate in gates if gate.names(*name)])
+    covering = [[g for g in names(r.product, r.subject, r.method, r.metric) if g.covers_band(r)] for r in rows]
     out: list[Result] = []
-    named: dict[tuple[str, ...], list[Result]] = {}  # bands of one spectrum have many rows under one name
-    for row in rows:
-        named.setdefault(_key(row), []).append(row)
-    concerned = {key: [g for g in gates if g.names(same[0])] for key, same in named.items()}
-    for row in rows:
-        covering = [g for g in concerned[_key(row)] if g.covers_band(row)]
-        alone = [_by_gate(row, g) for g in covering if g.fraction_at_least is None]
-        out += alone or [row if covering else _by_usual_range(row)]
+    for row, about in zip(rows, covering, strict=True):
+        alone = [_by_gate(row, gate) for gate in about if gate.fraction_at_least is None]
+        out += alone or [row if about else _by_usual_range(row)]
     for gate in gates:
-        out += _unmet(named.values(), gate)
-        if gate.fraction_at_least is not None:
-            out += _pooled(rows, gate)
+        covered = [row for row, about in zip(rows, covering, strict=True) if any(g is gate for g in about)]
+        out += _unmet(rows, {row.subject for row in covered}, gate)
+        out += _pooled(covered, gate)
     return shared_levels(out)
 
 
-def _key(row: Result) -> tuple[str, ...]:
-    return row.product, row.subject, row.method, row.metric
+def against_range(lower: float, upper: float, low: float, high: float) -> Outcome:
+    """An interval inside a range agrees, outside of it disagrees, else the comparison is undecided."""
+    if low <= lower and upper <= high:
+        return Outcome.AGREES
+    return Outcome.DISAGREES if upper < low or lower > high else Outcome.UNDECIDED
 
 
 def outcome_of(row: Result, low: float, high: float) -> Judgement:
@@ -229,10 +230,9 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
         return Outcome.UNDECIDED, Cause.NOT_JUDGED, ""
     if math.isnan(row.lower) or math.isnan(row.upper):
         return Outcome.UNDECIDED, Cause.NO_INTERVAL, ""
-    if low <= row.lower and row.upper <= high:
-        return Outcome.AGREES, Cause.NONE, ""
-    if row.upper < low or row.lower > high:
-        return Outcome.DISAGREES, Cause.NONE, ""
+    outcome = against_range(row.lower, row.upper, low, high)
+    if outcome is not Outcome.UNDECIDED:
+        return outcome, Cause.NONE, ""
     never = replace(row, limit_low=low, limit_high=high).shortfall > 1.0
     return Outcome.UNDECIDED, Cause.NEVER if never else Cause.WIDE_INTERVAL, ""
 
@@ -421,37 +421,31 @@ def _by_usual_range(row: Result) -> Result:
     return _concluded(row, usual)
 
 
-def _unmet(named: Collection[Sequence[Result]], gate: Gate) -> list[Result]:
-    """An ERROR row for every subject pattern of a gate that no row meets; ``named``: rows of one name together."""
-    out = []
+def _unmet(rows: Sequence[Result], met: Collection[str], gate: Gate) -> Iterator[Result]:
+    """An ERROR row for every subject pattern of a gate that none of the subjects is of which it covers rows."""
     for pattern in gate.subjects:
-        alone = gate.model_copy(update={"subjects": (pattern,)})
-        if not any(alone.names(same[0]) and any(map(alone.covers_band, same)) for same in named):
-            reason = f"planned but absent: no {gate.product} row of subject {pattern!r} has metric {gate.metric!r}"
-            if gate.method != "*":
-                reason += f" and method {gate.method!r}"
-            reason += _nearest([row for same in named for row in same], alone)
-            out.append(gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, reason))
-    return out
+        if not any(fnmatchcase(subject, pattern) for subject in met):
+            why = f"planned but absent: no {gate.product} row of subject {pattern!r} has metric {gate.metric!r}"
+            why += f" and method {gate.method!r}" if gate.method != "*" else ""
+            yield gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, why + _nearest(rows, gate))
 
 
 def _nearest(rows: Sequence[Result], gate: Gate) -> str:
     """What comes near to what a gate names: subjects with that metric, else metrics of that name."""
     own = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
     anywhere = gate.model_copy(update={"subjects": ("*",), "method": "*", "bands_nm": None})
-    near = list(dict.fromkeys(f"{row.subject!r} ({row.method})" for row in own if anywhere.covers(row)))
+    near = list(dict.fromkeys(f"{r.subject!r} ({r.method})" for r in own if anywhere.covers(r)))
     if near:
         return "; rows with it: " + ", ".join(near[:_NAMED]) + (", ..." if len(near) > _NAMED else "")
     close = difflib.get_close_matches(gate.metric, sorted({row.metric for row in own}), n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def _pooled(rows: Sequence[Result], gate: Gate) -> list[Result]:
-    """The row of a pooled gate; none when no row matches, as :func:`_unmet` reports that.
+def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
+    """The row of a pooled gate of the rows it covers; none where there are none, as :func:`_unmet` reports that.
 
     Rows that cannot tell widen the interval: they count as amiss in its lower end, as met in its upper one.
     """
-    matched = [row for row in rows if gate.covers(row)]
     if not matched or gate.fraction_at_least is None:
         return []
     judgements = [outcome_of(row, *gate.limits)[:2] for row in matched]

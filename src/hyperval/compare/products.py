@@ -5,8 +5,7 @@ Rows of one side alone, where there is nothing to compare with.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +14,7 @@ from hyperval.compare.covariance import compare_covariance, compare_distribution
 from hyperval.compare.detection import (
     ALWAYS,
     IF_BACKGROUND_ALLOWS,
+    alarm_rows,
     area_rows,
     compare_abundance,
     compare_area_errors,
@@ -23,18 +23,15 @@ from hyperval.compare.detection import (
     compare_object_scores,
     compare_roc,
     compare_scores,
-    far_at_detection_rows,
-    far_row,
-    first_detection_rows,
-    joint_rows,
+    whole_curve_rows,
 )
-from hyperval.compare.rows import COMPARISON, RowMaker, scientific
+from hyperval.compare.rows import named, row, scientific, skipped
 from hyperval.compare.spectra import compare_spectra
 from hyperval.errors import UsageError
 from hyperval.model.intervals import Z95
 from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
 from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, Products, RocCurve, background_of
-from hyperval.results import Outcome, Result
+from hyperval.results import Cause, Outcome, Result
 
 # Quantities in which pixels of a class spread.
 SPREAD = ("radiance", "reflectance")
@@ -66,54 +63,52 @@ def _rows_of_one(products: Products, side: str) -> Iterator[Result]:
     for product in SPECTRA:
         unit = "uW cm-2 sr-1 nm-1" if product == "radiance" else "1"
         for subject, estimate in getattr(products, product).items():
-            make, half = RowMaker(product, subject, side), Z95 * estimate.standard_uncertainty
-            for b in np.flatnonzero(np.isfinite(estimate.mean)):
-                at = products.axis.centre_nm[b]
-                yield make.row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=at, n=estimate.n)
+            half = Z95 * estimate.standard_uncertainty
+            rows = (
+                row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=float(at), n=estimate.n)
+                for b, at in enumerate(products.axis.centre_nm)
+                if np.isfinite(estimate.mean[b])
+            )
+            yield from named(rows, product, subject, side)
     for key, score in products.scores.items():
-        for metric in ("mean", "sd"):
-            yield RowMaker("scores", *key).row(metric, getattr(score, metric), n=score.n)
+        yield from named([row(metric, getattr(score, metric), n=score.n) for metric in ("mean", "sd")], "scores", *key)
     for (subject, detector, by), curve in products.roc.items():
-        yield from _of_curve(RowMaker("roc", subject, f"{detector}/{by}"), curve)
+        yield from named(_of_curve(curve), "roc", subject, f"{detector}/{by}")
     for (subject, detector), exceedance in products.exceedance.items():
         if subject == ANOMALIES and exceedance.n is not None:  # no target is looked for
-            yield from _thresholds(RowMaker("scores", subject, detector), exceedance, exceedance.n)
+            yield from named(_thresholds(exceedance, exceedance.n), "scores", subject, detector)
     for key, area in products.abundance.items():
-        yield RowMaker("abundance", *key).row("area", area.area_m2, half=Z95 * area.standard_uncertainty, n=area.n)
+        one = row("area", area.area_m2, half=Z95 * area.standard_uncertainty, n=area.n)
+        yield from named([one], "abundance", *key)
     for subject, distribution in products.distribution.items():
-        yield from compare_distribution(None, distribution, subject=subject)
+        yield from named(compare_distribution(None, distribution), "covariance", subject, "pixels")
     for key, errors in products.classification.items():
-        make = RowMaker("classification", *key)
-        yield make.row("error", errors.error, (errors.lower, errors.upper), n=errors.n)
-        yield make.row("distance", errors.distance, n=errors.n)
+        error = row("error", errors.error, (errors.lower, errors.upper), n=errors.n)
+        yield from named([error, row("distance", errors.distance, n=errors.n)], "classification", *key)
 
 
-def _thresholds(make: RowMaker, curve: ExceedanceCurve, n: int) -> Iterator[Result]:
+def _thresholds(curve: ExceedanceCurve, n: int) -> Iterator[Result]:
     """``anomaly_threshold@1e-3``: score that this part of the background exceeds."""
     for level in sorted(ANOMALY_LEVELS, reverse=True):
         if level * n >= LEAST_EXPECTED_ALARMS:
             at = int(np.argmin(np.abs(np.log(curve.probability.clip(1e-300)) - np.log(level))))
             why = f"{curve.probability[at]:.3g} of {n} background pixels lie above"
-            yield make.row(f"anomaly_threshold@{scientific(level)}", curve.threshold[at], n=n, reason=why)
+            yield row(f"anomaly_threshold@{scientific(level)}", curve.threshold[at], n=n, reason=why)
 
 
-def _of_curve(make: RowMaker, curve: RocCurve) -> Iterator[Result]:
+def _of_curve(curve: RocCurve) -> Iterator[Result]:
     """P_D at decades of P_FA and areas of a curve; of a measured one its false alarms per km2 and joint regions too."""
     for decade in range(-9, 0):
         at = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
         if abs(np.log10(curve.pfa[at]) - decade) <= 1e-6:
             limits = (curve.pd_lower[at], curve.pd_upper[at])
-            yield make.row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target)
+            yield row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target)
     if curve.n_target is None:
-        yield from area_rows(make, curve, None)
+        yield from area_rows(curve, None)
         return
-    rows: list[Result] = []
-    for pfa in (*ALWAYS, *IF_BACKGROUND_ALLOWS):
-        if pfa * (curve.n_background or 0) >= LEAST_EXPECTED_ALARMS:
-            rows += [*far_row(make, curve, pfa), *joint_rows(make, None, curve, pfa)]
-    rows += [*first_detection_rows(make, curve), *far_at_detection_rows(make, None, curve)]
-    rows += area_rows(make, None, curve)
-    yield from (row for row in rows if row.outcome is Outcome.NONE)  # nothing is planned here, so nothing is skipped
+    rows = [item for pfa in (*ALWAYS, *IF_BACKGROUND_ALLOWS) for item in alarm_rows(None, curve, pfa)]
+    rows += whole_curve_rows(None, curve)
+    yield from (item for item in rows if item.outcome is Outcome.NONE)  # nothing is planned, so nothing is skipped
 
 
 def compare_products(
@@ -133,42 +128,48 @@ def compare_products(
     ------
     UsageError : the two sides are not on the same bands.
     """
-    if not predicted.axis.matches(observed.axis):
+    axis = observed.axis
+    if not predicted.axis.matches(axis):
         raise UsageError(
-            f"prediction ({len(predicted.axis)} bands) and observation ({len(observed.axis)} bands) "
+            f"prediction ({len(predicted.axis)} bands) and observation ({len(axis)} bands) "
             "are not on the same spectral axis",
             mend="predict on the axis of the collection",
         )
 
-    def of(compare: Callable[..., list[Result]], field: str, **options: Any) -> Iterator[Result]:
+    def of(compare: Callable[..., Iterable[Result]], field: str, **options: Any) -> Iterator[Result]:
         """Rows of every key of one field; a key is a subject, or a subject with a method and what it counts."""
         for key, p, o in _pairs(getattr(predicted, field), getattr(observed, field)):
             subject, name = (key, method) if isinstance(key, str) else (key[0], "/".join(key[1:]))
-            rows = compare(p, o, subject=subject, method=name, **options)
-            if field == "roc" and rows[0].metric == COMPARISON:
-                more = _alternatives(predicted if p is None else observed, subject)
-                rows = [replace(rows[0], reason=f"{rows[0].reason}{more}")]
-            yield from rows
+            rows = compare(p, o, **options) if p is not None and o is not None else absent(field, subject, p, o)
+            yield from named(rows, field, subject, name)
+
+    def absent(product: str, subject: str, p: Any, o: Any) -> list[Result]:
+        """The row of what a side lacks; of a curve with what that side has in its place."""
+        missing = [name for name, side in (("prediction", p), ("observation", o)) if side is None]
+        more = _alternatives(predicted if p is None else observed, subject) if product == "roc" else ""
+        why = f"no {product} of {subject} in the {' and in the '.join(missing)}{more}"
+        return skipped(Cause.NO_PREDICTION if p is None else Cause.NO_OBSERVATION, why)
 
     rows: list[Result] = []
     for product in SPECTRA:
-        rows += of(compare_spectra, product, product=product, axis=observed.axis)
+        rows += of(compare_spectra, product, product=product, axis=axis)
     for quantity in SPREAD:
         for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
-            rows += compare_covariance(predicted, observed, subject=subject, method=quantity)
-    for subject, left, right in _pairs(predicted.distribution, observed.distribution):
-        rows += compare_distribution(left, right, subject=subject)
+            rows += named(compare_covariance(predicted, observed, subject, quantity), "covariance", subject, quantity)
+    for subject, p, o in _pairs(predicted.distribution, observed.distribution):
+        rows += named(compare_distribution(p, o), "covariance", subject, "pixels")
     rows += of(compare_classification, "classification")
     rows += of(compare_scores, "scores")
     for detector in dict.fromkeys(detector for _, detector in predicted.object_scores):
         sides = ({s: v for (s, d), v in p.object_scores.items() if d == detector} for p in (predicted, observed))
         rows += compare_object_scores(*sides, method=detector)
-    for (subject, detector), curve in predicted.exceedance.items():
-        measured = observed.exceedance.get((subject, detector))
-        rows += compare_exceedance(curve, measured, subject=background_of(subject), method=detector)
+    for (name, detector), curve in predicted.exceedance.items():
+        subject, measured = background_of(name), observed.exceedance.get((name, detector))
+        found = absent("scores", subject, curve, None) if measured is None else compare_exceedance(curve, measured)
+        rows += named(found, "scores", subject, detector)
     rows += of(compare_roc, "roc", equivalence_margin=equivalence_margin)
     rows += of(compare_abundance, "abundance")
-    return rows + compare_area_errors(predicted.abundance, observed.abundance)
+    return [*rows, *compare_area_errors(predicted.abundance, observed.abundance)]
 
 
 def _alternatives(side: Products, subject: str) -> str:

@@ -1,19 +1,20 @@
-"""Rows of one comparison: what they share, both sides next to each other, and why one is not made."""
+"""Rows of one comparison, without its names: a value with its interval, the difference of two, and why one is not made.
+
+A comparison is a function of two sides that yields such rows; :func:`named` says what they are about.
+"""
 
 from __future__ import annotations
 
-import inspect
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import wraps
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.metrics import Evidence, metric_of
-from hyperval.results import Cause, Effect, Outcome, Result
+from hyperval.metrics import metric_of
+from hyperval.results import Cause, Outcome, Result
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -22,119 +23,38 @@ Interval = tuple[float, float]
 COMPARISON = "comparison"
 
 
-class Valued(NamedTuple):
-    """A value and its 95 % interval."""
+def row(metric: str, value: float, ends: Sequence[float] | None = None, half: float = math.nan, **more: Any) -> Result:
+    """A row without an outcome; what is planned gives it one later.
 
-    value: float
-    interval: Interval
-
-
-class Lack(NamedTuple):
-    """Why a side has no value."""
-
-    cause: Cause
-    reason: str
-
-
-@dataclass(frozen=True)
-class RowMaker:
-    """Fills in what the rows of one comparison share; their campaign is named when all of them are there."""
-
-    product: str
-    subject: str
-    method: str
-
-    def row(
-        self,
-        metric: str,
-        value: float,
-        interval: Interval | None = None,
-        *,
-        half: float = math.nan,
-        unit: str = "",
-        band_nm: float = math.nan,
-        n: int | None = None,
-        detectable: float = math.nan,
-        evidence: Evidence | None = None,
-        reason: str = "",
-        about: Effect | None = None,
-    ) -> Result:
-        """A row without an outcome; what is planned gives it one later.
-
-        Parameters
-        ----------
-        half : half of its interval's width, in place of the interval
-        unit : where the table of metrics leaves it open
-        """
-        low, high = interval or (value - half, value + half)
-        return Result(
-            "", self.product, self.subject, self.method, metric, float(value), unit or metric_of(metric).unit or "1",
-            float(band_nm), float(low), float(high), n, evidence=evidence, detectable=float(detectable),
-            reason=reason, about=about,
-        )  # fmt: skip
-
-    def skipped(self, cause: Cause, reason: str, *metrics: str) -> list[Result]:
-        """Planned rows that have no value, with the cause and words; without metrics the whole comparison."""
-        row = Result("", self.product, self.subject, self.method, COMPARISON, outcome=Outcome.SKIPPED, cause=cause,
-                     reason=reason)  # fmt: skip
-        return [replace(row, metric=metric, evidence=None) for metric in metrics or (COMPARISON,)]
-
-    def side_by_side(
-        self,
-        names: Sequence[str],
-        predicted: Valued | Lack | None,
-        measured: Valued | Lack | None,
-        n: int | None = None,
-        reason: str = "",
-    ) -> list[Result]:
-        """Rows of both sides and of their difference.
-
-        SKIPPED where a side lacks its value, the difference with the words of the measured side first; none of a
-        side that is None.
-        """
-        rows: list[Result] = []
-        for name, side, count, words in ((names[0], predicted, None, ""), (names[1], measured, n, reason)):
-            if isinstance(side, Lack):
-                rows += self.skipped(*side, name)
-            elif side is not None:
-                rows.append(self.row(name, *side, n=count, reason=words))
-        if isinstance(predicted, Valued) and isinstance(measured, Valued):
-            interval = difference_interval(*predicted, *measured)
-            return [*rows, self.row(names[2], predicted.value - measured.value, interval, n=n)]
-        if predicted is None or measured is None:
-            return rows
-        lack = next(side for side in (measured, predicted) if isinstance(side, Lack))
-        return rows + self.skipped(*lack, names[2])
-
-
-def comparison(product: str) -> Callable[[Callable[..., Iterator[Result]]], Callable[..., list[Result]]]:
-    """Makes a comparison of a function that yields the rows of two sides.
-
-    ``rows(make, predicted, observed, ...)`` becomes ``compare(predicted, observed, *, subject, method, ...)``: the
-    rows, or one SKIPPED row that says which of the sides is None.
+    Parameters
+    ----------
+    ends : of its 95 % interval; ``half`` of its width in their place
+    more : other fields of :class:`hyperval.results.Result`, such as ``n``, ``reason``, ``about``, and ``unit`` where
+        the table of metrics leaves it open
     """
+    low, high = ends or (value - half, value + half)
+    more = {"unit": metric_of(metric).unit or "1"} | more
+    return Result("", "", "", "", metric, float(value), lower=float(low), upper=float(high), **more)
 
-    def of(rows: Callable[..., Iterator[Result]]) -> Callable[..., list[Result]]:
-        @wraps(rows)
-        def compare(
-            predicted: Any, observed: Any, *, subject: str, method: str, product: str = product, **options: Any
-        ) -> list[Result]:
-            make = RowMaker(product, subject, method)
-            if predicted is not None and observed is not None:
-                return list(rows(make, predicted, observed, **options))
-            missing = [name for name, side in (("prediction", predicted), ("observation", observed)) if side is None]
-            cause = Cause.NO_PREDICTION if predicted is None else Cause.NO_OBSERVATION
-            return make.skipped(cause, f"no {product} of {subject} in the {' and in the '.join(missing)}")
 
-        # What help shows: the two sides, then names; the maker of rows is made here.
-        own = inspect.signature(compare, follow_wrapped=False)
-        _, *sides = inspect.signature(rows).parameters.values()
-        options = [p.replace(kind=p.KEYWORD_ONLY) for p in sides[2:]]
-        shown = [*sides[:2], own.parameters["subject"], own.parameters["method"], *options]
-        setattr(compare, "__signature__", own.replace(parameters=shown))  # noqa: B010
-        return compare
+def skipped(cause: Cause, reason: str, *metrics: str) -> list[Result]:
+    """Planned rows that have no value, with the cause and words; without metrics the whole comparison."""
+    names = metrics or (COMPARISON,)
+    return [Result("", "", "", "", name, outcome=Outcome.SKIPPED, cause=cause, reason=reason) for name in names]
 
-    return of
+
+def difference_row(metric: str, predicted: Result, measured: Result) -> Result:
+    """Predicted less measured; SKIPPED where a side is, with the words of the measured one first."""
+    for side in (measured, predicted):
+        if side.outcome is Outcome.SKIPPED:
+            return replace(side, metric=metric, evidence=None)
+    (a, *ends), (b, *others) = ((side.value, side.lower, side.upper) for side in (predicted, measured))
+    return row(metric, a - b, difference_interval(a, ends, b, others), n=measured.n)
+
+
+def named(rows: Iterable[Result], product: str, subject: str, method: str) -> Iterator[Result]:
+    """The rows as those of a subject; their campaign is named when all of them are there."""
+    return (replace(item, product=product, subject=subject, method=method) for item in rows)
 
 
 def scientific(value: float) -> str:
@@ -149,7 +69,7 @@ def scientific(value: float) -> str:
     return f"{value / 10.0**exponent:.3g}e{exponent}"
 
 
-def difference_interval(a: float, a_interval: Interval, b: float, b_interval: Interval) -> Interval:
+def difference_interval(a: float, a_interval: Sequence[float], b: float, b_interval: Sequence[float]) -> Interval:
     """Interval of a - b from the separate intervals of two independent estimates.
 
     L = a - b - sqrt((a - l_a)^2 + (u_b - b)^2), U = a - b + sqrt((u_a - a)^2 + (b - l_b)^2).

@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Array, Interval, Mask, RowMaker, comparison
+from hyperval.compare.rows import Array, Interval, Mask, row, skipped
 from hyperval.errors import UsageError
 from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
 from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty
 from hyperval.products import EstimatedPart, Products, SpectralEstimate
-from hyperval.results import Cause, Effect, Outcome, Result
+from hyperval.results import Cause, Effect, Result
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
 
 _DRAWS = 1000
@@ -101,35 +101,12 @@ def _standard_normal(bands: int) -> Array:
 FEWEST = 3
 
 
-@dataclass(frozen=True)
-class Drift:
-    """Change in a year.
+def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Effect:
+    """Change in a year of values (n,) over times (n,) [years]: the least-squares slope with its 95 % interval.
 
-    Attributes
-    ----------
-    per_year, lower, upper : least-squares slope and its 95 % interval [unit of the values per year]
-    scatter : standard deviation of the days about the line
-    n : days
-    """
-
-    per_year: float
-    lower: float
-    upper: float
-    scatter: float
-    n: int
-
-    def outcome(self, low: float, high: float) -> Outcome:
-        """The interval against an accepted range."""
-        if low <= self.lower and self.upper <= high:
-            return Outcome.AGREES
-        return Outcome.DISAGREES if self.upper < low or self.lower > high else Outcome.UNDECIDED
-
-
-def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Drift:
-    """Slope of values (n,) over times (n,) [years] with Student's interval from their scatter about the line.
-
-    Errors that all days share, such as that of the calibration, cancel in it; those of single days show as scatter,
-    whatever was stated of them.  Source: Draper & Smith, Applied Regression Analysis, 1998, 1.4.
+    The interval is Student's, from the scatter about the line.  Errors that all days share, such as that of the
+    calibration, cancel in it; those of single days show as scatter, whatever was stated of them.  Source: Draper &
+    Smith, Applied Regression Analysis, 1998, 1.4.
 
     Raises
     ------
@@ -138,7 +115,7 @@ def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Drift:
     Examples
     --------
     >>> found = drift([0.0, 1.0, 2.0], [0.0, 0.01, 0.02])
-    >>> round(found.per_year, 6), round(found.upper - found.lower, 6)
+    >>> round(found.value, 6), round(found.upper - found.lower, 6)
     (0.01, 0.0)
     """
     t, y = np.asarray(years, dtype=float), np.asarray(values, dtype=float)
@@ -146,11 +123,8 @@ def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Drift:
         raise UsageError(f"a drift of {t.size} days", expected=f"{FEWEST} days or more, at different times")
     fit = scipy.stats.linregress(t, y)
     half, slope = float(scipy.stats.t.ppf(0.975, t.size - 2)) * float(fit.stderr), float(fit.slope)
-    scatter = float(fit.stderr) * float(np.std(t)) * math.sqrt(t.size)
-    return Drift(slope, slope - half, slope + half, scatter, int(t.size))
+    return Effect(slope, slope - half, slope + half)
 
-
-Estimated = Sequence[EstimatedPart]
 
 # Directions whose variance, in the correlation matrix, is below this part of the greatest are rounding noise.
 EIGENVALUE_CUT = 1e-9
@@ -314,10 +288,7 @@ class Whitening:
         return np.asarray(self.transform @ x)
 
 
-Covariance = npt.ArrayLike | Whitening
-
-
-def chi_square_full(difference: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()) -> ChiSquare:
+def chi_square_full(difference: npt.ArrayLike, tested: Whitening) -> ChiSquare:
     """r^T C^-1 r with the whole covariance of both sides.
 
     C is scaled to unit diagonal and eigen-decomposed; directions with less than ``EIGENVALUE_CUT`` of the
@@ -327,12 +298,8 @@ def chi_square_full(difference: npt.ArrayLike, covariance: Covariance, estimated
     degrees of freedom allow, with the samples' own covariance.  They are chosen without the samples, so that
     Hotelling's law holds; a sample overstates the variance of its own leading directions, where it does not.
 
-    Parameters
-    ----------
-    covariance : C (B, B), or what :func:`whitening` makes of it, once for several tests
-    estimated : parts of the covariance that were estimated
+    ``tested`` : what :func:`whitening` makes of C, once for several tests
     """
-    tested = _whitening_of(covariance, estimated)
     r = tested.of(difference)
     return ChiSquare(float(r @ r), int(r.size), tested.covariance_dof)
 
@@ -351,11 +318,7 @@ def covariance_dof(parts: Sequence[tuple[Array, float]]) -> float:
     return float(p * (1.0 + p) / total) if total > 0.0 else math.inf
 
 
-def _whitening_of(covariance: Covariance, estimated: Estimated) -> Whitening:
-    return covariance if isinstance(covariance, Whitening) else whitening(covariance, estimated)
-
-
-def whitening(covariance: npt.ArrayLike, estimated: Estimated = ()) -> Whitening:
+def whitening(covariance: npt.ArrayLike, estimated: Sequence[EstimatedPart] = ()) -> Whitening:
     """Directions of :func:`chi_square_full` for a covariance (B, B) and the parts of it that were estimated."""
     stated = np.asarray(covariance, dtype=float)
     models = [(p.covariance if p.model is None else p.model, p.dof) for p in estimated]
@@ -395,26 +358,20 @@ def _smooth(known: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array
         kept = max(min(kept - 1, int((nu + DOF_ROUNDING) / DOF_PER_DIRECTION)), 1)
 
 
-def chi_square_shape(
-    difference: npt.ArrayLike, reference: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()
-) -> ChiSquare:
+def chi_square_shape(difference: npt.ArrayLike, reference: npt.ArrayLike, tested: Whitening) -> ChiSquare:
     """What is left of the full chi-square when a multiple s of the reference spectrum may go (least squares).
 
     r^T C^-1 r - (s/sd)^2 with s = c^T C^-1 r/(c^T C^-1 c) and sd = (c^T C^-1 c)^-1/2, in the directions of
     :func:`chi_square_full`.
     """
-    tested = _whitening_of(covariance, estimated)
     r, c, nu = tested.of(difference), tested.of(reference), tested.covariance_dof
-    weight = float(c @ c)
-    if weight <= 0.0:
+    if (weight := float(c @ c)) <= 0.0:
         return ChiSquare(float(r @ r), int(r.size), nu)
     rest = r - float(c @ r) / weight * c
     return ChiSquare(float(rest @ rest), int(r.size) - 1, nu)
 
 
-def detectable_tilts(
-    reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()
-) -> tuple[float, float]:
+def detectable_tilts(reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, tested: Whitening) -> tuple[float, float]:
     """Tilts that the full test and the test of shape would reject with 80 % probability.
 
     A tilt of t multiplies the reference by 1 - t at one end of the bands and by 1 + t at the other.  The statistic
@@ -424,7 +381,7 @@ def detectable_tilts(
 
     Examples
     --------
-    >>> full, shape = detectable_tilts([1.0, 1.0], [400.0, 500.0], [[1e-4, 0.0], [0.0, 1e-4]])
+    >>> full, shape = detectable_tilts([1.0, 1.0], [400.0, 500.0], whitening(1e-4 * np.eye(2)))
     >>> round(full, 3), round(shape, 3)
     (0.033, 0.031)
     """
@@ -433,7 +390,6 @@ def detectable_tilts(
     if span == 0.0:
         return math.nan, math.nan
     tilt = c * (2.0 * (w - w.min()) / span - 1.0)
-    tested = _whitening_of(covariance, estimated)
     whole, level, nu = tested.of(tilt), tested.of(c), tested.covariance_dof
     rest = whole - level * float(level @ whole) / max(float(level @ level), 1e-300)
     kept = whole.size
@@ -496,9 +452,7 @@ def _unit_directions(covariance: npt.ArrayLike) -> tuple[npt.NDArray[np.bool_], 
     return some, vectors[:, keep] / sd[some][:, None] / np.sqrt(values[keep])
 
 
-def wavelength_rows(
-    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis
-) -> Iterator[Result]:
+def wavelength_rows(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Iterator[Result]:
     """Rows ``absorption_centre_difference@FEATURE`` [nm], predicted less measured, of what both sides show.
 
     Both centres come from the same bands in the same way, so that what a band set does to a centre falls out.  The
@@ -510,8 +464,8 @@ def wavelength_rows(
     >>> def side(centre_nm):
     ...     depth = 0.5 * np.exp(-0.5 * ((w - centre_nm) / 4.0) ** 2)
     ...     return SpectralEstimate(1.0 - depth, 1e-6 * np.eye(w.size))
-    >>> make, axis = RowMaker("radiance", "lawn", "sixs"), SpectralAxis(w, np.full(w.size, 5.0))
-    >>> [(row.metric, round(row.value, 1)) for row in wavelength_rows(make, side(764.0), side(763.0), axis)]
+    >>> axis = SpectralAxis(w, np.full(w.size, 5.0))
+    >>> [(r.metric, round(r.value, 1)) for r in wavelength_rows(side(764.0), side(763.0), axis)]
     [('absorption_centre_difference@oxygen-763', 1.0)]
     """
     use = axis.good & np.isfinite(predicted.mean) & np.isfinite(observed.mean)
@@ -526,7 +480,7 @@ def wavelength_rows(
             ]
             half = Z95 * math.hypot(*sd) or math.nan
             name = f"absorption_centre_difference@{feature.key}"
-            yield make.row(name, centres[0] - centres[1], half=half, n=observed.n)
+            yield row(name, centres[0] - centres[1], half=half, n=observed.n)
 
 
 # Two measurements never meet to this part of their level.
@@ -538,9 +492,8 @@ STATED_COVERAGE = 2.0
 _BETTER = 10.0  # a source that would have to be known more times better is helped by the next one
 
 
-@comparison("radiance")
 def compare_spectra(
-    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis
+    predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis, product: str = "radiance"
 ) -> Iterator[Result]:
     """Rows of one spectrum.
 
@@ -556,35 +509,37 @@ def compare_spectra(
     ``fraction_inside_stated_windows``.
     """
     if observed.circular:
-        yield from make.skipped(Cause.CIRCULAR, observed.circular)
+        yield from skipped(Cause.CIRCULAR, observed.circular)
         return
-    usable = comparable_bands(predicted, observed, axis)
-    ratio, ratio_covariance = (
+    usable, n = comparable_bands(predicted, observed, axis), observed.n
+    ratio, covariance = (
         difference_ratio(predicted.mean, observed.mean),
         difference_ratio_covariance(predicted, observed),
     )
-    half = Z95 * np.sqrt(np.clip(np.diag(ratio_covariance), 0.0, None))
+    half = Z95 * np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     half = np.where(half > 0.0, half, np.nan)  # no error is stated: no interval
     difference = predicted.mean - observed.mean
     z = z_scores(difference, predicted.error_covariance + observed.error_covariance)
     for b in np.flatnonzero(usable):
-        at, n = float(axis.centre_nm[b]), observed.n
-        why = "" if np.isfinite(ratio[b]) else "observed value is not positive"
-        yield make.row("difference_ratio", ratio[b], half=half[b], band_nm=at, n=n, reason=why)
+        at, why = float(axis.centre_nm[b]), "" if np.isfinite(ratio[b]) else "observed value is not positive"
+        yield row("difference_ratio", ratio[b], half=half[b], band_nm=at, n=n, reason=why)
         if np.isfinite(z[b]):
-            yield make.row("z", z[b], band_nm=at, n=n)
+            yield row("z", z[b], band_nm=at, n=n)
     parts = regions(axis)
     window = usable & parts["windows"]
-    for ending, bands in (("", usable), ("_windows", window)) if observed.stated is not None else ():
+    for ending, bands in (("", usable), ("_windows", window)):
         if observed.stated is not None and bands.any():
             share = fraction_inside_stated(difference[bands], observed.stated[bands])
-            yield make.row(f"fraction_inside_stated{ending}", share, n=int(bands.sum()))
+            yield row(f"fraction_inside_stated{ending}", share, n=int(bands.sum()))
     for name, region in parts.items():
         if region.any() or name == "windows":  # what the sensor does not see was not planned
-            yield from _summary(make, name, ratio, ratio_covariance, usable & region & np.isfinite(ratio))
-    yield from _consistency(make, predicted, observed, window, axis.centre_nm)
-    if make.product == "radiance":
-        yield from wavelength_rows(make, predicted, observed, axis)
+            yield from _summary(name, ratio, covariance, usable & region & np.isfinite(ratio))
+    if window.any():
+        yield from _consistency(predicted, observed, window, axis.centre_nm)
+    else:
+        yield from skipped(Cause.NO_BANDS, "no comparable band in windows", *_TESTS, "spectral_angle")
+    if product == "radiance":
+        yield from wavelength_rows(predicted, observed, axis)
 
 
 def fraction_inside_stated(difference: Array, stated: Array) -> float:
@@ -643,17 +598,15 @@ def _shares(left: SpectralEstimate, right: SpectralEstimate, bands: Mask) -> lis
 _SUMMARIES = ("median_difference_ratio", "median_abs_difference_ratio", "max_abs_difference_ratio")
 
 
-def _summary(make: RowMaker, name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterator[Result]:
+def _summary(name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterator[Result]:
     names = [f"{metric}_{name}" for metric in _SUMMARIES]
     if not bands.any():
-        yield from make.skipped(Cause.NO_BANDS, f"no comparable band in {name}", *names)
+        yield from skipped(Cause.NO_BANDS, f"no comparable band in {name}", *names)
         return
     r, here = ratio[bands], covariance[np.ix_(bands, bands)]
-    values = float(np.median(r)), float(np.median(np.abs(r))), float(np.max(np.abs(r)))
-    for metric, value, interval in zip(
-        names, values, (median_interval(r, here), *size_intervals(r, here)), strict=True
-    ):
-        yield make.row(metric, value, interval, n=r.size)
+    values, intervals = (np.median(r), np.median(np.abs(r)), np.max(np.abs(r))), size_intervals(r, here)
+    for metric, value, interval in zip(names, values, (median_interval(r, here), *intervals), strict=True):
+        yield row(metric, value, interval, n=r.size)
 
 
 _TESTS = (
@@ -663,45 +616,40 @@ _TESTS = (
 
 
 def _consistency(
-    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, window: Mask, centre_nm: Array
+    predicted: SpectralEstimate, observed: SpectralEstimate, window: Mask, centre_nm: Array
 ) -> Iterator[Result]:
     """Rows over the windows: every test of the two spectra, and the angle between them."""
-    if not window.any():
-        yield from make.skipped(Cause.NO_BANDS, "no comparable band in windows", *_TESTS, "spectral_angle")
-        return
     here, count = np.ix_(window, window), int(window.sum())
     p, o = predicted.mean[window], observed.mean[window]
     r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[here]
     if not np.all(np.diag(cov) > (NUMERICAL * o) ** 2):
         why = "neither side states an uncertainty beyond rounding in some bands"
-        yield from make.skipped(Cause.NO_UNCERTAINTY, why, *_TESTS)
+        yield from skipped(Cause.NO_UNCERTAINTY, why, *_TESTS)
     elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):  # such as a panel that a line of two panels goes through
         why = "both sides are equal to rounding: one was made from the other, which is no evidence"
-        yield from make.skipped(Cause.CIRCULAR, why, *_TESTS)
+        yield from skipped(Cause.CIRCULAR, why, *_TESTS)
     else:
         tested = whitening(cov, [part.bands(window) for part in (*predicted.estimated, *observed.estimated)])
-        tilts = detectable_tilts(o, centre_nm[window], tested)
-        full = chi_square_full(r, tested)
+        tilts, full = detectable_tilts(o, centre_nm[window], tested), chi_square_full(r, tested)
         known = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"
-        kept = "; ".join((
+        why = "; ".join((
             *([f"{full.dof} of {count} directions kept"] if full.dof < count else []),
             *([known] if math.isfinite(full.covariance_dof) else []),
             *filter(None, [leading_source(predicted, observed, window)]),
         ))  # fmt: skip
-        for name, test, tilt, why in (
-            ("diagonal", chi_square_diagonal(r, cov), math.nan, ""),
-            ("full", full, tilts[0], kept),
-            ("shape", chi_square_shape(r, o, tested), tilts[1], ""),
-        ):
-            if name == "shape":
-                ratio, covariance = difference_ratio(p, o), difference_ratio_covariance(predicted, observed)[here]
-                bias, sd = _mean_ratio(ratio, covariance)
-                yield make.row("bias_ratio", bias, half=Z95 * sd, n=full.dof)
-            yield make.row(f"chi2_reduced_{name}", test.reduced, n=test.dof, reason=why)
-            yield make.row(f"p_value_{name}", test.p_value, n=test.dof, detectable=tilt, reason=why, about=test.effect)
+        yield from _test_rows("diagonal", chi_square_diagonal(r, cov))
+        yield from _test_rows("full", full, tilts[0], why)
+        bias, sd = _mean_ratio(difference_ratio(p, o), difference_ratio_covariance(predicted, observed)[here])
+        yield row("bias_ratio", bias, half=Z95 * sd, n=full.dof)
+        yield from _test_rows("shape", chi_square_shape(r, o, tested), tilts[1])
         inside, limits = share_inside(r, cov)
-        yield make.row("fraction_inside_95", inside, limits, n=count)
-    yield make.row("spectral_angle", spectral_angle_degrees(p, o), n=count)
+        yield row("fraction_inside_95", inside, limits, n=count)
+    yield row("spectral_angle", spectral_angle_degrees(p, o), n=count)
+
+
+def _test_rows(name: str, test: ChiSquare, tilt: float = math.nan, why: str = "") -> Iterator[Result]:
+    yield row(f"chi2_reduced_{name}", test.reduced, n=test.dof, reason=why)
+    yield row(f"p_value_{name}", test.p_value, n=test.dof, detectable=tilt, reason=why, about=test.effect)
 
 
 def _mean_ratio(ratio: Array, covariance: Array) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import spectral
 from hyperval.campaign import Campaign
 from hyperval.collection import Detection
 from hyperval.compare.products import product_rows
-from hyperval.compare.rows import RowMaker
+from hyperval.compare.rows import named, row, skipped
 from hyperval.model import Sources
 from hyperval.observe import Observed, scored_pixels, target_groups
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, AlarmBlocks, detector_names, object_scores, values_on
@@ -162,7 +162,7 @@ def detector_rows(
     detection = question.campaign.detection
     if detection is None or observed.detected is None:
         why = "the campaign looks for no targets"
-        return RowMaker(PRODUCT, EVERY_OBJECT, "detectors").skipped(Cause.NO_OBSERVATION, why, "rank")
+        return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors"))
     rows = _measured_rows(observed)
     counts = block_counts(observed, detection)
     groups = {name: looks for name, looks in counts.group.items() if looks}
@@ -175,7 +175,7 @@ def detector_rows(
                 ranks = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
                 rows += rank_rows(name, counts, measure, ranks)
     for name, reason in question.left_out.items():
-        rows += RowMaker(PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(Cause.REFUSED, reason, "rank")
+        rows += named(skipped(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
     return rows
 
 
@@ -184,42 +184,40 @@ def _measured_rows(observed: Observed) -> list[Result]:
     least = {(s, f"{d}/{u}"): c.n_background or 0 for (s, d, u), c in observed.observation.roc.items()}
     names = {m.observed: m for m in MEASURES.values()}
     rows = []
-    for row in product_rows(observed.observation, "observed"):
-        measure = names.get(row.metric)
-        if row.product != "roc" or measure is None or not measure.known_from(least[row.subject, row.method]):
-            continue
-        make = RowMaker(PRODUCT, row.subject, row.method)
-        ends = (row.lower, row.upper)
-        rows.append(make.row(measure.name, row.value, interval=ends, unit=row.unit, n=row.n, reason=row.reason))
+    for own in product_rows(observed.observation, "observed"):
+        measure = names.get(own.metric)
+        if own.product == "roc" and measure is not None and measure.known_from(least[own.subject, own.method]):
+            rows.append(replace(own, product=PRODUCT, metric=measure.name, evidence=None))
     return rows
 
 
 def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDetectors) -> list[Result]:
     """``METRIC`` (of all objects together), ``rank_METRIC`` and ``first_METRIC`` of each detector on one group."""
-    m, rows = ranks.objects, []
+    m, rows = ranks.objects, list[Result]()
     words = f"paired: {DRAWS} draws of {m} objects and of blocks of the background, the same for all detectors"
     if not ranks.orders:
         words += f"; {m} objects cannot order {ranks.distinct} detectors, {fewest_objects(ranks.distinct)} could"
     first = "share of the draws in which it is the best, equals counted alike"
     for d, detector in enumerate(counts.detectors):
-        make = RowMaker(PRODUCT, group, f"{detector}/object")
-        if group == EVERY_OBJECT:
-            rows.append(_value_row(make, counts, measure, ranks, d))
         ends = float(ranks.rank_lower[d]), float(ranks.rank_upper[d])
-        rows.append(make.row(f"rank_{measure.name}", float(ranks.rank[d]), interval=ends, n=m, reason=words))
-        rows.append(make.row(f"first_{measure.name}", float(ranks.first[d]), n=m, reason=first))
+        own = [
+            *([_value_row(counts, measure, ranks, d)] if group == EVERY_OBJECT else []),
+            row(f"rank_{measure.name}", float(ranks.rank[d]), ends, n=m, reason=words),
+            row(f"first_{measure.name}", float(ranks.first[d]), n=m, reason=first),
+        ]
+        rows += named(own, PRODUCT, group, f"{detector}/object")
     return rows
 
 
-def _value_row(make: RowMaker, counts: BlockCounts, measure: Measure, ranks: RankedDetectors, d: int) -> Result:
+def _value_row(counts: BlockCounts, measure: Measure, ranks: RankedDetectors, d: int) -> Result:
     per_area = measure.of_look is None
     scale = counts.density_km2 if per_area else 1.0
     if math.isnan(scale):
-        return make.skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", measure.name)[0]
-    value, low, high = (float(x[d]) * scale for x in (ranks.value, ranks.lower, ranks.upper))
+        return skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", measure.name)[0]
+    ends = float(ranks.lower[d]) * scale, float(ranks.upper[d]) * scale
     why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
     unit = "km-2" if per_area else "1"
-    return make.row(measure.name, value, interval=(low, high), unit=unit, n=ranks.objects, reason=why)
+    return row(measure.name, float(ranks.value[d]) * scale, ends, unit=unit, n=ranks.objects, reason=why)
 
 
 MOST_VALUES = 50_000_000  # of the image in the bands of the filters: SPy works on all of it in memory
@@ -246,7 +244,7 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
     cube, bands = place.cube, np.flatnonzero(detected.bank.bands)
     if cube.lines * cube.samples * bands.size > MOST_VALUES:
         why = f"SPy holds the image in memory, and it has more than {MOST_VALUES:.0e} values"
-        return RowMaker(PRODUCT, EVERY_OBJECT, PEER).skipped(Cause.REFUSED, why, "auc")
+        return list(named(skipped(Cause.REFUSED, why, "auc"), PRODUCT, EVERY_OBJECT, PEER))
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
     if observed.elm is not None:
         image = (image - observed.elm.offset[bands]) / observed.elm.gain[bands]
@@ -255,7 +253,7 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
     image[~valid] = background.mean
     alarms = place.background(detection.false_alarms) & valid
     sources = Sources(cube.axis, {}, resolve)
-    rows = []
+    rows: list[Result] = []
     for target in detection.targets:
         spectrum = sources.spectrum(target.spectrum, target.name).mean[bands]
         groups = target_groups(place.targets, target, detection.group)
@@ -264,22 +262,22 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
             scores[~valid] = np.nan
             for subject, members in groups.items():
                 pixels = np.concatenate([values_on(scores, scored_pixels(o, place)) for o in members])
-                make = RowMaker(PRODUCT, subject, f"{PEER}-{name}/pixel")
-                rows += _subject_rows(make, pixels[np.isfinite(pixels)], scores[alarms])
+                own_rows = _subject_rows(pixels[np.isfinite(pixels)], scores[alarms])
+                rows += named(own_rows, PRODUCT, subject, f"{PEER}-{name}/pixel")
             own = detected.score_maps.get(name if name == "rx" else f"{target.name}-{name}")
             if own is not None:
-                make = RowMaker(PRODUCT, target.name, f"{PEER}-{name}/pixel")
                 both = np.isfinite(own) & np.isfinite(scores)
                 value = float(scipy.stats.spearmanr(own[both], scores[both]).statistic)
-                rows.append(make.row("score_rank_correlation", value, n=int(both.sum()), reason=_version()))
+                found = row("score_rank_correlation", value, n=int(both.sum()), reason=_version())
+                rows += named([found], PRODUCT, target.name, f"{PEER}-{name}/pixel")
     return rows
 
 
-def _subject_rows(make: RowMaker, pixels: Array, noise: Array) -> list[Result]:
+def _subject_rows(pixels: Array, noise: Array) -> list[Result]:
     if not pixels.size or not noise.size:
-        return make.skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
+        return skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
     share = scipy.stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
-    return [make.row("auc", float(share), n=int(pixels.size), reason=_version())]
+    return [row("auc", float(share), n=int(pixels.size), reason=_version())]
 
 
 def _version() -> str:
