@@ -1,7 +1,5 @@
 """What the tests of several rooms share: a small campaign that runs in seconds."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

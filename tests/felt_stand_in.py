@@ -7,8 +7,6 @@ one pixel.
     PYTHONPATH=tests/shared python tests/felt_stand_in.py DATA OUT    every line below OUT, from files below DATA
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys
@@ -42,7 +40,7 @@ class Departures:
     offset: float = 0.0  # reflectance, of the felts in the image
 
     @classmethod
-    def drawn(cls, name: str, rng: np.random.Generator) -> Departures:
+    def drawn(cls, name: str, rng: np.random.Generator) -> "Departures":
         """Errors of one level over all bands: the bands of the stated 300 nm are few."""
         return cls(
             max(0.0, 1.0 + 0.3 * rng.standard_normal()),

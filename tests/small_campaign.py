@@ -3,8 +3,6 @@
 The collection is written once for a test session; every test gets a copy that it may damage.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from functools import partial

@@ -1,7 +1,5 @@
 """The Python API: every verb from paths and objects, short reprs, tables, datasets, plots; its examples run."""
 
-from __future__ import annotations
-
 import doctest
 from types import ModuleType
 

@@ -1,7 +1,5 @@
 """Strict YAML: every way in which a plain YAML reader changes or hides what somebody wrote."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Data sets: where a reference leads, what is recorded of it, and what a download leaves behind."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """The rendered documentation holds every page, and its examples run and draw."""
 
-from __future__ import annotations
-
 import doctest
 import re
 import runpy

@@ -1,7 +1,5 @@
 """Whole or not at all: what stands on disk after a failure at any point."""
 
-from __future__ import annotations
-
 import os
 import stat
 import subprocess

@@ -1,7 +1,5 @@
 """Output folders: replaced whole, by one run at a time, nothing of the user's lost, wherever a run ends."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

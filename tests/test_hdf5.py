@@ -1,7 +1,5 @@
 """Files that the HDF5 library does not come back from are refused before the library opens them for good."""
 
-from __future__ import annotations
-
 import os
 import signal
 import struct

@@ -1,7 +1,5 @@
 """Progress says which campaign and step it belongs to, and nothing where nobody watches."""
 
-from __future__ import annotations
-
 import re
 
 from hyperval.progress import step, track, watch_lines, working

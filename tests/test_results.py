@@ -1,7 +1,5 @@
 """The results table: columns of the contract, views, and what the exit code says."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Scenario files by name and path, and their entries by dotted path; what is refused in one is in tests/model."""
 
-from __future__ import annotations
-
 import pytest
 
 from hyperval.errors import InputError, UsageError

@@ -1,7 +1,5 @@
 """Statistics libraries: samples, there and back, other bands, and files that are none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Unit factors by another route: dimensional arithmetic from the definitions of the prefixes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """States computed once for all tests of the room, in a cache of their own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """MODTRAN output made by the closed form: what runs over ground of known albedos would print."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperval.atmosphere import RADIANCE_COLUMNS

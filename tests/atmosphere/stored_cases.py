@@ -1,7 +1,5 @@
 """Cases of the room's tests that are data: cases.yaml."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import yaml

@@ -1,7 +1,5 @@
 """The cache: computed once, never trusted blindly."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The engine that answers at once: its band model, how far it is from 6S, and what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from stored_cases import CASES

@@ -1,7 +1,5 @@
 """What MODTRAN wrote, tape7 and channel files: read or refused, the terms of 3.7 from it, and 6S beside it."""
 
-from __future__ import annotations
-
 import gzip
 import importlib.util
 import sys

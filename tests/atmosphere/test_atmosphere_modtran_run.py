@@ -1,7 +1,5 @@
 """Input for MODTRAN, what the input of others states, and running the user's own: a stand-in replays output."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

@@ -1,7 +1,5 @@
 """What 6S lacks: oxygen that collides, and the ratio of MODTRAN 6 to it; and other programs beside the whole."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The embedded engine: against the solver's own radiances, closed forms, limits, and its traps."""
 
-from __future__ import annotations
-
 import re
 from functools import cache, partial
 

@@ -1,7 +1,5 @@
 """Starting the executable on a machine with and without a Fortran run-time library."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

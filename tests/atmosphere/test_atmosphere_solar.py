@@ -1,7 +1,5 @@
 """Solar spectra."""
 
-from __future__ import annotations
-
 import gzip
 import importlib.util
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The state: what is accepted, what is refused and under which name; range, depth and share."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

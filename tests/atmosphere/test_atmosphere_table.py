@@ -1,7 +1,5 @@
 """Between states: rules of interpolation, range, error; tables and their files."""
 
-from __future__ import annotations
-
 import copy
 import json
 import pickle

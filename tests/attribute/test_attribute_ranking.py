@@ -1,7 +1,5 @@
 """From a ranking and what-ifs to rows that a reader understands."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Injected errors: each does what its name says, and is refused where there is nothing of the kind."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from uncertain_scene import AXIS, engine, run, scenario

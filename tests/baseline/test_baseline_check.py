@@ -1,7 +1,5 @@
 """hyperval check and hyperval baseline accept, from end to end on the small campaign and a sensor."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Baseline files: written to be read by people, refused when their tolerances mean nothing."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

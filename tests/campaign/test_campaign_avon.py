@@ -3,8 +3,6 @@
 The files of one line are simulated here under the names that its README gives, with all 360 bands.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Bad input through the command line: one clear error, the contract's exit code, no traceback, no output."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path
@@ -61,11 +59,3 @@ def test_what_is_stated_or_can_only_be_meant_one_way_mends_a_file(stated, small)
     for panel in small.data["collection"]["empirical_line"]["panels"]:
         panel["spectrum"]["reflectance_unit"] = "percent"
     assert api.validate(small.write()).results.exit_code() == 0
-
-
-def test_no_campaign_of_that_name_and_two_of_one(small, tmp_path: Path, capsys):
-    assert cli.run(["validate", str(tmp_path / "none.yaml"), "-o", str(tmp_path / "out")]) == 3
-    assert "none.yaml: no such file" in capsys.readouterr().err
-    path = str(small.write())
-    assert cli.run(["validate", path, path, "-o", str(tmp_path / "out")]) == 2
-    assert "two campaigns are named 'small'" in capsys.readouterr().err

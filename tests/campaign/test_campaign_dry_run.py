@@ -1,7 +1,5 @@
 """Dry run: values to fill in, several runs, collections that are not public, every name that does not fit."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

@@ -1,7 +1,5 @@
 """Maps of the scores that the model expects: what is said of a pixel, and what it then measures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

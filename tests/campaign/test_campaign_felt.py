@@ -1,7 +1,5 @@
 """The felt campaigns on stand-in lines: real headers, masks and spectra, simulated pixels."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace
@@ -18,16 +16,6 @@ from hyperval.results import Outcome, Role
 from hyperval.run import Run
 
 CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
-
-
-@pytest.mark.parametrize("name", LINES)
-def test_without_images_a_campaign_is_skipped_with_the_command_that_fetches_them(name, tmp_path, monkeypatch):
-    monkeypatch.delenv("HYPERVAL_DATA", raising=False)
-    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path))
-    (job,) = jobs_of(CAMPAIGNS / LINES[name]["campaign"])
-    run = run_campaign(job)
-    assert {row.outcome for row in run.table} == {Outcome.SKIPPED}
-    assert "hyperval data fetch " + name.removesuffix("-chip") in run.notes[0]
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """The page for newcomers is a campaign that runs and passes, as it stands there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the HySU campaign assumes of its field spectra and places, against the data it is taken from."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What ``hyperval observe`` loads, and how much memory it takes of an image that has many times as much."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

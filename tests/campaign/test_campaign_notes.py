@@ -1,7 +1,5 @@
 """What a cube and its truth say of time, place and targets, held against the scenarios of the campaign."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

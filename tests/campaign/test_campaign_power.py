@@ -1,7 +1,5 @@
 """The power of a campaign: what its gates see of errors injected into its model, and what they do not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

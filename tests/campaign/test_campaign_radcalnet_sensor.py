@@ -1,7 +1,5 @@
 """The template over a RadCalNet site: what it lacks, and from files to verdict and drift on a stand-in scene."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

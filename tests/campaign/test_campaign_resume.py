@@ -1,7 +1,5 @@
 """Runs of several campaigns that are killed: the next gives the same files and repeats nothing that was whole."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

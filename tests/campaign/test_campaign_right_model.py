@@ -4,8 +4,6 @@ Seeds are fixed.  Each interval misses one right model in twenty; the errors tha
 it by three and more of its standard errors.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import small_campaign

@@ -1,7 +1,5 @@
 """Running campaigns end to end: what is written, that it repeats to the byte, and what is never missing."""
 
-from __future__ import annotations
-
 import collections
 import csv
 import json
@@ -140,20 +138,6 @@ def test_of_several_campaigns_a_broken_and_a_skipped_one_do_not_hide_another(mak
     assert sum(r["outcome"] == "agrees" and r["role"] == "gate" for r in rows if r["campaign"] == "small") == 8
     assert PAGES | {"broken/report.html"} <= set(files_of(out))
     assert cli.run(["-q", "validate", *both, "-o", str(tmp_path / "two")]) == 0  # skipped beside passing
-
-
-def test_statistics_taken_from_the_collection_are_not_compared_with_it(small):
-    for item in small.scenario["scene"]["classes"]:
-        item["spectrum"] = {"measured": item["name"]}
-    run = api.validate(small.write())
-    assert "field" not in run.prediction.radiance
-    assert "white-panel" in run.prediction.radiance
-    assert any(n.startswith("not compared, as their statistics come from the collection") for n in run.notes)
-    for subject in ("field", "court"):
-        (row,) = run.results.where(product="radiance", subject=subject)
-        # The plan names them, so their absence is an error and not silence.
-        assert row.outcome is Outcome.ERROR
-        assert "no radiance of" in row.reason
 
 
 def test_pools_and_areas_are_predicted_and_compared(small):

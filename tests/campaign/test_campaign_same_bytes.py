@@ -1,7 +1,5 @@
 """The same campaigns give the same bytes, whoever computes them: processes, threads, blocks of lines."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Detection scenes in the containers of their community become campaigns that run: MATLAB 5, MATLAB 7.3, NumPy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

@@ -1,7 +1,5 @@
 """The first draft of a campaign is one that a dry run calls ready; what no file states is marked as a guess."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

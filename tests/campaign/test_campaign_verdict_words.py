@@ -1,7 +1,5 @@
 """One page never contradicts itself, and a criterion that can never be met is named before anything is compared."""
 
-from __future__ import annotations
-
 import html
 import re
 from pathlib import Path

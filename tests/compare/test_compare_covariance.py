@@ -1,7 +1,5 @@
 """Covariances, tails, classes and unmixed areas: a true prediction agrees, each falsified one is seen."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Scores, objects, ROC curves, false alarms and target areas; and the drive over all products."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """What a planned comparison may say, and what each kind of row concludes about a range."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Difference ratios and consistency tests: closed forms, Monte Carlo, and a tilt that only one test sees."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import math

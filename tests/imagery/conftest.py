@@ -1,7 +1,5 @@
 """Small ENVI files to read and to break."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

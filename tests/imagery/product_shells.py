@@ -1,7 +1,5 @@
 """Small files in the published layouts of products, attribute by attribute (``product_shells.yaml``)."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

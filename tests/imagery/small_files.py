@@ -1,7 +1,5 @@
 """Tables of cases, and one region, the square of samples 2 to 5 and lines 3 to 7, in every format of regions."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import struct

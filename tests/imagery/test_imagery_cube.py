@@ -1,7 +1,5 @@
 """ENVI cubes: written and read back, against SPy and rasterio, scaled once, valid pixels, and what is refused."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import lzma

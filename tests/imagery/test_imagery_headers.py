@@ -1,7 +1,5 @@
 """Headers: what the parser understands and notes, as other programs write them, and what they say of a flight line."""
 
-from __future__ import annotations
-
 import warnings
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cubes and libraries to SPy and xarray and back; what ``hyperval explain`` says of a file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pixels placed by tables: lookup tables of a rolling flight line, IGM and location files, swath products."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Products of imagers and other arrays: each is read as it was written, and everything that must be refused is."""
 
-from __future__ import annotations
-
 import pickle
 import re
 from pathlib import Path

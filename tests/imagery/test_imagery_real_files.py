@@ -1,7 +1,5 @@
 """Real collections: the same numbers through every way that leads to them."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Regions: the same region from every format, the pixel-centre rule, and what is refused."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import struct

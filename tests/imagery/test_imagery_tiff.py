@@ -1,7 +1,5 @@
 """GeoTIFFs: wavelengths in tags, what lies beside them, and what is refused."""
 
-from __future__ import annotations
-
 import os
 import struct
 import warnings

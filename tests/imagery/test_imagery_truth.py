@@ -1,7 +1,5 @@
 """Target lists and objects from rasters."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

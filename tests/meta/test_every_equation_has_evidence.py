@@ -1,7 +1,5 @@
 """Every function of the physics names its equation, has a worked value, a caller and its place in docs/model.md."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import importlib

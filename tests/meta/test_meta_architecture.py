@@ -1,7 +1,5 @@
 """Arrows of docs/architecture.md, budgets and names of the house hold; these gates can fail."""
 
-from __future__ import annotations
-
 import ast
 import re
 import runpy
@@ -105,9 +103,13 @@ def only_forwards(tree: ast.Module) -> bool:
     )
 
 
+@pytest.mark.slow  # make lint asks it each time
 def test_nothing_outgrows_its_budget():
     budgets = SIZE["flat"]((ROOT / "budgets.toml").read_text("utf-8"))
     assert SIZE["over"](SIZE["measured"](ROOT), budgets) == []
+
+
+def test_what_outgrows_its_budget_is_named():
     budgets = {"model.lines": 10, "model.files": 1}
     assert SIZE["over"]({"model.lines": 11, "model.files": 1}, budgets) == ["model.lines = 11, budget 10"]
     assert SIZE["over"]({"model.lines": 10, "other.lines": 1}, budgets) == ["other.lines = 1 has no budget"]

@@ -1,7 +1,5 @@
 """Deliberate defects: each moves an accepted number beyond its tolerance, and the message says which."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import math

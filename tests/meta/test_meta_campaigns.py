@@ -1,7 +1,5 @@
 """A newcomer gets every file that a campaign names, and reads in words what its comparisons are of; power tables."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What no committed file may hold; what is installed is pinned, with licences that allow its use."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

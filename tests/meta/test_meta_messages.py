@@ -1,7 +1,5 @@
 """Every command, section and key that a message of the program or a page names is there."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import pkgutil

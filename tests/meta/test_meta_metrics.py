@@ -1,7 +1,5 @@
 """The table of metrics: its functions are there, its examples run, its page is current, its evidence is true."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import math

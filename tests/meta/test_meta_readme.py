@@ -1,7 +1,5 @@
 """What the README and its companions promise is there; examples of docs/regression.md call what there is."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shlex

@@ -1,7 +1,5 @@
 """Every number of the sensor library stands with a source or the word "assumed"; every sensor passes its checks."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests that cannot fail are found here, and the settings that make pytest strict are held."""
 
-from __future__ import annotations
-
 import ast
 import tomllib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Built-in surfaces, class statistics and fills: what they promise, counted another way, and what cannot be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Filters and unmixing: identities for any data, solutions by another route, matrices that cannot be inverted."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

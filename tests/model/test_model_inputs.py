@@ -1,7 +1,5 @@
 """Inputs of the budget and what is moved by its path: what each changes, where it stops, and what leads nowhere."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Classes that are mixtures, and pixels that a target fills in part: the law of the host, as drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -79,6 +77,7 @@ def test_what_is_not_there_is_refused():
         replace(of_region(None), components=two_clusters().at(np.arange(4)))
 
 
+SLOW = pytest.mark.slow
 GAIN = {"grass": 1.5, "asphalt": 0.7}  # of the classes' covariances
 SQUARE = "{geometry: {side_m: 0.3, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 3}}"
 
@@ -114,7 +113,7 @@ def drawn_host(host, dof, n, rng):
 
 
 @pytest.mark.parametrize(("dof", "host"), [(3.0, "asphalt"), (8.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
-@pytest.mark.parametrize("fill", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize("fill", [pytest.param(0.0, marks=SLOW), 0.05, pytest.param(0.3, marks=SLOW)])
 def test_detections_are_those_of_drawn_pixels(dof, host, fill):
     # 1,000,000 pixels; thresholds within 4.5 standard deviations: by chance fails in 5e-4 of all runs together.
     components, n, rng = two_clusters(dof if host == "grass" else np.inf), 1_000_000, np.random.default_rng(11)
@@ -147,7 +146,10 @@ def test_drawn_objects_have_the_law_of_their_curve(dof, host, fill):
     assert np.all(np.abs(found - curve.pd)[far] < 5.0 * np.sqrt(curve.pd[far] / draws.size) + 2.0 / draws.size)
 
 
-@pytest.mark.parametrize(("dof", "host"), [(4.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
+@pytest.mark.parametrize(
+    ("dof", "host"),
+    [pytest.param(4.0, "asphalt", marks=SLOW), pytest.param(np.inf, "grass", marks=SLOW), (5.0, "grass")],
+)
 def test_ace_sees_the_same_pixels(dof, host):
     # 400,000 pixels and 4,000 draws of the model: within 4.5 standard deviations of both (its error as stated).
     components, n, rng = two_clusters(dof if host == "grass" else np.inf), 400_000, np.random.default_rng(12)

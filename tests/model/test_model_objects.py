@@ -1,7 +1,5 @@
 """Objects, placed or not: scores, mean spectra and areas, by closed forms and by pixels drawn or painted one by one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """predict(): sources of spectra, bands, shifted bands, saturation, engine errors; and what it says it was not told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

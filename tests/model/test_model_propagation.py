@@ -1,7 +1,5 @@
 """Propagation of the budget: straight lines beside draws, where they must agree and where not; numbers once wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -219,6 +217,7 @@ def test_a_prediction_says_where_errors_shift_detection_by_much_of_their_spread(
     assert [says in note for note in notes] == ([] if says is None else [True])
 
 
+@pytest.mark.slow
 def test_an_interval_whose_directions_do_not_add_up_is_that_of_draws():
     """Even parts of 80 directions, each moved alone, add up to several times what all do at once."""
     entry = "field_spectra: [{{subject: grass, relative: 0.05, correlation_nm: 10}}], method: {}"

@@ -4,8 +4,6 @@ The paths are those that the program itself lists, so that a new one is covered 
 not move fails.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -43,6 +41,11 @@ Key = tuple[str, ...]
 PFA = (1e-2, 1e-4)
 # What does not hang on the variant is asked of two of them: curves of objects, what is read anew, inputs moved alone.
 WHOLE = ("base", "mixtures")
+# The others are left to make test-slow: each moves a hundred paths in three ways.
+QUICK = (*WHOLE, "reflectance domain")
+EACH = pytest.mark.parametrize(
+    "variant", [pytest.param(v, marks=[pytest.mark.slow] * (v not in QUICK)) for v in VARIANTS]
+)
 
 
 @pytest.fixture(scope="module")
@@ -268,7 +271,7 @@ def paths_of(variant: str, scenario: Scenario, *, of_file: bool) -> list[str]:
     return [*sorts.values(), *(anew if of_file else [])]
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@EACH
 def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, variant):
     scenario = variant_of(folder, variant)
     world, origins, whole = read(scenario), Origins(), variant in WHOLE
@@ -306,7 +309,7 @@ def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, var
     assert not wrong
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@EACH
 def test_an_input_moved_among_others_alone_and_in_the_file_gives_the_same(folder, variant):
     scenario = variant_of(folder, variant)
     world, origins, whole = read(scenario), Origins(), variant in WHOLE

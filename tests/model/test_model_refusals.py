@@ -1,7 +1,5 @@
 """What the model refuses: scenarios by the name of their field and its line, and numbers that are no statistics."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Replicate field spectra as the source of a class: mean, covariance, number, standard error."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """ROC of the model: thresholds, areas and readings by other routes; limits of curves; errors of fitted laws; ACE."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

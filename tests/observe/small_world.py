@@ -1,7 +1,5 @@
 """A small synthetic reflectance or radiance collection with known truth, written as ENVI."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

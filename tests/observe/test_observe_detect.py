@@ -1,7 +1,5 @@
 """Detection on pixels: scores equal plain NumPy; bands, groups, pools, halos, areas, unmixing, notes and errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_world import (

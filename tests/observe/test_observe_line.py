@@ -1,7 +1,5 @@
 """The empirical line of a collection: its panels and their errors, what it warns of, what it refuses, sites' lines."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Means, covariances and tails of regions, their errors, clusters and classes; which pixels count for what."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

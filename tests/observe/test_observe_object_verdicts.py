@@ -1,7 +1,5 @@
 """Closure of the verdict on objects and on false alarms: drawn collections whose model is true, and broken ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

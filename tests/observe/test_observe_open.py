@@ -1,7 +1,5 @@
 """Opening a collection: regions and truth of every kind, what is left out, places, and the errors of each field."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from affine import Affine

@@ -1,7 +1,5 @@
 """The real HySU image against plain NumPy, and the campaign of docs/flight-line.md on a stand-in of its folder."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a collection states wrongly, or what its files lack, is refused in words: the cases of ``refusals.yaml``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

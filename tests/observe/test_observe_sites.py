@@ -1,7 +1,5 @@
 """Collected spectra of sites, and the top-of-atmosphere reflectance of a network's day."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fills of pixels by a finer image or by abundances: closed forms, and a scene simulated at a tenth of a pixel."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The reflectance cube that observe writes on request: read back, whole or not at all, refused without a line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import rasterio

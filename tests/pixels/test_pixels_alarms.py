@@ -1,7 +1,5 @@
 """Intervals of proportions, and of alarms that come in clusters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Gaussian classification: closed forms, bounds, errors of pixels, and pixels that err together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import special, stats

@@ -1,7 +1,5 @@
 """Detectors on spectra and on stored cubes: SPy, closed forms and brute force, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import spectral

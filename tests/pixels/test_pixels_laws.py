@@ -1,7 +1,5 @@
 """Laws of pixels: tails, mixtures, and what pixels leave open of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import ndimage, stats

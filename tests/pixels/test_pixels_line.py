@@ -1,7 +1,5 @@
 """Empirical line: exact cases, Monte Carlo of its covariance, errors between bands, and every refusal."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import optimize

@@ -1,7 +1,5 @@
 """What no formula can answer is refused in words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

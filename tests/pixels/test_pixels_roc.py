@@ -1,7 +1,5 @@
 """Empirical ROC, its areas and alarms: brute force, definitions, closed forms and coverage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from exact_forms import roc_points

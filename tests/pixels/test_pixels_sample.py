@@ -1,7 +1,5 @@
 """What a sample says of its population: independent pixels, factors, noise, and covariances drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import ndimage, stats

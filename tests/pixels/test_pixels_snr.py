@@ -1,7 +1,5 @@
 """SNR of a region against known noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

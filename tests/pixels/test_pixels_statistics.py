@@ -1,7 +1,5 @@
 """Moments of stored cubes and of samples against plain NumPy, and what must not change them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from stored_cubes import BANDS, LINES, SAMPLES, numbers, stored

@@ -1,7 +1,5 @@
 """Wavelengths against features: shifts that were made are found, on closed forms and on measured spectra."""
 
-from __future__ import annotations
-
 import functools
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Invented runs for the tests of the report: shaped like real ones, true of nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures hold the numbers of the products; statement and print of a figure are the same bytes each time."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import io
@@ -119,8 +117,8 @@ def test_each_figure_is_the_same_again_and_told_in_words(sides, charts, drawings
     assert {name: figures.statement(figure) for name, figure in charts.items()} == {
         n: figures.statement(f) for n, f in again.items()
     }
-    some = [figure for name, figure in again.items() if name in ("roc", "radiance-budget", "attribution-effects")]
-    assert all(drawings[one.name].content == one.content for one in figures.drawings_of(some, simulated=True))
+    (drawn,) = figures.drawings_of([again["attribution-effects"]], simulated=True)
+    assert drawings[drawn.name].content == drawn.content
     assert set(charts) == set(drawings) == {
         "radiance", "snr", "reflectance", "roc", "radiance-budget", "radiance-eigenvalues", "pixel-tails",
         "class-error", "scores", "object-scores", "object-transforms", "exceedance", "roc-difference", "abundance",

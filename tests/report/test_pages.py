@@ -1,7 +1,5 @@
 """What is written: complete, self-contained, honest, and the same bytes twice."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import gzip

@@ -1,7 +1,5 @@
 """A finished run's files: products with unit, name and keys, tables that are one table, figures drawn from them."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

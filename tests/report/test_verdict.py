@@ -1,7 +1,5 @@
 """The verdict says "met" only where criteria of the model are met and none is not; numbers as a reader wants them."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

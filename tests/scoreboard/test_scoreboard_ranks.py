@@ -1,7 +1,5 @@
 """Ranks with their confidence sets: closed forms, limits, and coverage by Monte Carlo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

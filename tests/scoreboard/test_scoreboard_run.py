@@ -1,7 +1,5 @@
 """The command on the small campaign: rows, the recipe of docs/benchmark.md, SKIPPED, ERROR, bytes."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

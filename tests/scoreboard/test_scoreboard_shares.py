@@ -1,7 +1,5 @@
 """Counts by block and the metrics that follow, against brute force and against the ROC room."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

@@ -4,8 +4,6 @@ Whatever stands in a file, what comes back is its content or one clear error, an
 beyond the data directory, nor open an address.
 """
 
-from __future__ import annotations
-
 import ast
 import gzip
 import importlib

@@ -1,7 +1,5 @@
 """Sensor files: the library, evaluation on other axes, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A sensor that passes every check, in the form of its file; tests change what they are about."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

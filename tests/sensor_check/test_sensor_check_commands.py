@@ -1,7 +1,5 @@
 """`hyperval sensor check` and `new`, the datasheet's folder, and the how-to page with its files and commands."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Every check of the acceptance suite passes on a good sensor and fails on a broken one, naming what moved."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

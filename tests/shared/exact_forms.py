@@ -1,7 +1,5 @@
 """Exact forms written from their definitions, which the faster ones of the package are held against."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperval.model import WHOLE

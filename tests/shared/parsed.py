@@ -1,7 +1,5 @@
 """Modules of Python as trees, each parsed once for all tests of a process that look at them."""
 
-from __future__ import annotations
-
 import ast
 import functools
 from pathlib import Path

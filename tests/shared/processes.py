@@ -1,7 +1,5 @@
 """Other processes as tests see them: at work or at an end, and waited for by that, not by the clock."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A flight line in scanner geometry whose map positions are known in closed form, and its lookup table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Classes of a background as scores, and the printed procedure for the ROC (3.30)-(3.33) step by step."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import ndtr
 

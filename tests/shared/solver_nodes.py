@@ -1,7 +1,5 @@
 """The 6S engine at fewer wavelengths than it is run at otherwise, for tests that look at some of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Small files of spectra in the layouts of their providers: SPECPR and HYPERNETS."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path

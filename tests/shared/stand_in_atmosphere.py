@@ -1,7 +1,5 @@
 """Smooth terms of an atmosphere that stand in for the radiative-transfer engine."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperval.atmosphere import AtmosphericTerms

@@ -1,7 +1,5 @@
 """Cubes as instruments store them: any interleave, type and byte order."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

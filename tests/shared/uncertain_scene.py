@@ -1,7 +1,5 @@
 """A scene of ten bands under a stand-in atmosphere, for departures, budgets and their propagation."""
 
-from __future__ import annotations
-
 import numpy as np
 from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 

@@ -1,7 +1,5 @@
 """A small scene on invented surfaces, atmosphere and sensor: nothing here depends on the model's rooms."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

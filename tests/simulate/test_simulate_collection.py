@@ -1,7 +1,5 @@
 """Scene files and the written collection: same bytes for the same seed, readable by others, its truth in step."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

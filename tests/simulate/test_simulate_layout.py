@@ -1,7 +1,5 @@
 """Where classes, planks and regions lie, what contradicts itself, and fills by brute force against quadrature."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_scene import SCENE, area, planks, small_scene

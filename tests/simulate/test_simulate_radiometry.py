@@ -1,7 +1,5 @@
 """The simulated detector against direct Monte Carlo and limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import skew

@@ -1,7 +1,5 @@
 """Drawn reflectance against the statistics it is drawn from; each broken assumption shows, and closure shows none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2, kurtosis

@@ -1,7 +1,5 @@
 """ASD files (counts over the white reference, or calibrated), libraries of ENVI and SPECPR, columns beside columns."""
 
-from __future__ import annotations
-
 import struct
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Files of RadCalNet and HYPERNETS: what they say, errors by kind with their correlation, and what is refused."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 

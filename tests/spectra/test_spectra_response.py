@@ -1,7 +1,5 @@
 """Averages of spectra over bands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

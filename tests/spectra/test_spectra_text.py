@@ -1,7 +1,5 @@
 """Text of instruments and programs: one meaning is read, units are never guessed, none or two are refused."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

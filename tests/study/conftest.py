@@ -1,7 +1,5 @@
 """A scenario of few bands with a synthetic atmosphere, and studies of it."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

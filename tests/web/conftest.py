@@ -1,7 +1,5 @@
 """The whole application on this machine, its tasks carried out in this process under a stand-in atmosphere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The application in a real browser: what a person does there, by mouse and keyboard, on a desk and on a phone."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Studies, campaigns and imagery of one's own by the API: what came of them, maps, pixels, progress."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

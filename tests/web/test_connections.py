@@ -1,7 +1,5 @@
 """Clients that send too slowly or open too much, at the command: the server ends them and answers the others."""
 
-from __future__ import annotations
-
 import socket
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Predictions by pages and by the API: what is answered, refused, compared and taken away."""
 
-from __future__ import annotations
-
 import io
 import re
 from html.parser import HTMLParser

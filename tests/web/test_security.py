@@ -1,7 +1,5 @@
 """What is refused, by whom it is seen, and what an answer never holds."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

@@ -1,7 +1,5 @@
 """Runs through restarts, damage and full disks: the files are the truth."""
 
-from __future__ import annotations
-
 import errno
 import time
 from pathlib import Path

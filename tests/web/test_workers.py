@@ -1,7 +1,5 @@
 """Processes of a server: bounded in time and memory, replaced when they end, ended with their server."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

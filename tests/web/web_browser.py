@@ -1,7 +1,5 @@
 """A real browser for tests, and pages that fail a test by what they should not do."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

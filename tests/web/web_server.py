@@ -1,7 +1,5 @@
 """A server of the whole application for tests, a thread in place of its processes."""
 
-from __future__ import annotations
-
 import queue
 import threading
 import time

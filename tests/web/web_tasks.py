@@ -1,7 +1,5 @@
 """Tasks that show what the processes of a server do with them."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path
