@@ -66,7 +66,7 @@ def refusal(name: str, where: object = None, /, **values: object) -> HypervalErr
     """
     words = package_table("refusals.yaml")[name]
     parts = {key: str(words[key]).format(**values) for key in ("expected", "mend") if key in words}
-    kind = UsageError if words.get("usage") else InputError
+    kind = UsageError if words.get("usage") else EngineError if words.get("engine") else InputError
     return kind(words["what"].format(**values), where=None if where is None else str(where), **parts)
 
 

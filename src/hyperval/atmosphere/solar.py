@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.datasets import resolve
-from hyperval.errors import MissingDataError, UsageError
+from hyperval.errors import MissingDataError, UsageError, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.spectra.text import number_table
 from hyperval.storage import installed_file
@@ -50,7 +50,7 @@ def parse_utc(text: str) -> datetime:
     try:
         when = datetime.fromisoformat(text)
     except ValueError as error:
-        raise UsageError(f"not a time: {text!r}", expected="ISO 8601, such as 2017-11-08T18:42:27Z") from error
+        raise refusal("sun.time", text=text) from error
     return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
 
 
@@ -106,11 +106,8 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     """
     grid = np.asarray(wavelength_nm, dtype=float)
     source_nm, irradiance = _extended(*_spectrum(name, _places()), grid)
-    if grid[0] < source_nm[0] - _REACH_NM or grid[-1] > source_nm[-1] + _REACH_NM:
-        raise UsageError(
-            f"the solar spectrum {name} covers {source_nm[0]:g}-{source_nm[-1]:g} nm",
-            expected=f"{grid[0]:g}-{grid[-1]:g} nm",
-        )
+    beyond = grid[0] < source_nm[0] - _REACH_NM or grid[-1] > source_nm[-1] + _REACH_NM
+    refuse(beyond, "sun.short", name=name, covers=source_nm[[0, -1]], wanted=grid[[0, -1]])
     step = np.gradient(grid)
     count = int(np.ceil(2.0 * step.max() / _FINE_NM)) | 1
     offset = np.linspace(-1.0, 1.0, count)
@@ -170,15 +167,11 @@ def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
     if name == "astm-g173":
         table = np.loadtxt(installed_file("pvlib", "data", "ASTMG173.csv"), delimiter=",", skiprows=2, usecols=(0, 1))
         return table[:, 0], table[:, 1] * irradiance_to_internal("W m-2 nm-1")
-    if name not in SPECTRA:
-        raise UsageError(f"unknown solar spectrum {name!r}", expected="one of " + ", ".join(SPECTRA))
+    refuse(name not in SPECTRA, "sun.spectrum", name=name, known=", ".join(SPECTRA))
     try:
         path = resolve(_KURUCZ)
     except (MissingDataError, UsageError) as error:  # no registered set has it
-        raise MissingDataError(
-            f"the solar spectrum {name!r} is not on this machine",
-            where=error.where,
-            mend=f"{error.mend}; or choose solar_spectrum: tsis-1, which is in every installation",
-        ) from error
+        words = refusal("sun.absent", name=name, mend=error.mend)
+        raise MissingDataError(words.what, where=error.where, mend=words.mend) from error
     nm, irradiance = number_table(read_text(path, _MAX_BYTES), path)[1][:, :2].T
     return nm, irradiance * irradiance_to_internal("mW m-2 nm-1")

@@ -32,7 +32,7 @@ from hyperval.atmosphere.modtran import (
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState, aot550_from_range
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import InputError, UsageError, reader, refuse
+from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.progress import track
 from hyperval.storage import sha256_of, whole_file
@@ -63,14 +63,10 @@ _PART = re.compile(r"([A-Za-z][A-Za-z0-9_]*?)-(\d+(?:\.\d+)?)(?=_|$)")
 
 
 @reader
-def read_table(path: Path, template: Path | None = None) -> AtmosphericTable:
+def read_table(path: Path) -> AtmosphericTable:
     """A table from a NetCDF file, a folder of channel files, or the run template (.json) in such a folder.
 
     Tables are kept in memory for the life of the process, as long as their files do not change.
-
-    Parameters
-    ----------
-    template : run template of a folder, where it stands elsewhere
 
     Raises
     ------
@@ -80,8 +76,7 @@ def read_table(path: Path, template: Path | None = None) -> AtmosphericTable:
     if path.is_dir() or path.suffix == ".json":
         folder = path if path.is_dir() else path.parent
         files = _channel_files(folder)
-        if template is None:
-            template = _template_file(folder, files[0]) if path.is_dir() else path
+        template = _template_file(folder, files[0]) if path.is_dir() else path
         return _from_folder(tuple(_stamp(f) for f in files), str(folder), _stamp(template))
     return _from_netcdf(*_stamp(path))
 
@@ -118,7 +113,7 @@ def _stamp(path: Path) -> _Stamp:
     try:
         status = path.stat()
     except OSError as error:
-        raise InputError("no such file", where=str(path)) from error
+        raise refusal("table.none", path) from error
     return str(path), status.st_mtime_ns, status.st_size
 
 
@@ -131,24 +126,21 @@ def _from_netcdf(path: str, changed_ns: int, size: int) -> AtmosphericTable:
         with xr.open_dataset(path, engine="h5netcdf") as data:
             return _table_of(data, path)
     except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
-        raise InputError(
-            f"not a table: {str(error).splitlines()[0][:200]}", where=path, expected=f"NetCDF, format {_FORMAT!r}"
-        ) from error
+        raise refusal("table.file", path, why=str(error).splitlines()[0][:200], form=_FORMAT) from error
     except UsageError as error:
-        raise InputError(f"not a valid table: {error.what}", where=path, expected=error.args[0]) from error
+        raise refusal("table.invalid", path, why=error.what, wanted=error.expected) from error
 
 
 def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
     missing = ", ".join(name for name in (*QUANTITIES, "wavelength_nm") if name not in data.variables)
-    expected = f"NetCDF with the attribute format {_FORMAT!r} and the variables {', '.join(QUANTITIES)}"
-    what = f"not a table: {f'lacks {missing}' if missing else 'another format'}"
-    refuse(missing or data.attrs.get("format") != _FORMAT, what, path, expected)
+    why, names = f"lacks {missing}" if missing else "another format", ", ".join(QUANTITIES)
+    refuse(missing or data.attrs.get("format") != _FORMAT, "table.form", path, why=why, form=_FORMAT, names=names)
     present = [name for name in (*QUANTITIES, *OPTIONAL) if name in data.variables]
     total = sum(int(np.prod(data[name].shape, dtype=object)) for name in present)
-    refuse(total > _MAX_VALUES, f"{total} values", path, f"at most {_MAX_VALUES}")
+    refuse(total > _MAX_VALUES, "table.large", path, total=total, most=_MAX_VALUES)
     dims = [str(d) for d in data["path"].dims]
     known = dims[-1] == "wavelength_nm" and set(dims[:-1]) <= set(AXES)
-    refuse(not known, f"dimensions {dims}", path, f"some of {', '.join(AXES)}, and wavelength_nm last")
+    refuse(not known, "table.dimensions", path, dims=dims, known=", ".join(AXES))
     return AtmosphericTable(
         wavelength_nm=_floats(data["wavelength_nm"]),
         axes={name: _floats(data[name]) for name in dims[:-1]},
@@ -166,14 +158,14 @@ def _floats(values: xr.DataArray) -> Array:
 
 def _record(attributes: dict[Any, Any], name: str) -> dict[str, Any]:
     record: dict[str, Any] = json.loads(str(attributes.get(name, "{}")))
-    refuse(not isinstance(record, dict), f"not a table: the attribute {name} is no record", None)
+    refuse(not isinstance(record, dict), "table.record", name=name)
     return record
 
 
 def _channel_files(folder: Path) -> list[Path]:
-    refuse(not folder.is_dir(), "no such folder", folder)
+    refuse(not folder.is_dir(), "table.no_folder", folder)
     files = sorted(p for p in folder.iterdir() if p.name != _stem(p) and _PART.search(_stem(p)))
-    refuse(len(files) < 2, f"{len(files)} channel files", folder, "names such as AOT550-0.05_H2OSTR-0.75.chn")
+    refuse(len(files) < 2, "table.files", folder, count=len(files))
     return files
 
 
@@ -185,8 +177,8 @@ def _stem(path: Path) -> str:
 
 def _values_in(path: Path) -> dict[str, float]:
     values = {_FILE_NAMES.get(name, name): float(value) for name, value in _PART.findall(_stem(path))}
-    unknown, known = [axis for axis in values if axis not in AXES], ", ".join([*_FILE_NAMES, *AXES])
-    refuse(unknown, f"{unknown[:1]} is no axis".replace("[", "").replace("]", ""), path, f"among {known}")
+    unknown = next((axis for axis in values if axis not in AXES), "")
+    refuse(unknown, "table.name", path, name=unknown, known=", ".join([*_FILE_NAMES, *AXES]))
     return values
 
 
@@ -195,34 +187,29 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
     files = [Path(name) for name, _, _ in stamps]
     values = [_values_in(f) for f in files]
     names = [name for name in AXES if any(name in v for v in values)]
-    unlike = any(set(v) != set(names) for v in values)
-    refuse(unlike, "the file names have different parts", folder, "_".join(names))
+    refuse(any(set(v) != set(names) for v in values), "table.parts", folder, names="_".join(names))
     nodes = {name: np.array(sorted({v[name] for v in values})) for name in names}
     at = {tuple(v[name] for name in names): file for v, file in zip(values, files, strict=True)}
     grid = list(product(*(n.tolist() for n in nodes.values())))
     absent = [", ".join(f"{n} {v:g}" for n, v in zip(names, c, strict=True)) for c in grid if c not in at]
-    lacking = f"the grid is not complete: {absent[0] if absent else 'a node twice'}"
-    refuse(absent or len(at) != len(files), lacking, folder, f"one file for each of {len(grid)} states")
+    lacking = absent[0] if absent else "a node twice"
+    refuse(absent or len(at) != len(files), "table.incomplete", folder, lacking=lacking, count=len(grid))
     stated, albedos = _stated(Path(template[0]))
     slanted = stated.get("view_zenith_deg") != 0.0 or "view_zenith_deg" in names
-    refuse(
-        slanted and not {"view_zenith_deg", "relative_azimuth_deg"} <= set(names), "a slanted line of sight",
-        template[0], "OBSZEN: 180, or files that are named after the direction",
-        "name them ..._view_zenith_deg-30_relative_azimuth_deg-120.chn: the sensor's zenith seen from the ground, and "
-        "the angle between its azimuth and the sun's",
-    )  # fmt: skip
+    named = {"view_zenith_deg", "relative_azimuth_deg"} <= set(names)
+    refuse(slanted and not named, "table.slanted", template[0])
     axes = {name: n for name, n in nodes.items() if n.size > 1}
     fixed = {k: v for k, v in stated.items() if k in (*AXES, *NAMED) and k not in axes}
     fixed |= {name: float(n[0]) for name, n in nodes.items() if n.size == 1}
     sunless = "solar_zenith_deg" not in (*axes, *fixed) or "day_of_year" not in stated
-    refuse(sunless, "the sun is not stated", folder, "a run template (.json) with IDAY and the sun's place")
+    refuse(sunless, "table.sunless", folder)
     rows = [_row(at[c], albedos) for c in grid]
     unlike = any(not np.array_equal(r["wavelength_nm"], rows[0]["wavelength_nm"]) for r in rows)
-    refuse(unlike, "the files have different channels", folder)
+    refuse(unlike, "table.channels", folder)
     zeniths = [(fixed | dict(zip(names, c, strict=True)))["solar_zenith_deg"] for c in grid]
     irradiance = np.array([r["unit"] for r in rows]) * np.pi / np.cos(np.deg2rad(zeniths))[:, None]
     several = np.any(np.ptp(irradiance, axis=0) > 1e-3 * irradiance.max(axis=0))
-    refuse(several, "the runs have different suns", folder, "one solar spectrum, day and zenith")
+    refuse(several, "table.suns", folder)
     source = {
         "engine": "MODTRAN channel files",
         "files": {f.name: sha256_of(f) for f in (*files, Path(template[0]))},
@@ -248,8 +235,7 @@ def _assembled(
 def _template_file(folder: Path, first: Path) -> Path:
     beside = folder / f"LUT_{_stem(first)}.json"
     templates = [beside] if beside.is_file() else sorted(folder.glob("*template*.json"))
-    expected = "one *template*.json, or LUT_NAME.json beside each file"
-    refuse(len(templates) != 1, f"{len(templates)} run templates", folder, expected)
+    refuse(len(templates) != 1, "table.templates", folder, count=len(templates))
     return templates[0]
 
 
@@ -257,8 +243,7 @@ def _stated(template: Path) -> tuple[dict[str, Any], list[float] | None]:
     """What the run template states, and the ground reflectances of its runs."""
     cases = read_modtran_json(template)
     stated, *others = (stated_fields(case, str(template)) for case in cases)
-    expected = "one state over ground of several reflectances"
-    refuse(any(o != stated for o in others), "its cases differ in more than the ground", template, expected)
+    refuse(any(o != stated for o in others), "table.cases", template)
     if "meteorological_range_km" in stated:
         ground = stated.get("ground_altitude_km", 0.0)
         stated["aot550"] = aot550_from_range(stated["meteorological_range_km"], ground)
@@ -274,7 +259,7 @@ def _row(path: Path, albedos: list[float] | None) -> dict[str, Any]:
     terms = terms_from_runs(runs, albedos) if solved else read_chn(path)
     unit = terms.diffuser_radiance
     if unit is None or np.any(unit <= 0.0) or np.any(np.diff(terms.wavelength_nm) <= 0):
-        raise InputError("channels without sun, or channels that overlap", where=str(path))
+        raise refusal("table.overlap", path)
     return {**_quantities(terms, unit), "fwhm_nm": terms.fwhm_nm, "unit": unit, "solved": solved}
 
 
@@ -317,14 +302,13 @@ def build_table(
     UsageError : an axis that a table cannot have, or a node that is no valid state.
     EngineError : the engine failed.
     """
-    engine = f"a table is built with engine: sixs, not {base.engine}"
-    refuse(base.engine != "sixs", engine, None, kind=UsageError)
+    refuse(base.engine != "sixs", "table.engine", engine=base.engine)
     order = [name for name in _BUILT if name in axes]
     unknown = ", ".join(sorted(set(axes) - set(order))) or ("" if order else "no axis")
-    refuse(unknown, f"{unknown} in a table", None, "axes among " + ", ".join(_BUILT), kind=UsageError)
+    refuse(unknown, "table.built", name=unknown, known=", ".join(_BUILT))
     nodes = {name: np.asarray(axes[name], dtype=float) for name in order}
     count = prod(n.size for n in nodes.values())
-    refuse(not 0 < count <= _GREATEST_NODES, f"{count} nodes", None, f"1 to {_GREATEST_NODES}", kind=UsageError)
+    refuse(not 0 < count <= _GREATEST_NODES, "table.many", count=count, most=_GREATEST_NODES)
     grid = product(*(n.tolist() for n in nodes.values()))
     states = [_at_node(base, dict(zip(order, c, strict=True))) for c in grid]
     folder, rows = cache_folder(cache_dir), []
@@ -345,4 +329,4 @@ def _at_node(base: AtmosphericState, changes: dict[str, float]) -> AtmosphericSt
     try:
         return AtmosphericState(**{**fields, **changes})
     except ValueError as error:
-        raise UsageError(f"no valid state at {changes}: {error}") from error
+        raise refusal("table.state", changes=changes, why=error) from error

@@ -7,13 +7,14 @@ of that (3.5) are A and B, light scattered into the line of sight (3.6) is L_a.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import refuse
 from hyperval.spectra.axis import SpectralAxis, band_average
 
 Array = npt.NDArray[np.float64]
@@ -107,11 +108,16 @@ class AtmosphericTerms:
         reach = 0.1 * axis.fwhm_nm
         inside = (axis.centre_nm >= self.wavelength_nm[0] - reach) & (axis.centre_nm <= self.wavelength_nm[-1] + reach)
         off = int(np.argmin(alike & inside))
-        wide = f"the terms are averages over channels that do not suit the band at {axis.centre_nm[off]:g} nm"
-        span = f"channels between {self.wavelength_nm[0]:g} and {self.wavelength_nm[-1]:g} nm"
-        mend = "run the engine for this sensor's channels, or give terms at full resolution"
-        refuse(
-            not np.all(alike & inside), f"{wide} (FWHM {axis.fwhm_nm[off]:g} nm)", None,
-            f"{span}, as wide as the bands or at most half as wide", mend, UsageError,
-        )  # fmt: skip
+        ends, wide = self.wavelength_nm[[0, -1]], not np.all(alike & inside)
+        refuse(wide, "terms.channels", nm=axis.centre_nm[off], fwhm=axis.fwhm_nm[off], ends=ends)
         return True
+
+
+def lit_by(unit: Array, values: Mapping[str, Array]) -> dict[str, Any]:
+    """Terms under a sun of mu0 E0 / pi = ``unit`` (n,), from those over it: what tables hold (``between``)."""
+    return {
+        "path_radiance": unit * values["path"], "direct": unit * values["direct"],
+        "adjacency": unit * values["adjacency"], "spherical_albedo": values["spherical_albedo"],
+        "ground_irradiance": np.where(values["ground"] > 0.0, np.pi * unit * values["ground"], np.nan),
+        "gas_transmittance": values["gas"], "diffuse_fraction": values.get("diffuse"), "diffuser_radiance": unit,
+    }  # fmt: skip
