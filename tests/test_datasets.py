@@ -47,10 +47,10 @@ def test_registry_is_complete_and_pinned():
         assert bool(entry.files) == entry.public
     files = [(entry, file) for entry in datasets.registry().values() for file in entry.files]
     for entry, file in files:
-        assert re.fullmatch(r"[0-9a-f]{10,40}", entry.commit)
+        assert re.fullmatch(r"[0-9a-f]{7,40}", entry.commit)
         assert re.fullmatch(r"sha256:[0-9a-f]{64}|git-blob:[0-9a-f]{40}", file.digest)
         assert file.size > 0
-        assert re.search(r"^https://.*/[\w.-]+/[\w.-]+/[0-9a-f]{10,40}/", file.address)
+        assert re.search(r"^https://.*/[\w.-]+/[\w.-]+/[0-9a-f]{7,40}/", file.address)
         assert f"/{entry.repository}/{entry.commit}/" in file.address or "/chip/" in file.path
     assert len({file.path for _, file in files}) == len(files)
 

@@ -88,7 +88,7 @@ def filter_sign(patch: Patch) -> None:
 def of_cube(**entries: Callable[[Any], Any]) -> Callable[[Patch], None]:
     """Entries of the open image are others."""
     change = result(lambda cube: replace(cube, **{name: new(cube) for name, new in entries.items()}))
-    return wrapped("hyperval.observe.open.open_cube", change)
+    return wrapped("hyperval.imagery.open_cube", change)
 
 
 CUBE_2_PERCENT = of_cube(scaling=lambda cube: cube.scaling._replace(gain=1.02 * cube.scaling.gain))

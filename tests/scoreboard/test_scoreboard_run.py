@@ -4,11 +4,13 @@ import csv
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hyperval import cli
 from hyperval.pixels import DETECTORS, detect
 from hyperval.scoreboard import one as extend
+from small_campaign import scene_data
 
 ROOT = Path(__file__).parents[2]
 RECIPES = re.findall(r"```python\n# (\w+\.py):.*?\n(.*?)```", (ROOT / "docs" / "benchmark.md").read_text(), re.DOTALL)
@@ -107,19 +109,63 @@ def test_what_cannot_run_is_skipped_with_the_reason(small, tmp_path, no_drawing)
     assert rows["ace/object", "auc"]["outcome"] == "none"
 
 
-@pytest.mark.slow
-def test_a_detector_that_the_collection_refuses_leaves_the_campaigns_own(small, tmp_path, no_drawing):
-    (tmp_path / "bad.py").write_text(
-        "from hyperval.errors import UsageError\n"
-        "from hyperval.pixels import register_detector\n"
-        "def make(*given):\n    raise UsageError('no such thing here')\n"
-        "register_detector('bad', make)\n"
+def test_a_function_an_estimator_and_a_map_made_elsewhere_have_rows_and_what_is_refused_takes_none_with_it(
+    small, tmp_path, no_drawing
+):
+    (tmp_path / "own.py").write_text(OF_ALL_KINDS)
+    path = small.write()
+    np.save(
+        tmp_path / "small.npy", np.random.default_rng(0).normal(size=(scene_data()["lines"], scene_data()["samples"]))
     )
-    assert run(small.write(), "--extend", tmp_path / "bad.py", "-o", tmp_path / "out") == 0
+    maps = ["--scores", f"noise={tmp_path}/{{campaign}}.npy", "--scores", f"none={tmp_path}/none.npy"]
+    assert run(path, "--extend", tmp_path / "own.py", *maps, "-o", tmp_path / "out") == 0
     rows = {(r["method"], r["metric"]): r for r in rows_of(tmp_path / "out") if r["subject"] == "all objects"}
-    assert "no such thing here" in rows["bad/object", "rank"]["reason"]
-    assert rows["cem/object", "auc"]["outcome"] == "none"
+    for name, words in {"bad": "no such thing here", "short": "scores for", "none": "no such"}.items():
+        assert words in rows[f"{name}/object", "rank"]["reason"]
+    area = {name: float(rows[f"{name}/object", "auc"]["value"]) for name in ("cem", "mine", "halves", "noise")}
+    assert area["mine"] == pytest.approx(area["cem"], abs=1e-9)
+    assert 0.4 < area["noise"] < 0.8  # the greatest of an object's pixels
+    assert area["halves"] > 0.9
+    every = {(r["subject"], r["method"], r["metric"]): r for r in rows_of(tmp_path / "out")}
+    low, high = (float(every["large-planks", "cem/pixel", f"auc_{side}_tau"]["value"]) for side in "fd")
+    assert 0 < low < high < 1
+    assert ("large-planks", "cem/pixel", "predicted_auc") in every
 
+
+OF_ALL_KINDS = """
+import numpy as np
+from hyperval.errors import UsageError
+from hyperval.pixels import register_detector, register_estimator, register_scores
+
+class Halves:  # learns the mean of the targets, and never scores a pixel that it has learned from
+    def fit(self, pixels, labels):
+        self.learned = {row.tobytes() for row in pixels}
+        self.mean, self.target = pixels[~labels].mean(0), pixels[labels].mean(0)
+        self.inverse = np.linalg.inv(np.cov(pixels[~labels].T))
+        return self
+
+    def decision_function(self, pixels):
+        assert not any(row.tobytes() in self.learned for row in pixels)
+        return (pixels - self.mean) @ self.inverse @ (self.target - self.mean)
+
+def bad(*given):
+    raise UsageError("no such thing here")
+
+held = {}
+def cem(image, target):
+    return image @ held["weights"]
+
+def keep(target, mean, covariance, undesired):  # the filter of the background, handed to a function of the image
+    from hyperval.model import design_filter
+    from hyperval.pixels import PixelDetector
+    held["weights"] = design_filter("cem", target, mean, covariance).weights
+    return PixelDetector(np.eye(mean.size), np.zeros(mean.size), image=lambda image, scene: cem(image, target))
+
+register_detector("bad", bad)
+register_detector("mine", keep)
+register_scores("short", lambda image, target: image[:5, :, 0])
+register_estimator("halves", Halves())
+"""
 
 OF_THE_IMAGE = """
 import numpy as np
@@ -172,9 +218,9 @@ def test_a_broken_campaign_is_an_error_row_beside_the_others(make_small, tmp_pat
         ("raise ValueError('oops')", 2, "ValueError: oops"),
         ("from hyperval.pixels import register_detector\nregister_detector('cem', print)", 2, "'cem'"),
         ("from hyperval.pixels import register_detector\nregister_detector('A b', print)", 2, "'A b'"),
-        ("import hyperval.scoreboard.engines", 2, "hyperval compare A B"),
+        ("from hyperval.pixels import register_estimator\nregister_estimator('a', 1)", 2, "int scores nothing"),
     ],
-    ids=["missing", "fails", "taken", "unfit", "engine"],
+    ids=["missing", "fails", "taken", "unfit", "estimator"],
 )
 def test_bad_extensions_are_refused_before_anything_runs(tmp_path, capsys, text, code, words):
     if text is not None:

@@ -414,16 +414,25 @@ def benchmark(
         list[Path] | None,
         typer.Option("--extend", help="A Python file that registers detectors; it is run."),
     ] = None,
+    scores: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--scores", metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling.")] = 0,
     scheduler: Scheduler = None,
 ) -> int:
     """Rank all detectors on every campaign."""
     from hyperval.scoreboard import benchmark as run
 
+    if wrong := [one for one in scores or () if not all(one.partition("="))]:
+        raise UsageError(f"--scores {wrong[0]}", expected="NAME=FILE, such as --scores net=net.npy")
     code = run(
         campaigns,
         output,
         extensions=extend or [],
+        scores=dict(one.split("=", 1) for one in scores or ()),
         seed=seed,
         scheduler=scheduler,
         show_progress=settings.show_progress,

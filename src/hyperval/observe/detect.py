@@ -155,7 +155,13 @@ def detect(place: Place, detection: Detection, resolve: Resolve, *, show_progres
     InputError : target spectra or truth that are missing.
     """
     bank = _filter_bank(place, detection, _target_spectra(place, detection, resolve))
-    maps, notes = _score_maps(place, detection, bank, show_progress)
+    scenes = {
+        map_name(t.name, name): _scene(place, detection, t)
+        for t in detection.targets
+        for name in detection.detectors
+        if bank.detectors[map_name(t.name, name)].image is not None
+    }
+    maps, notes = _score_maps(place, detection, bank, scenes, show_progress)
     curves, outlined = _Curves(place, detection, bank), dict[str, dict[str, TargetObject]]()
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
@@ -273,8 +279,18 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
     return left, [*notes, f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else notes
 
 
+def _scene(place: Place, detection: Detection, target: DetectionTarget) -> px.ImageTruth:
+    """Background and objects of a target, for detectors that learn from them."""
+    numbers = np.zeros(place.cube.shape, np.intp)
+    groups = target_groups(place.targets, target, detection.group)
+    for number, item in enumerate((one for members in groups.values() for one in members), start=1):
+        (line, sample), part = scored_pixels(item, place)
+        numbers[line : line + part.shape[0], sample : sample + part.shape[1]][part] = number
+    return px.ImageTruth(place.background(detection.background), numbers)
+
+
 def _score_maps(
-    place: Place, detection: Detection, bank: FilterBank, show: bool | None
+    place: Place, detection: Detection, bank: FilterBank, scenes: Mapping[str, px.ImageTruth], show: bool | None
 ) -> tuple[dict[str, Array], list[str]]:
     """Score (lines, samples) by the keys of the bank, and what is to be said of it."""
     cube, local, line = place.cube, detection.local_window, place.line
@@ -282,7 +298,8 @@ def _score_maps(
         "needed": cube.axis.good, "watch": watch_lines("scores", cube.bytes_per_line, cube.lines, show=show),
     }  # fmt: skip
     if local is None or bank.whitener is None:
-        return px.score_cube(cube, bank.detectors, line, bank.bands, whitener=bank.whitener, **common), []
+        maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=bank.whitener, scenes=scenes, **common)
+        return maps, []
     window = px.LocalWindow(local.outer_pixels, local.inner_pixels)
     around = place.background([IMAGE] if IMAGE in detection.background else [SCENE])
     maps, lonely = px.score_cube_locally(cube, bank.forms, bank.whitener, window, around, line, bank.bands, **common)

@@ -15,6 +15,7 @@ from .detect import (
     DETECTORS,
     LOCAL_DETECTORS,
     WITHOUT_COVARIANCE,
+    AddedDetectorError,
     LocalWindow,
     PixelDetector,
     Whitener,
@@ -27,6 +28,7 @@ from .detect import (
     score_cube_locally,
     whitener_of,
 )
+from .images import ImageTruth, register_estimator, register_scores
 from .laws import (
     FEWEST_LEADING,
     LEAST_DOF,
@@ -115,7 +117,8 @@ from .wavelength import (
 __all__ = [
     "ANOMALY_DETECTORS", "ANOMALY_LEVELS", "DETECTORS", "FEATURES", "FEWEST_FOR_A_CURVE", "FEWEST_LEADING", "LEAST_DOF",
     "LEAST_EXPECTED_ALARMS", "LOCAL_DETECTORS", "OXYGEN_RESIDUAL", "RANGE_NM", "RED_EDGE", "SCENE",
-    "WITHOUT_COVARIANCE", "AlarmBlocks", "ClassMixture", "EigenDirections", "EmpiricalLine", "Labels", "LocalWindow",
+    "WITHOUT_COVARIANCE", "AddedDetectorError", "AlarmBlocks", "ClassMixture", "EigenDirections", "EmpiricalLine",
+    "ImageTruth", "Labels", "LocalWindow",
     "MeasuredPanel", "MixtureFit", "PixelDetector", "Placed", "SamplingBand", "Shift", "Statistics",
     "Whitener", "absorption_centre", "alarms_at_detection", "alarms_before_first", "area_estimates", "area_variance",
     "average_roc", "block_side", "bootstrap_areas", "centre_uncertainty", "chosen_count", "chosen_dof", "class_mixture",
@@ -127,7 +130,8 @@ __all__ = [
     "leading_tail_dof", "left_out_distances", "logit_interval", "mean_error_covariance", "moments_without_each",
     "neighbour_shares", "noise_part", "nth_pixels", "object_scores", "osp_filter", "oxygen_residual", "pixel_detector",
     "placed_with_halo", "pooled_roc", "principal_angles_deg", "red_edge", "region_statistics",
-    "register_detector", "roc_area", "sampling_band", "score_cube", "score_cube_locally", "shrunk_covariances",
+    "register_detector", "register_estimator", "register_scores",
+    "roc_area", "sampling_band", "score_cube", "score_cube_locally", "shrunk_covariances",
     "small_sample_factor", "snr_decorrelated", "snr_from_moments", "squared_mahalanobis", "statistics_of_covariance",
     "tail_log_likelihood", "values_on", "wavelength_shifts", "whitener_of", "with_halo", "with_summary",
 ]  # fmt: skip

@@ -23,15 +23,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import LINEAR_DETECTORS
-from hyperval.errors import UsageError, refusal
+from hyperval.errors import HypervalError, UsageError, refusal
 from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
 from hyperval.pixels.line import EmpiricalLine
 from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
@@ -80,6 +82,8 @@ class PixelDetector:
     condition : condition number of the matrix that was inverted for it, NaN where none was
     by_pixel : ``combine`` tells the score of a pixel from that pixel alone, and is called with a part of the
         image at a time; else once, with all pixels that hold data
+    image : score (lines, samples) from y (lines, samples, K), NaN where there is no data, and what the truth says
+    added : name under which it was registered; empty for one of the package
     """
 
     weights: Array
@@ -88,6 +92,8 @@ class PixelDetector:
     quadratic: Literal["distance", "length"] | None = None
     condition: float = float("nan")
     by_pixel: bool = False
+    image: Callable[[Array, Any], npt.ArrayLike] | None = None
+    added: str = ""
 
     def score(self, x: npt.ArrayLike, whitener: Whitener | None = None) -> Array:
         """(...) scores of spectra (..., B); ``whitener`` where the quadratic is the distance."""
@@ -125,6 +131,24 @@ def whitener_of(mean: npt.ArrayLike, covariance: npt.ArrayLike | PositiveDefinit
     factor = covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(covariance)
     mu = np.asarray(mean, dtype=float)
     return Whitener(factor.whiten(np.eye(mu.size)), mu)
+
+
+class AddedDetectorError(UsageError):
+    """A detector that was registered fails, or refuses an image; ``detector`` is its name."""
+
+    detector = ""
+
+
+@contextmanager
+def _of_added(name: str) -> Iterator[None]:
+    """Whatever goes wrong inside is told of the detector that was registered."""
+    try:
+        yield
+    except Exception as error:
+        words = error.what if isinstance(error, HypervalError) else f"{type(error).__name__}: {error}"
+        refused = AddedDetectorError(f"the detector {name!r} fails: {words}", expected=getattr(error, "expected", None))
+        refused.detector = name
+        raise refused from error
 
 
 # (target (B,), background mean (B,), its covariance, undesired spectra (K, B)) -> detector
@@ -193,7 +217,9 @@ def pixel_detector(
     if covariance is None:
         raise UsageError(f"the detector {name!r} needs the covariance of the background")
     if name in ADDED_DETECTORS:
-        return ADDED_DETECTORS[name](t, np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float))
+        with _of_added(name):
+            known = np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float)
+            return replace(ADDED_DETECTORS[name](t, *known), added=name)
     linear = from_filter(design_filter("smf" if name == "ace" else name, t, mean, covariance))
     if name != "ace":
         return linear
@@ -248,6 +274,7 @@ def score_cube(
     *,
     whitener: Whitener | None = None,
     needed: Mask | None = None,
+    scenes: Mapping[str, Any] = MappingProxyType({}),
     threads: int | None = None,
     block_lines: int | None = None,
     watch: Watch = iter,
@@ -263,6 +290,7 @@ def score_cube(
     bands : (B,) bands that the detectors use, all by default
     whitener : of the selected bands, needed where a detector measures distance
     needed : (B,) bands that must hold data besides those used, all that are used by default
+    scenes : of each detector with ``image``, what the truth says (:class:`hyperval.pixels.ImageTruth`)
     threads, block_lines : None chooses them
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
@@ -313,19 +341,30 @@ def score_cube(
     for _ in stream(cube, segment, used, must, threads=threads, block_lines=block_lines, watch=watch):
         pass
     for name, values in kept.items():
-        known = np.isfinite(values).all(axis=0)
-        y, detector = values[:, known], detectors[name]
-        assert detector.combine is not None  # noqa: S101 - kept for it
-        score = np.asarray(detector.combine(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
-        if score.shape != y.shape[1:]:
-            raise UsageError(f"the detector {name!r} gives {score.shape} scores for {y.shape[1]} pixels")
-        maps[name][known] = _finite(score)
+        with _of_added(detectors[name].added):
+            maps[name] = _of_whole(detectors[name], values, scenes.get(name))
     return maps
+
+
+def _of_whole(detector: PixelDetector, values: Array, scene: Any) -> Array:
+    """(lines, samples) score of a detector that sees all ``values`` (K, lines, samples) at once."""
+    known, out = np.isfinite(values).all(axis=0), np.full(values.shape[1:], np.nan)
+    if detector.image is not None:
+        score = np.asarray(detector.image(np.moveaxis(values, 0, -1), scene), dtype=float)
+        score = score[known] if score.shape == known.shape else score
+    else:
+        assert detector.combine is not None  # noqa: S101 - kept for it
+        y = values[:, known]
+        score = np.asarray(detector.combine(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
+    if score.shape != (int(known.sum()),):
+        raise UsageError(f"it gives {score.shape} scores for {int(known.sum())} pixels", expected="one a pixel")
+    out[known] = _finite(score)
+    return out
 
 
 def _kept_whole(cube: Cube, detectors: Mapping[str, PixelDetector]) -> dict[str, Array]:
     """Room (K, lines, samples) for what each detector that sees the whole image makes of the pixels."""
-    whole = {name: d for name, d in detectors.items() if d.combine is not None and not d.by_pixel}
+    whole = {n: d for n, d in detectors.items() if d.image is not None or (d.combine is not None and not d.by_pixel)}
     rows = {name: len(d.weights) + (d.quadratic is not None) for name, d in whole.items()}
     values = sum(rows.values()) * cube.lines * cube.samples
     if values > MOST_VALUES:

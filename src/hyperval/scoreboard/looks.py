@@ -8,21 +8,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 import spectral
+from scipy import stats
 
 from hyperval.campaign import Campaign
 from hyperval.collection import Detection
 from hyperval.compare.products import product_rows
 from hyperval.compare.rows import named, row, skipped
-from hyperval.model import Sources
-from hyperval.observe import Observed, scored_pixels, target_groups
+from hyperval.observe import Observed, map_name, scored_pixels, target_groups
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, AlarmBlocks, detector_names, object_scores, values_on
+from hyperval.products import PredictedProducts
 from hyperval.progress import track
 from hyperval.results import Cause, Result
 from hyperval.scenario import Scenario
@@ -90,17 +90,14 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str]) -> Question:
     return Question(bare.model_copy(update={"detection": changed}), left_out, tuple(notes))
 
 
-def with_own_detectors(question: Question, own: Detection, why: str) -> Question:
-    """Back to the detectors that the campaign names; the others are left out with the reason."""
+def without(question: Question, refused: Mapping[str, str]) -> Question:
+    """Without the detectors that were refused, each with its reason."""
     detection = question.campaign.detection
-    assert detection is not None  # noqa: S101 - the caller has asked
-    others = {
-        d: f"not run, as one of the added detectors was refused: {why}"
-        for d in detection.detectors
-        if d not in own.detectors
-    }
-    back = detection.model_copy(update={"detectors": list(own.detectors), "undesired": list(own.undesired)})
-    return Question(question.campaign.model_copy(update={"detection": back}), {**question.left_out, **others})
+    if detection is None or not refused:
+        return question
+    left = detection.model_copy(update={"detectors": [d for d in detection.detectors if d not in refused]})
+    changed = question.campaign.model_copy(update={"detection": left})
+    return Question(changed, {**question.left_out, **refused}, question.notes)
 
 
 def classes_with_regions(scenarios: Sequence[Scenario], regions: Iterable[str]) -> list[str]:
@@ -163,7 +160,7 @@ def detector_rows(
     if detection is None or observed.detected is None:
         why = "the campaign looks for no targets"
         return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors"))
-    rows = _measured_rows(observed)
+    rows = _measured_rows(observed) + threshold_rows(observed, detection)
     counts = block_counts(observed, detection)
     groups = {name: looks for name, looks in counts.group.items() if looks}
     for name, looks in track(groups.items(), "ranks", len(groups), show=show_progress):
@@ -177,6 +174,51 @@ def detector_rows(
     for name, reason in question.left_out.items():
         rows += named(skipped(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
     return rows
+
+
+def predicted_rows(predictions: Iterable[PredictedProducts]) -> list[Result]:
+    """What the model says of the measured rows: ``predicted_METRIC`` by subject and detector."""
+    names = {m.observed.replace("measured", "predicted"): f"predicted_{m.name}" for m in MEASURES.values()}
+    rows = [one for p in predictions for one in product_rows(p, "predicted") if one.product == "roc"]
+    return [replace(r, product=PRODUCT, metric=names[r.metric], evidence=None) for r in rows if r.metric in names]
+
+
+def threshold_rows(observed: Observed, detection: Detection) -> list[Result]:
+    """Areas of the other two sides of the 3-D ROC by subject: P_D and P_FA over the threshold.
+
+    Scores run from 0, the least of background and targets, to 1, the greatest; the area under an exceedance is then
+    the mean.  Intervals are of the means of objects and of blocks of the image.
+    Source: Chang, IEEE Trans. Geosci. Remote Sens. 59, 5131-5153, 2021.
+    """
+    place, measured = observed.place, observed.detected
+    assert place is not None  # noqa: S101 - detection has both
+    assert measured is not None  # noqa: S101
+    counted, rows = place.background(detection.false_alarms), list[Result]()
+    for target in detection.targets:
+        groups = target_groups(place.targets, target, detection.group)
+        for name in detection.detectors:
+            scores = measured.score_maps[map_name(target.name, name)]
+            own = {s: [values_on(scores, scored_pixels(o, place)) for o in members] for s, members in groups.items()}
+            noise = AlarmBlocks.of_map(scores, counted)
+            every = np.concatenate([noise.scores, *(values for each in own.values() for values in each)])
+            low, high = np.nanmin(every), np.nanmax(every)
+            sums, sizes = (np.bincount(noise.block, weights) for weights in (noise.scores - low, None))
+            for subject, each in own.items():
+                found = [np.array([part.sum(), part.size]) for v in each if (part := v[np.isfinite(v)] - low).size]
+                for metric, parts in (("auc_d_tau", np.array(found).T), ("auc_f_tau", np.stack([sums, sizes]))):
+                    if parts.size:
+                        mean, ends = _mean_of_parts(parts[0] / max(float(high - low), 1e-300), parts[1])
+                        made = [row(metric, mean, ends, n=parts.shape[1])]
+                        rows += named(made, PRODUCT, subject, f"{name}/pixel")
+    return rows
+
+
+def _mean_of_parts(sums: Array, sizes: Array) -> tuple[float, tuple[float, float]]:
+    """Mean over parts of different sizes, and its 95 % interval from their scatter, by Student's t."""
+    mean, count = float(sums.sum() / sizes.sum()), sums.size
+    spread = math.sqrt(float(np.sum((sums - mean * sizes) ** 2)) * count / max(count - 1, 1)) / float(sizes.sum())
+    half = float(stats.t.ppf(0.975, count - 1)) * spread if count > 1 else math.nan
+    return mean, (mean - half, mean + half)
 
 
 def _measured_rows(observed: Observed) -> list[Result]:
@@ -198,10 +240,14 @@ def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDe
     if not ranks.orders:
         words += f"; {m} objects cannot order {ranks.distinct} detectors, {fewest_objects(ranks.distinct)} could"
     first = "share of the draws in which it is the best, equals counted alike"
+    known = measure.of_look is not None or math.isfinite(counts.density_km2)
+    if group == EVERY_OBJECT and not known:
+        why = "the ground area of the background is not known"
+        rows += named(skipped(Cause.NO_GROUND_AREA, why, measure.name), PRODUCT, group, "detectors")
     for d, detector in enumerate(counts.detectors):
         ends = float(ranks.rank_lower[d]), float(ranks.rank_upper[d])
         own = [
-            *([_value_row(counts, measure, ranks, d)] if group == EVERY_OBJECT else []),
+            *([_value_row(counts, measure, ranks, d)] if group == EVERY_OBJECT and known else []),
             row(f"rank_{measure.name}", float(ranks.rank[d]), ends, n=m, reason=words),
             row(f"first_{measure.name}", float(ranks.first[d]), n=m, reason=first),
         ]
@@ -212,8 +258,6 @@ def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDe
 def _value_row(counts: BlockCounts, measure: Measure, ranks: RankedDetectors, d: int) -> Result:
     per_area = measure.of_look is None
     scale = counts.density_km2 if per_area else 1.0
-    if math.isnan(scale):
-        return skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", measure.name)[0]
     ends = float(ranks.lower[d]) * scale, float(ranks.upper[d]) * scale
     why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
     unit = "km-2" if per_area else "1"
@@ -232,7 +276,7 @@ PEERS: dict[str, Callable[[Array, Array, Any], Any]] = {
 }
 
 
-def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable[[str], Path]) -> list[Result]:
+def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     """Area under the ROC by pixel of each subject and peer (``auc``), and how SPy's scores follow ours.
 
     ``score_rank_correlation`` is Spearman's between its map and ours over all pixels that both score: 1 where
@@ -252,10 +296,10 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
     background = spectral.calc_stats(image, mask=(place.background(detection.background) & valid).astype(np.int8))
     image[~valid] = background.mean
     alarms = place.background(detection.false_alarms) & valid
-    sources = Sources(cube.axis, {}, resolve)
+    spectra = {key.removesuffix(f"-{name}"): own for key, (name, own) in detected.bank.forms.items() if own is not None}
     rows: list[Result] = []
     for target in detection.targets:
-        spectrum = sources.spectrum(target.spectrum, target.name).mean[bands]
+        spectrum = spectra[target.name]
         groups = target_groups(place.targets, target, detection.group)
         for name, peer in PEERS.items():
             scores = np.asarray(peer(image, spectrum, background), dtype=np.float64)

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 import runpy
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +23,10 @@ from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, measured_mark, row_names
+from hyperval.imagery.cube import raster_of_size
+from hyperval.model import predict
 from hyperval.observe import open_place
+from hyperval.pixels import AddedDetectorError, PixelDetector, detect, detector_names, register_detector
 from hyperval.progress import step, track
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
@@ -35,8 +40,9 @@ from hyperval.scoreboard.looks import (
     classes_with_regions,
     detector_rows,
     peer_rows,
+    predicted_rows,
     with_every_detector,
-    with_own_detectors,
+    without,
 )
 from hyperval.scoreboard.ranks import MEASURES
 from hyperval.storage import sha256_of, whole_folder
@@ -65,15 +71,6 @@ def load_extensions(paths: Iterable[Path]) -> None:
             runpy.run_path(str(place))
         except HypervalError:
             raise
-        except ModuleNotFoundError as error:
-            if error.name != "hyperval.scoreboard.engines":
-                raise
-            raise UsageError(
-                "engines are no rows of the benchmark any more",
-                where=str(path),
-                mend="name the engine in a scenario (atmosphere.engine), validate with each, and set the two runs "
-                "side by side: hyperval compare A B -o DIR",
-            ) from error
         except Exception as error:
             raise UsageError(
                 f"the extension fails: {type(error).__name__}: {error}",
@@ -93,6 +90,7 @@ class Entry:
     job: Job
     seed: int
     extensions: tuple[Path, ...] = ()
+    scores: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,8 @@ def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> B
         return _stopped(entry, Outcome.SKIPPED, job.waits[0])
     try:
         load_extensions(entry.extensions)
-        return _run(entry, job, show_progress)
+        with _score_maps(entry):
+            return _run(entry, job, show_progress)
     except MissingDataError as error:
         return _stopped(entry, Outcome.SKIPPED, str(error))
     except HypervalError as error:
@@ -129,20 +128,46 @@ def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> B
         return _stopped(entry, Outcome.ERROR, internal_error(error), INTERNAL_ERROR)
 
 
-def _run(entry: Entry, job: Job, show_progress: bool | None) -> Benchmarked:
-    own = job.campaign.detection
+@contextmanager
+def _score_maps(entry: Entry) -> Iterator[None]:
+    """Score maps that were made elsewhere are detectors of this campaign."""
+
+    def made(file: str, target: Any, mean: Any, covariance: Any, undesired: Any) -> PixelDetector:
+        path = Path(file.replace("{campaign}", entry.job.campaign.name))
+
+        def image(values: Any, scene: Any) -> Any:
+            raster = raster_of_size(path, values.shape[:2])
+            return raster.read_some_bands(0, raster.lines, [0])[0].astype(float)
+
+        return PixelDetector(np.zeros((1, mean.size)), np.zeros(1), image=image)
+
     try:
-        return _with(entry, job, None, show_progress)
-    except UsageError as error:
-        if own is None or isinstance(error, MissingDataError):
-            raise
-        # A detector that this collection cannot take (a target among the undesired, a singular background) must not
-        # take the others with it: the campaign's own detectors are known to run.
-        return _with(entry, job, str(error), show_progress)
+        for name, file in entry.scores.items():
+            register_detector(name, partial(made, file))
+        yield
+    finally:
+        for name in entry.scores:
+            detect.ADDED_DETECTORS.pop(name, None)
 
 
-def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | None) -> Benchmarked:
-    """The rows with every detector, or with the campaign's own where the others were ``refused``."""
+def _run(entry: Entry, job: Job, show_progress: bool | None) -> Benchmarked:
+    """With every detector; one that this collection cannot take does not take the others with it."""
+    own, refused = job.campaign.detection, dict[str, str]()
+    while True:
+        try:
+            return _with(entry, job, refused, show_progress)
+        except AddedDetectorError as error:
+            refused[error.detector] = str(error)
+        except UsageError as error:
+            # A target among the undesired, a singular background: the campaign's own detectors are known to run.
+            others = set(detector_names()) - set(own.detectors if own else ()) - {*refused}
+            if own is None or isinstance(error, MissingDataError) or not others:
+                raise
+            refused |= dict.fromkeys(others, f"not run, as one of the detectors was refused: {error}")
+
+
+def _with(entry: Entry, job: Job, refused: Mapping[str, str], show_progress: bool | None) -> Benchmarked:
+    """The rows with every detector that was not ``refused``."""
     name, chosen = job.campaign.name, Question(job.campaign, {})
 
     def ask(scenarios: Sequence[Scenario], inputs: InputLog) -> Campaign:
@@ -151,14 +176,15 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
         if job.campaign.detection is not None and not job.campaign.detection.undesired:
             place = open_place(job.campaign.collection, inputs.resolve, show_progress=show_progress)
             regions = classes_with_regions(scenarios, place.regions)
-        chosen = with_every_detector(job.campaign, regions)
-        if refused is not None and job.campaign.detection is not None:
-            chosen = with_own_detectors(chosen, job.campaign.detection, refused)
+        chosen = without(with_every_detector(job.campaign, regions), refused)
         return chosen.campaign
 
     with step(name, 1, 1, "benchmark"), collected(job, question=ask, show_progress=show_progress) as collection:
         rows = detector_rows(collection.observed, chosen, seed=entry.seed, show_progress=show_progress)
-        rows += peer_rows(collection.observed, chosen.campaign.detection, collection.inputs.resolve)
+        rows += peer_rows(collection.observed, chosen.campaign.detection)
+        if chosen.campaign.detection is not None:
+            origins = ((scenario, collection.origins(scenario, show_progress)) for scenario in collection.scenarios)
+            rows += predicted_rows(predict(*one) for one in origins)
         record = record_of(
             collection.inputs,
             collection.scenarios,
@@ -190,6 +216,7 @@ def benchmark(
     output: Path,
     *,
     extensions: Sequence[Path] = (),
+    scores: Mapping[str, str] = MappingProxyType({}),
     seed: int = 0,
     scheduler: str | None = None,
     show_progress: bool | None = None,
@@ -199,6 +226,7 @@ def benchmark(
     Parameters
     ----------
     extensions : Python files that register detectors
+    scores : name of a detector -> file of its score map, made elsewhere; {campaign} in it is the campaign's name
     seed : of the resampling
     scheduler : address of what runs the campaigns; default: one process for each processor (HYPERVAL_WORKERS)
 
@@ -211,7 +239,8 @@ def benchmark(
     UsageError, InputError : campaign files or extensions that are not right; nothing is written.
     """
     load_extensions(extensions)
-    entries = [Entry(job, seed, tuple(Path(p).resolve() for p in extensions)) for job in jobs_of(*paths)]
+    programs = tuple(Path(p).resolve() for p in extensions)
+    entries = [Entry(job, seed, programs, dict(scores)) for job in jobs_of(*paths)]
     with whole_folder(output) as folder:
         done = _done(entries, scheduler, show_progress)
         _write(done, extensions, seed, folder)
@@ -236,8 +265,8 @@ def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, f
         "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
         "campaigns": {d.name: d.provenance for d in done},
     }
-    figures, simulated = benchmark_figures(done), {d.name: d.simulated for d in done}
-    drawings = [one for figure in figures for one in drawings_of([figure], simulated=simulated[figure.section])]
+    figures, simulated = benchmark_figures(done), {d.name for d in done if d.simulated}
+    drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
     files = {one.file_name: one.content for one in drawings}
     Run(ResultTable(row for d in done for row in d.rows), record).write(folder, benchmark_page(done, figures), files)
 
@@ -284,32 +313,79 @@ def rank_figure(name: str, rows: Sequence[Result], groups: Sequence[tuple[str, .
     here = {(r.subject, r.method): r for r in rows if r.metric == f"rank_{metric}" and r.outcome is Outcome.NONE}
     every = list(dict.fromkeys(s for s, _ in here))
     subjects = every[:_MOST_SUBJECTS]
-    if metric is None or len(subjects) < 2 or not groups:
+    # Where all objects are one subject, the map would say it twice.
+    if metric is None or len({*subjects, EVERY_OBJECT}) < 3 or not groups:
         return None
+    more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
+    title = f"{name}: rank [95 % set] by {_TITLES[metric]}, subjects of two objects and more{more}"
+    return _rank_map(f"{name}-ranks", name, title, subjects, groups, lambda s, own: here.get((s, f"{own[0]}/object")))
+
+
+def _rank_map(
+    name: str, section: str, title: str, rows: Sequence[str], groups: Sequence[tuple[str, ...]],
+    rank: Callable[[str, tuple[str, ...]], Result | None],
+) -> Figure:  # fmt: skip
+    """A cell for each row and group of detectors that order alike: dark where it leads."""
     cells, words, captions = [], [], []
-    for i, subject in enumerate(subjects):
+    for i, subject in enumerate(rows):
         for j, names in enumerate(groups):
-            row = here.get((subject, f"{names[0]}/object"))
-            if row is not None:
+            if (row := rank(subject, names)) is not None:
                 cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
                 words.append(f"{row.value:.0f} [{row.lower:.0f}-{row.upper:.0f}]")
                 captions.append(f"{subject}, {'/'.join(names)}: {words[-1]}")
     columns = dict(zip(("left", "right", "bottom", "top", "value"), np.array(cells, float).T, strict=True))
     scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
-    more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
     return Figure(
-        f"{name}-ranks", name,
-        f"{name}: rank [95 % set] by {_TITLES[metric]}, subjects of two objects and more{more}",
-        f"Rank of each detector by subject. {'; '.join(captions)}.",
-        (Panels(row_names([" = ".join(g) for g in groups]), (Part(row_names(subjects), (mark,)),)),),
-        head=f"{name}: rank of each detector by subject", width_in=2.6 + 1.35 * len(groups),
+        name, section, title, f"{title}. {'; '.join(captions)}.",
+        (Panels(row_names([" = ".join(g) for g in groups]), (Part(row_names(rows), (mark,)),)),),
+        head=title.partition(",")[0], width_in=2.6 + 1.35 * len(groups),
     )  # fmt: skip
+
+
+def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
+    """Rank of every detector on all objects of every collection, as a map; one collection needs none."""
+    metric = _RANK_METRICS[1]
+    here = {(r.campaign, r.method.removesuffix("/object"), r.metric): r for d in done for r in d.rows
+            if r.subject == EVERY_OBJECT and r.outcome is Outcome.NONE}  # fmt: skip
+    campaigns = [d.name for d in done if any((d.name, n, metric) in here for _, n, _ in here)]
+    names = list(dict.fromkeys(n for _, n, m in here if m == metric))
+    if len(campaigns) < 2:
+        return None
+    return _rank_map(
+        "overview", "benchmark", f"Rank [95 % set] by {_TITLES[metric]} on all objects of each collection",
+        campaigns, [(n,) for n in names], lambda c, own: here.get((c, own[0], f"rank_{metric}")),
+    )  # fmt: skip
+
+
+def predicted_figure(name: str, rows: Sequence[Result]) -> Figure | None:
+    """Measured over predicted area and P_D, a point for each subject and detector, a view for each metric."""
+    here = {(r.subject, r.method, r.metric): r for r in rows if r.outcome is Outcome.NONE}
+    views, captions = [], []
+    for metric, title in _TITLES.items():
+        pairs = [(key, here[*key[:2], metric], row) for key, row in here.items()
+                 if key[2] == f"predicted_{metric}" and (*key[:2], metric) in here]  # fmt: skip
+        if not pairs or metric.startswith("far"):
+            continue
+        y, low, high, x = np.array([(m.value, m.lower, m.upper, p.value) for _, m, p in pairs], float).T
+        said = tuple(
+            f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs
+        )
+        diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
+        dots = measured_mark("dots", {"x": x, "y": y, "low": low, "high": high}, marker="circle", words=said)
+        part = Part(Axis("measured", ends=(-0.02, 1.02)), (diagonal, dots))
+        views.append(Panels(Axis("predicted", ends=(-0.02, 1.02)), (part,), title))
+        captions.append(f"{title}: {'; '.join(said)}")
+    if not views:
+        return None
+    title = f"{name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
+    return Figure(f"{name}-predicted", name, title, f"{title}. {' '.join(captions)}.", tuple(views))
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
     """The figures of the page."""
     made = [make(d.name, d.rows, alike(d.rows)) for d in done for make in (detector_figure, rank_figure)]
+    made += [*(predicted_figure(d.name, d.rows) for d in done), overview_figure(done)]
     return [figure for figure in made if figure is not None]
 
 
@@ -342,7 +418,8 @@ def benchmark_page(done: Sequence[Benchmarked], figures: Sequence[Figure]) -> st
             }
         )
     count = sum(len(d.rows) for d in done)
-    return page("benchmark.html.j2", figures, entries=entries, skipped=skipped, count=count, all=len(done))
+    over = [one for one in figures if one.section == "benchmark"]
+    return page("benchmark.html.j2", figures, over=over, entries=entries, skipped=skipped, count=count, all=len(done))
 
 
 def leads(rows: Sequence[Result], groups: Sequence[tuple[str, ...]]) -> list[str]:
