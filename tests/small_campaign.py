@@ -41,7 +41,7 @@ def stand_in_atmosphere(state: AtmosphericState, **options: Any) -> AtmosphericT
 def with_stand_in_atmosphere(patch: pytest.MonkeyPatch) -> None:
     """Let predictions and simulations use the stand-in."""
     patch.setenv("HYPERVAL_WORKERS", "1")  # a campaign in another process would not see it
-    patch.setattr("hyperval.model.world.atmospheric_terms", stand_in_atmosphere)
+    patch.setattr("hyperval.model.stated.atmospheric_terms", stand_in_atmosphere)
     patch.setattr("hyperval.atmosphere.atmospheric_terms", stand_in_atmosphere)
 
 

@@ -61,7 +61,7 @@ def overpasses(tmp_path, monkeypatch):
         (data / name).mkdir(parents=True)
     monkeypatch.setenv("HYPERVAL_DATA", str(data))
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # the stand-in for the engine lives in this process
-    monkeypatch.setattr("hyperval.model.world.atmospheric_terms", terms)
+    monkeypatch.setattr("hyperval.model.stated.atmospheric_terms", terms)
     campaign = shutil.copytree(FOLDER, tmp_path / "campaign") / "campaign.yaml"
     fill_in(campaign, VALUES)
     content = yaml.safe_load(campaign.read_text())

@@ -15,10 +15,10 @@ from small_campaign import SmallCampaign, files_of
 SCRIPT = """
 import os, sys
 from small_campaign import stand_in_atmosphere
-import hyperval.atmosphere, hyperval.imagery.cube, hyperval.model.world, hyperval.pixels.statistics
+import hyperval.atmosphere, hyperval.imagery.cube, hyperval.model.stated, hyperval.pixels.statistics
 from hyperval import cli
 
-hyperval.atmosphere.atmospheric_terms = hyperval.model.world.atmospheric_terms = stand_in_atmosphere
+hyperval.atmosphere.atmospheric_terms = hyperval.model.stated.atmospheric_terms = stand_in_atmosphere
 if "CORES" in os.environ:
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(os.environ["CORES"])])
 if "LINES" in os.environ:

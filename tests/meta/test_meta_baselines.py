@@ -48,7 +48,7 @@ def sound_campaign(small_collection: Path, tmp_path_factory: pytest.TempPathFact
     folder = tmp_path_factory.mktemp("sound") / "small"
     shutil.copytree(small_collection, folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.model.world.atmospheric_terms", stand_in_atmosphere)
+        patch.setattr("hyperval.model.stated.atmospheric_terms", stand_in_atmosphere)
         return baseline.accepted_of(campaign_numbers(SmallCampaign(folder)), {})
 
 
@@ -103,7 +103,7 @@ OF_CAMPAIGN = {
     "(3.12) without Var(f)": (
         wrapped("hyperval.model.fill.moments", result(lambda fill: fixed_fill(fill.mean))), "pd_predicted@1e-2",
     ),
-    "optical depth 0.25 for 0.2": (wrapped("hyperval.model.world.atmospheric_terms", HAZIER), RATIO),
+    "optical depth 0.25 for 0.2": (wrapped("hyperval.model.stated.atmospheric_terms", HAZIER), RATIO),
 }  # fmt: skip
 OF_SENSOR = {
     "sign of the filter (3.22)": (filter_sign, "pd_at_pfa_0.001"),

@@ -11,7 +11,7 @@ from hyperval import model
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.products import PredictedProducts
-from hyperval.scenario import Scenario, SpectrumUncertainty, Uncertainty, load_scenario
+from hyperval.scenario import Scenario, SpectrumUncertainty, load_scenario
 from hyperval.sensor import load_sensor
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class, write_statistics_library
@@ -175,7 +175,7 @@ def state(**stated: object) -> AtmosphericState:
     [("midlatitude-summer", 2.93, 0.319), ("midlatitude-winter", 0.853, 0.395), ("tropical", 4.12, 0.247)],
 )
 def test_gases_that_are_not_stated_are_named_with_their_columns(standard: str, water: float, ozone: float):
-    of_water, of_ozone = model.unstated_notes(state(model=standard), Uncertainty(aot550=0.02))
+    of_water, of_ozone = model.unstated_notes(state(model=standard))
     assert of_water.startswith(f"water vapour is not stated: that of the standard atmosphere {standard} is taken, ")
     assert float(of_water.split()[-3]) == pytest.approx(water, rel=0.05)
     assert of_water.endswith(" g cm-2")

@@ -218,7 +218,7 @@ def test_each_site_follows_from_the_others_of_its_flight_line(lines):
 @pytest.fixture
 def air(tmp_path, monkeypatch) -> tuple[str, PathRadiance]:
     """A scenario with an atmosphere, and the path radiance that it states for flight line a."""
-    monkeypatch.setattr("hyperval.model.world.atmospheric_terms", stand_in_atmosphere)
+    monkeypatch.setattr("hyperval.model.stated.atmospheric_terms", stand_in_atmosphere)
     text = (Path(__file__).parent / "air.yaml").read_text("utf-8")
     (tmp_path / "air.yaml").write_text(text)
     return text, PathRadiance(scenario="air.yaml", line="a")

@@ -169,7 +169,7 @@ def test_a_campaign_over_a_day(day, monkeypatch):
     path, states = day / "campaign.yaml", []
     path.write_text(yaml.safe_dump(campaign))
     assert summary(dry_run([path])) == ["day: ready"]
-    monkeypatch.setattr("hyperval.model.world.atmospheric_terms", lambda s, **_: states.append(s) or terms(s))
+    monkeypatch.setattr("hyperval.model.stated.atmospheric_terms", lambda s, **_: states.append(s) or terms(s))
     table = api.validate(path, show_progress=False).to_dataframe()
     (row,) = table[table["accepted_high"].notna() & (table["metric"] == "bias_ratio")].to_dict("records")
     # The words of the scenario take what the day says.

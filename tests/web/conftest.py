@@ -27,7 +27,7 @@ def atmosphere() -> Iterator[None]:
     """A stand-in for the engine, for one file: tests of other files in this process have the engine itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HYPERVAL_WORKERS", "1")
-        patch.setattr("hyperval.model.world.atmospheric_terms", hazy)
+        patch.setattr("hyperval.model.stated.atmospheric_terms", hazy)
         patch.setattr("hyperval.atmosphere.atmospheric_terms", hazy)
         yield
 

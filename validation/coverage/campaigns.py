@@ -165,7 +165,7 @@ def rows_of(number: int, seed: int) -> list[Result]:
             write_yaml(folder / f"{stem}.yaml", data)
         scene = SceneFile.model_validate(files["scene"])
         simulate(scene, folder / "collection", inputs=load_inputs(scene, folder, terms), show_progress=False)
-        stack.enter_context(patch("hyperval.model.world.atmospheric_terms", lambda state, **_: terms(state)))
+        stack.enter_context(patch("hyperval.model.stated.atmospheric_terms", lambda state, **_: terms(state)))
         stack.enter_context(patch.multiple(detection, REPLICATES=1000, POWER_DRAWS=20))
         stack.enter_context(patch.object(products, "compare_covariance", of_classes))
         report = run_campaign(job_of(folder / "campaign.yaml"), show_progress=False)

@@ -16,7 +16,7 @@ from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import ClassStatistics
 from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_values
 from hyperval.model.detection import FILL_NODES, class_scores, noise_of, target_pixels, target_scores
-from hyperval.model.surfaces import SurfaceStatistics
+from hyperval.model.stated import SurfaceStatistics
 from hyperval.scenario import Scenario
 from hyperval.sensor import NoiseModel
 from hyperval.spectra import SpectralAxis

@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 _NARROW = 0.5  # channels this much narrower than the bands, or more, can be averaged as samples
 # What goes in proportion to the sunlight; the rest are parts of light, which it leaves as they are.
 _OF_THE_SUN = {"path_radiance", "direct", "adjacency", "ground_irradiance", "path_uncertainty", "diffuser_radiance"}
-NOT_AVERAGED = ("wavelength_nm", "provenance", "fwhm_nm", "solar_lines")
+NOT_AVERAGED = ("wavelength_nm", "provenance", "fwhm_nm", "solar_lines", "notes")
 _ALIKE = 1.35  # channels within this factor of a band's width stand for it
 
 
@@ -51,6 +51,7 @@ class AtmosphericTerms:
         is top-of-atmosphere reflectance [uW cm-2 sr-1 nm-1]; None where the engine does not give it
     solar_lines : finer wavelengths [nm], and there the sunlight over the straight line between its values at
         ``wavelength_nm`` [1]: the Fraunhofer lines that the terms' own sampling smooths; None: it smooths none
+    notes : what is to be said of them
     """
 
     wavelength_nm: Array
@@ -66,6 +67,7 @@ class AtmosphericTerms:
     path_uncertainty: Array | None = None
     diffuser_radiance: Array | None = None
     solar_lines: tuple[Array, Array] | None = None
+    notes: tuple[str, ...] = ()
 
     def at_bands(self, axis: SpectralAxis) -> AtmosphericTerms:
         """The terms averaged over the band responses of ``axis``.

@@ -60,7 +60,7 @@ from .filters import (
     solved_filter,
     spectral_matched_filter,
 )
-from .forward import engine_notes, predict, predictions, unstated_notes, without_calibration_error
+from .forward import predict, predictions, without_calibration_error
 from .inputs import (
     UncertainInput,
     covariance_directions,
@@ -127,22 +127,26 @@ from .roc import (
     score_density,
     thresholds_at,
 )
-from .surfaces import (
+from .stated import (
+    Origins,
     Read,
     Sources,
+    Stated,
     SurfaceStatistics,
+    Truth,
     band_error_covariance,
     correlation,
     covariance_in_bands,
+    engine_notes,
     in_bands,
     mean_error_covariance,
+    plain,
     replicate_statistics,
+    unstated_notes,
+    with_sensor_blur,
 )
 from .world import (
     PATHS,
-    Origins,
-    Stated,
-    Truth,
     World,
     column_of,
     every_path,
@@ -152,7 +156,6 @@ from .world import (
     reads_again,
     settled,
     value_at,
-    with_sensor_blur,
     with_truths,
     with_values,
 )
@@ -270,6 +273,7 @@ __all__ = [
     "packed",
     "pixel_fills",
     "pixels_of_object",
+    "plain",
     "predict",
     "predicted_areas",
     "predicted_classification",

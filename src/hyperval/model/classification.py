@@ -24,8 +24,8 @@ from hyperval.errors import UsageError
 from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained
 from hyperval.model.intervals import clopper_pearson
-from hyperval.model.surfaces import correlation, cut
-from hyperval.model.world import Origins, Truth, World, read, settled, with_truths
+from hyperval.model.stated import Origins, Truth, correlation, cut
+from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, Target, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
@@ -391,7 +391,7 @@ def _objects(
     moved = world.mean[0, number] - stated.mean[number]  # what the reflectance truly differs from its endmember
     host = prediction.reflectance[target.host]
     known = prediction.distribution.get(target.host, PixelDistribution())
-    law = ClassLaw(host.mean[index], _full_rank(cut(host.pixel_covariance, index)), known.tail_dof)
+    law = ClassLaw(host.mean[index], _full_rank(cut(np.asarray(host.pixel_covariance), index)), known.tail_dof)
     laws = [
         (part, ClassLaw((host.mean + offset)[index], _full_rank(cut(covariance, index)), dof))
         for part, offset, covariance, dof in known.clusters

@@ -50,8 +50,8 @@ from hyperval.model.radiance import (
     wide,
 )
 from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid
-from hyperval.model.surfaces import cut
-from hyperval.model.world import Keeps, World, distinct, settled
+from hyperval.model.stated import Keeps, cut, distinct
+from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Processing, Scenario, Target, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window

@@ -16,9 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.atmosphere.physics import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, ways
-from hyperval.atmosphere.solar import SPECTRA, source_samples
-from hyperval.atmosphere.state import OZONE_G_CM2_PER_ATM_CM, AtmosphericState, column_g_cm2, standard_profile
 from hyperval.data import Errors
 from hyperval.errors import UsageError
 from hyperval.model.detection import Evaluation, RocKey, detect, evaluations
@@ -71,11 +68,11 @@ from hyperval.model.radiance import (
     target_pixel_reflectance,
     toa_reflectance,
 )
-from hyperval.model.world import SHIFT, Origins, Stated, Truth, World, find, read, settled, under, with_truths
+from hyperval.model.stated import Origins, Stated, Truth
+from hyperval.model.world import SHIFT, World, find, read, settled, under, with_truths
 from hyperval.products import PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario, SpectralForm, Uncertainty
-from hyperval.sensor.noise import mtf_at_nyquist
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -235,8 +232,7 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
 
 def moved_by(world: World, truths: Sequence[Mapping[str, object]]) -> World:
     """Truths beside the one of a world, which may be moved itself."""
-    one = World(world.stated, {p: v[:1] for p, v in world.moved.items()})
-    return with_truths(one, truths)
+    return with_truths(world.rows(np.array([0])), truths)
 
 
 def half_differences(world: World, size: int) -> dict[tuple[str, str], Array]:
@@ -341,71 +337,6 @@ def _mixed(world: World, light: Light, name: str) -> tuple[Array, float, Mapping
     return covariance, gain, {PLACE: place_covariance(one, full, host), HOST: host_covariance(one, behind, 1.0)}
 
 
-def unstated_notes(state: AtmosphericState | None, uncertainty: Uncertainty) -> list[str]:
-    """Gas columns that come from the standard atmosphere, and a scenario that states no uncertainty at all."""
-    notes = []
-    if state is not None and state.engine == "sixs":
-        profile, ground = standard_profile(state.model), state.ground_altitude_km
-        words = f"that of the standard atmosphere {state.model} is taken"
-        if state.water_vapour_g_cm2 is None:
-            water = column_g_cm2(profile, profile.water_g_m3, ground)
-            notes.append(f"water vapour is not stated: {words}, {water:.2f} g cm-2")
-        if state.ozone_atm_cm is None:
-            ozone = column_g_cm2(profile, profile.ozone_g_m3, ground) / OZONE_G_CM2_PER_ATM_CM
-            notes.append(f"ozone is not stated: {words}, {ozone:.3f} atm cm")
-    if uncertainty == Uncertainty():
-        notes.append("the scenario states no uncertainty: intervals and tests hold little but the collection's own")
-    return notes
-
-
-def engine_notes(state: AtmosphericState | None, terms: AtmosphericTerms | None) -> list[str]:
-    """A stated sun that a table replaces, bands beyond its spectrum, amounts beyond those of the engine's gases."""
-    if state is None or terms is None:
-        return []
-    notes = []
-    sun = terms.provenance.get("solar_spectrum")
-    if sun in SPECTRA:
-        first, last = source_samples(sun)[0][[0, -1]]
-        beyond = terms.wavelength_nm[(terms.wavelength_nm < first) | (terms.wavelength_nm > last)]
-        if beyond.size:
-            notes.append(
-                f"the solar spectrum {sun} covers {first:g}-{last:g} nm: in {beyond.size} of "
-                f"{terms.wavelength_nm.size} bands, beyond it, the sunlight has the shape of astm-g173"
-            )
-    if sun == "of the table" and "solar_spectrum" in state.model_fields_set:
-        notes.append(
-            f"the table brings a solar spectrum of its own: solar_spectrum {state.solar_spectrum}, "
-            "which the scenario states, is not used"
-        )
-    if terms.provenance.get("engine_ratio"):
-        _, way = ways(state)
-        for amount, greatest, words in (
-            (way.air_atm, GREATEST_AIR_ATM, "atm of air"),
-            (way.water_g_cm2, GREATEST_WATER_G_CM2, "g cm-2 of water vapour"),
-        ):
-            if amount > greatest:
-                notes.append(
-                    f"the light goes through {amount:.2g} {words}: the engine's gases were compared with MODTRAN 6 "
-                    f"up to {greatest:g}"
-                )
-    return notes
-
-
-def sensor_notes(used: Stated) -> list[str]:
-    """Assumptions of the sensor file, MTF at Nyquist, shift of the bands."""
-    sensor = used.sensor
-    if sensor is None or used.noise is None:
-        return []
-    notes = [f"sensor {sensor.name}: {text}" for text in used.noise.assumed]
-    if sensor.specification.psf is not None:
-        along, across = mtf_at_nyquist(np.array(sensor.specification.psf.fwhm))
-        notes.append(f"sensor {sensor.name}: MTF at Nyquist {along:.3f} along, {across:.3f} across the track")
-    if used.true_axis is not used.axis:
-        shift = used.true_axis.centre_nm - used.axis.centre_nm
-        notes.append(f"sensor {sensor.name}: bands stand {shift.min():+.3g} to {shift.max():+.3g} nm off their labels")
-    return notes
-
-
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:
     """One note for each subject whose mean radiance passes full scale."""
     notes = []
@@ -476,7 +407,7 @@ def predict(
     """
     source = origins or Origins()
     world = settled(with_truths(read(scenario, source), [truth or {}]))[0][1]
-    world = World(replace(world.stated, before=None), world.moved)
+    world = replace(world, stated=replace(world.stated, before=None))
     inputs, lit = inputs_of(world), scenario.atmosphere is not None
     linear = [i for i in inputs if lit or not i.of_light]
     of_spectra = spectral_errors(world, [*linear, *interpolation_input(world)])
@@ -493,7 +424,7 @@ def predict(
         if lit:
             moves = any(i.path == SHIFT for i in drawn)
             made = emulator(
-                scenario, drawn, lambda state: source.whole_terms(scenario, state),
+                scenario, drawn, world.stated.atmosphere.whole,
                 None if moves else world.stated.true_axis,
             )  # fmt: skip
             world_of_draws = under(world, made.engine)
@@ -530,7 +461,7 @@ def _predictions(
     world: World, truths: Iterable[Truth], objects: bool | int = False, object_curves: bool = True
 ) -> Iterator[PredictedProducts]:
     certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
-    world = World(replace(world.stated, scenario=certain, kept={}), world.moved)
+    world = replace(world, stated=replace(world.stated, scenario=certain, kept={}))
     waiting, errors = iter(truths), spectrum_errors(world)
     of_spectra = spectral_errors(world, spectrum_inputs(world))
     while some := list(islice(waiting, _TOGETHER)):
@@ -596,13 +527,14 @@ def _joined(e: Evaluation, u: int, of_spectra: SpectralErrors, detection: Predic
     terms: AtmosphericTerms | None = None
     if scenario.atmosphere is not None:
         terms = e.light.row(int(e.which[u])).terms
-    notes = [f"formulation: {scenario.formulation}", *unstated_notes(scenario.atmosphere, scenario.uncertainty)]
-    notes += engine_notes(scenario.atmosphere, terms)
+    notes = [f"formulation: {scenario.formulation}", *(terms.notes if terms else ())]
+    if not scenario.uncertainty.model_dump(exclude_defaults=True):
+        notes.append("the scenario states no uncertainty: intervals and tests hold little but the collection's own")
     if detection.roc:
         notes.append(f"detectors use {e.bands.size} of {len(axis)} bands")
     notes += detection.notes
     if stated.noise is not None and terms is not None:
-        notes += sensor_notes(stated) + saturation_notes(spectra["full_scale"], axis)
+        notes += [*stated.notes, *saturation_notes(spectra["full_scale"], axis)]
     world = e.world.rows(np.array([u]))
     distribution = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
     provenance = provenance_of(stated, terms)

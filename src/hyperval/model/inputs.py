@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.model.surfaces import SurfaceStatistics, correlation
-from hyperval.model.world import NEUTRAL, SHIFT, Truth, World, find, value_at
+from hyperval.model.stated import SurfaceStatistics, Truth, correlation
+from hyperval.model.world import NEUTRAL, SHIFT, World, find, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts

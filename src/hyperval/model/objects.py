@@ -44,7 +44,7 @@ from hyperval.model.fill import (
 )
 from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixel_reflectance
 from hyperval.model.roc import Host
-from hyperval.model.surfaces import correlation
+from hyperval.model.stated import correlation
 from hyperval.products import ObjectScores
 from hyperval.scenario import Geometry, Target, TargetSubject, Uncertainty
 

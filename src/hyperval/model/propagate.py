@@ -21,7 +21,8 @@ from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.radiance import Background, light_of, seen_classes
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, false_alarm_grid, log_false_alarm
-from hyperval.model.world import Engine, Origins, Truth, World, read, settled, state_entries, state_value, with_truths
+from hyperval.model.stated import Engine, Origins, Truth, state_entries, state_value
+from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings

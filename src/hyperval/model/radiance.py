@@ -36,8 +36,8 @@ from scipy.special import ndtr, ndtri
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.model.filters import add_products, packed
-from hyperval.model.surfaces import cut, without_gaps
-from hyperval.model.world import Law, World
+from hyperval.model.stated import Law, cut, without_gaps
+from hyperval.model.world import World
 from hyperval.scenario import DarkestPixel, ElmPanels
 from hyperval.sensor.noise import NoiseModel, recorded_noise
 

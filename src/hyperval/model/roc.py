@@ -31,7 +31,7 @@ import numpy.typing as npt
 from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
 from hyperval.errors import UsageError
-from hyperval.model.world import distinct
+from hyperval.model.stated import distinct
 from hyperval.products import RocCurve
 
 Array = npt.NDArray[np.float64]

@@ -11,26 +11,17 @@ move (:data:`PATHS`) composes: factors multiply, what is added adds up.
 from __future__ import annotations
 
 import difflib
-import os
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from itertools import product
-from pathlib import Path as FilePath
-from pathlib import PurePath
-from typing import Any, NamedTuple, TypeVar
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval import datasets
-from hyperval.atmosphere import AtmosphericState, atmospheric_terms
-from hyperval.atmosphere.between import InterpolatedTerms, interpolated_terms, stacked_values
 from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST_KM
-from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.data import ClassStatistics
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import UsageError
 from hyperval.model.fill import (
     Fills,
     fill_distribution,
@@ -40,28 +31,25 @@ from hyperval.model.fill import (
     whole_object_fills,
     with_mean,
 )
-from hyperval.model.surfaces import Read, Resolve, Sources, SurfaceStatistics, class_tail, cut, without_gaps
-from hyperval.progress import track
-from hyperval.scenario import ElmPanels, Fill, Illumination, Scenario, Target, TargetSubject
-from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.specification import (
-    Sensor,
-    SensorChanges,
-    SensorOperation,
-    binned_axis,
-    binned_noise,
-    changed_noise,
-    library_names,
-    load_sensor,
+from hyperval.model.stated import (
+    Engine,
+    Origins,
+    Stated,
+    Truth,
+    Values,
+    distinct,
+    noise_model,
+    plain,
+    read_files,
+    state_value,
 )
+from hyperval.scenario import ElmPanels, Fill, Scenario, Target
+from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor.specification import SensorChanges, SensorOperation
 from hyperval.settings import item_number, numbers_of, path_parts, setting, with_settings
-from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-Values = npt.NDArray[Any]
-Truth = Mapping[str, Any]  # dotted path -> what stands there, of one truth; what is not named is as stated
-Engine = Callable[[AtmosphericState], AtmosphericTerms]
 
 
 class Path(NamedTuple):
@@ -196,498 +184,6 @@ def _numbers(values: Values) -> Array:
     return np.array([np.nan if v is None else v for v in values], dtype=float)
 
 
-def plain(value: Any) -> Any:
-    """A value as a model takes it: a whole number where it is one."""
-    value = value.item() if hasattr(value, "item") else value
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
-    """First of the n rows of each different combination of the columns, and which (n,) of these each row has."""
-
-    def bits(column: Values) -> list[Any]:
-        if column.dtype == object:
-            return [repr(v) for v in column]
-        alone = column.ndim == 1
-        return column.astype(float).view(np.int64).tolist() if alone else [row.tobytes() for row in column]
-
-    keys = list(zip(*map(bits, columns), strict=True)) or [()] * n
-    order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-    which = np.array([order[key] for key in keys], dtype=int)
-    return np.unique(which, return_index=True)[1], which
-
-
-# Sensor; bands of all products as they are labelled, and where they truly stand, one object where nothing is shifted;
-# noise on them.
-Instrument = tuple[Sensor | None, SpectralAxis, SpectralAxis, NoiseModel | None]
-
-
-def _sensor(name: str, find: Resolve) -> Sensor:
-    """A sensor of the library, or of a file beside the scenario."""
-    if name in library_names():
-        return load_sensor(name)
-    try:
-        path = find(name)
-    except InputError:
-        if PurePath(name).suffix or ":" in name:  # meant as a file
-            raise
-        raise UsageError(
-            f"unknown sensor {name!r}", expected="a sensor file or one of " + ", ".join(library_names())
-        ) from None
-    return load_sensor(path)
-
-
-def instrument(
-    scenario: Scenario,
-    axis: SpectralAxis | None,
-    measured_axis: SpectralAxis | None,
-    find: Resolve,
-    given: Sensor | None = None,
-) -> Instrument:
-    """The sensor a scenario names, or the one given in its place, on the bands asked for or its own (3.13-3.20).
-
-    Raises
-    ------
-    UsageError : no bands, or bins of bands that are handed in.
-    """
-    operation = scenario.sensor_operation
-    sensor = given
-    if sensor is None and scenario.sensor is not None:
-        sensor = _sensor(scenario.sensor, find)
-    on = axis or (sensor.axis if sensor else None) or measured_axis
-    if on is None:
-        raise UsageError(
-            "the scenario has no bands",
-            mend="name a sensor (sensor:), or run it from a campaign, whose image has bands (hyperval validate)",
-        )
-    if sensor is None:
-        return None, on, on, None
-    noise, true = noise_model(sensor, on, operation, scenario.sensor_changes, {}), sensor.true_axis(on, operation)
-    count = operation.spectral_binning if operation else 1
-    if count > 1:
-        if axis is not None:
-            raise UsageError(
-                "sensor_operation.spectral_binning: the bands of a collection are what they are",
-                mend="leave spectral_binning out: a binned cube has binned bands already",
-            )
-        if count > len(on):
-            raise UsageError(f"sensor_operation.spectral_binning: bins of {count} of {len(on)} bands")
-        shifted, on = true is not on, binned_axis(on, count)
-        true = binned_axis(true, count) if shifted else on
-    return sensor, on, true, noise
-
-
-def noise_model(
-    sensor: Sensor, axis: SpectralAxis | None, operation: SensorOperation | None, changes: SensorChanges | None,
-    kept: dict[Any, Any],
-) -> NoiseModel:  # fmt: skip
-    """Noise of a sensor as it is run and changed (3.13)-(3.20); ``kept``: that of each way to run it."""
-    key = "noise", repr(operation)
-    if key not in kept:
-        kept[key] = sensor.noise(axis, operation)
-    model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
-    count = operation.spectral_binning if operation else 1
-    return binned_noise(model, min(count, len(sensor.axis))) if count > 1 else model
-
-
-def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
-    """The scenario with the sensor's point spread function where a geometry states none."""
-    psf, widths = sensor and sensor.specification.psf, {}
-    for t, target in enumerate(scenario.scene.targets if psf else ()):
-        for k, population in enumerate(target.populations):
-            geometry = population.fill.geometry
-            if psf and geometry is not None and geometry.psf_fwhm_pixels is None:
-                where = f"subjects.{k}." if target.subjects else ""
-                widths[f"scene.targets.{t}.{where}fill.geometry.psf_fwhm_pixels"] = psf.fwhm
-    return with_settings(scenario, widths) if widths else scenario
-
-
-def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> None:
-    """Refuse a spectrum that does not cover the band set: usable bands beyond one of its ends.
-
-    Bands on the bad-band list may lack, and one band at each end; so may bands within
-    the spectrum that its file marks as unknown.
-
-    Raises
-    ------
-    UsageError : with the field of the scenario.
-    """
-    scene = scenario.scene
-    for key in ("classes", "panels", "sites", "targets"):
-        for i, surface in enumerate(getattr(scene, key)):
-            if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed":
-                continue
-            known = np.flatnonzero(np.isfinite(surfaces[surface.name].mean))
-            beyond = axis.good.copy()
-            # One band at each end may lack: its centre is covered where its response reaches a little further.
-            beyond[max(known[0] - 1, 0) : known[-1] + 2] = False
-            if beyond.any():
-                w = axis.centre_nm[beyond]
-                raise UsageError(
-                    f"scene.{key}.{i}.spectrum of {surface.name!r} does not cover {int(beyond.sum())} usable bands "
-                    f"(first {w[0]:g} nm, last {w[-1]:g} nm)",
-                    expected=f"a spectrum over {axis.centre_nm[0]:g}-{axis.centre_nm[-1]:g} nm",
-                    mend="give a longer spectrum, mark those bands bad, or allow it: spectrum: {gaps: allowed}",
-                )
-
-
-def surfaces_of(
-    scenario: Scenario, sources: Sources, labelled: Sources
-) -> tuple[dict[str, SurfaceStatistics], dict[str, Array]]:
-    """Statistics where the bands truly stand; what detectors look for where they are labelled."""
-    scene = scenario.scene
-    surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
-    refuse_gaps(scenario, surfaces, sources.axis)
-    signatures = {t.name: labelled.spectrum(t.filter_spectrum or t.spectrum, t.name).mean for t in scene.targets}
-    return surfaces, signatures
-
-
-# What decides which files an engine finds.
-_ENVIRONMENT = (
-    "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
-)  # fmt: skip
-
-
-@lru_cache(maxsize=32)
-def _terms_in_memory(
-    engine: Callable[..., AtmosphericTerms], state: AtmosphericState, centre_nm: bytes, fwhm_nm: bytes,
-    environment: tuple[str | None, ...], cache_dir: FilePath | None, show_progress: bool | None,
-) -> AtmosphericTerms:  # fmt: skip
-    """Terms at bands: engines are deterministic, and give the same to the same state, files and bands."""
-    axis = SpectralAxis(np.frombuffer(centre_nm), np.frombuffer(fwhm_nm))
-    return engine(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(axis)
-
-
-@dataclass(frozen=True)
-class Origins:
-    """Where the numbers of a scenario come from, besides what it says itself.
-
-    Attributes
-    ----------
-    axis : bands of all products; None: the sensor's own, or those of the measured statistics
-    measured : region -> reflectance statistics on ``axis``, for surfaces with ``measured:``
-    resolve : turns a file reference of the scenario into a path; None: relative to the scenario's file, or
-        ``data:`` for a registered data set
-    cache_dir, show_progress : of the atmosphere engine
-    engine : stands in for the atmosphere engine
-    sensor : stands in for the sensor that the scenario names
-    left_out : (region, its measured statistics without each of the parts of the image that it lies in), of the
-        regions whose law is known from their pixels alone
-    read : spectra of the scenario's files, once they were read
-    """
-
-    axis: SpectralAxis | None = None
-    measured: Mapping[str, ClassStatistics] | None = None
-    resolve: Resolve | None = None
-    cache_dir: FilePath | None = None
-    show_progress: bool | None = None
-    engine: Engine | None = None
-    sensor: Sensor | None = None
-    left_out: Callable[[], Iterable[tuple[str, Sequence[ClassStatistics]]]] | None = None
-    read: Read = field(default_factory=dict, repr=False, compare=False)
-
-    def find(self, scenario: Scenario) -> Resolve:
-        """Turns the file references of a scenario into paths."""
-        return self.resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
-
-    def terms(self, scenario: Scenario, state: AtmosphericState, axis: SpectralAxis) -> AtmosphericTerms:
-        """Terms of a state of the atmosphere on the true bands.
-
-        Raises
-        ------
-        EngineError : the atmosphere engine failed.
-        """
-        if self.engine is not None or state.engine == "table":  # a file of the scenario, read again when it changes
-            return self.whole_terms(scenario, state).at_bands(axis)
-        environment = tuple(os.environ.get(name) for name in _ENVIRONMENT)
-        bands = axis.centre_nm.tobytes(), axis.fwhm_nm.tobytes()
-        return _terms_in_memory(atmospheric_terms, state, *bands, environment, self.cache_dir, self.show_progress)
-
-    def whole_terms(self, scenario: Scenario, state: AtmosphericState) -> AtmosphericTerms:
-        """The same on the engine's own sampling."""
-        if self.engine is not None:
-            return self.engine(state)
-        if state.engine == "table":
-            return atmospheric_terms(state, resolve=self.find(scenario))
-        return atmospheric_terms(state, cache_dir=self.cache_dir, show_progress=self.show_progress)
-
-
-@dataclass(eq=False)
-class Atmosphere:
-    """The atmosphere over a scenario, at its bands: terms of (3.7) in any of its states.
-
-    Attributes
-    ----------
-    nodes : entry -> nodes between which terms are interpolated; empty: a run of the engine for each state
-    runs : terms by the entries that differ from the stated state
-    """
-
-    scenario: Scenario
-    origins: Origins
-    axis: SpectralAxis
-    nodes: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    runs: dict[str, AtmosphericTerms] = field(default_factory=dict)
-
-    def run(self, changes: Truth) -> AtmosphericTerms:
-        """The engine, where some entries of the state differ; once for each state."""
-        key = repr(sorted(changes.items()))
-        if key not in self.runs:
-            assert self.scenario.atmosphere is not None  # noqa: S101 - there is light
-            state = self.scenario.atmosphere
-            state = with_settings(state, state_entries(state, changes)) if changes else state
-            self.runs[key] = self.origins.terms(self.scenario, state, self.axis)
-        return self.runs[key]
-
-    def run_all(self, rows: Sequence[Truth], what: str, show_progress: bool | None) -> list[AtmosphericTerms]:
-        """The engine in many states."""
-        if len(rows) > MOST_RUNS:
-            raise UsageError(
-                f"{len(rows)} {what} of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine"
-            )
-        return [self.run(row) for row in track(rows, f"atmosphere, {what}", len(rows), show=show_progress)]
-
-    def at_nodes(self, show_progress: bool | None = False) -> InterpolatedTerms:
-        """Runs at every combination of the nodes.
-
-        Raises
-        ------
-        UsageError : too many nodes, fewer than two of an entry, or a node that is no valid state.
-        """
-        grid = {n: np.asarray(v, dtype=float) for n, v in self.nodes.items()}
-        for name, values in grid.items():
-            if values.size < 2 or np.any(np.diff(values) <= 0):
-                raise UsageError(f"nodes of atmosphere.{name}: {values.tolist()}", expected="two or more, rising")
-        rows = [dict(zip(grid, row, strict=True)) for row in product(*(v.tolist() for v in grid.values()))]
-        return interpolated_terms(grid, self.run_all(rows, "nodes", show_progress))
-
-    def prepare(self, states: Sequence[Truth], show_progress: bool | None) -> None:
-        """Run the engine, before truths go to other processes: in some states, or at the nodes."""
-        if self.nodes:
-            self.__dict__["between"] = self.at_nodes(show_progress)
-        elif self.scenario.atmosphere is not None:
-            self.run_all(states, "states", show_progress)
-
-    @cached_property
-    def between(self) -> InterpolatedTerms:
-        """The same, kept."""
-        return self.at_nodes()
-
-    def __call__(self, moved: Mapping[str, Values], size: int) -> AtmosphericTerms:
-        """Terms (U or 1, 1, B) where entries (U or 1,) of the state are moved; None leaves one as it is.
-
-        Without an atmosphere reflectance is seen as it is: A = 1, L_a = B = S = 0.
-
-        Raises
-        ------
-        UsageError : a state outside the nodes; a table is never extrapolated.
-        """
-        state = self.scenario.atmosphere
-        if state is None:
-            zero = np.zeros((1, 1, len(self.axis)))
-            return AtmosphericTerms(self.axis.centre_nm, zero, zero + 1.0, zero, zero, zero, zero + 1.0)
-        if self.nodes and moved:
-            columns = {
-                n: np.broadcast_to(moved.get(f"atmosphere.{n}", np.array([np.nan])), (size,)).astype(float)
-                for n in self.nodes
-            }
-            columns = {n: np.where(np.isnan(c), state_value(state, n), c) for n, c in columns.items() if n in columns}
-            terms = self.between(columns)
-            return replace(terms, **{n: getattr(terms, n)[:, None, :] for n in self.between.values})
-        first, which = distinct((np.broadcast_to(v, (size,)) for v in moved.values()), size)
-        names = [path.partition(".")[2] for path in moved]
-        rows = [[v[u if len(v) > 1 else 0] for v in moved.values()] for u in first]
-        states = [{n: plain(v) for n, v in zip(names, row, strict=True) if v is not None} for row in rows]
-        runs = [self.run(changes) for changes in states]
-        every: Any = which if len(runs) > 1 else slice(None)
-        return replace(runs[0], **{n: v[:, None, :][every] for n, v in stacked_values(runs).items()})
-
-
-def state_entries(state: AtmosphericState, changes: Truth) -> dict[str, Any]:
-    """Entries of a state in which some stand at other values, and those that give way to them.
-
-    A sun that follows from place and time is stated by its angles; one that passes the zenith comes down on the
-    other side.
-    """
-    out = dict(changes)
-    if "aot550" in out:
-        out.setdefault("meteorological_range_km", None)
-    if "view_zenith_deg" in out:
-        out["view_zenith_deg"] = abs(out["view_zenith_deg"])
-    if "view_azimuth_deg" in out:
-        out["view_azimuth_deg"] = out["view_azimuth_deg"] % 360.0
-    if not {"solar_zenith_deg", "solar_azimuth_deg"} & set(out):
-        return out
-    zenith, azimuth = (out.get(f"solar_{k}_deg", at) for k, at in zip(("zenith", "azimuth"), state.sun, strict=True))
-    if zenith < 0.0:
-        zenith, azimuth = -zenith, azimuth + 180.0
-    out |= {"solar_zenith_deg": min(zenith, MAX_SOLAR_ZENITH_DEG - 0.1), "solar_azimuth_deg": azimuth % 360.0}
-    if state.time_utc is not None:
-        out["earth_sun_distance_au"] = state.distance_au
-        out |= dict.fromkeys(("latitude_deg", "longitude_deg", "time_utc"))
-    return out
-
-
-def state_value(state: AtmosphericState, name: str) -> float:
-    """The number that a state has for a field, also where it follows from others.
-
-    Raises
-    ------
-    UsageError : the state leaves it to the engine.
-    """
-    derived: dict[str, Callable[[], float]] = {
-        "aot550": lambda: state.aerosol_optical_depth,
-        "solar_zenith_deg": lambda: state.sun[0],
-        "solar_azimuth_deg": lambda: state.sun[1],
-    }
-    value = derived[name]() if name in derived else getattr(state, name)
-    if value is None:
-        raise UsageError(f"uncertainty: {name} is given, but the atmosphere's {name} is not", mend=f"state {name}")
-    return float(value)
-
-
-Made = TypeVar("Made")
-
-
-class Keeps:
-    """What keeps what follows from it, once it was asked for."""
-
-    kept: dict[Any, Any]
-
-    def once(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What ``make`` gives, made the first time that ``key`` is asked for."""
-        if key not in self.kept:
-            self.kept[key] = make()
-        made: Made = self.kept[key]
-        return made
-
-
-@dataclass(frozen=True, eq=False)
-class Stated(Keeps):
-    """What a scenario and its files say on its bands: read once, shared by all truths.
-
-    Attributes
-    ----------
-    scenario : with the sensor's blur where it states none
-    sensor : None where it has none
-    axis, true_axis : the bands as they are labelled, and where they truly stand; the same where nothing is shifted
-    noise : (3.13)-(3.20) as stated; None without a sensor
-    surfaces : name -> statistics of every class, panel, site and target, where the bands truly stand
-    signatures : target -> (B,) reflectance that its filter looks for, where the bands are labelled
-    surroundings : (B,) their reflectance where the scenario states it; None: the average of the classes
-    before : what the values of paths refer to, where this was read again after the change of some; None: this
-    kept : what follows from it alone, once it was asked for
-    """
-
-    scenario: Scenario
-    origins: Origins
-    sensor: Sensor | None
-    axis: SpectralAxis
-    true_axis: SpectralAxis
-    noise: NoiseModel | None
-    surfaces: Mapping[str, SurfaceStatistics]
-    signatures: Mapping[str, Array]
-    surroundings: Array | None
-    atmosphere: Atmosphere
-    before: Stated | None = None
-    kept: dict[Any, Any] = field(default_factory=dict)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**{k: v for k, v in vars(self).items() if k in self.__dataclass_fields__}, "kept": {}}
-
-    @property
-    def nominal(self) -> Stated:
-        """What the values of paths refer to."""
-        return self.before or self
-
-    @cached_property
-    def names(self) -> dict[str, list[str]]:
-        """What the star of a path names."""
-        scene = self.scenario.scene
-        return {
-            "class": [c.name for c in scene.classes], "surface": list(self.surfaces),
-            "target": [t.name for t in scene.targets],
-        }  # fmt: skip
-
-    @property
-    def classes(self) -> list[str]:
-        """Names of the M background classes."""
-        return self.names["class"]
-
-    @property
-    def targets(self) -> list[Target]:
-        """The targets of the scene."""
-        return self.scenario.scene.targets
-
-    @cached_property
-    def populations(self) -> list[tuple[int, int, TargetSubject]]:
-        """Number of the target, number in it, and population of target pixels."""
-        return [(t, k, p) for t, target in enumerate(self.targets) for k, p in enumerate(target.populations)]
-
-    @cached_property
-    def mean(self) -> Array:
-        """(S, B) mean reflectance of the surfaces."""
-        return np.array([s.mean for s in self.surfaces.values()])
-
-    @cached_property
-    def columns(self) -> dict[str, Array]:
-        """Field -> (1, items) as stated."""
-        scene, lights = self.scenario.scene, [t.illumination or Illumination() for t in self.targets]
-        tails = [class_tail(c, self.surfaces[c.name]) for c in scene.classes]
-        of: dict[str, list[float]] = {
-            "fraction": [c.fraction for c in scene.classes],
-            "class_gain": [c.gain for c in scene.classes],
-            "tail": [np.inf if t is None else float(t) for t in tails],
-            "neighbours": [scene.adjacency.effective_neighbours or np.inf],
-            "target_gain": [t.gain for t in self.targets],
-            "beam": [light.beam for light in lights],
-            "sky_view": [light.sky_view for light in lights],
-            "spread": [1.0] * len(self.surfaces),
-            "fine_texture": [s.fine_texture for s in self.surfaces.values()],
-        }
-        return {name: np.array([values], dtype=float) for name, values in of.items()} | {
-            name: np.array([[value]]) for name, value in NEUTRAL.items()
-        }
-
-    @cached_property
-    def laws(self) -> tuple[Law, ...]:
-        """What the scores of the classes are distributed as: a class each, or the components of a mixture."""
-        out = []
-        for m, c in enumerate(self.scenario.scene.classes):
-            surface = self.surfaces[c.name]
-            parts = surface.components
-            if parts is None:
-                out.append(Law(m, 1.0, None, surface.covariance, None))
-                continue
-            dof = None if isinstance(c.tail_dof, float) else parts.dof
-            laws = zip(parts.weights.tolist(), parts.offsets, parts.covariances, strict=True)
-            out += [Law(m, w, offset, covariance, dof) for w, offset, covariance in laws]
-        return tuple(out)
-
-
-class Law(NamedTuple):
-    """A class of the background, or one component of it.
-
-    Attributes
-    ----------
-    owner : number of the class
-    weight : part of the class
-    offset : (B,) of its mean from that of the class; None: the class itself
-    covariance : (B, B)
-    dof : degrees of freedom of a component; None: those of the class
-    """
-
-    owner: int
-    weight: float
-    offset: Array | None
-    covariance: Array
-    dof: float | None
-
-    def at(self, bands: Index) -> Law:
-        """The law on some bands."""
-        offset = None if self.offset is None else self.offset[bands]
-        return self._replace(offset=offset, covariance=cut(self.covariance, bands))
-
-
 def find(stated: Stated, path: str) -> tuple[Path, int]:
     """Where a path leads, and the number of its item.
 
@@ -770,9 +266,10 @@ def value_at(world: World, path: str) -> Any:
         return world.moved[path]
     stated, parts = world.stated, path_parts(path)
     entry, item = find(stated, path)
+    if entry.field in NEUTRAL:
+        return np.array([NEUTRAL[entry.field]])
     if entry.field in stated.columns:
-        columns = stated.columns[entry.field]
-        return columns[:, item] if entry.of else columns[:, 0]
+        return stated.columns[entry.field][:, item]
     if entry.field == "mean":
         return np.nan_to_num(stated.mean[item : item + 1])
     if entry.field == "share":
@@ -789,13 +286,8 @@ def value_at(world: World, path: str) -> Any:
         return np.zeros(1)
     if parts[0] == "atmosphere" and len(parts) == 2 and parts[1] in STATE_RANGES and stated.scenario.atmosphere:
         return np.array([state_value(stated.scenario.atmosphere, parts[1])])
-    return _entry(world, path)
-
-
-def _entry(world: World, path: str) -> Any:
-    """The entry of the scenario's file."""
     try:
-        return column_of([setting(world.stated.scenario, path)])
+        return column_of([setting(stated.scenario, path)])
     except UsageError as error:
         near = difflib.get_close_matches(path, every_path(world), n=1)
         if error.mend or not near:
@@ -832,15 +324,12 @@ class World:
     Attributes
     ----------
     moved : path -> values (U or 1, ...) of all that was moved; what follows from them is made when it is asked for
+    size : U
     """
 
     stated: Stated
     moved: Mapping[str, Values] = field(default_factory=dict)
-
-    @cached_property
-    def size(self) -> int:
-        """U."""
-        return max((len(v) for v in self.moved.values()), default=1)
+    size: int = 1
 
     def rows(self, index: Index) -> World:
         """Some of the truths."""
@@ -848,7 +337,7 @@ class World:
             return self
         if self.size == 1 and index.size > 1:
             return self
-        return World(self.stated, {p: v[index] if len(v) > 1 else v for p, v in self.moved.items()})
+        return World(self.stated, {p: v[index] if len(v) > 1 else v for p, v in self.moved.items()}, index.size)
 
     def fields(self, *names: str) -> Iterable[tuple[str, int, Values]]:
         """Path, number of the item and values of what was moved of some fields, in the order in which it was."""
@@ -874,12 +363,14 @@ class World:
 
     def column(self, name: str) -> Array:
         """(U or 1, items) of a field, or (U or 1, B or 1) where it is one for all items."""
-        out = self.stated.columns[name]
-        for _, item, values in self.fields(name):
-            if name in NEUTRAL:
+        if name in NEUTRAL:
+            out = np.array([[NEUTRAL[name]]])
+            for _, _, values in self.fields(name):
                 new = values if values.ndim > 1 else values[:, None]
                 out = out * new if NEUTRAL[name] else out + new
-                continue
+            return out
+        out = self.stated.columns[name]
+        for _, item, values in self.fields(name):
             new = _numbers(values)
             new = np.where(np.isnan(new), out[:, item], new)
             out = np.array(np.broadcast_to(out, (max(len(out), len(new)), out.shape[1])))
@@ -1114,7 +605,7 @@ def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
     sizes = {len(v) for v in moved.values()} - {1}
     if len(sizes) > 1:
         raise UsageError(f"values of {sorted(sizes)} truths", expected="as many for each path, or one")
-    return World(world.stated, moved)
+    return World(world.stated, moved, max(sizes, default=1))
 
 
 def with_truths(world: World, truths: Sequence[Truth]) -> World:
@@ -1132,8 +623,7 @@ def with_truths(world: World, truths: Sequence[Truth]) -> World:
         each = [np.asarray(truth.get(path, here), dtype=float) for truth in truths]
         shape = np.broadcast_shapes(*(v.shape for v in each))
         values[path] = np.array([np.broadcast_to(v, shape) for v in each])
-    moved = with_values(world, values)
-    return moved if values or len(truths) == 1 else World(world.stated, {"line.offset": np.zeros(len(truths))})
+    return replace(with_values(world, values), size=len(truths))
 
 
 def _one(value: Any) -> Any:
@@ -1142,7 +632,6 @@ def _one(value: Any) -> Any:
 
 
 _AGAIN = 16  # of the latest scenarios that were read again
-MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is cached
 
 
 def reads_again(stated: Stated, path: str, values: Values | None = None) -> bool:
@@ -1165,26 +654,22 @@ def settled(world: World) -> list[tuple[Index, World]]:
     if not again and len(sizes) == 1:
         return [(np.arange(world.size), world)]
     first, which = distinct([*again.values(), *(sizes.T if len(sizes) > 1 else ())], world.size)
-    out = []
+    rest, out = World(stated, {p: v for p, v in world.moved.items() if p not in again}, world.size), []
     for i, u in enumerate(first):
         index = np.flatnonzero(which == i)
-        rest = {p: v[index] if len(v) > 1 else v for p, v in world.moved.items() if p not in again}
-        if not any(len(v) == index.size for v in rest.values()):  # the same truth so many times
-            rest["line.offset"] = np.zeros(index.size) + rest.get("line.offset", 0.0)
-        out.append((index, World(_read_with(stated, {p: v[u] for p, v in again.items()}), rest)))
+        there = _read_with(stated, {p: v[u] for p, v in again.items()}) if again else stated
+        out.append((index, replace(rest.rows(index), stated=there, size=index.size)))
     return out
 
 
 def _read_with(stated: Stated, values: Truth) -> Stated:
     """What a scenario says where some paths of it stand at other values."""
-    if not values:
-        return stated
     kept: OrderedDict[str, Stated] = stated.kept.setdefault("again", OrderedDict())
     key = repr([(p, v.tobytes() if isinstance(v, np.ndarray) else v) for p, v in values.items() if v is not None])
     if key not in kept:
         settings = {p: plain(v) for p, v in values.items() if v is not None and p != SHIFT}
         scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
-        there = read(scenario, stated.origins, values.get(SHIFT, 0.0), stated.atmosphere.nodes).stated
+        there = read_files(scenario, stated.origins, values.get(SHIFT, 0.0), stated.atmosphere.nodes)
         kept[key] = replace(there, before=stated.nominal)
         if len(kept) > _AGAIN:
             kept.popitem(last=False)
@@ -1192,45 +677,24 @@ def _read_with(stated: Stated, values: Truth) -> Stated:
 
 
 def read(
-    scenario: Scenario, origins: Origins | None = None, shift_nm: float | Array = 0.0,
-    nodes: Mapping[str, Sequence[float]] | None = None,
-) -> World:  # fmt: skip
+    scenario: Scenario, origins: Origins | None = None, nodes: Mapping[str, Sequence[float]] | None = None
+) -> World:
     """The world that a scenario states (U = 1), all its files read (3.7-3.20).
 
     Parameters
     ----------
-    shift_nm : added to the true band centres; the labels stay
     nodes : of the atmosphere, between which its terms are interpolated
 
     Raises
     ------
     UsageError, InputError : a scenario that contradicts itself, a file that is missing or corrupt.
     """
-    source = origins or Origins()
-    find_file, measured = source.find(scenario), source.measured or {}
-    measured_axis = next((s.axis for s in measured.values()), None)
-    sensor, axis, true, noise = instrument(scenario, source.axis, measured_axis, find_file, source.sensor)
-    if np.any(shift_nm):
-        true = SpectralAxis(true.centre_nm + shift_nm, true.fwhm_nm, true.good)
-    scenario = with_sensor_blur(scenario, sensor)
-    sources = Sources(true, measured, find_file, axis, source.read)
-    surfaces, signatures = surfaces_of(scenario, sources, replace(sources, axis=axis, nominal=None))
-    around, surroundings = scenario.scene.adjacency.spectrum, None
-    if around is not None:
-        surroundings = without_gaps(sources.spectrum(around, "surroundings").mean)
-    return World(
-        Stated(
-            scenario, source, sensor, axis, true, noise, surfaces, signatures, surroundings,
-            Atmosphere(scenario, source, true, nodes or {}),
-        )
-    )  # fmt: skip
+    return World(read_files(scenario, origins or Origins(), nodes=nodes))
 
 
 def under(world: World, engine: Engine) -> World:
     """The world under another engine of the atmosphere."""
     stated = world.stated
     origins = replace(stated.origins, engine=engine)
-    return World(
-        replace(stated, origins=origins, atmosphere=replace(stated.atmosphere, origins=origins, runs={}), kept={}),
-        world.moved,
-    )
+    there = replace(stated.atmosphere, origins=origins, runs={})
+    return replace(world, stated=replace(stated, origins=origins, atmosphere=there, kept={}))

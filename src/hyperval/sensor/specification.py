@@ -644,7 +644,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     """
     text = str(name_or_path)
     if text in library_names():
-        return _library_sensor(text)
+        return library_sensor(text)
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml") and not path.exists():
         raise UsageError(f"unknown sensor {text!r}", expected="a YAML file or one of " + ", ".join(library_names()))
@@ -652,6 +652,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
 
 
 @lru_cache(maxsize=16)
-def _library_sensor(name: str) -> Sensor:
+def library_sensor(name: str) -> Sensor:
+    """A sensor of the library, read once."""
     with resources.as_file(resources.files("hyperval.sensor") / "library" / f"{name}.yaml") as path:
         return Sensor(load_model(SensorSpecification, path))

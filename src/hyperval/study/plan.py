@@ -18,9 +18,8 @@ from scipy.optimize.elementwise import find_root
 from hyperval.atmosphere.between import spaced
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
-from hyperval.model import Origins, World, find, in_file, read, reads_again
+from hyperval.model import Origins, World, column_of, find, in_file, plain, read, reads_again
 from hyperval.model.radiance import mean_radiance
-from hyperval.model.world import column_of, plain
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.study.evaluate import PFA, Columns, Evaluator, check_outputs

@@ -1,0 +1,910 @@
+"""What a scenario and its files say, as arrays on the bands: read once, shared by all truths.
+
+Spectra and their spread from the sources that the scenario names; the sensor and its noise (3.13-3.20); the
+atmosphere at the bands in any of its states (3.7).  Several field spectra of one surface give their mean, their spread,
+and how well they know the mean.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from itertools import product
+from pathlib import Path, PurePath
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from hyperval import datasets
+from hyperval.atmosphere import AtmosphericState, atmospheric_terms
+from hyperval.atmosphere.between import InterpolatedTerms, interpolated_terms
+from hyperval.atmosphere.physics import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, ways
+from hyperval.atmosphere.solar import SPECTRA, source_samples
+from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
+from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
+from hyperval.data import ClassStatistics, Components, statistics_of
+from hyperval.errors import UsageError
+from hyperval.model.intervals import Z95
+from hyperval.paths import MAX_MATCHES, matching
+from hyperval.progress import track
+from hyperval.scenario import (
+    BackgroundClass,
+    CovarianceSource,
+    Illumination,
+    Replicates,
+    Scenario,
+    SpectrumSource,
+    Surface,
+    Target,
+    TargetSubject,
+)
+from hyperval.sensor.noise import NoiseModel, mtf_at_nyquist
+from hyperval.sensor.specification import (
+    Sensor,
+    SensorChanges,
+    SensorOperation,
+    binned_axis,
+    binned_noise,
+    changed_noise,
+    library_names,
+    library_sensor,
+    load_sensor,
+)
+from hyperval.settings import with_settings
+from hyperval.spectra import FieldSpectrum, read_records
+from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
+from hyperval.statistics_library import builtin_class
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Values = npt.NDArray[Any]
+Truth = Mapping[str, Any]  # dotted path -> what stands there, of one truth; what is not named is as stated
+Engine = Callable[[AtmosphericState], AtmosphericTerms]
+Resolve = Callable[[str], Path]
+Read = dict[object, Any]  # spectra of files, by the file and how it is read
+Made = TypeVar("Made")
+
+SAME_BAND_NM = 0.05  # centres this close are the same band
+# Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
+FEW_PER_BAND = 3
+_SUN = ("solar_zenith_deg", "solar_azimuth_deg")
+MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is cached
+# What decides which files an engine finds.
+_ENVIRONMENT = (
+    "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SurfaceStatistics:
+    """A surface on the axis; bands that its source does not cover are NaN in ``mean``.
+
+    Attributes
+    ----------
+    mean : (B,) reflectance [1]
+    covariance : (B, B), zero where nothing is known of the spread
+    standard_deviation : (B,) that a spectrum's file carries, None without
+    components : the clusters that the pixels of a class fall into, None where they are one law
+    fine_texture : part of a target's covariance whose texture is finer than its part of a pixel, and averages out
+        over it [1]
+    sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
+    n : samples behind it
+    mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
+    """
+
+    name: str
+    mean: Array
+    covariance: Array
+    source: str
+    tail_dof: float | None = None
+    standard_deviation: Array | None = None
+    n: int | None = None
+    mean_error: Array | None = None
+    sampled_deviation: tuple[Array, Array] | None = None
+    components: Components | None = None
+    fine_texture: float = 0.0
+
+
+def replicate_statistics(
+    source: Replicates, axis: SpectralAxis, resolve: Resolve, nominal: SpectralAxis | None = None
+) -> SurfaceStatistics:
+    """Mean, covariance and number of the spectra that ``source`` names, in the bands of ``axis``.
+
+    ``nominal`` are the bands as they are labelled, where they are others (:func:`in_bands`).
+
+    Raises
+    ------
+    InputError : missing or corrupt files.
+    UsageError : fewer than two spectra, records that no file has, or spectra that share no band.
+    """
+    spectra, where = replicate_spectra(source, resolve), ", ".join(source.references)
+    if len(spectra) < 2:
+        raise UsageError(
+            "a single spectrum has no spread", where=where, expected="two or more replicates", mend="use file:"
+        )
+    values = np.array([in_bands(s.wavelength_nm, s.values, axis, nominal) for s in spectra])
+    known = np.all(np.isfinite(values), axis=0)
+    if not known.any():
+        raise UsageError(
+            "the replicates share none of the bands",
+            where=where,
+            expected=f"samples between {axis.centre_nm[0]:g} and {axis.centre_nm[-1]:g} nm",
+        )
+    sample = statistics_of(values[:, known])
+    few = sample.n < FEW_PER_BAND * int(known.sum())
+    at = np.ix_(known, known)
+    mean, deviation = np.full(len(axis), np.nan), np.full(len(axis), np.nan)
+    covariance, error = np.zeros((len(axis), len(axis))), np.zeros((len(axis), len(axis)))
+    mean[known], deviation[known] = sample.mean, np.sqrt(np.diag(sample.covariance))
+    covariance[at] = sample.shrunk_covariance if few else sample.covariance
+    error[at] = mean_error_covariance(sample.covariance, sample.n)
+    words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
+    return SurfaceStatistics("", mean, covariance, words, None, deviation, sample.n, error)
+
+
+def mean_error_covariance(covariance: Array, n: int) -> Array:
+    """(t/1.96)^2 S/n with t the 97.5 % point of Student's t with n - 1 degrees of freedom [unit of S].
+
+    Few spectra know their own spread badly; with this +-1.96 u is the 95 % interval of the mean.
+    Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
+    """
+    wider = float(special.stdtrit(n - 1, 0.975)) / Z95
+    return np.asarray(wider**2 * covariance / n)
+
+
+def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectrum]:
+    """The spectra that ``source`` names, file by file in the order of the list, by name within a pattern."""
+    out: list[FieldSpectrum] = []
+    how = {k: getattr(source, k) for k in ("records", "wavelength_unit", "reflectance_unit")}
+    for reference in source.references:
+        path = resolve(reference)
+        files = matching(path) or [path]  # a file that is missing is the reader's to report
+        if len(files) > MAX_MATCHES:
+            raise UsageError(f"more than {MAX_MATCHES} files match", where=reference)
+        for file in files:
+            out += read_records(file, **how)
+    names = {s.name for s in out}
+    for wanted in source.records or ():
+        if isinstance(wanted, str) and wanted not in names:
+            raise UsageError(f"no spectrum {wanted!r}", where=", ".join(source.references))
+    return out
+
+
+def sampled_bands(wavelength_nm: Array, axis: SpectralAxis) -> Index | None:
+    """Bands at whose centres the samples stand, where each stands at one of its own; None otherwise."""
+    if wavelength_nm.size != len(axis) and not 1 < wavelength_nm.size < len(axis):
+        return None
+    nearest = np.argmin(np.abs(wavelength_nm[:, None] - axis.centre_nm), axis=1)
+    apart = np.abs(axis.centre_nm[nearest] - wavelength_nm)
+    return nearest if np.all(apart <= SAME_BAND_NM) and np.unique(nearest).size == nearest.size else None
+
+
+def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: SpectralAxis | None = None) -> Array:
+    """(B,) values in the bands: as they stand where they are sampled at the bands' centres, else band averages.
+
+    A library at the sensor's own bands, or at some of them, was convolved when it was made; a second time would
+    smooth it and lose its first and last bands. NaN in bands that the samples do not cover. Where the samples
+    stand at the bands as they are labelled (``nominal``) but those truly stand elsewhere, a cubic spline leads
+    from one to the other.
+    """
+    out = np.full(len(axis), np.nan)
+    if (some := sampled_bands(wavelength_nm, axis)) is not None:
+        out[some] = values
+        return out
+    known = np.isfinite(values)
+    if known.sum() < 2:
+        return out
+    if nominal is not None and wavelength_nm.size == len(nominal) and sampled_bands(wavelength_nm, nominal) is not None:
+        from scipy.interpolate import CubicSpline  # 10 MB
+
+        at = np.clip(axis.centre_nm, wavelength_nm[known][0], wavelength_nm[known][-1])
+        moved = CubicSpline(wavelength_nm[known], values[known])(at)
+        return np.where(known, moved, np.nan)
+    return band_average(wavelength_nm[known], values[known], axis, outside="nan")
+
+
+def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralAxis) -> Array:
+    """(B, B) error covariance of band averages from that of samples (n, n); 0 in bands they do not cover."""
+    if wavelength_nm.size == len(axis) and sampled_bands(wavelength_nm, axis) is not None:
+        return covariance
+    from scipy import sparse  # a band has a part in few of the samples
+
+    weights, short = band_weights(wavelength_nm, axis)
+    few = sparse.csr_array(np.where(short[:, None], 0.0, weights))
+    return np.asarray((few @ (few @ covariance).T).T)
+
+
+def band_error_covariance(
+    wavelength_nm: Array, standard_deviation: Array, correlation_nm: float, axis: SpectralAxis
+) -> Array:
+    """(B, B) covariance in the bands of an error of standard deviation (n,) and correlation length at its samples.
+
+    Of C_kl = u_k u_l exp(-(dl / length)^2 / 2): errors that are each sample's own partly cancel within a band,
+    which the band average of their standard deviation alone does not know.
+    """
+    u = np.nan_to_num(standard_deviation)
+    covariance = (wavelength_nm[:, None] - wavelength_nm) / correlation_nm
+    covariance *= -0.5 * covariance  # in place, as a spectrometer's samples are thousands
+    np.maximum(covariance, -100.0, out=covariance)  # nothing is left there, and what float64 cannot hold is slow
+    np.exp(covariance, out=covariance)
+    covariance *= u
+    covariance *= u[:, None]
+    return covariance_in_bands(wavelength_nm, covariance, axis)
+
+
+@contextmanager
+def _named(whose: str, file: str) -> Iterator[None]:
+    """Refusals of a source say whose it is."""
+    try:
+        yield
+    except UsageError as error:
+        where = f"{whose}: {error.where or file}"
+        raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where spectra come from: the axis, statistics handed in, and how file names become paths.
+
+    ``nominal`` are the bands as they are labelled, where they are not those of ``axis`` (a shifted spectrometer);
+    what was measured stands on them.  ``read`` holds the spectra of files that were read before.
+    """
+
+    axis: SpectralAxis
+    measured: Mapping[str, ClassStatistics]
+    resolve: Resolve
+    nominal: SpectralAxis | None = None
+    read: Read = field(default_factory=dict, repr=False, compare=False)
+
+    def surface(self, surface: Surface) -> SurfaceStatistics:
+        """Mean and covariance of one surface of the scene (rho_m, Sigma_m of 3.8-3.12).
+
+        Raises
+        ------
+        UsageError : unknown built-in, or a measured region that was not handed in.
+        """
+        name, source = surface.name, surface.covariance
+        base = self.spectrum(surface.spectrum, name)
+        pixels = base if source is None else self._of_pixels(source, name)
+        if pixels is None and source is not None:
+            sd = (source.relative_sd or 0.0) * np.nan_to_num(base.mean)
+            stated = np.outer(sd, sd) * correlation(self.axis, source.correlation_nm)
+            base = replace(base, covariance=stated + source.band_sd**2 * np.eye(sd.size))
+        elif pixels is not None:
+            region = (source or surface.spectrum).measured
+            if region is not None and pixels.n is not None and pixels.n < 2:
+                raise UsageError(
+                    f"the region {region!r} is a single pixel: the spread of {name!r} is not known from it",
+                    expected="a region of two pixels or more, or a covariance",
+                    mend="state covariance of the surface, such as covariance: {relative_sd: 0.05}, or enlarge the "
+                    "region",
+                )
+            # Tails are those of the pixels that the covariance is of; several spectra have none of their own.
+            tails = base if source is not None and source.replicates is not None else pixels
+            base = replace(
+                base, covariance=pixels.covariance, tail_dof=tails.tail_dof, components=tails.components
+            )  # fmt: skip
+        return replace(base, components=_components(surface, base.components))
+
+    def spectrum(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
+        """The statistics that a spectrum source brings along."""
+        if (found := self._of_pixels(source, name)) is not None:
+            return found
+        if source.constant is not None:
+            flat, nothing = np.full(len(self.axis), source.constant), np.zeros((len(self.axis), len(self.axis)))
+            return SurfaceStatistics(name, flat, nothing, "constant reflectance")
+        return self._from_file(source, name)
+
+    def _of_pixels(self, source: SpectrumSource | CovarianceSource, name: str) -> SurfaceStatistics | None:
+        """Statistics of several spectra or pixels, where the source names such."""
+        if source.replicates is not None:
+            with _named(f"replicates of {name!r}", ", ".join(source.replicates.references)):
+                return replace(
+                    replicate_statistics(source.replicates, self.axis, self.resolve, self.nominal), name=name
+                )
+        if source.builtin is not None:
+            known = builtin_class(source.builtin, self.axis)
+        elif source.library is not None:
+            key = "spectrum" if isinstance(source, SpectrumSource) else "covariance"
+            with _named(f"{key}.library of {name!r}", source.library):
+                known = self._library(source.library, source.record)
+        elif source.measured is not None:
+            known = self._measured(source.measured, name)
+        else:
+            return None
+        return SurfaceStatistics(
+            name, known.mean, known.covariance, known.source or source.library or "measured", known.tail_dof, None,
+            known.n, components=known.components,
+        )  # fmt: skip
+
+    def _library(self, file: str, record: str | int | None) -> ClassStatistics:
+        from hyperval.statistics_library import on_bands, read_statistics_library
+
+        asked = (self.resolve(file), record)
+        if asked not in self.read:
+            self.read[asked] = read_statistics_library(asked[0], None if record is None else str(record))
+        return on_bands(self.read[asked], self.axis)
+
+    def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
+        from hyperval.spectra import read_spectrum
+
+        path, axis = self.resolve(str(source.file)), self.axis
+        how = {k: getattr(source, k) for k in ("record", "wavelength_unit", "reflectance_unit")}
+        key = (path, *how.values())
+        if key not in self.read:
+            self.read[key] = read_spectrum(path, **how)
+        read = self.read[key]
+        mean = in_bands(read.wavelength_nm, read.values, axis, self.nominal)
+        if not np.any(np.isfinite(mean)):
+            raise UsageError(
+                f"the spectrum of {name!r} ({source.file}) covers none of the bands",
+                expected=f"samples between {axis.centre_nm[0]:g} and {axis.centre_nm[-1]:g} nm",
+            )
+        spread, sampled, errors = None, None, None
+        if read.standard_deviation is not None:
+            spread = in_bands(read.wavelength_nm, read.standard_deviation, axis, self.nominal)
+            sampled = read.wavelength_nm, read.standard_deviation
+        if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
+            errors = covariance_in_bands(read.wavelength_nm, read.errors.covariance(), axis)
+        zero = np.zeros((len(axis), len(axis)))
+        return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n, errors, sampled)
+
+    def _measured(self, region: str, name: str) -> ClassStatistics:
+        if region not in self.measured:
+            raise UsageError(
+                f"{name!r} takes the measured statistics of region {region!r}, which were not handed in",
+                expected="one of " + ", ".join(self.measured)
+                if self.measured
+                else "a region of a collection in reflectance, or in radiance with an empirical_line",
+                mend="run it from a campaign whose collection has that region "
+                f"(such as collection.regions: [{{name: {region}, whole_image: true}}]), or name another spectrum",
+            )
+        estimate = self.measured[region]
+        if not estimate.axis.matches(self.nominal or self.axis):
+            raise UsageError(f"the statistics of region {region!r} do not stand on the bands of the prediction")
+        return estimate
+
+
+def _components(surface: Surface, stored: Components | None) -> Components | None:
+    """The components that a class asks for, of those that its source has."""
+    if not isinstance(surface, BackgroundClass) or surface.mixture in (None, 1):
+        return None
+    if surface.mixture == "auto":  # one law is an answer too
+        return stored
+    if stored is None or len(stored) != surface.mixture:
+        raise UsageError(
+            f"mixture of {surface.name!r}: {surface.mixture} components are asked for, its source has "
+            f"{'none' if stored is None else len(stored)}",
+            expected="a region of a campaign's collection, or a statistics library with so many components",
+            mend="run it from a campaign, or write mixture: auto to take what is there",
+        )
+    return stored
+
+
+def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
+    """(B, B) correlation exp(-(dl / length)^2 / 2) between bands; 1 everywhere when the length is None."""
+    gap = axis.centre_nm[:, None] - axis.centre_nm[None, :]
+    return np.asarray(np.exp(-0.5 * (gap / (length_nm or np.inf)) ** 2))
+
+
+def cut(covariance: Array, bands: Index) -> Array:
+    """The rows and columns ``bands`` of a covariance; the matrix itself where they are all of it."""
+    return covariance if bands.size == covariance.shape[0] else covariance[np.ix_(bands, bands)]
+
+
+def without_gaps(values: Array) -> Array:
+    """(B,) with NaN replaced by the nearest known values: for the scene average alone."""
+    known = np.isfinite(values)
+    if known.all():
+        return values
+    at = np.arange(values.size)
+    return np.interp(at, at[known], values[known])
+
+
+def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> None:
+    """Refuse a spectrum that does not cover the band set: usable bands beyond one of its ends.
+
+    Bands on the bad-band list may lack, and one band at each end; so may bands within
+    the spectrum that its file marks as unknown.
+
+    Raises
+    ------
+    UsageError : with the field of the scenario.
+    """
+    scene = scenario.scene
+    for key in ("classes", "panels", "sites", "targets"):
+        for i, surface in enumerate(getattr(scene, key)):
+            if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed":
+                continue
+            known = np.flatnonzero(np.isfinite(surfaces[surface.name].mean))
+            beyond = axis.good.copy()
+            # One band at each end may lack: its centre is covered where its response reaches a little further.
+            beyond[max(known[0] - 1, 0) : known[-1] + 2] = False
+            if beyond.any():
+                w = axis.centre_nm[beyond]
+                raise UsageError(
+                    f"scene.{key}.{i}.spectrum of {surface.name!r} does not cover {int(beyond.sum())} usable bands "
+                    f"(first {w[0]:g} nm, last {w[-1]:g} nm)",
+                    expected=f"a spectrum over {axis.centre_nm[0]:g}-{axis.centre_nm[-1]:g} nm",
+                    mend="give a longer spectrum, mark those bands bad, or allow it: spectrum: {gaps: allowed}",
+                )
+
+
+def noise_model(
+    sensor: Sensor, axis: SpectralAxis | None, operation: SensorOperation | None, changes: SensorChanges | None,
+    kept: dict[Any, Any],
+) -> NoiseModel:  # fmt: skip
+    """Noise of a sensor as it is run and changed (3.13)-(3.20); ``kept``: that of each way to run it."""
+    key = "noise", repr(operation)
+    if key not in kept:
+        kept[key] = sensor.noise(axis, operation)
+    model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
+    count = operation.spectral_binning if operation else 1
+    return binned_noise(model, min(count, len(sensor.axis))) if count > 1 else model
+
+
+def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
+    """The scenario with the sensor's point spread function where a geometry states none."""
+    psf, widths = sensor and sensor.specification.psf, {}
+    for t, target in enumerate(scenario.scene.targets if psf else ()):
+        for k, population in enumerate(target.populations):
+            geometry = population.fill.geometry
+            if psf and geometry is not None and geometry.psf_fwhm_pixels is None:
+                where = f"subjects.{k}." if target.subjects else ""
+                widths[f"scene.targets.{t}.{where}fill.geometry.psf_fwhm_pixels"] = psf.fwhm
+    return with_settings(scenario, widths) if widths else scenario
+
+
+@dataclass(frozen=True)
+class Origins:
+    """Where the numbers of a scenario come from, besides what it says itself.
+
+    Attributes
+    ----------
+    axis : bands of all products; None: the sensor's own, or those of the measured statistics
+    measured : region -> reflectance statistics on ``axis``, for surfaces with ``measured:``
+    resolve : turns a file reference of the scenario into a path; None: relative to the scenario's file, or
+        ``data:`` for a registered data set
+    cache_dir, show_progress : of the atmosphere engine
+    engine : stands in for the atmosphere engine
+    sensor : stands in for the sensor that the scenario names
+    left_out : (region, its measured statistics without each of the parts of the image that it lies in), of the
+        regions whose law is known from their pixels alone
+    read : spectra of the scenario's files, once they were read
+    """
+
+    axis: SpectralAxis | None = None
+    measured: Mapping[str, ClassStatistics] | None = None
+    resolve: Resolve | None = None
+    cache_dir: Path | None = None
+    show_progress: bool | None = None
+    engine: Engine | None = None
+    sensor: Sensor | None = None
+    left_out: Callable[[], Iterable[tuple[str, Sequence[ClassStatistics]]]] | None = None
+    read: Read = field(default_factory=dict, repr=False, compare=False)
+
+    def find(self, scenario: Scenario) -> Resolve:
+        """Turns the file references of a scenario into paths."""
+        return self.resolve or partial(datasets.resolve, base=scenario.folder)
+
+
+def state_entries(state: AtmosphericState, changes: Truth) -> dict[str, Any]:
+    """Entries of a state in which some stand at other values, and those that give way to them.
+
+    A sun that follows from place and time is stated by its angles; one that passes the zenith comes down on the
+    other side.
+    """
+    out = dict(changes)
+    if "aot550" in out:
+        out.setdefault("meteorological_range_km", None)
+    if "view_zenith_deg" in out:
+        out["view_zenith_deg"] = abs(out["view_zenith_deg"])
+    if "view_azimuth_deg" in out:
+        out["view_azimuth_deg"] = out["view_azimuth_deg"] % 360.0
+    if not out.keys() & _SUN:
+        return out
+    zenith, azimuth = (out.get(name, at) for name, at in zip(_SUN, state.sun, strict=True))
+    if zenith < 0.0:
+        zenith, azimuth = -zenith, azimuth + 180.0
+    out |= {"solar_zenith_deg": min(zenith, MAX_SOLAR_ZENITH_DEG - 0.1), "solar_azimuth_deg": azimuth % 360.0}
+    if state.time_utc is not None:
+        out["earth_sun_distance_au"] = state.distance_au
+        out |= dict.fromkeys(("latitude_deg", "longitude_deg", "time_utc"))
+    return out
+
+
+def state_value(state: AtmosphericState, name: str) -> float:
+    """The number that a state has for a field, also where it follows from others.
+
+    Raises
+    ------
+    UsageError : the state leaves it to the engine.
+    """
+    if name in _SUN:
+        return float(state.sun[_SUN.index(name)])
+    value = state.aerosol_optical_depth if name == "aot550" else getattr(state, name)
+    if value is None:
+        raise UsageError(f"uncertainty: {name} is given, but the atmosphere's {name} is not", mend=f"state {name}")
+    return float(value)
+
+
+def plain(value: Any) -> Any:
+    """A value as a model takes it: a whole number where it is one."""
+    value = value.item() if hasattr(value, "item") else value
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
+    """First of the n rows of each different combination of the columns, and which (n,) of these each row has."""
+
+    def bits(column: Values) -> list[Any]:
+        if column.dtype == object:
+            return [repr(v) for v in column]
+        alone = column.ndim == 1
+        return column.astype(float).view(np.int64).tolist() if alone else [row.tobytes() for row in column]
+
+    keys = list(zip(*map(bits, columns), strict=True)) or [()] * n
+    order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    which = np.array([order[key] for key in keys], dtype=int)
+    return np.unique(which, return_index=True)[1], which
+
+
+@lru_cache(maxsize=32)
+def _terms_in_memory(
+    engine: Callable[..., AtmosphericTerms], state: AtmosphericState, centre_nm: bytes, fwhm_nm: bytes,
+    environment: tuple[str | None, ...], cache_dir: Path | None, show_progress: bool | None,
+) -> AtmosphericTerms:  # fmt: skip
+    """Terms at bands: engines are deterministic, and give the same to the same state, files and bands."""
+    axis = SpectralAxis(np.frombuffer(centre_nm), np.frombuffer(fwhm_nm))
+    return _noted(engine(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(axis), state)
+
+
+def _noted(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms:
+    return replace(terms, notes=(*unstated_notes(state), *engine_notes(state, terms)))
+
+
+@dataclass(eq=False)
+class Atmosphere:
+    """The atmosphere over a scenario, at its bands: terms of (3.7) in any of its states.
+
+    Attributes
+    ----------
+    nodes : entry -> nodes between which terms are interpolated; empty: a run of the engine for each state
+    runs : terms by the entries that differ from the stated state
+    """
+
+    scenario: Scenario
+    origins: Origins
+    axis: SpectralAxis
+    nodes: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    runs: dict[str, AtmosphericTerms] = field(default_factory=dict)
+    _between: InterpolatedTerms | None = None
+
+    def whole(self, state: AtmosphericState) -> AtmosphericTerms:
+        """Terms of a state on the engine's own sampling.
+
+        Raises
+        ------
+        EngineError : the atmosphere engine failed.
+        """
+        source = self.origins
+        if source.engine is not None:
+            return source.engine(state)
+        if state.engine == "table":
+            return atmospheric_terms(state, resolve=source.find(self.scenario))
+        return atmospheric_terms(state, cache_dir=source.cache_dir, show_progress=source.show_progress)
+
+    def run(self, changes: Truth) -> AtmosphericTerms:
+        """The engine at the bands, where some entries of the state differ; once for each state."""
+        key = repr(sorted(changes.items()))
+        if key not in self.runs:
+            state, source = self.scenario.atmosphere, self.origins
+            assert state is not None  # noqa: S101 - there is light
+            state = with_settings(state, state_entries(state, changes)) if changes else state
+            if source.engine is not None or state.engine == "table":  # a file of the scenario, read when it changes
+                self.runs[key] = _noted(self.whole(state).at_bands(self.axis), state)
+            else:
+                bands = self.axis.centre_nm.tobytes(), self.axis.fwhm_nm.tobytes()
+                how = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, source.show_progress
+                self.runs[key] = _terms_in_memory(atmospheric_terms, state, *bands, *how)
+        return self.runs[key]
+
+    def prepare(self, states: Sequence[Truth], show_progress: bool | None) -> None:
+        """Run the engine, before truths go to other processes: in some states, or at all combinations of the nodes.
+
+        Raises
+        ------
+        UsageError : too many nodes or states, fewer than two nodes of an entry, or one that is no valid state.
+        """
+        if self.scenario.atmosphere is None:
+            return
+        grid = {n: np.asarray(v, dtype=float) for n, v in self.nodes.items()}
+        for name, values in grid.items():
+            if values.size < 2 or np.any(np.diff(values) <= 0):
+                raise UsageError(f"nodes of atmosphere.{name}: {values.tolist()}", expected="two or more, rising")
+        what = "nodes" if grid else "states"
+        if grid:
+            states = [dict(zip(grid, row, strict=True)) for row in product(*(v.tolist() for v in grid.values()))]
+        if len(states) > MOST_RUNS:
+            expected = f"at most {MOST_RUNS} runs of its engine"
+            raise UsageError(f"{len(states)} {what} of the atmosphere", expected=expected)
+        runs = [self.run(row) for row in track(states, f"atmosphere, {what}", len(states), show=show_progress)]
+        self._between = interpolated_terms(grid, runs) if grid else None
+
+    def __call__(self, moved: Mapping[str, Values], size: int) -> AtmosphericTerms:
+        """Terms (U or 1, 1, B) where entries (U or 1,) of the state are moved; None leaves one as it is.
+
+        Without an atmosphere reflectance is seen as it is: A = 1, L_a = B = S = 0.
+
+        Raises
+        ------
+        UsageError : a state outside the nodes; a table is never extrapolated.
+        """
+        state = self.scenario.atmosphere
+        if state is None:
+            zero = np.zeros((1, 1, len(self.axis)))
+            return AtmosphericTerms(self.axis.centre_nm, zero, zero + 1.0, zero, zero, zero, zero + 1.0)
+        if self.nodes and moved:
+            if self._between is None:
+                self.prepare((), False)
+            assert self._between is not None  # noqa: S101 - there are nodes
+            columns = {}
+            for name in self.nodes:
+                column = np.broadcast_to(moved.get(f"atmosphere.{name}", np.array([np.nan])), (size,)).astype(float)
+                columns[name] = np.where(np.isnan(column), state_value(state, name), column)
+            terms = self._between(columns)
+            return replace(terms, **{n: getattr(terms, n)[:, None, :] for n in self._between.values})
+        first, which = distinct((np.broadcast_to(v, (size,)) for v in moved.values()), size)
+        names = [path.partition(".")[2] for path in moved]
+        rows = [[v[u if len(v) > 1 else 0] for v in moved.values()] for u in first]
+        runs = [self.run({n: plain(v) for n, v in zip(names, row, strict=True) if v is not None}) for row in rows]
+        every: Any = which if len(runs) > 1 else slice(None)
+        spectra = [n for n, v in vars(runs[0]).items() if n not in NOT_AVERAGED and v is not None]
+        return replace(runs[0], **{n: np.stack([getattr(t, n) for t in runs])[:, None, :][every] for n in spectra})
+
+
+def unstated_notes(state: AtmosphericState) -> list[str]:
+    """Gas columns that come from the standard atmosphere."""
+    if state.engine != "sixs":
+        return []
+    profile, ground, notes = standard_profile(state.model), state.ground_altitude_km, []
+    words = f"that of the standard atmosphere {state.model} is taken"
+    if state.water_vapour_g_cm2 is None:
+        water = column_g_cm2(profile, profile.water_g_m3, ground)
+        notes.append(f"water vapour is not stated: {words}, {water:.2f} g cm-2")
+    if state.ozone_atm_cm is None:
+        ozone = column_g_cm2(profile, profile.ozone_g_m3, ground) / OZONE_G_CM2_PER_ATM_CM
+        notes.append(f"ozone is not stated: {words}, {ozone:.3f} atm cm")
+    return notes
+
+
+def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
+    """A stated sun that a table replaces, bands beyond its spectrum, amounts beyond those of the engine's gases."""
+    notes, sun = [], terms.provenance.get("solar_spectrum")
+    if sun in SPECTRA:
+        first, last = source_samples(sun)[0][[0, -1]]
+        beyond = terms.wavelength_nm[(terms.wavelength_nm < first) | (terms.wavelength_nm > last)]
+        if beyond.size:
+            notes.append(
+                f"the solar spectrum {sun} covers {first:g}-{last:g} nm: in {beyond.size} of "
+                f"{terms.wavelength_nm.size} bands, beyond it, the sunlight has the shape of astm-g173"
+            )
+    if sun == "of the table" and "solar_spectrum" in state.model_fields_set:
+        notes.append(
+            f"the table brings a solar spectrum of its own: solar_spectrum {state.solar_spectrum}, "
+            "which the scenario states, is not used"
+        )
+    if terms.provenance.get("engine_ratio"):
+        _, way = ways(state)
+        for amount, greatest, words in (
+            (way.air_atm, GREATEST_AIR_ATM, "atm of air"),
+            (way.water_g_cm2, GREATEST_WATER_G_CM2, "g cm-2 of water vapour"),
+        ):
+            if amount > greatest:
+                notes.append(
+                    f"the light goes through {amount:.2g} {words}: the engine's gases were compared with MODTRAN 6 "
+                    f"up to {greatest:g}"
+                )
+    return notes
+
+
+def sensor_notes(sensor: Sensor, noise: NoiseModel, shift_nm: Array) -> list[str]:
+    """Assumptions of the sensor file, MTF at Nyquist, shift of the bands."""
+    notes = [f"sensor {sensor.name}: {text}" for text in noise.assumed]
+    if sensor.specification.psf is not None:
+        along, across = mtf_at_nyquist(np.array(sensor.specification.psf.fwhm))
+        notes.append(f"sensor {sensor.name}: MTF at Nyquist {along:.3f} along, {across:.3f} across the track")
+    if np.any(shift_nm):
+        notes.append(
+            f"sensor {sensor.name}: bands stand {shift_nm.min():+.3g} to {shift_nm.max():+.3g} nm off their labels"
+        )
+    return notes
+
+
+class Keeps:
+    """What keeps what follows from it, once it was asked for."""
+
+    kept: dict[Any, Any]
+
+    def once(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What ``make`` gives, made the first time that ``key`` is asked for."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        made: Made = self.kept[key]
+        return made
+
+
+class Law(NamedTuple):
+    """A class of the background, or one component of it.
+
+    Attributes
+    ----------
+    owner : number of the class
+    weight : part of the class
+    offset : (B,) of its mean from that of the class; None: the class itself
+    covariance : (B, B)
+    dof : degrees of freedom of a component; None: those of the class
+    """
+
+    owner: int
+    weight: float
+    offset: Array | None
+    covariance: Array
+    dof: float | None
+
+    def at(self, bands: Index) -> Law:
+        """The law on some bands."""
+        offset = None if self.offset is None else self.offset[bands]
+        return self._replace(offset=offset, covariance=cut(self.covariance, bands))
+
+
+@dataclass(eq=False)
+class Stated(Keeps):
+    """What a scenario and its files say on its bands: read once, shared by all truths.
+
+    Attributes
+    ----------
+    scenario : with the sensor's blur where it states none
+    sensor : None where it has none
+    axis, true_axis : the bands as they are labelled, and where they truly stand; the same where nothing is shifted
+    noise : (3.13)-(3.20) as stated; None without a sensor
+    surfaces : name -> statistics of every class, panel, site and target, where the bands truly stand
+    signatures : target -> (B,) reflectance that its filter looks for, where the bands are labelled
+    surroundings : (B,) their reflectance where the scenario states it; None: the average of the classes
+    notes : what is to be said of the sensor
+    before : what the values of paths refer to, where this was read again after the change of some; None: this
+    kept : what follows from it alone, once it was asked for
+    names : class, surface or target -> names of them all, which the star of a path stands for
+    populations : number of the target, number in it, and population of target pixels
+    mean : (S, B) mean reflectance of the surfaces
+    columns : field of the world -> (1, items) as stated
+    laws : what the scores of the classes are distributed as: a class each, or the components of a mixture
+    """
+
+    scenario: Scenario
+    origins: Origins
+    sensor: Sensor | None
+    axis: SpectralAxis
+    true_axis: SpectralAxis
+    noise: NoiseModel | None
+    surfaces: Mapping[str, SurfaceStatistics]
+    signatures: Mapping[str, Array]
+    surroundings: Array | None
+    atmosphere: Atmosphere
+    notes: Sequence[str] = ()
+    before: Stated | None = None
+    kept: dict[Any, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        scene = self.scenario.scene
+        self.targets: list[Target] = scene.targets
+        self.classes = [c.name for c in scene.classes]
+        self.names = {"class": self.classes, "surface": list(self.surfaces), "target": [t.name for t in scene.targets]}
+        self.populations: list[tuple[int, int, TargetSubject]] = [
+            (t, k, p) for t, target in enumerate(scene.targets) for k, p in enumerate(target.populations)
+        ]
+        self.mean = np.array([s.mean for s in self.surfaces.values()])
+        lights = [t.illumination or Illumination() for t in scene.targets]
+        of: dict[str, list[float]] = {
+            "fraction": [c.fraction for c in scene.classes],
+            "class_gain": [c.gain for c in scene.classes],
+            "tail": [class_tail(c, self.surfaces[c.name]) for c in scene.classes],
+            "neighbours": [scene.adjacency.effective_neighbours or np.inf],
+            "target_gain": [t.gain for t in scene.targets],
+            "beam": [light.beam for light in lights],
+            "sky_view": [light.sky_view for light in lights],
+            "spread": [1.0] * len(self.surfaces),
+            "fine_texture": [s.fine_texture for s in self.surfaces.values()],
+        }
+        self.columns = {name: np.array([values], dtype=float) for name, values in of.items()}
+        self.laws = [law for m, c in enumerate(scene.classes) for law in _laws(m, c, self.surfaces[c.name])]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "kept": {}}
+
+    @property
+    def nominal(self) -> Stated:
+        """What the values of paths refer to."""
+        return self.before or self
+
+
+def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float:
+    """Degrees of freedom of a class; infinity: Gaussian.
+
+    A tail that was fitted to a region of the collection counts where the class says ``tail_dof: measured``.
+    """
+    from_region = c.spectrum.measured if c.covariance is None else c.covariance.measured
+    if c.tail_dof is None and from_region is not None:
+        return np.inf
+    return (c.tail_dof if isinstance(c.tail_dof, float) else surface.tail_dof) or np.inf
+
+
+def _laws(number: int, c: BackgroundClass, surface: SurfaceStatistics) -> list[Law]:
+    """What the pixels of a class are distributed as."""
+    parts = surface.components
+    if parts is None:
+        return [Law(number, 1.0, None, surface.covariance, None)]
+    dof = None if isinstance(c.tail_dof, float) else parts.dof
+    laws = zip(parts.weights.tolist(), parts.offsets, parts.covariances, strict=True)
+    return [Law(number, w, offset, covariance, dof) for w, offset, covariance in laws]
+
+
+def read_files(
+    scenario: Scenario, source: Origins, shift_nm: float | Array = 0.0,
+    nodes: Mapping[str, Sequence[float]] | None = None,
+) -> Stated:  # fmt: skip
+    """What a scenario and all its files say (3.7-3.20).
+
+    Parameters
+    ----------
+    shift_nm : added to the true band centres; the labels stay
+    nodes : of the atmosphere, between which its terms are interpolated
+
+    Raises
+    ------
+    UsageError, InputError : a scenario that contradicts itself, a file that is missing or corrupt.
+    """
+    find, measured, operation = source.find(scenario), source.measured or {}, scenario.sensor_operation
+    name, sensor = scenario.sensor or "", source.sensor
+    if sensor is None and name:
+        of_library = name in library_names()
+        meant_as_file = not of_library and (PurePath(name).suffix or ":" in name)
+        sensor = library_sensor(name) if of_library else load_sensor(find(name) if meant_as_file else name)
+    axis = source.axis or (sensor and sensor.axis) or next((s.axis for s in measured.values()), None)
+    if axis is None:
+        raise UsageError(
+            "the scenario has no bands",
+            mend="name a sensor (sensor:), or run it from a campaign, whose image has bands (hyperval validate)",
+        )
+    true, noise, kept = axis, None, dict[Any, Any]()
+    if sensor is not None:
+        noise = noise_model(sensor, axis, operation, scenario.sensor_changes, kept)
+        true, count = sensor.true_axis(axis, operation), operation.spectral_binning if operation else 1
+        if count > 1:
+            if source.axis is not None:
+                raise UsageError(
+                    "sensor_operation.spectral_binning: the bands of a collection are what they are",
+                    mend="leave spectral_binning out: a binned cube has binned bands already",
+                )
+            if count > len(axis):
+                raise UsageError(f"sensor_operation.spectral_binning: bins of {count} of {len(axis)} bands")
+            true, axis = binned_axis(true, count), binned_axis(axis, count)
+    if np.any(shift_nm):
+        true = SpectralAxis(true.centre_nm + shift_nm, true.fwhm_nm, true.good)
+    scenario = with_sensor_blur(scenario, sensor)
+    scene, sources = scenario.scene, Sources(true, measured, find, axis, source.read)
+    surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
+    refuse_gaps(scenario, surfaces, true)
+    labelled, around = replace(sources, axis=axis, nominal=None), scene.adjacency.spectrum
+    signatures = {t.name: labelled.spectrum(t.filter_spectrum or t.spectrum, t.name).mean for t in scene.targets}
+    surroundings = None if around is None else without_gaps(sources.spectrum(around, "surroundings").mean)
+    notes = sensor_notes(sensor, noise, true.centre_nm - axis.centre_nm) if sensor and noise else []
+    return Stated(
+        scenario, source, sensor, axis, true, noise, surfaces, signatures, surroundings,
+        Atmosphere(scenario, source, true, nodes or {}), notes, kept=kept,
+    )  # fmt: skip
