@@ -14,7 +14,6 @@ from hyperval.scenario import SpectrumSource, exactly_one
 
 _SELF_DESCRIBING = (".nc", ".nc4", ".h5", ".hdf5", ".he5", ".hdf", ".zarr", ".xml", ".tif", ".tiff")
 Fwhm = Annotated[float, Field(ge=0, le=8)]
-LeastFill = Annotated[float, Field(gt=0, lt=1)]
 
 
 class CubeSource(Model):
@@ -230,7 +229,6 @@ class FinerTruth(Model):
     objects: Literal["patches", "classes"] = Field(
         "patches", description="what one object is: cells that touch, or all of a class"
     )
-    least_fill: LeastFill = Field(0.02, description="pixels that are filled less are none of the target")
 
     @model_validator(mode="after")
     def _placed(self) -> FinerTruth:
@@ -255,7 +253,6 @@ class AbundanceTruth(Model):
     objects: Literal["patches", "bands"] = Field(
         "patches", description="what one object is: pixels that touch, or all of a band"
     )
-    least_fill: LeastFill = Field(0.02, description="pixels that are filled less are none of the target")
 
 
 class TargetTruth(Model):

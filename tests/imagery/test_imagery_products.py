@@ -15,7 +15,7 @@ from affine import Affine
 from hyperval.collection import AbundanceTruth
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import Cube, layouts, open_cube, open_raster, read_regions, sun_zenith_deg, table_of, write_cube
-from hyperval.observe import abundance_targets
+from hyperval.observe import image_targets
 from hyperval.units import radiance_to_internal
 
 LINES, SAMPLES = shells.LINES, shells.SAMPLES
@@ -474,4 +474,4 @@ def test_more_names_than_bands_name_no_band(tmp_path: Path, axis):
     assert sun_zenith_deg(open_raster(image)) is None
     truth = AbundanceTruth(image=path.name, materials={"panel": "To-sun zenith"})
     with pytest.raises(InputError, match="a number, 1 to 2: its header has no name for each band"):
-        abundance_targets(truth, open_cube(image, quantity="other"), 1.0, lambda name: tmp_path / name)
+        image_targets(truth, open_cube(image, quantity="other"), 1.0, lambda name: tmp_path / name)

@@ -16,8 +16,7 @@ from hyperval.observe import FinerGrid, Place, fills_of, object_of_fills, regist
 from hyperval.scenario import Scenario
 from hyperval.spectra import SIGMA_PER_FWHM
 
-ONE_PLACE = np.zeros((1, 2))
-WHOLE = FinerGrid(0.0, 0.0, 0.1, 0.1), (0, 0), (12, 10)
+WINDOW = (0, 0), (12, 10)
 
 
 @pytest.mark.parametrize("blur", [0.0, 0.8, (0.5, 1.1)])
@@ -26,22 +25,23 @@ def test_cells_that_make_a_rectangle_have_the_fills_of_its_geometry(blur):
     length, width, offset = 1.6, 0.9, np.array([0.23, -0.11])  # pixels; (x, y) from the middle pixel's centre
     expected = pixel_fills(TargetGeometry(length, width, 1.0, 0.0, blur), offset[None], np.zeros(1))[0]
     half = expected.shape[0] // 2
-    grid = FinerGrid(half + 0.5 + offset[1] - length / 2, half + 0.5 + offset[0] - width / 2, length / 16, width / 9)
-    fills = window_fills(np.ones((16, 9), bool), grid, (0, 0), expected.shape, both, ONE_PLACE)
+    corner = half + 0.5 + offset[::-1] - np.array([length, width]) / 2
+    grid = FinerGrid(*corner, length / 16, width / 9, both)
+    fills = window_fills(np.ones((16, 9), bool), grid, (0, 0), expected.shape)
     np.testing.assert_allclose(fills[0], expected, atol=1e-9)
     assert fills.sum() == pytest.approx(length * width, rel=1e-6)
 
 
 def test_pixels_of_a_target_are_those_whose_mean_fill_reaches_the_least():
     """Exactly the least fill belongs to it, the next lower number does not, whatever one drawn place has."""
-    least = 0.25
+    least = 0.02
     below = np.nextafter(least, 0.0)
-    fills = np.array([[[0.0, 0.5, below], [0.0, least, 1.0]], [[0.0, 0.0, below], [0.0, least, 0.0]]])
-    target = object_of_fills("p", "plank", fills, (4, 7), (9, 11), 3.0, least, "there")
+    fills = np.array([[[0.0, 0.04, below], [0.0, least, 1.0]], [[0.0, 0.0, below], [0.0, least, 0.0]]])
+    target = object_of_fills("p", "plank", fills, (4, 7), (9, 11), 3.0, "there")
     np.testing.assert_array_equal(target.part, [[True, False], [True, True]])
     assert (target.corner, target.shape, target.area_m2) == ((4, 8), (9, 11), 3.0)
     np.testing.assert_array_equal(target.fills, fills[:, :, 1:])
-    assert fills_of({"planks": [target]}) == {"planks": [[1.0, 0.5, 0.25], [0.25, 0.0, 0.0]]}
+    assert fills_of({"planks": [target]}) == {"planks": [[1.0, 0.04, least], [least, 0.0, 0.0]]}
 
 
 def test_an_error_of_registration_widens_the_response_on_average():
@@ -51,9 +51,10 @@ def test_an_error_of_registration_widens_the_response_on_average():
     np.testing.assert_allclose(shifts.mean(axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose(shifts.std(axis=0), sd, rtol=1e-12)
     wide = float(np.hypot(fwhm, sd / SIGMA_PER_FWHM))
-    mean = window_fills(mask, *WHOLE, (fwhm, fwhm), shifts).mean(axis=0)
-    np.testing.assert_allclose(mean, window_fills(mask, *WHOLE, (wide, wide), ONE_PLACE)[0], atol=0.01)
-    assert np.array_equal(registration_shifts(0.0), ONE_PLACE)
+    moved, still = FinerGrid(0.0, 0.0, 0.1, 0.1, (fwhm, fwhm), shifts), FinerGrid(0.0, 0.0, 0.1, 0.1, (wide, wide))
+    mean = window_fills(mask, moved, *WINDOW).mean(axis=0)
+    np.testing.assert_allclose(mean, window_fills(mask, still, *WINDOW)[0], atol=0.01)
+    assert np.array_equal(registration_shifts(0.0), np.zeros((1, 2)))
 
 
 def opened(finer: World, **changes) -> Place:

@@ -29,7 +29,7 @@ from hyperval.collection import AbundanceTruth, BandTableFile, RegionSource
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header
 from hyperval.imagery import Cube, open_cube, open_lookup_table, read_regions, read_targets
-from hyperval.observe import abundance_targets, material_regions, read_band_table
+from hyperval.observe import image_targets, material_regions, read_band_table
 from hyperval.results import Result
 from hyperval.run import read_pair, read_rows, results_json
 from hyperval.scenario import load_scenario
@@ -116,7 +116,7 @@ def _truth(path: Path) -> None:
         if region.mask.shape != SHAPE or not region.mask.any():
             raise ImplausibleError(f"region {region.name!r} of shape {region.mask.shape}")
     truth = AbundanceTruth(image=path.name, materials={"panel": "*panel*"})
-    for target in abundance_targets(truth, size, 4.0, lambda name: path)[0]:
+    for target in image_targets(truth, size, 4.0, lambda name: path)[0]:
         finite(target.area_m2, "area_m2")
         if target.fills is None or target.fills.min() < 0 or target.fills.max() > 1:
             raise ImplausibleError(f"fills of {target.name!r}")

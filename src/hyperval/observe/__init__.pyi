@@ -15,8 +15,8 @@ from .sites import (
 )
 from .truth_images import (
     FinerGrid,
-    abundance_targets,
     fills_of,
+    image_targets,
     material_regions,
     object_of_fills,
     registration_shifts,
@@ -25,9 +25,9 @@ from .truth_images import (
 from .write import NO_DATA, SCALE, write_reflectance
 
 __all__ = [
-    "IMAGE", "NO_DATA", "SCALE", "SCENE", "FinerGrid", "Observed", "Place", "RegionLaws", "abundance_targets",
-    "calibration_covariance", "check_line_for_detection", "class_sets", "detector_covariance", "fills_of", "map_name",
-    "material_regions", "object_of_fills", "observe", "observe_radcalnet", "open_place", "open_source",
-    "path_estimate", "read_band_table", "registration_shifts", "rounding_variance", "scored_pixels",
-    "spectral_estimate", "target_areas", "target_groups", "wavelength_notes", "window_fills", "write_reflectance",
+    "IMAGE", "NO_DATA", "SCALE", "SCENE", "FinerGrid", "Observed", "Place", "RegionLaws", "calibration_covariance",
+    "check_line_for_detection", "class_sets", "detector_covariance", "fills_of", "image_targets", "map_name",
+    "material_regions", "object_of_fills", "observe", "observe_radcalnet", "open_place", "open_source", "path_estimate",
+    "read_band_table", "registration_shifts", "rounding_variance", "scored_pixels", "spectral_estimate", "target_areas",
+    "target_groups", "wavelength_notes", "window_fills", "write_reflectance",
 ]  # fmt: skip

@@ -8,9 +8,9 @@ Measured error of a Gaussian maximum-likelihood classifier, trained on some line
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -43,11 +43,11 @@ _TRIES = 16  # pixels drawn for each window
 _TAIL_SEED, _MEAN_SEED, _LAW_SEED = 31, 37, 41
 
 
-def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Callable[[], PixelDistribution] | None:
-    """What fits the tails of a region's pixels in the windows of the atmosphere; None with too few of them.
+def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> PixelDistribution | None:
+    """The tails of a region's pixels in the windows of the atmosphere; None with too few of them.
 
     Pixels are drawn at random (the seed is fixed), at most 20,000; correlation on the ground is measured in windows
-    of the image, at lags of up to 24 pixels.  The fit itself is left to the end: it loads SciPy's optimisers, 13 MB.
+    of the image, at lags of up to 24 pixels: along the leading components, and of the distances.
 
     Parameters
     ----------
@@ -62,35 +62,43 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Cal
     mean, covariance = statistics.mean[bands], statistics.covariance[np.ix_(bands, bands)]
     every = px.EigenDirections.of(covariance)
     dimension = min(every.values.size, n // PIXELS_PER_BAND)
-    directions = px.EigenDirections(every.vectors[:, :dimension], every.values[:dimension])
-    leading = px.leading_count(directions.values, float(np.trace(covariance)))
-    independent, shares = _independence(place, region, n, bands, mean, directions, leading, rng)
+    vectors, values = every.vectors[:, :dimension], every.values[:dimension]
+    leading, count = px.leading_count(values, float(np.trace(covariance))), min(COMPONENTS, dimension)
+
+    def project(pixels: Array) -> Array:
+        scores = (pixels - mean) @ vectors
+        scores /= np.sqrt(values)
+        # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
+        far = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
+        return np.concatenate([scores[:, :count].T, far])
+
+    def centred(projected: Array) -> Array:
+        projected[count:] -= projected[count:].mean(axis=1, keepdims=True)
+        return projected
+
+    windows = _projected_windows(place, region, bands, rng, project, centred)
+    correlation = px.lag_correlation(windows, REACH).significant()
+    near = px.neighbour_shares(region, REACH, rng)
+    shares = px.independent_values(n, correlation[count:], near) / n
+    independent = px.independent_values(n, correlation[:count] ** 2, near)
     lines, samples = px.drawn_pixels(region, max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS), rng)
-    order = np.lexsort((samples, lines))
-    parts = []
-    for pixels, _ in place.valid_pixels(lines[order], samples[order], bands):
-        in_some = [
-            px.squared_mahalanobis(pixels, mean, directions.vectors[:, :k], directions.values[:k])
-            for k in (dimension, leading)
-        ]
-        parts.append(in_some)
+    order, dimensions = np.lexsort((samples, lines)), (dimension, leading)
+    parts = [
+        [px.squared_mahalanobis(pixels, mean, vectors[:, :k], values[:k]) for k in dimensions]
+        for pixels, _ in place.valid_pixels(lines[order], samples[order], bands)
+    ]
     distances = [np.concatenate(part) for part in zip(*parts, strict=True)]
     if distances[0].size < FEWEST_PIXELS:
         return None
-    columns = int(np.count_nonzero(region.any(axis=0)))
-
-    def distribution() -> PixelDistribution:
-        whole, lead = (
-            px.fit_tail_dof(d, k, estimated_on=n, independent=share * d.size)
-            for d, k, share in zip(distances, (dimension, leading), shares, strict=True)
-        )
-        distance, exceedance = _exceedance_curve(px.left_out_distances(distances[1], n))
-        return PixelDistribution(
-            whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
-            leading, whole.n, independent, distance, exceedance, columns,
-        )  # fmt: skip
-
-    return distribution
+    whole, lead = (
+        px.fit_tail_dof(d, k, estimated_on=n, independent=share * d.size)
+        for d, k, share in zip(distances, dimensions, shares, strict=True)
+    )
+    distance, exceedance = _exceedance_curve(px.left_out_distances(distances[1], n))
+    return PixelDistribution(
+        whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
+        leading, whole.n, independent, distance, exceedance, int(np.count_nonzero(region.any(axis=0))),
+    )  # fmt: skip
 
 
 def _exceedance_curve(values: Array) -> tuple[Array, Array]:
@@ -98,37 +106,6 @@ def _exceedance_curve(values: Array) -> tuple[Array, Array]:
     ordered = np.sort(values)[::-1]
     rank = np.unique(np.round(np.geomspace(1, ordered.size, QUANTILES)).astype(int))
     return ordered[rank - 1][::-1], (rank / (ordered.size + 1.0))[::-1]
-
-
-def _independence(
-    place: Place,
-    region: Mask,
-    n: int,
-    bands: Index,
-    mean: Array,
-    directions: px.EigenDirections,
-    leading: int,
-    rng: np.random.Generator,
-) -> tuple[Array, tuple[float, float]]:
-    """Independent pixels behind the variance of each leading component, and the share of independent distances."""
-    count = min(COMPONENTS, directions.values.size)
-
-    def project(pixels: Array) -> Array:
-        scores = (pixels - mean) @ directions.vectors
-        scores /= np.sqrt(directions.values)
-        # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
-        far = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
-        return np.concatenate([scores[:, :count].T, far])
-
-    def centred(values: Array) -> Array:
-        values[count:] -= values[count:].mean(axis=1, keepdims=True)
-        return values
-
-    windows = _projected_windows(place, region, bands, rng, project, centred)
-    correlation = px.lag_correlation(windows, REACH).significant()
-    shares = px.neighbour_shares(region, REACH, rng)
-    every, few = px.independent_values(n, correlation[count:], shares) / n
-    return px.independent_values(n, correlation[:count] ** 2, shares), (every, few)
 
 
 def _projected_windows(
@@ -142,9 +119,14 @@ def _projected_windows(
     """(K, lines, samples) what ``project`` makes (K, n) of a region's valid pixels (n, b) in each window, and where.
 
     It is 0 at the other pixels of the window.  A part of a window is in memory at a time: whole windows of all bands
-    would be half of what a run takes.
+    would be half of what a run takes.  Pixels of the region drawn at random lie in the windows, which are of a grid:
+    where windows lie over each other, pairs of pixels count several times, chance passes for correlation, and
+    independent pixels for fewer than they are.
     """
-    for row, column in correlation_windows(region, rng):
+    count = int(np.count_nonzero(region))
+    lines, samples = px.nth_pixels(region, rng.choice(count, min(_TRIES * WINDOWS, count), replace=False))
+    corners = zip((lines // WINDOW * WINDOW).tolist(), (samples // WINDOW * WINDOW).tolist(), strict=True)
+    for row, column in list(dict.fromkeys(corners))[:WINDOWS]:
         inside = region[row : row + WINDOW, column : column + WINDOW].copy()
         lines, samples = np.nonzero(inside)
         parts = [(project(pixels), valid) for pixels, valid in place.valid_pixels(lines + row, samples + column, bands)]
@@ -153,18 +135,6 @@ def _projected_windows(
         out = np.zeros((len(values), *inside.shape))
         out[:, inside] = of_window(values) if inside.any() else values
         yield out, inside
-
-
-def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Corners of windows that pixels of the region drawn at random lie in; windows of a grid, none over another.
-
-    Where windows lie over each other, pairs of pixels count several times, chance passes for correlation, and
-    independent pixels for fewer than they are.
-    """
-    count = int(np.count_nonzero(region))
-    lines, samples = px.nth_pixels(region, rng.choice(count, min(_TRIES * WINDOWS, count), replace=False))
-    corners = zip((lines // WINDOW * WINDOW).tolist(), (samples // WINDOW * WINDOW).tolist(), strict=True)
-    return list(dict.fromkeys(corners))[:WINDOWS]
 
 
 def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> EstimatedPart:
@@ -210,8 +180,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
 Key = tuple[str, int | Literal["auto"], bool]
 
 
-@dataclass(frozen=True, eq=False)
-class RegionPixels:
+class RegionPixels(NamedTuple):
     """Valid pixels of a region in reflectance, at most 20,000 of them drawn at random (seed fixed).
 
     Attributes
@@ -226,21 +195,6 @@ class RegionPixels:
     samples: Index
     lead: Index
 
-    @classmethod
-    def of(cls, place: Place | None, region: str) -> RegionPixels:
-        """The pixels of a region that its laws are fitted to; raises UsageError without an image."""
-        if place is None:
-            raise UsageError("the collection has no image whose pixels could be fitted")
-        axis, rng = place.cube.axis, np.random.default_rng(_LAW_SEED)
-        most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
-        lines, samples = px.drawn_pixels(place.pixels_of(region), most, rng)
-        pixels, valid = place.pixels_at(lines, samples)
-        known = np.isfinite(pixels[valid]).any(axis=0)
-        pixels = np.where(known, pixels, 0.0)
-        valid &= np.isfinite(pixels).all(axis=1)
-        lead = np.flatnonzero(in_window(axis.centre_nm) & axis.good & known)
-        return cls(pixels[valid], lines[valid], samples[valid], lead)
-
 
 class RegionLaws:
     """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
@@ -249,6 +203,25 @@ class RegionLaws:
         self._place, self._statistics = place, statistics
         self._made: dict[Key, tuple[px.ClassMixture, Components | None] | None] = {}
         self._without: dict[tuple[str, Key | None, bool], list[ClassStatistics]] = {}
+
+    @property
+    def place(self) -> Place:
+        """The image; raises UsageError without one."""
+        if self._place is None:
+            raise UsageError("the collection has no image whose pixels could be fitted")
+        return self._place
+
+    def _pixels(self, region: str) -> RegionPixels:
+        """The pixels of a region that its laws are fitted to."""
+        axis, rng = self.place.cube.axis, np.random.default_rng(_LAW_SEED)
+        most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
+        lines, samples = px.drawn_pixels(self.place.pixels_of(region), most, rng)
+        pixels, valid = self.place.pixels_at(lines, samples)
+        known = np.isfinite(pixels[valid]).any(axis=0)
+        pixels = np.where(known, pixels, 0.0)
+        valid &= np.isfinite(pixels).all(axis=1)
+        lead = np.flatnonzero(in_window(axis.centre_nm) & axis.good & known)
+        return RegionPixels(pixels[valid], lines[valid], samples[valid], lead)
 
     def statistics(self, scenario: Scenario) -> Mapping[str, ClassStatistics]:
         """The collection's statistics with the components that the classes of a scenario ask for.
@@ -280,7 +253,7 @@ class RegionLaws:
         self, region: str, mixture: tuple[px.ClassMixture, Components | None] | None, *, tails: bool
     ) -> Iterator[ClassStatistics]:
         """The statistics of a region without each of its parts; ``tails``: with a tail of their own."""
-        pixels, stated = RegionPixels.of(self._place, region), self._statistics[region]
+        pixels, stated = self._pixels(region), self._statistics[region]
         part, lead = px.compact_parts(pixels.lines, pixels.samples), pixels.lead
         for number, (mean, covariance) in enumerate(px.moments_without_each(pixels.values, part)):
             tail = stated.tail_dof
@@ -317,10 +290,9 @@ class RegionLaws:
         if key not in self._made:
             region, count, tails = key
             try:
-                pixels = RegionPixels.of(self._place, region)
-                assert self._place is not None  # noqa: S101 - its pixels were read
-                side = px.block_side(int(np.count_nonzero(self._place.pixels_of(region))))
-                block = (pixels.lines // side) * (self._place.cube.samples // side + 1) + pixels.samples // side
+                pixels, place = self._pixels(region), self.place
+                side = px.block_side(int(np.count_nonzero(place.pixels_of(region))))
+                block = (pixels.lines // side) * (place.cube.samples // side + 1) + pixels.samples // side
                 made = px.class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
                 self._made[key] = None if made is None else (made, made.components(pixels.values))
             except UsageError as error:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
 from hyperval.data import ClassStatistics, SampleStatistics
+from hyperval.imagery import Cube
 from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, painted, scored_pixels, target_groups, unmix
 from hyperval.observe.laws import RegionLaws, classification_errors, mean_error, pixel_tails
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
@@ -144,15 +145,11 @@ def observe(
     products |= {kind: dict(found) for kind, found in detected.products.items()} if detected else {}
     if unmixed is not None:
         products["abundance"] |= unmixed.areas
-    fits = {
-        name: pixel_tails(place, masks[name], measured[name])
-        for name in track([n for n in place.regions if n not in known], "tails", show=show_progress)
-        if not place.by_number
-    }
-    snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
-    # Last, as the fits load what is in memory beside the pixels otherwise.
     distribution = {name: d for name, d in before.distribution.items() if name in known}
-    distribution |= {name: fit() for name, fit in fits.items() if fit is not None}
+    for name in track([n for n in place.regions if n not in known], "tails", show=show_progress):
+        tails = None if place.by_number else pixel_tails(place, masks[name], measured[name])
+        distribution |= {} if tails is None else {name: tails}
+    snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
     observation = ObservedProducts(
         axis=cube.axis,
         snr=snr,
@@ -244,45 +241,47 @@ def _spectra(
         sample, parts = place.statistics[name], dict[str, Array]()
         if stated is not None and cube.quantity == "radiance":
             parts["calibration"] = calibration_covariance(sample.mean, cube.axis, stated, resolve)
-        own[name] = _estimate(replace(place, line=None), sample, error, parts)
+        own[name] = _estimate(cube, None, sample, error, parts)
         if place.line is not None and cube.quantity == "radiance":
-            reflectance[name] = _reflectance(place, place.line, name, error)
+            reflectance[name] = _reflectance(cube, place.line, name, sample, error)
     return {"radiance": own, "reflectance": reflectance} if cube.quantity == "radiance" else {"reflectance": own}
 
 
-def _reflectance(place: Place, line: EmpiricalLine, name: str, sampling: EstimatedPart) -> SpectralEstimate:
+def _reflectance(
+    cube: Cube, line: EmpiricalLine, name: str, sample: SampleStatistics, sampling: EstimatedPart
+) -> SpectralEstimate:
     """After the empirical line, whose error is common to all pixels and hangs together between bands.
 
     A panel of the line is no evidence for it: its reflectance is that of the line through the other panels.  Where
     they fix none, the line goes through the panel whatever it reflects.
     """
-    sample = place.statistics[name]
     others = line.without(name) if name in line.names else line
     if others is None:
         own = {"empirical line": line.error_covariance(sample.mean, own=name)}
-        return _estimate(place, sample, None, own, circular=CIRCULAR)
-    gains, parts = np.outer(others.gain, others.gain), {"empirical line": others.error_covariance(sample.mean)}
-    scaled, estimated = sampling.of_each(lambda c: c / gains), others.estimated(sample.mean)
-    return _estimate(replace(place, line=others), sample, scaled, parts, estimated)
+        return _estimate(cube, line, sample, None, own, circular=CIRCULAR)
+    parts = {"empirical line": others.error_covariance(sample.mean)}
+    return _estimate(cube, others, sample, sampling, parts, others.estimated(sample.mean))
 
 
 def _estimate(
-    place: Place,
+    cube: Cube,
+    line: EmpiricalLine | None,
     sample: SampleStatistics,
     sampling: EstimatedPart | None,
     parts: Mapping[str, Array],
     estimated: tuple[EstimatedPart, ...] = (),
     circular: str = "",
 ) -> SpectralEstimate:
-    """A mean after the line of the place, if any, with the error of its sampling and the other ``parts``."""
-    cube, line = place.cube, place.line
-    mean, spread = place.in_reflectance(sample)
-    rounding = cube.gain**2 / 12.0 if cube.dtype.kind in "iu" else 0.0
+    """A mean after the line, if any, with the error of its sampling and the other ``parts``."""
+    mean, gain = (sample.mean, np.ones(cube.bands)) if line is None else (line.reflectance(sample.mean), line.gain)
+    scale = np.outer(gain, gain)
     if sampling is not None and sample.n > 1:
+        sampling = sampling.of_each(lambda c: c / scale)
         parts, estimated = {"sampling": sampling.covariance, **parts}, (sampling, *estimated)
     return spectral_estimate(
-        mean, parts, pixel_covariance=spread if sample.n > 1 else None, n=sample.n, estimated=estimated,
-        circular=circular, rounding=rounding if line is None else rounding / line.gain**2,
+        mean, parts, pixel_covariance=sample.covariance / scale if sample.n > 1 else None, n=sample.n,
+        estimated=estimated, circular=circular,
+        rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else 0.0,
     )  # fmt: skip
 
 

@@ -34,7 +34,7 @@ from hyperval.collection import (
 from hyperval.data import SampleStatistics
 from hyperval.errors import InputError, UsageError, one_of, reader, refusal
 from hyperval.imagery import Cube, LookupTable, Region, TargetObject
-from hyperval.observe.truth_images import abundance_targets, finer_targets, material_regions
+from hyperval.observe.truth_images import image_targets, material_regions
 from hyperval.paths import checked_file
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
@@ -384,10 +384,8 @@ class _Site:
                 raise UsageError("pixels in degrees have no ground size", where=truth.csv, mend=mend)
             side, path = None if area is None else math.sqrt(area), self.resolve(truth.csv)
             return imagery.read_targets(path, cube.shape, transform=table or cube.transform, pixel_size_m=side), []
-        if truth.finer is not None:
-            return finer_targets(truth.finer, cube, area, self.resolve)
-        if truth.abundances is not None:
-            return abundance_targets(truth.abundances, cube, area, self.resolve)
+        if (image := truth.finer or truth.abundances) is not None:
+            return image_targets(image, cube, area, self.resolve)
         if truth.rasters is not None:
             return self._of_rasters(truth.rasters), []
         return self._drawn(truth)

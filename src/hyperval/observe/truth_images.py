@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
@@ -33,6 +33,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 MAX_CELLS = 400_000_000
 MAX_OBJECTS = 10_000
+LEAST_FILL = 0.02  # pixels that are filled less are none of the target
 SHIFTS = 32  # drawn places of the finer image, where its registration has an error
 _SQUARE_OFF = 0.02  # pixels that a side of the finer image may run aslant over its whole length
 _REACH_SD = 5.0
@@ -41,18 +42,22 @@ _LINES = 64  # read at once
 
 @dataclass(frozen=True)
 class FinerGrid:
-    """Where the cells of a finer image lie on the cube.
+    """Where the cells of a finer image lie on the cube, and how its pixels see them.
 
     Attributes
     ----------
     line, sample : of the corner of its first cell, continuous pixel coordinates of the cube
     line_step, sample_step : sides of a cell [pixels]
+    blur : FWHM of the sensor's Gaussian along lines and along samples [pixels]
+    shifts : (K, 2) equally likely displacements of the cells along lines and samples [pixels]
     """
 
     line: float
     sample: float
     line_step: float
     sample_step: float
+    blur: tuple[float, float] = (0.0, 0.0)
+    shifts: Array = field(default_factory=lambda: np.zeros((1, 2)))
 
     def beginning(self, row: int, column: int) -> FinerGrid:
         """The part of the grid from a cell on."""
@@ -60,31 +65,22 @@ class FinerGrid:
         return replace(self, line=line, sample=sample)
 
 
-def window_fills(
-    mask: Mask,
-    grid: FinerGrid,
-    corner: tuple[int, int],
-    size: tuple[int, int],
-    blur: tuple[float, float],
-    shifts: Array,
-) -> Array:
-    """(K, lines, samples) fills of the pixels of a window by the cells of a mask (f of 3.10).
+def window_fills(cells: Array | Mask, grid: FinerGrid, corner: tuple[int, int], size: tuple[int, int]) -> Array:
+    """(K, lines, samples) fills of the pixels of a window by the cells of an image (f of 3.10).
 
     Parameters
     ----------
-    mask : (h, w) cells that are target
+    cells : (h, w) part of each that is target
     grid : where the first of them lies
     corner, size : first line and sample of the window, and its lines and samples
-    blur : FWHM of the sensor's Gaussian along lines and along samples [pixels]
-    shifts : (K, 2) displacements of the cells along lines and samples [pixels]
     """
-    y = grid.line + grid.line_step * np.arange(mask.shape[0] + 1)
-    x = grid.sample + grid.sample_step * np.arange(mask.shape[1] + 1)
-    part = mask.astype(float)
-    out = np.empty((len(shifts), *size))
-    for k, (down, right) in enumerate(shifts):
-        along = aperture_weights(y + down, corner[0], size[0], blur[0])
-        across = aperture_weights(x + right, corner[1], size[1], blur[1])
+    y = grid.line + grid.line_step * np.arange(cells.shape[0] + 1)
+    x = grid.sample + grid.sample_step * np.arange(cells.shape[1] + 1)
+    part = cells.astype(float)
+    out = np.empty((len(grid.shifts), *size))
+    for k, (down, right) in enumerate(grid.shifts):
+        along = aperture_weights(y + down, corner[0], size[0], grid.blur[0])
+        across = aperture_weights(x + right, corner[1], size[1], grid.blur[1])
         out[k] = along @ part @ across.T
     return np.clip(out, 0.0, 1.0)
 
@@ -102,48 +98,60 @@ def registration_shifts(error_pixels: float, count: int = SHIFTS) -> Array:
     return np.asarray(error_pixels * normal / normal.std(axis=0))
 
 
-def finer_targets(
-    truth: FinerTruth, cube: Cube, pixel_area_m2: float | None, resolve: Callable[[str], Path]
+def image_targets(
+    truth: FinerTruth | AbundanceTruth, cube: Cube, pixel_area_m2: float | None, resolve: Callable[[str], Path]
 ) -> tuple[list[TargetObject], list[str]]:
-    """The targets of a finer image with the fills of their pixels, and what is to be said of them.
+    """The targets of a truth image with the fills of their pixels, and what is to be said of them.
+
+    Abundances are cells of a pixel each, seen without blur where they lie; DIRSIG writes them as bands of 64-bit
+    numbers in the size of the radiance image, each with its name.
 
     Raises
     ------
-    InputError : an image that is not finer, lies aslant or elsewhere, has none of the classes, or a target that
-        leaves the cube.
+    InputError : a finer image that is not finer, lies aslant or elsewhere, has none of the classes, or a target that
+        leaves the cube; abundances of another size, in no such band, or that are no parts of a pixel.
     UsageError : an image without a place on the cube.
     """
-    path = resolve(truth.image)
-    raster = open_raster(path)
-    if raster.lines * raster.samples > MAX_CELLS:
-        raise InputError(f"{raster.lines} x {raster.samples} cells", where=str(path), expected=f"at most {MAX_CELLS}")
-    grid = _grid(truth, raster, cube, str(path))
-    error = truth.registration_pixels or 0.0
-    if truth.registration_m is not None:
-        if pixel_area_m2 is None:
-            raise refusal("finer.size", str(path))
-        error = truth.registration_m / math.sqrt(pixel_area_m2)
-    shifts = registration_shifts(error)
-    blur = truth.psf_fwhm_pixels
-    both = blur if isinstance(blur, tuple) else (blur, blur)
+    path, pixel_area = resolve(truth.image), math.nan if pixel_area_m2 is None else pixel_area_m2
+    images: Iterator[tuple[str, Array | Mask]]
+    if isinstance(truth, FinerTruth):
+        raster, error = open_raster(path), truth.registration_pixels or 0.0
+        if truth.registration_m is not None:
+            if pixel_area_m2 is None:
+                raise refusal("finer.size", str(path))
+            error = truth.registration_m / math.sqrt(pixel_area)
+        blur = truth.psf_fwhm_pixels
+        both = blur if isinstance(blur, tuple) else (blur, blur)
+        grid = replace(_grid(truth, raster, cube, str(path)), blur=both, shifts=registration_shifts(error))
+        images = _class_cells(truth, raster, path)
+    else:
+        grid, error = FinerGrid(0.0, 0.0, 1.0, 1.0), 0.0
+        images = _abundances(truth, raster_of_size(path, cube.shape), path)
     out: list[TargetObject] = []
-    for material, mask in _class_masks(truth, raster, str(path)):
-        listed = list(islice(patches(mask, material, whole=truth.objects == "classes"), MAX_OBJECTS + 1))
+    for material, cells in images:
+        listed = list(islice(patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
         if len(listed) > MAX_OBJECTS:
             raise refusal("finer.patches", str(path), most=MAX_OBJECTS, material=material)
-        for name, (rows, columns), inside in listed:
-            there, cells = grid.beginning(rows.start, columns.start), float(inside.sum())
-            area = math.nan
-            if pixel_area_m2 is not None:
-                area = cells * grid.line_step * grid.sample_step * pixel_area_m2
-            out.append(_object(name, material, inside, there, cube, both, shifts, area, truth, str(path)))
-    fills = np.concatenate([o.fills.mean(axis=0)[o.part] for o in out if o.fills is not None])
-    spread = np.concatenate([o.fills.std(axis=0)[o.part] for o in out if o.fills is not None])
-    note = f"{len(out)} targets from {path.name}, {1 / grid.sample_step:.3g} times finer: {fills.size} pixels of fill "
-    note += f"{fills.min():.3g} to {fills.max():.3g}, mean {fills.mean():.3g}"
-    if error:
-        note += f"; registration of {error:.3g} pixels makes {float(np.sqrt(np.mean(spread**2))):.2g} (RMS) of it"
-    return out, [note]
+        for name, window, inside in listed:
+            part, there = np.where(inside, cells[window], 0), grid.beginning(window[0].start, window[1].start)
+            corner, fills = _seen(name, part, there, cube.shape, str(path))
+            area = float(part.sum()) * grid.line_step * grid.sample_step * pixel_area
+            out.append(object_of_fills(name, material, fills, corner, cube.shape, area, str(path)))
+    known = [(o.fills, o.part) for o in out if o.fills is not None]
+    mean, spread = (np.concatenate([of(fills, axis=0)[part] for fills, part in known]) for of in (np.mean, np.std))
+    if isinstance(truth, FinerTruth):
+        note = f"{len(out)} targets from {path.name}, {1 / grid.sample_step:.3g} times finer: {mean.size} pixels of "
+        note += f"fill {mean.min():.3g} to {mean.max():.3g}, mean {mean.mean():.3g}"
+        if error:
+            note += f"; registration of {error:.3g} pixels makes {float(np.sqrt(np.mean(spread**2))):.2g} (RMS) of it"
+        return out, [note]
+    remarks = [f"{len(out)} targets of {mean.size} pixels by the abundances in {path.name}"]
+    if np.all(mean == 1.0):
+        remarks.append(
+            f"warning: no pixel in {path.name} is filled in part: was each pixel sampled by one ray? Their number "
+            "in the simulation is what fills are counted by"
+        )
+    return out, remarks
 
 
 def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGrid:
@@ -166,53 +174,57 @@ def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGri
     return grid
 
 
-def _class_masks(truth: FinerTruth, raster: Raster, where: str) -> Iterator[tuple[str, Mask]]:
-    """Material -> cells; a class is a value of the first band, or a range of a band."""
+def _class_cells(truth: FinerTruth, raster: Raster, path: Path) -> Iterator[tuple[str, Mask]]:
+    """Material -> which cells it fills; a class is a value of the first band, or a range of a band."""
+    if raster.lines * raster.samples > MAX_CELLS:
+        raise InputError(f"{raster.lines} x {raster.samples} cells", where=str(path), expected=f"at most {MAX_CELLS}")
     for material, chosen in truth.classes.items():
         one = chosen if isinstance(chosen, BandRange) else BandRange(band=1, above=chosen, below=chosen)
-        if one.band > raster.bands:
-            raise InputError(f"no band {one.band}", where=where, expected=f"1 to {raster.bands}")
         low, high = -np.inf if one.above is None else one.above, np.inf if one.below is None else one.below
         mask = np.empty((raster.lines, raster.samples), bool)
-        for rows, values in _rows(raster, one.band - 1):
+        for rows, values in _rows(raster, _band(raster, one.band, path)):
             mask[rows] = (values >= low) & (values <= high)
         if not mask.any():
-            raise InputError(f"no cell of {material!r}", where=where, expected="a value that the image holds")
+            raise InputError(f"no cell of {material!r}", where=str(path), expected="a value that the image holds")
         yield material, mask
 
 
-def _object(
-    name: str, material: str, inside: Mask, grid: FinerGrid, cube: Cube, blur: tuple[float, float], shifts: Array,
-    area_m2: float, truth: FinerTruth, where: str,
-) -> TargetObject:  # fmt: skip
-    shape = cube.shape
+def _abundances(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[tuple[str, Array]]:
+    """Material -> (lines, samples) part of each pixel that it fills, 0 below the least."""
+    for material, wanted in truth.materials.items():
+        band = _band(raster, wanted, path)
+        fill = _values(raster, band)
+        if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
+            raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
+        fill = np.where(fill >= LEAST_FILL, np.minimum(fill, 1.0), 0.0)
+        if not fill.any():
+            raise InputError(f"no pixel is filled by {material!r}", where=str(path), expected=f"{LEAST_FILL:g}")
+        yield material, fill
+
+
+def _seen(
+    name: str, cells: Array | Mask, grid: FinerGrid, shape: tuple[int, int], where: str
+) -> tuple[tuple[int, int], Array]:
+    """Corner of the window of pixels that see some of the cells of a target, and their fills (K, h, w)."""
     starts = np.array([grid.line, grid.sample])
-    ends = starts + np.array([grid.line_step, grid.sample_step]) * inside.shape
+    ends = starts + np.array([grid.line_step, grid.sample_step]) * cells.shape
     if np.any(starts < 0) or np.any(ends > shape):
         mend = "check where the finer image lies; a target that the cube cuts is taken out of it"
         raise outside_error(np.array([starts, ends])[:, ::-1], shape, where, f"the target {name!r}", mend)
-    away = np.ceil(_REACH_SD * np.array(blur) * SIGMA_PER_FWHM + np.abs(shifts).max(axis=0))
+    away = np.ceil(_REACH_SD * np.array(grid.blur) * SIGMA_PER_FWHM + np.abs(grid.shifts).max(axis=0))
     low = np.maximum(np.floor(starts) - away, 0).astype(int)
     high = np.minimum(np.ceil(ends) + away, shape).astype(int)
     corner, size = (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1]))
-    fills = window_fills(inside, grid, corner, size, blur, shifts)
-    return object_of_fills(name, material, fills, corner, shape, area_m2, truth.least_fill, where)
+    return corner, window_fills(cells, grid, corner, size)
 
 
 def object_of_fills(
-    name: str,
-    material: str,
-    fills: Array,
-    corner: tuple[int, int],
-    shape: tuple[int, int],
-    area_m2: float,
-    least: float,
-    where: str,
+    name: str, material: str, fills: Array, corner: tuple[int, int], shape: tuple[int, int], area_m2: float, where: str
 ) -> TargetObject:
-    """A target by the fills (K, h, w) of a window: its pixels are those of which the mean reaches ``least``."""
-    mask = fills.mean(axis=0) >= least
+    """A target by the fills (K, h, w) of a window: its pixels are those of which the mean reaches 0.02."""
+    mask = fills.mean(axis=0) >= LEAST_FILL
     if not mask.any():
-        raise refusal("truth.fill", where, name=name, least=least)
+        raise refusal("truth.fill", where, name=name, least=LEAST_FILL)
     (line, sample), part = cut_out(mask)
     kept = fills[:, line : line + part.shape[0], sample : sample + part.shape[1]].copy()
     attributes = {"material": material, "region": name}
@@ -261,46 +273,6 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
             raise InputError(f"no pixel of material {number} ({name!r})", where=str(path), expected=f"one of {present}")
         regions[name] = Region(name, mask, str(path))
     return regions
-
-
-def abundance_targets(
-    truth: AbundanceTruth, cube: Cube, pixel_area_m2: float | None, resolve: Callable[[str], Path]
-) -> tuple[list[TargetObject], list[str]]:
-    """Targets with the fills of their pixels by bands of abundances, and what is to be said of them.
-
-    DIRSIG writes such bands as ENVI files of 64-bit numbers in the size of the radiance image, each with its name.
-
-    Raises
-    ------
-    InputError : another size than the cube's, no such band, or values that are no parts of a pixel.
-    """
-    path = resolve(truth.image)
-    raster = raster_of_size(path, cube.shape)
-    out: list[TargetObject] = []
-    for material, wanted in truth.materials.items():
-        band = _band(raster, wanted, path)
-        fill = _values(raster, band)
-        if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
-            raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
-        fill = np.clip(fill, 0.0, 1.0)
-        mask = fill >= truth.least_fill
-        if not mask.any():
-            raise InputError(f"no pixel is filled by {material!r}", where=str(path), expected=f"{truth.least_fill:g}")
-        for name, window, inside in patches(mask, material, whole=truth.objects == "bands"):
-            part = np.where(inside, fill[window], 0.0)
-            area = math.nan if pixel_area_m2 is None else float(part.sum()) * pixel_area_m2
-            corner = int(window[0].start), int(window[1].start)
-            out.append(
-                object_of_fills(name, material, part[None], corner, cube.shape, area, truth.least_fill, str(path))
-            )
-    pixels = sum(int(o.part.sum()) for o in out)
-    remarks = [f"{len(out)} targets of {pixels} pixels by the abundances in {path.name}"]
-    if all(np.isin(o.fills[o.fills > 0], 1.0).all() for o in out if o.fills is not None):
-        remarks.append(
-            f"warning: no pixel in {path.name} is filled in part: was each pixel sampled by one ray? Their number "
-            "in the simulation is what fills are counted by"
-        )
-    return out, remarks
 
 
 def _band(raster: Raster, wanted: int | str, path: Path) -> int:
