@@ -88,7 +88,7 @@ def test_a_local_window_moves_the_mean_with_the_pixel(world):
     keep, target = seen.place.background(["scene"]), world.on_bands()
     detectors = {"paint-cem": ("cem", target), "paint-ace": ("ace", target), "rx": ("rx", None)}
     whitener = pixels.whitener_of(*moments(world.values[keep]))
-    expected, _ = pixels.score_cube_locally(seen.place.cube, detectors, whitener, pixels.LocalWindow(11, 3), keep)
+    expected, _ = pixels.score_cube_locally(seen.place.cube, detectors, whitener, (11, 3), keep)
     for name, scores in expected.items():
         np.testing.assert_allclose(seen.detected.score_maps[name], scores, rtol=1e-9)
 

@@ -202,7 +202,7 @@ def test_a_covariance_of_few_directions_has_no_other_components():
 
 
 def test_limits_of_draws_are_the_third_from_each_end_of_119():
-    low, high = pixels.SamplingBand.limits(np.random.default_rng(0).permutation(119).astype(float) + 1)
+    low, high = pixels.band_limits(np.random.default_rng(0).permutation(119).astype(float) + 1)
     assert (low, high) == (3.0, 117.0)  # a further draw is below 3 of 120 places, or above: 6/120 = 0.05
 
 

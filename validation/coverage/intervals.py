@@ -22,8 +22,8 @@ from hyperval.observe import target_areas
 from hyperval.pixels import (
     AlarmBlocks,
     EigenDirections,
-    SamplingBand,
     area_estimates,
+    band_limits,
     counts_of,
     empirical_roc,
     exceedance_curve,
@@ -125,7 +125,7 @@ def eigenvalues(rng: np.random.Generator, clustered: bool) -> Intervals:
     measured = np.linalg.eigvalsh(np.cov(pixels.T))[::-1]
     directions = EigenDirections.of(_COVARIANCE)
     band = sampling_band(directions, float(PIXELS - 1), max(EIGENVALUES), (1,), rng)
-    low, high = SamplingBand.limits(band.eigenvalues)
+    low, high = band_limits(band.eigenvalues)
     for k in EIGENVALUES:
         yield f"eigenvalue {k}", bool(low[k - 1] <= measured[k - 1] <= high[k - 1])
 

@@ -41,7 +41,7 @@ from hyperval.model.fill import touched_counts
 from hyperval.model.intervals import clopper_pearson
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, scored_pixels, target_groups
 from hyperval.observe import observe as observe_collection
-from hyperval.pixels import SamplingBand, average_roc, exceedance_of_distance
+from hyperval.pixels import average_roc, band_limits, exceedance_of_distance
 from hyperval.products import (
     Abundance,
     ClassificationError,
@@ -455,7 +455,7 @@ def spread_curves(
             sample = sampled(prediction, observation, subject, quantity, MOST_EIGENVALUES)
             if sample is None or isinstance(sample, str):
                 continue
-            low, high = SamplingBand.limits(sample.band.eigenvalues)
+            low, high = band_limits(sample.band.eigenvalues)
             measured, mean = sample.measured.eigenvalues, sample.band.eigenvalues.mean(axis=0)
             eigenvalues[subject, quantity] = EigenvalueSpectrum(measured, mean, low, high, sample.n)
     tails = {

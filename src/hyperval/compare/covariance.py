@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -15,12 +15,11 @@ from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
 from hyperval.pixels import (
     EigenDirections,
-    SamplingBand,
     Statistics,
+    band_limits,
     full_rank,
     kurtosis_parameter,
     noise_part,
-    principal_angles_deg,
     sampling_band,
     statistics_of_covariance,
 )
@@ -116,7 +115,7 @@ class Sampled:
     bands: Mask
     covariances: tuple[Array, Array]
     measured: Statistics
-    band: SamplingBand
+    band: Statistics
     spaces: tuple[int, ...]
     n: int
     fewest: float
@@ -151,16 +150,15 @@ def sampled(predicted: Products, observed: Products, subject: str, quantity: str
     count = min(most, drawn)
     spaces = tuple(k for k in SPACES if k <= count and k < size)
     full = full_rank(independent, size)
-    most = max(spaces, default=0)
-    measured = statistics_of_covariance(directions, directions.of_other(second), count, most, full_rank=full)
+    measured = statistics_of_covariance(directions, directions.of_other(second), count, spaces, full_rank=full)
     band = _band(directions.values.tobytes(), independent.tobytes(), drawn, spaces, kurtosis)
-    band = replace(band, eigenvalues=band.eigenvalues[:, :count])
+    band = band._replace(eigenvalues=band.eigenvalues[:, :count])
     fewest = float(independent.min()) + 1.0
     return Sampled((p, o), bands, (first, second), measured, band, spaces, n, fewest, size, kurtosis)
 
 
 @lru_cache(maxsize=64)
-def _band(variances: bytes, independent: bytes, count: int, spaces: tuple[int, ...], kurtosis: float) -> SamplingBand:
+def _band(variances: bytes, independent: bytes, count: int, spaces: tuple[int, ...], kurtosis: float) -> Statistics:
     """The draws that rows and figures of a subject share, whichever way its directions point."""
     values = np.frombuffer(variances)
     directions = EigenDirections(np.eye(values.size), values)
@@ -170,7 +168,7 @@ def _band(variances: bytes, independent: bytes, count: int, spaces: tuple[int, .
 
 def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
     measured, band, n = sample.measured, sample.band, sample.n
-    low, high = SamplingBand.limits(band.eigenvalues)
+    low, high = band_limits(band.eigenvalues)
     expected = band.eigenvalues.mean(axis=0)
     for k, value in enumerate(measured.eigenvalues):
         ends = low[k] / value, high[k] / value
@@ -178,13 +176,12 @@ def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
         yield _row(f"eigenvalue_ratio@{k + 1}", expected[k] / value, ends, n, reason)
     inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
     yield row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
-    total = band.total / measured.total
-    yield _row("total_variance_ratio", float(total.mean()), SamplingBand.limits(total), n)
+    total = band.total / float(measured.total)
+    yield _row("total_variance_ratio", float(total.mean()), band_limits(total), n)
 
 
 def _space_rows(sample: Sampled) -> Iterator[Result]:
-    angles = principal_angles_deg(sample.measured.overlap, sample.spaces)
-    for k, angle, drawn in zip(sample.spaces, angles, sample.band.angles_deg.T, strict=False):
+    for k, angle, drawn in zip(sample.spaces, sample.measured.angles_deg, sample.band.angles_deg.T, strict=False):
         # One-sided: only too large an angle tells against the prediction.
         most = float(np.sort(drawn)[-6])  # the sixth of 119 is exceeded with probability 0.05
         reason = f"sampling alone stays below {most:.3g} deg in 95 % of draws"
@@ -194,7 +191,7 @@ def _space_rows(sample: Sampled) -> Iterator[Result]:
 
 def _distance_rows(sample: Sampled) -> Iterator[Result]:
     """The distance of the two normal laws, and what of it is the covariance's beyond sampling."""
-    found, drawn = sample.measured.distance, sample.band.distance
+    found, drawn = float(sample.measured.distance), sample.band.distance
     if math.isnan(found):
         why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
         yield from skipped(Cause.FEW_PIXELS, why, "bhattacharyya_distance", "bhattacharyya_covariance_excess")
@@ -202,7 +199,7 @@ def _distance_rows(sample: Sampled) -> Iterator[Result]:
     (p, o), (first, second) = (side.mean[sample.bands] for side in sample.sides), sample.covariances
     yield row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
     excess = found - float(drawn.mean())
-    low, high = SamplingBand.limits(drawn - drawn.mean())
+    low, high = band_limits(drawn - drawn.mean())
     reason = f"sampling alone gives {drawn.mean():.3g}, {found:.3g} was found"
     ends = excess - float(high), excess - float(low)
     yield _row("bhattacharyya_covariance_excess", excess, ends, sample.n, reason)

@@ -300,11 +300,11 @@ def _score_maps(
     if local is None or bank.whitener is None:
         maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=bank.whitener, scenes=scenes, **common)
         return maps, []
-    window = px.LocalWindow(local.outer_pixels, local.inner_pixels)
+    window = local.outer_pixels, local.inner_pixels
     around = place.background([IMAGE] if IMAGE in detection.background else [SCENE])
     maps, lonely = px.score_cube_locally(cube, bank.forms, bank.whitener, window, around, line, bank.bands, **common)
     return maps, [
-        f"background means from windows of {window.outer} less {window.inner} pixels; "
+        f"background means from windows of {window[0]} less {window[1]} pixels; "
         f"{lonely} pixels without surroundings take the mean of the background. "
         "Predicted scores are against that mean throughout"
     ]

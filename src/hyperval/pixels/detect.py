@@ -21,16 +21,18 @@ and d = W (t - mu) - m.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import HypervalError, UsageError, refusal
@@ -43,7 +45,6 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Indices = npt.NDArray[np.intp]
 MOST_VALUES = 50_000_000  # of what detectors see of an image at once: 0.4 GB, twice that while they score it
 LEAST_PIXELS = 10  # fewer make no mean to speak of; the global one stands in
 _VALUES_AT_ONCE = 1_000_000  # of the pixels of a strip and what the window reaches beyond them
@@ -389,18 +390,11 @@ def _spectra_of(
     return used, must, gain / k[used], (offset - b[used]) / k[used]
 
 
-class LocalWindow(NamedTuple):
-    """Sides of the two squares [pixels], odd, the inner one less than the outer."""
-
-    outer: int
-    inner: int
-
-
 def score_cube_locally(
     cube: Cube,
     detectors: Mapping[str, tuple[str, npt.ArrayLike | None]],
     whitener: Whitener,
-    window: LocalWindow,
+    window: tuple[int, int],
     counted: Mask,
     elm: EmpiricalLine | None = None,
     bands: Mask | None = None,
@@ -417,6 +411,7 @@ def score_cube_locally(
     ----------
     detectors : name of the map -> name of the detector and its target (F,) in the selected bands
     whitener : of the background in the selected bands
+    window : sides of the outer and the inner square [pixels], odd
     counted : (lines, samples) pixels that may count for a mean; those without data never do
     elm, bands, needed, threads, watch : as for :func:`score_cube`
 
@@ -438,61 +433,50 @@ def score_cube_locally(
     origin = (whitener.matrix @ whitener.mean)[:, None]
     # y of a stored pixel, and below it a 1 that counts the pixels of a sum
     rows = np.vstack([whitener.matrix * slope, np.zeros(slope.size)])
-    constant = np.append(whitener.whitened(level), 1.0)[:, None]
-    around = window.outer // 2
-    width = max(16, _VALUES_AT_ONCE // (2 * window.outer * len(rows)) - 2 * around)
+    constant = np.append(whitener.whitened(level), 1.0)[:, None, None]
+    outer, inner = window
+    around = outer // 2
+    width = max(16, _VALUES_AT_ONCE // (2 * outer * len(rows)) - 2 * around)
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
 
-    def scored(lines: range, samples: range) -> int:
+    def scored(lines: slice, samples: slice) -> int:
         """Score some pixels; how many of them lack surroundings."""
-        above, left = max(lines.start - around, 0), max(samples.start - around, 0)
-        columns = slice(left, min(samples.stop + around, cube.samples))
-        stored, usable = cube.read_stored(above, min(lines.stop + around, cube.lines) - above, must)
-        part = stored[used, :, columns].astype(float)
+        down, along = (slice(max(s.start - around, 0), s.stop + around) for s in (lines, samples))
+        own = tuple(slice(s.start - r.start, s.stop - r.start) for s, r in ((lines, down), (samples, along)))
+        stored, usable = cube.read_stored(down.start, min(down.stop, cube.lines) - down.start, must)
         with np.errstate(invalid="ignore", over="ignore"):
-            y = (rows @ part.reshape(slope.size, -1) + constant).reshape(len(rows), *part.shape[1:])
-        known = usable[:, columns] & np.isfinite(y).all(axis=0)
+            y = np.tensordot(rows, stored[used, :, along].astype(float), 1) + constant
+        known = usable[:, along] & np.isfinite(y).all(axis=0)
         y[:, ~known] = 0.0
-        summed = np.zeros((len(rows), *(size + 1 for size in known.shape)))
-        np.cumsum(y * (known & counted[above : above + len(known), columns]), axis=1, out=summed[:, 1:, 1:])
-        np.cumsum(summed, axis=2, out=summed)
-        down, along = (np.arange(r.start, r.stop) - first for r, first in ((lines, above), (samples, left)))
-        total = _square_sums(summed, down, along, window.outer) - _square_sums(summed, down, along, window.inner)
-        number = np.rint(total[-1])
-        mean = total[:-1] * np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
-        mean, own = mean.reshape(slope.size, -1), y[:-1, down[0] : down[-1] + 1, along[0] : along[-1] + 1]
-        own, has = own.reshape(slope.size, -1), known[np.ix_(down, along)]
-        z = own - mean
+        counts = y * (known & counted[down, along])
+        total = _square_sums(counts, outer)[:, *own] - _square_sums(counts, inner)[:, *own]
+        number, has = np.rint(total[-1].ravel()), known[own]
+        mean = total[:-1].reshape(slope.size, -1)
+        mean *= np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
+        x = y[:-1, *own].reshape(slope.size, -1)
+        z = x - mean
         zz = _dot(z, z)
         for key, (name, target) in targets.items():
             d = target - mean
             dz, dd = _dot(d, z), _dot(d, d)
             if name == "cem-correlation":
-                dz, dd = _from_origin(target + origin, mean + origin, own + origin)
+                dz, dd = _from_origin(target + origin, mean + origin, x + origin)
             score = _finite(SCORES[name](dz, dd, zz)).reshape(has.shape)
-            maps[key][lines.start : lines.stop, samples.start : samples.stop] = np.where(has, score, np.nan)
-        return int(np.count_nonzero(has & (number < LEAST_PIXELS)))
+            maps[key][lines, samples] = np.where(has, score, np.nan)
+        return int(np.count_nonzero(has.ravel() & (number < LEAST_PIXELS)))
 
     def segment(firsts: range) -> int:
         """Score the lines of a segment in strips of samples; how many pixels lack surroundings."""
-        starts = range(0, cube.samples, width)
-        return sum(
-            scored(range(line, min(line + window.outer, cube.lines)), range(start, min(start + width, cube.samples)))
-            for line in firsts
-            for start in starts
-        )
+        strips = [slice(start, min(start + width, cube.samples)) for start in range(0, cube.samples, width)]
+        lines = [slice(line, min(line + outer, cube.lines)) for line in firsts]
+        return sum(scored(*part) for part in itertools.product(lines, strips))
 
-    return maps, sum(by_segments(cube, window.outer, segment, threads=threads, watch=watch))
+    return maps, sum(by_segments(cube, outer, segment, threads=threads, watch=watch))
 
 
-def _square_sums(summed: Array, lines: Indices, samples: Indices, side: int) -> Array:
-    """(F, n, w) sums over squares around pixels, cut at the edges, by cumulative sums (F, lines + 1, samples + 1)."""
-    (top, end), (left, right) = (
-        [np.clip(at + step, 0, size - 1) for step in (-(side // 2), side // 2 + 1)]
-        for at, size in zip((lines, samples), summed.shape[1:], strict=True)
-    )
-    strips = summed[:, end] - summed[:, top]
-    return np.asarray(strips[:, :, right] - strips[:, :, left])
+def _square_sums(values: Array, side: int) -> Array:
+    """(F, lines, samples) sums over the squares around pixels, cut at the edges."""
+    return np.asarray(side**2 * ndimage.uniform_filter(values, (1, side, side), mode="constant"))
 
 
 def _from_origin(t: Array, mu: Array, x: Array) -> tuple[Array, Array]:

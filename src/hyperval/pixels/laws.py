@@ -27,7 +27,7 @@ from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
 
 from hyperval.data import Components
 from hyperval.errors import UsageError, refusal
-from hyperval.pixels.sample import EigenDirections
+from hyperval.pixels.statistics import EigenDirections
 
 Array = npt.NDArray[np.float64]
 
