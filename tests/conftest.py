@@ -10,7 +10,7 @@ from small_campaign import SmallCampaign, with_stand_in_atmosphere, without_figu
 
 
 @pytest.fixture(scope="session")
-def small_collection(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small_collection(tmp_path_factory) -> Path:
     """The simulated files of the small campaign, written once; never change them, copy them."""
     folder = tmp_path_factory.mktemp("small")
     write_collection(folder)
@@ -18,23 +18,23 @@ def small_collection(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def own_atmosphere(monkeypatch: pytest.MonkeyPatch) -> None:
+def own_atmosphere(monkeypatch):
     """Predictions and simulations use the stand-in atmosphere."""
     with_stand_in_atmosphere(monkeypatch)
 
 
 @pytest.fixture
-def figures() -> None:
+def figures():
     """Reports of the small campaign with figures, charts and arrays: for a test that asks for this alone."""
 
 
 @pytest.fixture
 def make_small(
-    small_collection: Path,
-    tmp_path: Path,
-    own_atmosphere: None,
-    request: pytest.FixtureRequest,
-    monkeypatch: pytest.MonkeyPatch,
+    small_collection,
+    tmp_path,
+    own_atmosphere,
+    request,
+    monkeypatch,
 ) -> Callable[..., SmallCampaign]:
     """Make copies of the small campaign, each in a folder of its own."""
     if "figures" not in request.fixturenames:
@@ -48,6 +48,6 @@ def make_small(
 
 
 @pytest.fixture
-def small(make_small: Callable[..., SmallCampaign]) -> SmallCampaign:
+def small(make_small) -> SmallCampaign:
     """A copy of the small campaign that passes as it stands."""
     return make_small()

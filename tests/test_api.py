@@ -1,7 +1,6 @@
 """The Python API: every verb from paths and objects, short reprs, tables, datasets, plots; its examples run."""
 
 import doctest
-from types import ModuleType
 
 import matplotlib
 import pytest
@@ -39,7 +38,7 @@ def beside(figures, small, monkeypatch):
 
 
 @pytest.mark.parametrize("module", [api, verbs, objects], ids=lambda m: m.__name__)
-def test_every_example_runs(beside, module: ModuleType):
+def test_every_example_runs(beside, module):
     finder = doctest.DocTestFinder(exclude_empty=True)
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
     for case in finder.find(module, globs={**vars(module), **vars(verbs)}):

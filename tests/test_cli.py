@@ -1,5 +1,6 @@
-"""The command line: exit codes, streams, and that each command calls its function."""
+"""The command line: exit codes, streams, bars of progress, and that each command calls its function."""
 
+import json
 import os
 import re
 import signal
@@ -13,13 +14,17 @@ import pytest
 import hyperval
 from hyperval import cli
 from hyperval.cli import note
-from hyperval.errors import EngineError, InputError, MissingDataError, UsageError
+from hyperval.errors import EngineError, InputError, MissingDataError, UsageError, internal_error
+from hyperval.progress import step, track, watch_lines, working
 from hyperval.results import Outcome, Result, Role
 from hyperval.run import results_json
+from hyperval.units import wavelength_to_nm
+
+# The command line: exit codes, streams, and that each command calls its function.
 
 
 @pytest.fixture(autouse=True)
-def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def places(tmp_path, monkeypatch):
     monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("NO_COLOR", "1")
@@ -27,7 +32,7 @@ def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+def calls(monkeypatch) -> dict[str, object]:
     """Stand-ins for the rooms behind the commands: they record the call and do what `result` says."""
     record: dict[str, object] = {"result": 0}
 
@@ -68,12 +73,6 @@ def test_each_command_calls_its_function(calls, arguments, function, first, opti
     }
     asked = {"show_progress": False} | own.get(function, {})
     assert calls[function] == ((first, Path("out")), asked)
-
-
-@pytest.mark.parametrize("code", [0, 1, 3, 5])
-def test_exit_code_of_the_run_is_passed_on(calls, code):
-    calls["result"] = code
-    assert cli.run(["validate", "a.yaml", "-o", "out"]) == code
 
 
 @pytest.mark.parametrize(
@@ -196,15 +195,6 @@ def test_data_list_is_tab_separated_for_programs(capsys):
     assert {len(row) for row in rows} == {len(header)}
 
 
-@pytest.mark.data
-def test_data_verify_passes_on_the_real_files(data_dir, monkeypatch, capsys):
-    monkeypatch.undo()
-    data_dir("hysu/published/full/DLR_HySU_HS_full.hdr")
-    assert cli.run(["data", "verify", "hysu"]) == 0
-    states = {line.split("\t")[2] for line in capsys.readouterr().out.splitlines()[1:]}
-    assert states == {"ok"}
-
-
 def test_data_dir_option_is_a_local_copy(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("HYPERVAL_DATA", "")
     place = tmp_path / "copy"
@@ -287,3 +277,47 @@ def test_a_name_too_long_for_a_file_is_a_mistake_of_the_user(tmp_path, capsys, m
     monkeypatch.setattr("hyperval.baseline.check", check)
     assert cli.run(["check", "--sensors", "casi-1500", "--junit", "n" * 300 + ".xml"]) == 2
     assert "name another file or folder" in capsys.readouterr().err
+
+
+# Words for internal errors.
+
+
+@pytest.mark.parametrize(
+    ("fails", "words"),
+    [
+        (lambda: wavelength_to_nm(None), "AttributeError: 'NoneType' object has no attribute 'strip' (at hyperval/un"),
+        (lambda: json.loads("{"), "(at decoder.py:"),  # in another package the innermost place
+    ],
+)
+def test_an_internal_error_says_where_it_arose(fails, words):
+    with pytest.raises((AttributeError, json.JSONDecodeError)) as caught:
+        fails()
+    assert internal_error(caught.value).startswith("internal error: ")
+    assert words in internal_error(caught.value)
+
+
+# Progress says which campaign and step it belongs to, and nothing where nobody watches.
+
+
+def said(capsys) -> str:
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().err)
+
+
+def test_bars_name_campaign_step_and_count(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    with step("hysu", 3, 4, "compare"):
+        assert list(track([1, 2, 3], "inputs", show=True)) == [1, 2, 3]
+        with working("figures", show=True):
+            pass
+        assert len(list(watch_lines("scores", 10, 2, show=True)(iter([(range(1), 0), (range(1, 2), 0)])))) == 2
+    words = said(capsys)
+    assert "hysu 3/4 compare: inputs" in words
+    assert "3/3" in words
+    assert "hysu 3/4 compare: figures" in words
+    assert "hysu 3/4 compare: scores" in words
+    assert list(track([1], "alone", show=True)) == [1]
+    assert "hysu" not in said(capsys)
+    with step("hysu", 3, 4, "compare"), working("figures", show=False):  # where nobody watches
+        assert list(track(iter([1, 2]), "inputs", show=False)) == [1, 2]
+    assert said(capsys) == ""

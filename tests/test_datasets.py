@@ -21,7 +21,7 @@ from hyperval.errors import InputError, MissingDataError, UsageError
 
 
 @pytest.fixture(autouse=True)
-def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+def places(tmp_path, monkeypatch) -> tuple[Path, Path]:
     """An empty local copy and an empty cache."""
     local, cache = tmp_path / "local", tmp_path / "cache"
     local.mkdir()
@@ -197,7 +197,7 @@ def toy_set(*files: DataFile) -> DataSet:
 
 
 @pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Handler]]:
+def server(monkeypatch) -> Iterator[type[Handler]]:
     """A registry of one set, `toy`, served by this machine."""
     handler = type("Local", (Handler,), {"content": {"/a.txt": b"first", "/b.chn": b"packed" * 100}, "asked": []})
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as http:
@@ -317,7 +317,7 @@ def test_a_server_that_sends_next_to_nothing_is_given_up(server, places, monkeyp
 # A local copy that is another file.
 
 
-def test_a_wrong_copy_of_a_registered_file_is_refused_with_what_mends_it(small, places, tmp_path: Path, capsys):
+def test_a_wrong_copy_of_a_registered_file_is_refused_with_what_mends_it(small, places, tmp_path, capsys):
     name = "hysu/published/svc/DLR_HySU_SVC_ASCII.txt"
     copy = put(places[0], name, b"Wavelength (nm)\tReflectance\n400\t0.1\n2500\t0.2\n")
     small.data["collection"]["empirical_line"]["panels"][0]["spectrum"] = {"file": f"data:{name}"}

@@ -27,7 +27,7 @@ def terms_of(engine_cache):
 
 
 @pytest.fixture
-def solver_at(engine_cache: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Callable[..., AtmosphericTerms]]:
+def solver_at(engine_cache, monkeypatch) -> Callable[..., Callable[..., AtmosphericTerms]]:
     """Terms by a solver that runs at the given wavelengths alone [nm]."""
 
     def run_at(*nodes_nm: float) -> Callable[..., AtmosphericTerms]:

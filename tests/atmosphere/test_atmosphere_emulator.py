@@ -50,11 +50,9 @@ def test_a_slider_goes_on_without_a_step(place):
 @pytest.mark.slow
 @pytest.mark.parametrize("place", [{}, {"sensor_altitude_km": 700.0, "model": "us-standard-1962"}])
 def test_radiance_is_that_of_6s_within_what_is_stated(engine_cache, place):
-    ours, theirs = (
-        terms(**place),
-        atmospheric_terms(
-            AtmosphericState(**{**STATE, **place, "engine": "sixs"}), cache_dir=engine_cache, show_progress=False
-        ),
+    ours = terms(**place)
+    theirs = atmospheric_terms(
+        AtmosphericState(**{**STATE, **place, "engine": "sixs"}), cache_dir=engine_cache, show_progress=False
     )
     radiance = [
         t.path_radiance + (t.direct + t.adjacency) * 0.3 / (1 - 0.3 * t.spherical_albedo) for t in (ours, theirs)

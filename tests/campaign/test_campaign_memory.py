@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -20,7 +19,7 @@ def test_what_measures_and_what_writes_load_no_more_than_they_need():
 
 
 @pytest.mark.slow
-def test_observing_a_wide_image_of_many_bands_stays_below_its_memory(tmp_path: Path):
+def test_observing_a_wide_image_of_many_bands_stays_below_its_memory(tmp_path):
     """Libraries take 122 MiB, those of the page 26 more; arrays of a few lines and of one part of a window 38.
 
     None of it grows with the lines, so that 64 stand for the 7134 of 10 GB (measured there: docs/formats.md).

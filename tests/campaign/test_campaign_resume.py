@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,13 +17,13 @@ from hyperval.report import RunReport, write_outputs
 from hyperval.results import Outcome, Result, ResultTable
 from hyperval.run import write_table
 from hyperval.storage import PARTIAL, RECORD
-from small_campaign import SmallCampaign, files_of, with_stand_in_atmosphere, without_figures
+from small_campaign import files_of, with_stand_in_atmosphere, without_figures
 
 RUN = "hyperval.campaign.run"
 
 
 @pytest.fixture
-def two(make_small: Callable[[str], SmallCampaign]) -> list[Path]:
+def two(make_small) -> list[Path]:
     first, second = make_small("one"), make_small("two")
     second.data["name"] = "other"
     return [first.write(), second.write()]
@@ -96,7 +95,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch, caps
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def quick(monkeypatch) -> list[str]:
     """Runs that read their files, find one number and draw nothing; the names of those that ran."""
     ran: list[str] = []
 

@@ -35,7 +35,7 @@ def data_only(small: SmallCampaign) -> SmallCampaign:
 
 
 @pytest.fixture
-def no_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def no_data(tmp_path, monkeypatch):
     monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
 

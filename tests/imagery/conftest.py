@@ -25,7 +25,7 @@ def values() -> np.ndarray:
 
 
 @pytest.fixture
-def cube_file(tmp_path: Path, axis: SpectralAxis, values: np.ndarray) -> Path:
+def cube_file(tmp_path, axis, values) -> Path:
     """A valid int16 BIL reflectance cube."""
     return write_cube(
         tmp_path / "cube.img", values, data_type=2, interleave="bil", axis=axis, reflectance_scale_factor=10000.0
@@ -33,7 +33,7 @@ def cube_file(tmp_path: Path, axis: SpectralAxis, values: np.ndarray) -> Path:
 
 
 @pytest.fixture
-def edit(cube_file: Path) -> Callable[..., Path]:
+def edit(cube_file) -> Callable[..., Path]:
     """Change, drop (None) or add lines of the header of ``cube_file``."""
 
     def change(**entries: str | None) -> Path:

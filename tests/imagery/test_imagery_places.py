@@ -154,7 +154,7 @@ def ground(line: np.ndarray, sample: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.fixture
-def bent(tmp_path: Path, axis) -> Path:
+def bent(tmp_path, axis) -> Path:
     """A cube with the places of its pixels beside it."""
     values = np.random.default_rng(2).uniform(1.0, 5.0, (*BENT, 4))
     line, sample = np.mgrid[0 : BENT[0], 0 : BENT[1]] + 0.5
@@ -162,7 +162,7 @@ def bent(tmp_path: Path, axis) -> Path:
     return imagery.write_cube(tmp_path / "f01_rdn_v2n1_img", values, data_type=4, axis=axis)
 
 
-def test_places_of_pixels_come_back_to_them(bent: Path):
+def test_places_of_pixels_come_back_to_them(bent):
     table, notes = imagery.table_of(imagery.open_raster(bent))
     assert isinstance(table, imagery.LocationTable)
     assert notes == ("f01_rdn_igm lies beside the cube and places its pixels",)
@@ -186,14 +186,14 @@ def test_places_of_pixels_come_back_to_them(bent: Path):
         ("ang20160217t083024_rdn_v1n2_img", "ang20160217t083024_rdn_obs", "glt", False),
     ],
 )
-def test_which_file_belongs_to_a_cube(tmp_path: Path, image: str, table: str, kind: str, fits: bool):
+def test_which_file_belongs_to_a_cube(tmp_path, image, table, kind, fits):
     for name in (image, table):
         (tmp_path / name).write_bytes(b"x")
         (tmp_path / f"{name}.hdr").write_text("ENVI\n")
     assert imagery.companion(tmp_path / image, kind) == (tmp_path / table if fits else None)
 
 
-def test_tables_of_another_size_or_without_places(tmp_path: Path, bent: Path, axis):
+def test_tables_of_another_size_or_without_places(tmp_path, bent, axis):
     imagery.write_cube(bent, np.ones((50, BENT[1], 4)), data_type=4, axis=axis)
     table, notes = imagery.table_of(imagery.open_raster(bent))
     assert table is None
@@ -205,7 +205,7 @@ def test_tables_of_another_size_or_without_places(tmp_path: Path, bent: Path, ax
         imagery.location_table(imagery.open_raster(tmp_path / "f01_rdn_igm"), (BENT[0], BENT[1] + 1))
 
 
-def test_swath_products_place_regions_by_longitude_and_latitude(tmp_path: Path):
+def test_swath_products_place_regions_by_longitude_and_latitude(tmp_path):
     shells.tree(tmp_path / "p.he5", "prisma")
     cube = imagery.open_cube(tmp_path / "p.he5", quantity="radiance")
     table, _ = imagery.table_of(cube.raster)
@@ -221,7 +221,7 @@ def test_swath_products_place_regions_by_longitude_and_latitude(tmp_path: Path):
 
 
 @pytest.mark.parametrize("latitude", [0.0, 34.0, -62.0])
-def test_metres_of_a_degree_are_those_of_a_map(latitude: float):
+def test_metres_of_a_degree_are_those_of_a_map(latitude):
     """Against the azimuthal equidistant projection about the place."""
     local = CRS.from_proj4(f"+proj=aeqd +lat_0={latitude} +lon_0=10 +datum=WGS84 +units=m")
     x, y = reproject(CRS.from_epsg(4326), local, [10.0005, 10.0], [latitude, latitude + 0.0005])[:2]
@@ -233,7 +233,7 @@ def test_metres_of_a_degree_are_those_of_a_map(latitude: float):
 @pytest.mark.parametrize(
     ("second", "want"), [("To-sun zenith (0 to 90 degrees from zenith)", 41.5), ("To-sensor zenith", None)]
 )
-def test_the_angle_of_the_sun_in_an_observation_file(tmp_path: Path, bent: Path, second: str, want):
+def test_the_angle_of_the_sun_in_an_observation_file(tmp_path, bent, second, want):
     angles = np.stack([np.full(BENT, 4000.0), np.full(BENT, 41.5)], axis=-1)
     angles[:, :3] = -9999.0
     path = imagery.write_cube(tmp_path / "f01_rdn_obs", angles, data_type=5, band_names=("Path length (m)", second))

@@ -38,7 +38,7 @@ def values_of(cube: Cube) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("product", "kind"), shells.KINDS)
-def test_a_product_is_read_as_it_was_written(tmp_path: Path, product: str, kind: str):
+def test_a_product_is_read_as_it_was_written(tmp_path, product, kind):
     path, want = tmp_path / "a.h5", shells.part(product, kind, "read")
     truth = shells.tree(path, product, kind)
     cube = open_cube(path, quantity=shells.SHELLS[product]["kinds"][kind].get("quantity", kind))
@@ -66,7 +66,7 @@ def test_a_product_is_read_as_it_was_written(tmp_path: Path, product: str, kind:
 
 
 @pytest.mark.parametrize("chunks", [(3, 4, 5), (6, 12, 9), (1, 12, 2), None])
-def test_lines_and_pixels_are_those_of_the_array_however_it_is_stored(tmp_path: Path, chunks, monkeypatch):
+def test_lines_and_pixels_are_those_of_the_array_however_it_is_stored(tmp_path, chunks, monkeypatch):
     shells.tree(tmp_path / "a.nc", "aviris", chunks=chunks)
     raster = open_raster(tmp_path / "a.nc")
     with xr.open_dataset(tmp_path / "a.nc", group="radiance", engine="h5netcdf", mask_and_scale=False) as other:
@@ -93,7 +93,7 @@ def changed(path: Path, product: str, change) -> Path:
     return path
 
 
-def test_corners_of_prisma_at_edges_and_the_other_name_of_a_system(tmp_path: Path):
+def test_corners_of_prisma_at_edges_and_the_other_name_of_a_system(tmp_path):
     shells.tree(tmp_path / "a.h5", "prisma", "L2D")
     shells.tree(tmp_path / "b.h5", "aviris", "reflectance")
     with h5py.File(tmp_path / "a.h5", "r+") as file, h5py.File(tmp_path / "b.h5", "r+") as other:
@@ -118,7 +118,7 @@ def packed_again(file):
 @pytest.mark.parametrize(
     ("change", "factor", "note"), [(in_another_unit, 0.1, "as the file states"), (packed_again, 1.0, "read as")]
 )
-def test_what_the_file_states_comes_before_the_layout(tmp_path: Path, change, factor: float, note: str):
+def test_what_the_file_states_comes_before_the_layout(tmp_path, change, factor, note):
     want = shells.tree(tmp_path / "b.nc", "aviris")
     cube = open_cube(changed(tmp_path / "a.nc", "aviris", change), quantity="radiance")
     assert np.allclose(cube.read(0, LINES).values, factor * want, rtol=1e-5, equal_nan=True)
@@ -166,14 +166,14 @@ def listed(name: str, value: float):
         ),
     ],
 )
-def test_products_that_are_refused(tmp_path: Path, change, options, error, message: str):
+def test_products_that_are_refused(tmp_path, change, options, error, message):
     path = changed(tmp_path / "e.nc", "emit", change)
     with pytest.raises(error, match=message):
         open_cube(path, **({"quantity": "radiance"} | options))
 
 
 @pytest.mark.parametrize("keep", [0.5, 0.9, 0.999])
-def test_a_product_cut_short_is_one_clear_error(tmp_path: Path, keep: float):
+def test_a_product_cut_short_is_one_clear_error(tmp_path, keep):
     shells.tree(tmp_path / "n.h5", "neon")
     raw = (tmp_path / "n.h5").read_bytes()
     (tmp_path / "n.h5").write_bytes(raw[: int(keep * len(raw))])
@@ -188,7 +188,7 @@ def test_a_product_cut_short_is_one_clear_error(tmp_path: Path, keep: float):
         ("emit", "EMIT_L1B_RAD_001_20240501T191103.nc", "EMIT_L1B_OBS_001_20240501T191103.nc"),
     ],
 )
-def test_the_sun_of_an_observation_file_beside_a_product(tmp_path: Path, product: str, image: str, angles: str):
+def test_the_sun_of_an_observation_file_beside_a_product(tmp_path, product, image, angles):
     shells.tree(tmp_path / image, product)
     raster = open_raster(tmp_path / image)
     assert sun_zenith_deg(raster) is None
@@ -232,7 +232,7 @@ def metadata_in(folder: Path) -> Path:
     [("EnMAP", "L1C", 100.0), ("DESIS", "L1C", 1.0), ("EnMAP", "L2A", 1.0), ("DESIS", "L2A", 1.0)],
 )
 @pytest.mark.parametrize("named", ["image", "metadata"])
-def test_enmap_and_desis_by_their_metadata(tmp_path: Path, sensor: str, level: str, factor: float, named: str):
+def test_enmap_and_desis_by_their_metadata(tmp_path, sensor, level, factor, named):
     image, _ = shells.enmap(tmp_path, level, sensor=sensor)
     metadata = metadata_in(tmp_path)
     quantity = "radiance" if level == "L1C" else "reflectance"
@@ -249,7 +249,7 @@ def test_enmap_and_desis_by_their_metadata(tmp_path: Path, sensor: str, level: s
     assert cube.extras["sensor"] == sensor
 
 
-def test_detectors_of_enmap_level_1b_are_two_cubes_on_no_map(tmp_path: Path):
+def test_detectors_of_enmap_level_1b_are_two_cubes_on_no_map(tmp_path):
     stored = shells.enmap_two_detectors(tmp_path)
     metadata = metadata_in(tmp_path)
     gain, offset = shells.scale_of("L1B", "EnMAP")
@@ -269,7 +269,7 @@ def test_detectors_of_enmap_level_1b_are_two_cubes_on_no_map(tmp_path: Path):
             open_cube(metadata, quantity="radiance", variable=variable)
 
 
-def test_stac_item_beside_a_geotiff(tmp_path: Path):
+def test_stac_item_beside_a_geotiff(tmp_path):
     image, values = shells.stac(tmp_path)
     cube = open_cube(image, quantity="radiance")
     assert np.allclose(cube.axis.centre_nm, [503, 650, 799])
@@ -289,14 +289,14 @@ def test_stac_item_beside_a_geotiff(tmp_path: Path):
         ('number="3"', 'number="2"', "4 bands whose numbers are not 1 to 4"),
     ],
 )
-def test_metadata_that_are_broken(tmp_path: Path, old: str, new: str, message: str):
+def test_metadata_that_are_broken(tmp_path, old, new, message):
     image, _ = shells.enmap(tmp_path)
     metadata_in(tmp_path).write_text(metadata_in(tmp_path).read_text().replace(old, new, 1))
     with pytest.raises(InputError, match=message):
         open_cube(image, quantity="radiance")
 
 
-def test_bands_of_enmap_go_by_their_number(tmp_path: Path):
+def test_bands_of_enmap_go_by_their_number(tmp_path):
     image, _ = shells.enmap(tmp_path)
     before = open_cube(image, quantity="radiance")
     metadata = metadata_in(tmp_path)
@@ -316,9 +316,7 @@ def test_bands_of_enmap_go_by_their_number(tmp_path: Path):
         ("DESIS", "<backgroundValue>-32768</backgroundValue>", "<sunZenithAngle>30</sunZenithAngle>", 30.0),
     ],
 )  # fmt: skip
-def test_sun_and_no_data_of_metadata_and_no_map_of_level_1b(
-    tmp_path: Path, sensor: str, old: str, new: str, sun: float
-):
+def test_sun_and_no_data_of_metadata_and_no_map_of_level_1b(tmp_path, sensor, old, new, sun):
     level, quantity = ("L1B", "radiance") if sensor == "EnMAP" else ("L2A", "reflectance")
     image, _ = shells.enmap(tmp_path, level, sensor=sensor)
     metadata = metadata_in(tmp_path)
@@ -334,7 +332,7 @@ def test_sun_and_no_data_of_metadata_and_no_map_of_level_1b(
 
 
 @pytest.mark.parametrize("both", [False, True])
-def test_an_image_cut_into_tiles_for_the_cloud_is_found_by_its_metadata(tmp_path: Path, both: bool):
+def test_an_image_cut_into_tiles_for_the_cloud_is_found_by_its_metadata(tmp_path, both):
     image, _ = shells.enmap(tmp_path, "L2A")
     tiles = image.with_name(f"{image.stem}_COG.TIF")
     tiles.write_bytes(image.read_bytes())
@@ -369,7 +367,7 @@ def labelled(path: Path, **more) -> tuple[Path, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["a.nc", "a.nc3", "a.zarr"])
-def test_any_array_with_a_wavelength_coordinate_is_a_cube(tmp_path: Path, name: str):
+def test_any_array_with_a_wavelength_coordinate_is_a_cube(tmp_path, name):
     path, want = labelled(tmp_path / name)
     cube = open_cube(path, quantity="radiance")
     assert np.allclose(values_of(cube), want, rtol=1e-6, equal_nan=True)
@@ -377,7 +375,7 @@ def test_any_array_with_a_wavelength_coordinate_is_a_cube(tmp_path: Path, name: 
     assert (cube.transform, cube.crs) == (shells.MAP, shells.UTM11)
 
 
-def test_where_several_arrays_could_be_meant_the_message_lists_them(tmp_path: Path):
+def test_where_several_arrays_could_be_meant_the_message_lists_them(tmp_path):
     path, _ = labelled(tmp_path / "a.nc", noise=(("y", "x", "band"), np.ones((LINES, SAMPLES, 4), np.float32)))
     with pytest.raises(UsageError, match=r"(?s)2 arrays could be meant.*Lt .*noise .*state variable"):
         open_cube(path, quantity="radiance")
@@ -386,7 +384,7 @@ def test_where_several_arrays_could_be_meant_the_message_lists_them(tmp_path: Pa
         open_cube(path, quantity="radiance", variable="L")
 
 
-def test_an_hdf5_tree_without_dimensions_is_a_cube_where_wavelengths_lie_beside(tmp_path: Path):
+def test_an_hdf5_tree_without_dimensions_is_a_cube_where_wavelengths_lie_beside(tmp_path):
     values = shells.drawn(7)[0]
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["scene/image"] = values
@@ -399,7 +397,7 @@ def test_an_hdf5_tree_without_dimensions_is_a_cube_where_wavelengths_lie_beside(
     assert np.allclose(values_of(cube), values, rtol=1e-6)
 
 
-def test_bands_in_a_group_of_their_own(tmp_path: Path):
+def test_bands_in_a_group_of_their_own(tmp_path):
     """As in other products of EMIT and OCI, whose images no layout names."""
     values = shells.drawn(4)[0]
     with h5py.File(tmp_path / "a.nc", "w") as file:
@@ -443,7 +441,7 @@ def packed(path: Path, stored: np.ndarray, name: str = "reflectance", **attrs) -
         (COUNTS, {"scale_factor": 0.01, "add_offset": 3.0, "units": "%"}, {}, TRUE + 0.03),
     ],
 )
-def test_packed_arrays(tmp_path: Path, stored, attributes, options, want):
+def test_packed_arrays(tmp_path, stored, attributes, options, want):
     path = packed(tmp_path / "a.nc", stored, **attributes)
     block = open_cube(path, quantity="reflectance", **options).read(0, 4)
     assert np.allclose(block.values.transpose(2, 0, 1), want, atol=1e-4, equal_nan=True)
@@ -458,7 +456,7 @@ def test_packed_arrays(tmp_path: Path, stored, attributes, options, want):
 # What lies beside an image ----------------------------------------------------------------------
 
 
-def test_a_table_beside_an_image_of_the_same_name_is_no_image(tmp_path: Path, axis):
+def test_a_table_beside_an_image_of_the_same_name_is_no_image(tmp_path, axis):
     write_cube(tmp_path / "line1.img", np.full((6, 5, len(axis)), 0.2), data_type=4, axis=axis)
     (tmp_path / "line1.csv").write_text("region,line,sample\nroof,1,2\nroof,1,3\n")
     regions = read_regions(tmp_path / "line1.csv", (6, 5))
@@ -467,7 +465,7 @@ def test_a_table_beside_an_image_of_the_same_name_is_no_image(tmp_path: Path, ax
         open_raster(tmp_path / "line1.csv")
 
 
-def test_more_names_than_bands_name_no_band(tmp_path: Path, axis):
+def test_more_names_than_bands_name_no_band(tmp_path, axis):
     image = write_cube(tmp_path / "f01_rdn_img", np.full((6, 5, len(axis)), 2.0), data_type=4, axis=axis)
     names = ("Path length", "To-sensor", "To-sun zenith")
     path = write_cube(tmp_path / "f01_rdn_obs", np.full((6, 5, 2), 0.5), data_type=5, band_names=names)

@@ -4,7 +4,6 @@ import gzip
 import json
 import struct
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,7 +45,7 @@ KINDS = (
 
 
 @pytest.mark.parametrize("kind", KINDS.split())
-def test_every_format_gives_the_same_region(tmp_path: Path, kind: str):
+def test_every_format_gives_the_same_region(tmp_path, kind):
     path, options = written(tmp_path, kind)
     regions = read_regions(path, SHAPE, **options)
     assert list(regions) == ["grass"]
@@ -76,7 +75,7 @@ def test_triangles_hold_the_centres_on_the_inner_side_of_their_edges(points):
     assert not np.any(mask[outside])
 
 
-def test_holes_and_united_features(tmp_path: Path):
+def test_holes_and_united_features(tmp_path):
     mask = expected(hole=True)
     assert np.array_equal(polygon_mask(SQUARE, SHAPE, [HOLE], where="h"), mask)
     with pytest.raises(InputError, match=r"samples 2.00 to 13.00.*\n.*samples 0 to 12, lines 0 to 10"):
@@ -89,7 +88,7 @@ def test_holes_and_united_features(tmp_path: Path):
     assert np.array_equal(read_regions(tmp_path / "h.geojson", SHAPE, coordinates="pixel")["a"].mask, mask)
 
 
-def test_names_select_and_rename(tmp_path: Path):
+def test_names_select_and_rename(tmp_path):
     path = tmp_path / "two.csv"
     path.write_text("region,line,sample\na,1,1\nb,2,2\n")
     assert list(read_regions(path, SHAPE, names=["b"])) == ["b"]
@@ -99,7 +98,7 @@ def test_names_select_and_rename(tmp_path: Path):
 
 
 @pytest.mark.parametrize("case", table("refused")["regions"], ids=str)
-def test_regions_that_are_refused(tmp_path: Path, case):
+def test_regions_that_are_refused(tmp_path, case):
     options = {"coordinates": "pixel"} | case.get("options", {})
     if "square" in case:
         path, given = written(tmp_path, f"geojson-{case['square']}")
@@ -145,9 +144,7 @@ def test_regions_that_are_refused(tmp_path: Path, case):
         ("b.gpkg", b"\x00\x00\x27\x0a" + bytes(96) + b"\x01" * 50, InputError, "cannot be read|no region"),
     ],
 )
-def test_damaged_and_too_large_files_are_one_clear_error(
-    tmp_path: Path, name: str, content: bytes, error, message: str
-):
+def test_damaged_and_too_large_files_are_one_clear_error(tmp_path, name, content, error, message):
     if name.endswith("gpkg"):
         pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
     (tmp_path / name).write_bytes(content)
@@ -157,7 +154,7 @@ def test_damaged_and_too_large_files_are_one_clear_error(
 
 @given(st.binary(max_size=200), st.sampled_from(["", "<", "{", "JoeB", "; ENVI Output of ROIs\n", "line,sample\n"]))
 @settings(max_examples=150)
-def test_any_bytes_give_regions_or_a_clear_error(tmp_path_factory, data: bytes, head: str):
+def test_any_bytes_give_regions_or_a_clear_error(tmp_path_factory, data, head):
     path = tmp_path_factory.mktemp("fuzz") / "f.csv"
     path.write_bytes(head.encode() + data)
     try:
@@ -168,7 +165,7 @@ def test_any_bytes_give_regions_or_a_clear_error(tmp_path_factory, data: bytes, 
 
 
 @pytest.mark.parametrize(("radius", "pixels"), [(0, 1), (0.9, 1), (1, 5), (1.5, 9), (2, 13)])
-def test_guard_is_a_disc(radius: float, pixels: int):
+def test_guard_is_a_disc(radius, pixels):
     mask = np.zeros(SHAPE, bool)
     mask[5, 5] = True
     assert guard(mask, radius).sum() == pixels  # lattice points of a circle: 1, 5, 9, 13
@@ -187,7 +184,7 @@ def test_holes_are_those_of_another_package():
     assert holes(np.zeros((3, 3), bool)) == holes(np.ones((3, 3), bool)) == (0, 0)
 
 
-def test_what_lies_beside_a_file_must_lie_in_the_root(tmp_path: Path):
+def test_what_lies_beside_a_file_must_lie_in_the_root(tmp_path):
     inside = tmp_path / "root"
     inside.mkdir()
     write_cube(inside / "classes.img", np.ones((*SHAPE, 1), "u1"), data_type=1)
@@ -202,7 +199,7 @@ def test_what_lies_beside_a_file_must_lie_in_the_root(tmp_path: Path):
 
 @pytest.mark.parametrize("fill", [255.0, -9999.0, np.nan])
 @pytest.mark.parametrize("count", [1, 2])
-def test_what_a_mask_marks_as_no_data_is_no_region(tmp_path: Path, fill: float, count: int):
+def test_what_a_mask_marks_as_no_data_is_no_region(tmp_path, fill, count):
     bands = np.repeat(expected()[None].astype("f4"), count, axis=0)
     bands[:, 0] = fill
     stored = bands.astype("u1") if fill == 255.0 else bands
@@ -215,7 +212,7 @@ def test_what_a_mask_marks_as_no_data_is_no_region(tmp_path: Path, fill: float, 
 
 
 @pytest.mark.parametrize("zone", [32617, 32618, 4326])
-def test_a_geojson_that_states_its_system_needs_no_other_word(tmp_path: Path, zone: int):
+def test_a_geojson_that_states_its_system_needs_no_other_word(tmp_path, zone):
     x, y = zip(*on_map(SQUARE), strict=True)
     data = json.loads(geojson(polygon(list(zip(*reproject(UTM18, CRS.from_epsg(zone), x, y), strict=True)))))
     data["crs"] = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{zone}"}}
@@ -230,7 +227,7 @@ def test_a_geojson_that_states_its_system_needs_no_other_word(tmp_path: Path, zo
     assert read_regions(tmp_path / "r.geojson", SHAPE, coordinates="pixel")["r"].n == 1
 
 
-def test_only_the_wanted_regions_must_lie_in_the_image(tmp_path: Path):
+def test_only_the_wanted_regions_must_lie_in_the_image(tmp_path):
     away = [(x + 100.0, y) for x, y in SQUARE]
     (tmp_path / "r.geojson").write_text(geojson(polygon(SQUARE), polygon(away), names=("grass [1]", "road")))
     for patterns in (["grass [1]"], ["gr*"]):
@@ -253,7 +250,7 @@ def test_only_the_wanted_regions_must_lie_in_the_image(tmp_path: Path):
         ([(2.6, 0), (5.4, 0), (5.4, 1), (2.6, 1)], 2, None),  # centres 3.5 and 4.5
     ],
 )
-def test_a_polygon_holds_centres_and_what_leaves_the_image_is_counted(tmp_path: Path, points, pixels, note):
+def test_a_polygon_holds_centres_and_what_leaves_the_image_is_counted(tmp_path, points, pixels, note):
     (tmp_path / "r.geojson").write_text(geojson(polygon(points), names=("r",), plot="west"))
     region = read_regions(tmp_path / "r.geojson", SHAPE, coordinates="pixel")["r"]
     assert region.n == pixels
@@ -264,7 +261,7 @@ def test_a_polygon_holds_centres_and_what_leaves_the_image_is_counted(tmp_path: 
 @pytest.mark.parametrize(
     ("count", "remark"), [(20, None), (24, "the region 'grass' has 24 pixels as its file says; 20 h")]
 )
-def test_what_a_file_states_beside_its_pixels(tmp_path: Path, count: int, remark: str | None):
+def test_what_a_file_states_beside_its_pixels(tmp_path, count, remark):
     (tmp_path / "b.roi").write_bytes(roi_binary(polygons=[SQUARE], count=count))
     region = read_regions(tmp_path / "b.roi", SHAPE)["grass"]
     assert region.n == 20
@@ -274,14 +271,14 @@ def test_what_a_file_states_beside_its_pixels(tmp_path: Path, count: int, remark
 # GeoPackage and Shapefile -----------------------------------------------------------------------
 
 
-def test_every_layer_is_read_and_names_the_region(tmp_path: Path):
+def test_every_layer_is_read_and_names_the_region(tmp_path):
     path = write_vector(tmp_path / "l.gpkg", [polygon_wkb(on_map(SQUARE))], layer="grass")
     write_vector(path, [polygon_wkb(on_map(HOLE))], layer="panel", append=True)
     regions = read_regions(path, SHAPE, **PLACED)
     assert {name: r.n for name, r in regions.items()} == {"grass": 20, "panel": 4}
 
 
-def test_which_attribute_names_the_regions_is_asked_where_none_is_known(tmp_path: Path):
+def test_which_attribute_names_the_regions_is_asked_where_none_is_known(tmp_path):
     shapes = [polygon_wkb(on_map(SQUARE)), polygon_wkb(on_map(HOLE))]
     path = write_vector(tmp_path / "r.gpkg", shapes, fields={"plot": ["lawn", "panel"], "number": [3, 4]})
     with pytest.raises(UsageError, match=r"(?s)no attribute that names the regions.*plot, number.*name_field"):
@@ -291,7 +288,7 @@ def test_which_attribute_names_the_regions_is_asked_where_none_is_known(tmp_path
 
 
 @pytest.mark.parametrize("head", [b"SQLite format 3\0", b"\x00\x00\x27\x0a"])
-def test_without_the_package_the_message_says_how_to_get_it(tmp_path: Path, monkeypatch, head: bytes):
+def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatch, head):
     monkeypatch.setitem(sys.modules, "pyogrio", None)
     (tmp_path / "r.bin").write_bytes(head + bytes(100))
     with pytest.raises(UsageError, match=r"pip install hyperval\[vector\]"):
@@ -299,7 +296,7 @@ def test_without_the_package_the_message_says_how_to_get_it(tmp_path: Path, monk
 
 
 @pytest.mark.parametrize("end", ["gpkg", "shp"])
-def test_parts_and_holes_are_kept_and_lines_have_no_area(tmp_path: Path, end: str):
+def test_parts_and_holes_are_kept_and_lines_have_no_area(tmp_path, end):
     small = [(8.0, 1.0), (10.0, 1.0), (10.0, 2.0), (8.0, 2.0)]
     whole = wkb(6, polygon_wkb(on_map(SQUARE), on_map(HOLE)), polygon_wkb(on_map(small)))
     path = write_vector(tmp_path / f"r.{end}", [whole], kind="MultiPolygon", fields={"name": ["grass"]})
@@ -320,7 +317,7 @@ def test_parts_and_holes_are_kept_and_lines_have_no_area(tmp_path: Path, end: st
             read_regions(path, SHAPE, **PLACED)
 
 
-def test_an_entity_in_a_kml_is_refused(tmp_path: Path):
+def test_an_entity_in_a_kml_is_refused(tmp_path):
     path, options = written(tmp_path, "kml")
     path.write_text(path.read_text().replace("<kml", '<!DOCTYPE x [<!ENTITY a "b">]>\n<kml'))
     with pytest.raises(InputError, match="DOCTYPE or ENTITY"):

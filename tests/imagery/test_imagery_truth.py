@@ -23,7 +23,7 @@ def targets(folder: Path, text: str, **options):
 @pytest.mark.parametrize(
     "place", ["row0,col0\n{},7,11", "row1,col1\n{},8,12", "line,sample\n{},7.5,11.5", "easting,northing\n{},1023,4985"]
 )
-def test_one_place_in_every_coordinate_system(tmp_path: Path, place: str):
+def test_one_place_in_every_coordinate_system(tmp_path, place):
     head, row = place.split("\n")
     text = f"material,{head},side_m,name\n{row.format('plank')},2.0,p1\n"
     (target,) = targets(tmp_path, text, transform=TRANSFORM, pixel_size_m=None)
@@ -34,7 +34,7 @@ def test_one_place_in_every_coordinate_system(tmp_path: Path, place: str):
     assert not target.mask[9:].any()
 
 
-def test_heading_turns_a_long_target(tmp_path: Path):
+def test_heading_turns_a_long_target(tmp_path):
     text = "material,line,sample,width_m,length_m,heading_deg\na,10.5,10.5,0.2,8,0\nb,10.5,10.5,0.2,8,90\n"
     north, east = targets(tmp_path, text)
     assert sorted(set(np.argwhere(north.mask)[:, 1])) == [10]
@@ -45,7 +45,7 @@ def test_heading_turns_a_long_target(tmp_path: Path):
 
 
 @pytest.mark.parametrize("case", table("refused")["targets"], ids=str)
-def test_lists_that_are_refused(tmp_path: Path, case):
+def test_lists_that_are_refused(tmp_path, case):
     with pytest.raises(HypervalError, match=case["says"]) as caught:
         targets(tmp_path, case["text"], **case.get("options", {}))
     assert caught.value.exit_code == case.get("exit", 3)
@@ -66,13 +66,13 @@ def test_objects_are_the_intersection_and_need_not_be_connected():
 
 
 @pytest.mark.parametrize(("row", "col", "doubt"), [(0.5, 0.5, 3.0), (19.5, 29.5, 2.5), (10.2, 15.7, 1.0), (3, 3, 90)])
-def test_a_widened_mask_in_a_window_is_that_in_the_whole_image(tmp_path: Path, row, col, doubt):
+def test_a_widened_mask_in_a_window_is_that_in_the_whole_image(tmp_path, row, col, doubt):
     text = f"material,line,sample,side_m,position_uncertainty_m\na,{row},{col},0.6,{{}}\n"
     sure, unsure = (targets(tmp_path, text.format(value))[0] for value in ("", doubt))
     assert np.array_equal(unsure.mask, guard(sure.mask, doubt))
 
 
-def test_a_round_target_has_the_area_of_its_circle(tmp_path: Path):
+def test_a_round_target_has_the_area_of_its_circle(tmp_path):
     text = (
         "name,material,row0,col0,side_m,width_m,length_m,shape\nround,wood,10,10,8,,,circle\n"
         "square,wood,10,10,8,,,square\nlong,wood,10,10,,1,8,ellipse\n"
@@ -90,7 +90,7 @@ def test_a_round_target_has_the_area_of_its_circle(tmp_path: Path):
     assert found["long"].mask.sum(axis=0).max() == 9
 
 
-def test_a_list_as_a_spreadsheet_writes_it(tmp_path: Path):
+def test_a_list_as_a_spreadsheet_writes_it(tmp_path):
     (a,) = targets(tmp_path, "name,material,row0,col0,side_m\np,wood,5.5,5,1.5\n")
     (b,) = targets(tmp_path, "\ufeffName;Material;Row0;Col0;Side_m\r\np;wood;5,5;5;1,5\r\n")
     assert np.array_equal(a.mask, b.mask)
@@ -108,7 +108,7 @@ def test_a_drawn_object_has_the_area_of_its_pixels_where_that_is_said():
         region_objects([Region("felt", mask, "")], "cloth", side_m="marked")
 
 
-def test_a_small_target_lies_in_its_pixel_a_shifted_one_in_four_and_a_doubted_one_around(tmp_path: Path):
+def test_a_small_target_lies_in_its_pixel_a_shifted_one_in_four_and_a_doubted_one_around(tmp_path):
     text = "material,line,sample,side_m,position_uncertainty_m\na,7.5,11.5,0.5,\nb,3.0,5.0,0.5,0\nc,7.5,11.5,0.5,2\n"
     inside, corner, unsure = targets(tmp_path, text)
     assert np.argwhere(inside.mask).tolist() == [[7, 11]]

@@ -44,7 +44,7 @@ def sound_sensor() -> dict[str, baseline.Accepted]:
 
 
 @pytest.fixture(scope="module")
-def sound_campaign(small_collection: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, baseline.Accepted]:
+def sound_campaign(small_collection, tmp_path_factory) -> dict[str, baseline.Accepted]:
     folder = tmp_path_factory.mktemp("sound") / "small"
     shutil.copytree(small_collection, folder)
     with pytest.MonkeyPatch.context() as patch:

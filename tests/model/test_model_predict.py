@@ -174,7 +174,7 @@ def state(**stated: object) -> AtmosphericState:
     ("standard", "water", "ozone"),
     [("midlatitude-summer", 2.93, 0.319), ("midlatitude-winter", 0.853, 0.395), ("tropical", 4.12, 0.247)],
 )
-def test_gases_that_are_not_stated_are_named_with_their_columns(standard: str, water: float, ozone: float):
+def test_gases_that_are_not_stated_are_named_with_their_columns(standard, water, ozone):
     of_water, of_ozone = model.unstated_notes(state(model=standard))
     assert of_water.startswith(f"water vapour is not stated: that of the standard atmosphere {standard} is taken, ")
     assert float(of_water.split()[-3]) == pytest.approx(water, rel=0.05)

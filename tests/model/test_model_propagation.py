@@ -185,10 +185,8 @@ def test_interval_of_detection_follows_every_direction(entry, path, step, axis, 
     """
     s = coarse(f"uncertainty: {{{entry}}}\n", **{"[cem]": "[cem], elm: none"})
     origins = replace(BANDS, axis=axis)
-    curve, stated = (
-        model.predict(s, origins).roc["tenth", "cem", "pixel"],
-        model.value_at(model.read(s, origins), path)[0],
-    )
+    curve = model.predict(s, origins).roc["tenth", "cem", "pixel"]
+    stated = model.value_at(model.read(s, origins), path)[0]
     inner, nominal = np.abs(ndtri(curve.pd)) < 2.0, np.broadcast_to(stated, len(axis))
     sd = step * nominal
     ends = np.concatenate([nominal + np.diag(sd), nominal - np.diag(sd)])

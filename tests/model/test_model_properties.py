@@ -49,7 +49,7 @@ EACH = pytest.mark.parametrize(
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     """The scenario's file with an atmosphere, a sensor and a library of statistics beside it."""
     here = tmp_path_factory.mktemp("model")
     (here / "base.yaml").write_text(SCENARIO)

@@ -1,6 +1,5 @@
 """What the model refuses: scenarios by the name of their field and its line, and numbers that are no statistics."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +101,6 @@ def few_pixels() -> Any:
         (lambda: thresholds([1e-3], classes((0.0, 0.0, 1.0))), "no background class"),
     ],
 )
-def test_numbers_that_cannot_be_are_refused(call: Callable[[], object], words: str):
+def test_numbers_that_cannot_be_are_refused(call, words):
     with pytest.raises(UsageError, match=words):
         call()

@@ -1,7 +1,6 @@
 """A small synthetic collection, in reflectance or in radiance."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from affine import Affine
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> small_world.World:
+def world(tmp_path) -> small_world.World:
     """A reflectance cube with a region and five targets of two groups, ready to observe."""
     made = small_world.World(tmp_path, small_world.reflectances())
     made.write()
@@ -31,7 +30,7 @@ def world(tmp_path: Path) -> small_world.World:
 
 
 @pytest.fixture
-def make_field(world: small_world.World) -> Callable[..., small_world.World]:
+def make_field(world) -> Callable[..., small_world.World]:
     """Turn the world into one region ``all``, by default drawn pixels (lines, samples) of a t law, without targets."""
 
     def make(
@@ -52,7 +51,7 @@ def make_field(world: small_world.World) -> Callable[..., small_world.World]:
 
 
 @pytest.fixture
-def make_radiance(world: small_world.World) -> Callable[..., small_world.RadianceWorld]:
+def make_radiance(world) -> Callable[..., small_world.RadianceWorld]:
     """Turn the world into radiance L = offset + gain rho with two flat panels of known reflectance."""
 
     def make(relative_noise: float = 0.0) -> small_world.RadianceWorld:
@@ -75,7 +74,7 @@ def make_radiance(world: small_world.World) -> Callable[..., small_world.Radianc
 
 
 @pytest.fixture
-def sites(tmp_path: Path) -> small_world.World:
+def sites(tmp_path) -> small_world.World:
     """Collected spectra of sites: two of one flight line and one of another, without an error; see the constants."""
     made = small_world.World(tmp_path, np.empty(0))
     made.text("bands.txt", "# centre width\n" + "".join(f"{w / 1000:.5f} 0.0020\n" for w in small_world.AXIS.centre_nm))
@@ -88,13 +87,13 @@ def sites(tmp_path: Path) -> small_world.World:
 
 
 @pytest.fixture
-def panels(make_radiance: Callable[..., small_world.RadianceWorld]) -> small_world.World:
+def panels(make_radiance) -> small_world.World:
     """The collection in radiance with two panels."""
     return make_radiance().world
 
 
 @pytest.fixture
-def by_number(world: small_world.World) -> small_world.World:
+def by_number(world) -> small_world.World:
     """The same cube, its header without wavelengths, and the target as one value a band."""
     spectrum = world.on_bands()
     world.write(axis=None)
@@ -105,14 +104,14 @@ def by_number(world: small_world.World) -> small_world.World:
 
 
 @pytest.fixture
-def lawn(sites: small_world.World) -> small_world.World:
+def lawn(sites) -> small_world.World:
     """One collected spectrum."""
     sites.site("lawn", np.linspace(12.0, 1.0, small_world.BANDS))
     return sites
 
 
 @pytest.fixture
-def lines(sites: small_world.World) -> small_world.World:
+def lines(sites) -> small_world.World:
     """Three sites of one flight line and one of another, their radiances without an error."""
     names = sites.library("field.csv", **small_world.SURFACES, lot=0.3 * small_world.BACKGROUND + 0.05)
     panels = []
@@ -130,7 +129,7 @@ def lines(sites: small_world.World) -> small_world.World:
 
 
 @pytest.fixture
-def finer(tmp_path: Path) -> small_world.World:
+def finer(tmp_path) -> small_world.World:
     """A cube of 12 x 10 pixels on the map with two planks, by finer maps of classes, of which two do not fit."""
     small_world.finer_map(tmp_path, small_world.scene_of_a_tenth())
     for name, size, turn in (("turned.tif", 0.2, 0.02), ("coarse.tif", 1.5, 0.0)):
@@ -146,7 +145,7 @@ def finer(tmp_path: Path) -> small_world.World:
 
 
 @pytest.fixture
-def dirsig(tmp_path: Path) -> small_world.World:
+def dirsig(tmp_path) -> small_world.World:
     """A radiance image and its truth in DIRSIG's layout, and the campaign c.yaml that reads them."""
     abundance = small_world.dirsig_images(tmp_path)
     made = small_world.World(tmp_path, abundance, yaml.safe_load(small_world.DIRSIG)["collection"])

@@ -1,13 +1,19 @@
-"""Opening a collection: regions and truth of every kind, what is left out, places, and the errors of each field."""
+"""What a collection opens to, and what cannot be observed."""
+
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from affine import Affine
 from rasterio.crs import CRS
 from small_world import AXIS, LINES, PLANTED, SAMPLES, near_targets
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
+
+# Opening a collection: regions and truth of every kind, what is left out, places, and the errors of each field.
 
 
 def mask_file(world, name: str, classes: np.ndarray) -> str:
@@ -258,3 +264,32 @@ def test_regions_that_overlap_are_classes_of_their_own(world):
     found = {(bool(a), bool(b)): set(place.classes[(one == a) & (two == b)]) for a in (0, 1) for b in (0, 1)}
     assert all(len(numbers) == 1 for numbers in found.values())
     assert set.union(*found.values()) == {0, 1, 2, 3}
+
+
+# What a collection states wrongly, or what its files lack, is refused in words: the cases of ``refusals.yaml``.
+
+
+CASES = yaml.safe_load((Path(__file__).parent / "refusals.yaml").read_text("utf-8"))
+ERRORS = {error.__name__: error for error in (InputError, UsageError, ValueError)}
+
+
+def changed(settings: Any, change: Any) -> Any:
+    """Settings of which some entries are others; an empty entry takes the place of what stood there."""
+    if not (isinstance(settings, dict) and isinstance(change, dict) and change):
+        return change
+    return settings | {key: changed(settings.get(key), value) for key, value in change.items()}
+
+
+@pytest.mark.parametrize(
+    ("fixture", "change", "error", "words"), [(name, *case) for name, cases in CASES.items() for case in cases]
+)
+def test_what_cannot_be_observed_is_refused_in_words(request, fixture, change, error, words):
+    world = request.getfixturevalue(fixture)
+    for name, content in change.pop("files", {}).items():
+        world.resolve(name).unlink()
+        if content is not None:
+            world.text(name, content)
+    for part, entries in change.items():
+        setattr(world, part, changed(getattr(world, part), entries))
+    with pytest.raises(ERRORS[error], match=words):
+        world.observe()

@@ -1,68 +1,21 @@
-"""The real HySU image against plain NumPy, and the campaign of docs/flight-line.md on a stand-in of its folder."""
+"""The campaign of docs/flight-line.md on a stand-in of its folder."""
 
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 import yaml
-from small_world import matched_filter, moments
+from small_world import moments
 
-from hyperval import api, cli, datasets
+from hyperval import cli
 from hyperval.collection import CollectionSection
 from hyperval.imagery import open_raster
-from hyperval.model import Sources
 from hyperval.observe import observe
 from hyperval.run import read_rows
 
-ROOT = Path(__file__).parents[2]
-IMAGE = "hysu/published/full/DLR_HySU_HS_full.tif"
-FIELD = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")
-
-
-@pytest.mark.data
-def test_hysu_is_scored_as_plain_numpy_does(data_dir):
-    with rasterio.open(data_dir(IMAGE)) as source:
-        image = np.moveaxis(source.read(), 0, -1).astype(np.float64) / 10000.0
-    campaign = api.load_campaign(ROOT / "campaigns/hysu-2018/campaign.yaml").campaign
-    targets = [t for t in campaign.detection.targets if t.name in FIELD]
-    detection = campaign.detection.model_copy(
-        update={"targets": targets, "background": ["image"], "pools": [], "areas": [], "unmixing": None}
-    )
-    seen = observe(campaign.collection, detection, datasets.resolve, show_progress=False)
-    # The libraries are sampled at the bands of the image: none is lost.
-    assert (image.shape, int(seen.detected.bank.bands.sum())) == ((86, 123, 135), 135)
-    spectra = Sources(seen.place.cube.axis, {}, datasets.resolve)
-    for target in targets:
-        expected = matched_filter(image, spectra.spectrum(target.spectrum, target.name).mean, *moments(image))
-        # Relative to each score; those near 0 are differences of numbers of the size of the scores' spread.
-        allowed = 1e-9 * np.maximum(np.abs(expected), expected.std())
-        assert np.all(np.abs(seen.detected.score_maps[f"{target.name}-cem"] - expected) <= allowed), target.name
-
-
-@pytest.mark.data
-def test_areas_of_hysu_with_the_campaign_s_own_settings_are_those_of_the_fabrics(data_dir):
-    data_dir(IMAGE)
-    campaign = api.load_campaign(ROOT / "campaigns/hysu-2018/campaign.yaml").campaign
-    seen = observe(campaign.collection, campaign.detection, datasets.resolve, show_progress=False)
-    abundance = seen.observation.abundance
-    for target in ("blue_fabric_image", "red_fabric_image", "green_fabric_image"):
-        for side in (3, 2, 1):
-            key = (f"{target} {side} m", "cem")
-            assert seen.detected.nominal_area_m2[key] == side**2
-            assert abundance[key].area_m2 / side**2 == pytest.approx(1.0, abs=0.25), key
-    # An area is the sum of the scores on the mask: one byte for each of 86 x 123 pixels of 0.49 m2, no header bytes.
-    fabric, sizes = (
-        np.frombuffer(data_dir(f"hysu/published/rois/{name}").read_bytes(), np.uint8).reshape(86, 123)
-        for name in ("blueFabric", "targetsSizeROI")
-    )
-    here, area = (fabric > 0) & (sizes == 1), abundance["blue_fabric_image 3 m", "cem"]
-    total = seen.detected.score_maps["blue_fabric_image-cem"][here].sum() * 0.49
-    assert (area.n, area.area_m2) == (int(here.sum()), pytest.approx(total, rel=1e-12))
-
-
-BLOCKS = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs/flight-line.md").read_text("utf-8"), re.DOTALL)
+PAGE = Path(__file__).parents[2] / "docs/flight-line.md"
+BLOCKS = re.findall(r"```yaml\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
 LINES, SAMPLES, BANDS = 40, 48, 30
 WAVELENGTH = np.linspace(400.0, 2450.0, BANDS)
 
@@ -92,7 +45,7 @@ def delivered(folder: Path) -> np.ndarray:
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path: Path):
+def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path):
     values, collection = delivered(tmp_path), yaml.safe_load(BLOCKS[0])["collection"]
 
     def observed(**more):
@@ -114,7 +67,7 @@ def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path: Path):
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_the_page_as_it_stands_gives_a_report_with_anomalies(tmp_path: Path):
+def test_the_page_as_it_stands_gives_a_report_with_anomalies(tmp_path):
     """The first block alone, by the command of the page: no target, no truth, no edit."""
     values = delivered(tmp_path)
     (tmp_path / "campaign.yaml").write_text(BLOCKS[0])

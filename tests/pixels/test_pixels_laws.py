@@ -55,10 +55,8 @@ def test_likelihood_is_that_of_scaled_f_and_chi_square():
 def test_dependent_pixels_widen_the_limits():
     rng = np.random.default_rng(6)
     d = distances(drawn(3000, 5, 8.0, rng))
-    every, few = (
-        pixels.fit_tail_dof(d, 5, estimated_on=3000),
-        pixels.fit_tail_dof(d, 5, estimated_on=3000, independent=300),
-    )
+    every = pixels.fit_tail_dof(d, 5, estimated_on=3000)
+    few = pixels.fit_tail_dof(d, 5, estimated_on=3000, independent=300)
     assert few.dof == pytest.approx(every.dof, rel=1e-3)
     assert few.upper - few.lower > 2.5 * (every.upper - every.lower)
 

@@ -85,7 +85,7 @@ def test_masks_that_do_not_fit_and_empty_regions_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 8), (7, 13), (600, 25)])
-def test_masks_come_back_whole_from_their_labels(shape: tuple[int, int]):
+def test_masks_come_back_whole_from_their_labels(shape):
     rng = np.random.default_rng(1)
     masks = {str(i): rng.random(shape) < 0.3 for i in range(9)}
     labels = Labels.of(shape, masks).with_masks([("none", np.zeros(shape, bool))])

@@ -17,7 +17,7 @@ RECIPES = re.findall(r"```python\n# (\w+\.py):.*?\n(.*?)```", (ROOT / "docs" / "
 
 
 @pytest.fixture(autouse=True)
-def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
+def own_registries(monkeypatch):
     """What a test registers is gone after it."""
     monkeypatch.setattr(detect, "ADDED_DETECTORS", {})
     monkeypatch.setattr(extend, "_LOADED", set())
@@ -25,7 +25,7 @@ def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_drawing(monkeypatch):
     monkeypatch.setattr("hyperval.scoreboard.one.benchmark_figures", lambda done: [])
 
 

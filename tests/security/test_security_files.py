@@ -102,7 +102,7 @@ def test_every_reader_is_wrapped():
         assert inspect.signature(function).bind(Path(), **MORE.get(function.__name__, {}))
 
 
-def test_the_wrapper_says_what_and_where_and_passes_clear_errors_on(tmp_path: Path):
+def test_the_wrapper_says_what_and_where_and_passes_clear_errors_on(tmp_path):
     @reader
     def divides(path: Path, by: int) -> float:
         if by == 1:
@@ -127,7 +127,7 @@ def exit_code(function: Callable[..., Any], path: Path) -> int:
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", READERS)
-def test_damaged_files_are_clear_errors(name: str, tmp_path: Path, soon: None):
+def test_damaged_files_are_clear_errors(name, tmp_path, soon):
     # What is loaded is YAML, whatever its name ends in.
     endings = ENDINGS[:1] if READERS[name].__name__.startswith("load_") else ENDINGS
     for number, content in enumerate(CONTENTS):
@@ -139,7 +139,7 @@ def test_damaged_files_are_clear_errors(name: str, tmp_path: Path, soon: None):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", READERS)
-def test_pipes_and_devices_are_not_waited_for(name: str, tmp_path: Path, soon: None):
+def test_pipes_and_devices_are_not_waited_for(name, tmp_path, soon):
     for ending in ENDINGS:
         pipe = tmp_path / f"pipe{ending}"
         os.mkfifo(pipe)
@@ -153,7 +153,7 @@ def test_pipes_and_devices_are_not_waited_for(name: str, tmp_path: Path, soon: N
 
 
 @pytest.mark.parametrize("content", [b"just plain words\n", b"- a\n- b\n", b"7\n"])
-def test_plain_text_as_a_campaign_is_a_mistake_of_the_user(content: bytes, tmp_path: Path, capsys):
+def test_plain_text_as_a_campaign_is_a_mistake_of_the_user(content, tmp_path, capsys):
     (tmp_path / "c.yaml").write_bytes(content)
     assert cli.run(["validate", str(tmp_path / "c.yaml"), "-o", str(tmp_path / "out")]) == 2
     assert "holds no keys" in capsys.readouterr().err
@@ -170,7 +170,7 @@ SLOW = {
 
 
 @pytest.mark.parametrize("content", SLOW.values(), ids=SLOW)
-def test_long_lines_take_no_longer_than_their_length(content: bytes, tmp_path: Path, soon: None):
+def test_long_lines_take_no_longer_than_their_length(content, tmp_path, soon):
     (tmp_path / "a.txt").write_bytes(content)
     assert exit_code(READERS["hyperval.spectra.read.read_spectrum"], tmp_path / "a.txt") in (0, 2, 3)
 
@@ -194,7 +194,7 @@ MISNAMED = b'{"crs": {"properties": {"name": "EPSG:1,5"}}, ' + (RING % b"0")[1:]
         ),
     ],
 )
-def test_what_mutants_met_is_foreseen(function: str, name: str, content: bytes, message: str, tmp_path: Path):
+def test_what_mutants_met_is_foreseen(function, name, content, message, tmp_path):
     (tmp_path / name).write_bytes(content)
     read = READERS[f"hyperval.{function}"]
     with pytest.raises(HypervalError, match=message):
@@ -205,7 +205,7 @@ def test_what_mutants_met_is_foreseen(function: str, name: str, content: bytes, 
 
 
 @pytest.mark.parametrize(("reference", "leaves"), TABLES["references"])
-def test_a_reference_stays_inside_and_is_no_address(reference: str, leaves: bool, tmp_path: Path, monkeypatch):
+def test_a_reference_stays_inside_and_is_no_address(reference, leaves, tmp_path, monkeypatch):
     (tmp_path / "secret").write_text("x")
     (tmp_path / "data").mkdir()
     monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path / "data"))

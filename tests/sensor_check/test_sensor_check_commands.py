@@ -34,7 +34,7 @@ def write(path: Path, data: dict) -> Path:
 
 
 @pytest.fixture
-def no_drawing(monkeypatch) -> None:
+def no_drawing(monkeypatch):
     """Datasheets without figures, where a test is about something else."""
     monkeypatch.setattr("hyperval.sensor_check.page.datasheet_figures", lambda check: [])
 

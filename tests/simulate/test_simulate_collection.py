@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import rasterio
-import spectral
 import yaml
 from small_scene import CLASSES, INPUTS, SCENE, area, planks, scene_data, small_scene
 
@@ -42,21 +40,6 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_workers(found, tmp_path
         assert sha256_of(path) == sha256_of(alone.folder / path.name), path.name
     another = simulate.simulate(small_scene(seed=2), tmp_path / "b", inputs=INPUTS)
     assert np.mean(stored(found) == stored(another)) < 0.05
-
-
-def test_spectral_python_and_rasterio_read_the_cube(found):
-    values = stored(found)
-    image = spectral.open_image(str(found.cube.with_suffix(".hdr")))
-    assert np.array_equal(image.open_memmap(interleave="bip"), values)
-    assert np.allclose(image.bands.centers, INPUTS.axis.centre_nm)
-    assert np.allclose(image.bands.bandwidths, INPUTS.axis.fwhm_nm)
-    assert image.metadata["description"].startswith("SIMULATED")
-    assert {int(b) for b in image.metadata["bbl"]} == {1}
-    assert {float(g) for g in image.metadata["data gain values"]} == {0.001}
-    with rasterio.open(found.cube) as data:
-        assert np.array_equal(data.read().transpose(1, 2, 0), values)
-        assert data.crs.to_epsg() == 32618
-        assert data.transform.to_gdal() == (275400.0, 2.0, 0.0, 4753700.0, 0.0, -2.0)
 
 
 def test_the_list_of_targets_names_the_brightest_pixel(found):

@@ -82,10 +82,8 @@ def test_rounding_of_the_correlation_leaves_no_negative_variance(tmp_path):
 def test_errors_go_into_bands_as_the_mean_does(tmp_path):
     """Draws averaged over bands have the covariance that the formula gives (seed 4; 1 in 1e4 fails)."""
     path = sequence(tmp_path)
-    covariance, axis = (
-        spectra.read_records(path)[1].errors.covariance(),
-        spectra.SpectralAxis(np.array([410.0, 430.0, 450.0]), 10.0),
-    )
+    covariance = spectra.read_records(path)[1].errors.covariance()
+    axis = spectra.SpectralAxis(np.array([410.0, 430.0, 450.0]), 10.0)
     expected = covariance_in_bands(NM, covariance, axis)
     draws = np.random.default_rng(4).multivariate_normal(np.zeros(NM.size), covariance, 40_000)
     assert np.cov(spectra.band_average(NM, draws, axis).T) == pytest.approx(expected, rel=0.05)

@@ -181,7 +181,7 @@ def test_paths_and_sizes_are_checked_before_memory_is_taken(tmp_path):
     st.sampled_from([b"", SVC.encode(), SED.format("Reflect. %").encode(), asd()[:500], b"nm,rho\n"]),
 )
 @settings(max_examples=200)
-def test_any_bytes_give_spectra_or_a_clear_error(tmp_path_factory, data: bytes, head: bytes):
+def test_any_bytes_give_spectra_or_a_clear_error(tmp_path_factory, data, head):
     path: Path = tmp_path_factory.mktemp("fuzz") / "f.txt"
     path.write_bytes(head + data)
     try:

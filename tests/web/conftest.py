@@ -33,13 +33,13 @@ def atmosphere() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory, atmosphere: None) -> Iterator[Server]:
+def server(tmp_path_factory, atmosphere) -> Iterator[Server]:
     """A server for the tests of a file."""
     yield from serve(tmp_path_factory.mktemp("web"))
 
 
 @pytest.fixture
-def make_server(tmp_path: Path, atmosphere: None) -> Iterator[Callable[..., Server]]:
+def make_server(tmp_path, atmosphere) -> Iterator[Callable[..., Server]]:
     """Servers for one test."""
     running: list[Iterator[Server]] = []
 
@@ -63,5 +63,5 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def client(server: Server) -> requests.Session:
+def client(server) -> requests.Session:
     return server.session()

@@ -20,7 +20,7 @@ HEAD = b"POST /api/v1/predictions HTTP/1.1\r\nHost: localhost\r\nContent-Type: a
 
 
 @pytest.fixture(scope="module")
-def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+def port(tmp_path_factory) -> Iterator[int]:
     """The port of a server of its own process."""
     with socket.socket() as free:
         free.bind((HOST, 0))
@@ -59,7 +59,7 @@ def still_open(sockets: list[socket.socket], seconds: float) -> int:
     return len(left)
 
 
-def test_slow_heads_and_bodies_are_ended_and_others_are_answered(port: int):
+def test_slow_heads_and_bodies_are_ended_and_others_are_answered(port):
     """3 x 12 connections, each sends a byte or a head and then nothing more."""
     parts = (b"", HEAD, HEAD + b"Content-Length: 1000\r\n\r\n{")
     with ExitStack() as stack:
@@ -72,7 +72,7 @@ def test_slow_heads_and_bodies_are_ended_and_others_are_answered(port: int):
     assert requests.get(f"http://{HOST}:{port}/api/v1/sensors", timeout=10).status_code == 200
 
 
-def test_body_that_comes_slowly_but_fast_enough_is_taken(port: int):
+def test_body_that_comes_slowly_but_fast_enough_is_taken(port):
     body = b'{"name": "' + b"x" * 160_000 + b'"}'
     with socket.create_connection((HOST, port), timeout=20) as one:
         one.sendall(HEAD + b"Content-Length: %d\r\n\r\n" % len(body))
@@ -83,7 +83,7 @@ def test_body_that_comes_slowly_but_fast_enough_is_taken(port: int):
         assert one.recv(65536).startswith(b"HTTP/1.1 422 ")
 
 
-def test_client_with_too_many_connections_loses_its_oldest(port: int):
+def test_client_with_too_many_connections_loses_its_oldest(port):
     with ExitStack() as stack:
         many = [stack.enter_context(socket.create_connection((HOST, port), timeout=5)) for _ in range(3 * MOST)]
         for one in many:

@@ -1,4 +1,4 @@
-"""GeoTIFFs: wavelengths in tags, what lies beside them, and what is refused."""
+"""Cubes of other programs: GeoTIFF, and arrays and cubes of SPy and xarray."""
 
 import os
 import struct
@@ -8,16 +8,24 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import product_shells as shells
 import pytest
 import rasterio
 import rasterio.shutil
+import spectral
 from affine import Affine
+from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 from small_files import write_raster
 
-from hyperval.errors import InputError
+from hyperval import api, cli
+from hyperval.errors import InputError, UsageError
+from hyperval.figures import ScoreMap
 from hyperval.imagery import open_cube, open_raster, tiff, write_cube
-from hyperval.spectra import SpectralAxis
+from hyperval.spectra import SpectralAxis, library_to_spy, library_to_xarray, read_records
+
+# GeoTIFFs: wavelengths in tags, what lies beside them, and what is refused.
+
 
 CENTRE = (450.0, 550.0, 650.0, 850.0)
 
@@ -38,7 +46,7 @@ def tagged(path: Path, values: np.ndarray, tags: list[dict[str, str]]) -> Path:
 
 
 @pytest.fixture
-def placed(tmp_path: Path, values: np.ndarray) -> Path:
+def placed(tmp_path, values) -> Path:
     """A GeoTIFF of integers with its place and a no-data value."""
     place = {"crs": "EPSG:32618", "transform": Affine(2, 0, 3e5, 0, -2, 47e5), "nodata": -99}
     return write_raster(tmp_path / "t.tif", np.rint(values * 10000).astype("int16").transpose(2, 0, 1), **place)
@@ -47,7 +55,7 @@ def placed(tmp_path: Path, values: np.ndarray) -> Path:
 @pytest.mark.parametrize("domain", ["ENVI", None, "names"])
 @pytest.mark.parametrize("each", [True, False])
 @pytest.mark.parametrize(("unit", "per_nm"), [("nm", 1.0), ("Micrometers", 1e-3)])
-def test_wavelengths_in_tags_of_bands_or_data_set_or_in_names(tmp_path: Path, values, domain, each, unit, per_nm):
+def test_wavelengths_in_tags_of_bands_or_data_set_or_in_names(tmp_path, values, domain, each, unit, per_nm):
     listed = {"wavelength": [f"{w * per_nm:g}" for w in CENTRE], "fwhm": [f"{9.5 * per_nm:g}"] * 4}
     listed["bbl"] = ["1", "1", "0", "1"]
 
@@ -87,7 +95,7 @@ def masked(out):
         ({}, masked, "mask or alpha band"),
     ],
 )
-def test_tags_that_contradict_and_masks_are_refused(tmp_path: Path, values, spoil, change, message):
+def test_tags_that_contradict_and_masks_are_refused(tmp_path, values, spoil, change, message):
     tags = [{"wavelength": f"{w}", "wavelength_units": "nm", **spoil} for w in CENTRE]
     path = tagged(tmp_path / "c.tif", values, tags)
     if change is not None:
@@ -97,7 +105,7 @@ def test_tags_that_contradict_and_masks_are_refused(tmp_path: Path, values, spoi
         open_cube(path, quantity="reflectance")
 
 
-def test_a_file_that_gdal_converted_keeps_its_wavelengths(tmp_path: Path, values):
+def test_a_file_that_gdal_converted_keeps_its_wavelengths(tmp_path, values):
     """GDAL writes them twice, once rounded to a nanometre, and the widths rounded alone."""
     axis = SpectralAxis([433.29, 446.58, 659.87, 873.15], [5.3, 5.3, 5.4, 5.4])
     write_cube(tmp_path / "a.img", values, axis=axis, interleave="bsq")
@@ -111,7 +119,7 @@ def test_a_file_that_gdal_converted_keeps_its_wavelengths(tmp_path: Path, values
     assert any("whole nanometres" in note for note in cube.notes)
 
 
-def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Path, values, monkeypatch):
+def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path, values, monkeypatch):
     monkeypatch.setattr(tiff, "MAX_READ_BYTES", 0)  # as of a large image: each opens the file
     raster = open_raster(tagged(tmp_path / "c.tif", np.tile(values, (40, 8, 1)), []))
     with warnings.catch_warnings(record=True) as seen, ThreadPoolExecutor(8) as pool:
@@ -122,7 +130,7 @@ def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Pat
     assert np.array_equal(np.concatenate(blocks), raster.read_lines(0, raster.lines))
 
 
-def test_other_sidecars_of_a_geotiff_are_not_read(placed: Path, axis: SpectralAxis, values: np.ndarray):
+def test_other_sidecars_of_a_geotiff_are_not_read(placed, axis, values):
     """Overviews and masks beside the file; a world file does not move one that knows its place."""
     for name, size in (("t.tif.ovr", (3, 3)), ("t.tif.msk", (6, 5))):
         write_raster(placed.with_name(name), np.zeros((4, *size), "u1"))
@@ -139,7 +147,7 @@ def test_other_sidecars_of_a_geotiff_are_not_read(placed: Path, axis: SpectralAx
     assert {p.name for p in cube.source_files} == {"t.tif"}
 
 
-def test_damaged_files_other_containers_and_a_header_of_another_size(tmp_path: Path, placed: Path, cube_file: Path):
+def test_damaged_files_other_containers_and_a_header_of_another_size(tmp_path, placed, cube_file):
     header = cube_file.with_suffix(".hdr").read_text()
     placed.with_suffix(".hdr").write_text(header.replace("lines = 6", "lines = 7"))
     with pytest.raises(InputError, match="its header says"):
@@ -157,7 +165,7 @@ def test_damaged_files_other_containers_and_a_header_of_another_size(tmp_path: P
         open_raster(tmp_path / "scene.hdf")
 
 
-def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
+def test_more_bands_than_an_imager_has_are_refused(tmp_path):
     # One pixel of 32,769 bands in 1.4 kB: width, height, bits, samples per pixel, strip and its place.
     entries = [(256, 4, 1), (257, 4, 1), (258, 3, 8), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 32_769)]
     entries += [(278, 4, 1), (279, 4, 1), (284, 3, 1)]
@@ -169,3 +177,107 @@ def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
     path.write_bytes(path.read_bytes().replace(struct.pack("<I", 32_769), struct.pack("<I", 16_385)))
     with pytest.raises(InputError, match="1430 bytes for 16385 bands of 1 lines and 1 samples"):
         open_cube(path, quantity="other")
+
+
+# Cubes and libraries to SPy and xarray and back; what ``hyperval explain`` says of a file.
+
+
+@pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
+@pytest.mark.parametrize("order", [0, 1])
+def test_an_envi_cube_becomes_a_mapped_image_of_spy(tmp_path, axis, values, interleave, order):
+    options = {"data_type": 2, "axis": axis, "reflectance_scale_factor": 10000.0, "header_offset": 13}
+    path = write_cube(tmp_path / "c.img", values, interleave=interleave, byte_order=order, **options)
+    image = open_cube(path, quantity="reflectance").to_spy()
+    assert isinstance(image, spectral.io.spyfile.SpyFile)
+    assert np.allclose(image.load(), values, atol=1e-7)
+    assert image.open_memmap(interleave="bip").shape == values.shape
+    assert (image.bands.centers, image.bands.band_unit) == (axis.centre_nm.tolist(), "nm")
+    back = open_cube(image, quantity="reflectance")  # the file is known by its name
+    assert np.allclose(back.read(0, 6).values, values, atol=1e-12)
+
+
+def test_xarray_reads_by_parts_and_goes_both_ways(tmp_path, monkeypatch):
+    want = shells.tree(tmp_path / "n.h5", "neon")
+    cube = open_cube(tmp_path / "n.h5", quantity="reflectance")
+    array = cube.to_xarray()
+    read = []
+    plain = type(cube.raster).read_bands
+    monkeypatch.setattr(type(cube.raster), "read_bands", lambda *a: read.append(a[1:3]) or plain(*a))
+    part = array.isel(line=slice(3, 5), wavelength=2)
+    assert not read  # nothing yet
+    assert np.allclose(part.values, want[3:5, :, 2], equal_nan=True)
+    assert read == [(3, 2)]
+    assert np.allclose(array.sel(wavelength=650.0).values, want[:, :, 1], equal_nan=True)
+    assert np.allclose(array.isel(line=[0, 11], sample=-1).values, want[[0, 11], -1], equal_nan=True)
+    assert (array.attrs["units"], array.name) == ("1", "reflectance")
+    array.to_netcdf(tmp_path / "again.nc", engine="h5netcdf")
+    for again in (array, tmp_path / "again.nc"):
+        back = open_cube(again, quantity="reflectance")
+        assert (back.transform, back.crs) == (cube.transform, cube.crs)
+        assert back.axis.good.tolist() == cube.axis.good.tolist()
+        assert np.allclose(back.read(0, 12).values, want, equal_nan=True)
+
+
+def test_a_library_goes_both_ways(tmp_path):
+    (tmp_path / "l.csv").write_text("wavelength nm,grass,tile\n400,0.05,0.2\n500,0.1,0.3\n600,0.2,0.4\n")
+    ours = read_records(tmp_path / "l.csv")
+    for theirs in (library_to_spy(ours), library_to_xarray(ours)):
+        back = read_records(theirs)
+        assert [s.name for s in back] == ["grass", "tile"]
+        for a, b in zip(ours, back, strict=True):
+            assert np.array_equal(a.wavelength_nm, b.wavelength_nm)
+            assert np.array_equal(a.values, b.values)
+    library_to_spy(ours).save(str(tmp_path / "spy"))
+    assert [s.name for s in read_records(tmp_path / "spy.sli")] == ["grass", "tile"]
+    with pytest.raises(UsageError, match="one set of wavelengths"):
+        library_to_spy([])
+    with pytest.raises(UsageError, match="of type dict without wavelengths"):
+        read_records({})
+
+
+def test_a_score_map_becomes_theirs():
+    values = np.arange(12.0).reshape(3, 4)
+    scores = ScoreMap(values, tuple(Affine(2, 0, 5, 0, -2, 9))[:6], "EPSG:32633")
+    array = scores.to_xarray()
+    assert np.array_equal(array.values, values)
+    assert CRS.from_wkt(array.spatial_ref.attrs["crs_wkt"]).to_epsg() == 32633
+    assert np.array_equal(np.asarray(scores.to_spy())[:, :, 0], values)
+
+
+# hyperval explain: the reader's own record ------------------------------------------------------
+
+
+def rows(*given, **options):
+    return {what: (value, origin) for what, value, origin in api.explain(*given, **options) if what != "assumed"}
+
+
+def test_numbers_of_a_header_come_with_file_and_line_and_what_lacks_with_what_mends_it(tmp_path, axis, values, capsys):
+    extra = {"reflectance scale factor": "10000"}
+    cube = write_cube(tmp_path / "c.img", values, data_type=4, axis=axis, ignore_value=-9.0, extra=extra)
+    told, header = rows(cube), cube.with_suffix(".hdr")
+    assert told["size"] == ("6 lines, 5 samples, 4 bands of float32", f"{header}:3 'samples'")
+    value, origin = told["wavelengths"]
+    assert value == "4, 450 to 850 nm"
+    assert header.read_text().splitlines()[int(origin.rsplit(":", 1)[1]) - 1].startswith("wavelength =")
+    assert told["no data"][0] == "-9"
+    assert told["scale of reflectance"] == (
+        "x 0.0001 to 0.0001, + 0 to 0",
+        "stored values / 10000 (reflectance scale factor)",
+    )
+    assert told["quantity"] == ("not known", "state quantity: (init: --quantity)")
+    assert "exclude each other" in told["scale of radiance"][0]
+    assert "state scale:" in told["scale of radiance"][1]
+    assert told["position"][0] == "none"
+    assert cli.run(["explain", str(cube)]) == 0
+    assert "quantity\tnot known\tstate quantity: (init: --quantity)\n" in capsys.readouterr().out
+    header.write_text(header.read_text().replace("wavelength units = Nanometers", "wavelength units = Unknown"))
+    assert rows(cube)["wavelength unit"] == ("nm", "guess: by the values")
+
+
+def test_an_array_without_wavelengths_and_a_file_of_spectra(tmp_path):
+    np.save(tmp_path / "a.npy", np.ones((3, 4, 5), np.uint16))
+    told = rows(tmp_path / "a.npy")
+    assert told["is"] == ("array 'a' of a NumPy file", "its first bytes")
+    assert "collection.bands" in told["wavelengths"][1]
+    (tmp_path / "s.txt").write_text("wavelength_nm reflectance\n" + "".join(f"{w} 0.5\n" for w in range(400, 500, 10)))
+    assert rows(tmp_path / "s.txt")["spectrum"][0] == "s: 10 values, 400 to 490 nm"

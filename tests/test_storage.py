@@ -1,4 +1,4 @@
-"""Output folders: replaced whole, by one run at a time, nothing of the user's lost, wherever a run ends."""
+"""Files and folders: whole or not at all, by one run at a time, nothing of the user's lost, wherever a run ends."""
 
 import errno
 import os
@@ -11,14 +11,138 @@ from pathlib import Path
 import pytest
 
 from hyperval import storage
-from hyperval.errors import UsageError
+from hyperval.errors import InputError, UsageError
+from hyperval.storage import scratch_folder, sha256_of, size_of, whole_file, write_text
 
-HEAD = '{\n "schema_version": 1,\n "hyperval_version": "0.1.0",\n "rows": []\n}\n'
-SRC = Path(storage.__file__).parents[1]
+# Whole or not at all: what stands on disk after a failure at any point.
 
 
 class Broken(Exception):
     pass
+
+
+def left_over(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+def ended(script: str) -> int:
+    """The code with which a program ends that runs the script."""
+    return subprocess.run([sys.executable, "-B", "-c", textwrap.dedent(script)], check=False).returncode
+
+
+def test_a_file_is_whole_or_the_old_one(tmp_path):
+    path = tmp_path / "deep" / ("n" * 251 + ".csv")  # a name as long as a name can be
+    before = os.umask(0o027)
+    try:
+        write_text(path, "λ\n")
+    finally:
+        os.umask(before)
+    assert path.read_bytes() == b"\xce\xbb\n"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+    def half_write() -> None:
+        with whole_file(path) as temporary:
+            assert (temporary.parent, temporary.suffix) == (path.parent, ".csv")
+            temporary.write_text("ne")
+            raise Broken
+
+    with pytest.raises(Broken):
+        half_write()
+    assert path.read_bytes() == b"\xce\xbb\n"
+    assert left_over(path.parent) == [path.name]
+
+
+def test_digests(tmp_path):
+    # NIST FIPS 180-4 example: the one-block message "abc".
+    (tmp_path / "abc").write_bytes(b"abc")
+    assert sha256_of(tmp_path / "abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    with pytest.raises(InputError, match="cannot read"):
+        sha256_of(tmp_path / "none")
+    for folder, name in (("a", "0.0"), ("b", "0.1")):  # a folder is known by the names of its files, too
+        (tmp_path / folder / "inner").mkdir(parents=True)
+        (tmp_path / folder / "inner" / name).write_bytes(b"1")
+    assert sha256_of(tmp_path / "a") != sha256_of(tmp_path / "b")
+    assert size_of(tmp_path / "a") == 1
+
+
+def test_a_killed_process_keeps_the_old_file_and_the_next_one_removes_what_it_left(tmp_path):
+    path = tmp_path / "result.csv"
+    path.write_text("old")
+    script = f"""
+        import os, signal
+        from pathlib import Path
+        from hyperval.storage import whole_file
+        with whole_file(Path({str(path)!r})) as t:
+            t.write_text("ne")
+            os.kill(os.getpid(), signal.SIGKILL)
+    """
+    assert ended(script) == -9
+    assert path.read_text() == "old"
+    (left,) = (p for p in tmp_path.iterdir() if p != path)
+    write_text(path, "new")
+    assert left.exists()  # too new: perhaps of a process on another machine
+    os.utime(left, (0, 0))
+    other = tmp_path / ".result.csv.backup.csv"  # the user's
+    other.write_text("mine")
+    os.utime(other, (0, 0))
+    write_text(path, "newer")
+    assert left_over(tmp_path) == [other.name, "result.csv"]
+    with whole_file(path) as outer:  # what a running process writes is left alone
+        outer.write_text("outer")
+        os.utime(outer, (0, 0))
+        write_text(path, "inner")
+        assert outer.exists()
+    assert path.read_text() == "outer"
+
+
+def test_full_disk_keeps_the_old_file(tmp_path):
+    # A limit on file size stands in for a full disk: the write fails in the middle with EFBIG.
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    script = f"""
+        import resource, signal
+        from pathlib import Path
+        from hyperval.storage import whole_file
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+        try:
+            with whole_file(Path({str(path)!r})) as t:
+                t.write_bytes(bytes(10000))
+        except OSError:
+            raise SystemExit(7)
+    """
+    assert ended(script) == 7
+    assert path.read_bytes() == b"old"
+    assert left_over(tmp_path) == ["a.bin"]
+
+
+def test_scratch_of_killed_processes_goes_with_the_next(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    script = f"""
+        import os, signal, tempfile
+        tempfile.tempdir = {str(tmp_path)!r}
+        from hyperval.storage import scratch_folder
+        with scratch_folder("trial") as folder:
+            (folder / "cube.img").write_bytes(bytes(100))
+            os.utime(folder, (0, 0))
+            os.kill(os.getpid(), signal.SIGKILL)
+    """
+    assert ended(script) == -9
+    (left,) = tmp_path.iterdir()
+    other = tmp_path / f"hyperval-trial-{os.getpid()}-abcdefgh"
+    other.mkdir()
+    os.utime(other, (0, 0))
+    with scratch_folder("trial") as folder:
+        assert {p.name for p in tmp_path.iterdir()} == {folder.name, other.name}
+    assert not left.exists()
+    assert list(tmp_path.iterdir()) == [other]
+
+
+# Output folders: replaced whole, by one run at a time, nothing of the user's lost, wherever a run ends.
+
+
+HEAD = '{\n "schema_version": 1,\n "hyperval_version": "0.1.0",\n "rows": []\n}\n'
+SRC = Path(storage.__file__).parents[1]
 
 
 def refused(path: Path, words: str, kind: storage.FolderKind = storage.RESULTS) -> None:
@@ -47,7 +171,7 @@ def run(path: Path, **content: str) -> None:
         fill(new, results_json=HEAD, **content)
 
 
-def test_a_folder_is_replaced_as_a_whole(tmp_path: Path):
+def test_a_folder_is_replaced_as_a_whole(tmp_path):
     path = tmp_path / "report"
     before = os.umask(0o027)
     try:
@@ -65,7 +189,7 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path):
     assert not (path / "figures" / "deep").exists()
 
 
-def test_what_the_user_put_there_is_refused_and_stays(tmp_path: Path):
+def test_what_the_user_put_there_is_refused_and_stays(tmp_path):
     path = tmp_path / "report"
     run(path, old_csv="1", figures__a_svg="<old>")
     (path / ".DS_Store").write_text("of the system")
@@ -91,7 +215,7 @@ def test_what_the_user_put_there_is_refused_and_stays(tmp_path: Path):
     assert not (other / storage.LOCK).exists()
 
 
-def test_a_link_is_followed_and_stays(tmp_path: Path):
+def test_a_link_is_followed_and_stays(tmp_path):
     real = tmp_path / "disk" / "report"
     run(real, old_csv="1")
     (tmp_path / "out").symlink_to("disk/report")
@@ -101,7 +225,7 @@ def test_a_link_is_followed_and_stays(tmp_path: Path):
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_a_failure_keeps_what_was_there(tmp_path: Path, first: bool):
+def test_a_failure_keeps_what_was_there(tmp_path, first):
     if not first:
         run(tmp_path / "report", old_csv="old")
 
@@ -112,7 +236,7 @@ def test_a_failure_keeps_what_was_there(tmp_path: Path, first: bool):
     assert first or files(tmp_path / "report") == {"results.json": HEAD, "old.csv": "old"}
 
 
-def test_each_kind_is_replaced_by_its_own_alone(tmp_path: Path):
+def test_each_kind_is_replaced_by_its_own_alone(tmp_path):
     for kind in (storage.RESULTS, storage.COLLECTION, storage.POWER):
         path = tmp_path / ("n" * 200 + kind.marker)  # a name nearly as long as a name can be
         for content in "12":
@@ -124,7 +248,7 @@ def test_each_kind_is_replaced_by_its_own_alone(tmp_path: Path):
         refused(path, f"holds {kind.name}, not {other.name}", other)
 
 
-def test_a_damaged_list_loses_nothing(tmp_path: Path):
+def test_a_damaged_list_loses_nothing(tmp_path):
     path = tmp_path / "report"
     run(path, notes_txt="1")
     (path / storage.LIST).write_text('{"schema": 1, "kind": "results", "files": ["../../etc/passwd"]}')
@@ -134,13 +258,13 @@ def test_a_damaged_list_loses_nothing(tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["file", "file/out", "n" * 300, "n" * 200 + "/" + "n" * 300])
-def test_places_where_no_folder_can_be_are_the_users_to_mend(tmp_path: Path, name: str):
+def test_places_where_no_folder_can_be_are_the_users_to_mend(tmp_path, name):
     (tmp_path / "file").write_text("mine")
     refused(tmp_path / name, r"is a file|no folder can be made here")
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_two_runs_into_one_folder(tmp_path: Path):
+def test_two_runs_into_one_folder(tmp_path):
     path = tmp_path / "report"
     with storage.whole_folder(path) as new:
         fill(new, results_json=HEAD, first_csv="1")
@@ -150,7 +274,7 @@ def test_two_runs_into_one_folder(tmp_path: Path):
     assert set(files(path)) == {"results.json", "second.csv"}
 
 
-def test_the_working_directory_keeps_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_working_directory_keeps_its_place(tmp_path, monkeypatch):
     path = tmp_path / "report"
     run(path, old_csv="1")
     inode = path.stat().st_ino
@@ -161,7 +285,7 @@ def test_the_working_directory_keeps_its_place(tmp_path: Path, monkeypatch: pyte
     assert storage.partial_folder(Path()) == path / storage.PARTIAL
 
 
-def test_a_mounted_volume_is_written_inside(tmp_path: Path):
+def test_a_mounted_volume_is_written_inside(tmp_path):
     (tmp_path / "volume").mkdir()
     (tmp_path / "out").mkdir()
     script = f"""
@@ -183,7 +307,7 @@ def test_a_mounted_volume_is_written_inside(tmp_path: Path):
     assert files(tmp_path / "volume") == {"results.json": "2"}
 
 
-def test_results_that_cannot_be_placed_are_kept_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_results_that_cannot_be_placed_are_kept_and_named(tmp_path, monkeypatch):
     path = tmp_path / "report"
     run(path, old_csv="1")
 
@@ -200,7 +324,7 @@ def test_results_that_cannot_be_placed_are_kept_and_named(tmp_path: Path, monkey
     assert set(files(path)) == {"results.json", "old.csv"}
 
 
-def test_a_change_that_failed_is_finished_by_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_change_that_failed_is_finished_by_the_next_run(tmp_path, monkeypatch):
     path = tmp_path / "report"
     run(path, old_csv="1")
     monkeypatch.setattr(os, "replace", lambda source, target: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
@@ -240,7 +364,7 @@ with folders.whole_folder(Path({path!r})) as new:
 
 
 @pytest.mark.parametrize("first", [True, False], ids=["first run", "second run"])
-def test_killed_at_any_point_the_old_report_or_the_new_one(tmp_path: Path, first: bool):
+def test_killed_at_any_point_the_old_report_or_the_new_one(tmp_path, first):
     new = {"results.json": HEAD, "a.csv": "new", "figures/a.svg": "new", "figures/b.svg": "new"}
     outcomes, codes, steps = [], [], 0
     while not codes or codes[-1] != 0:
