@@ -9,7 +9,7 @@ import pytest
 import yaml
 from uncertain_scene import AXIS, engine, run, scenario
 
-from hyperval.attribute import InjectedError, NotInjectable, injected_errors, injected_prediction
+from hyperval.attribute import NotInjectable, injected_errors, injected_prediction
 from hyperval.campaign import jobs_of, run_campaign
 from hyperval.errors import UsageError
 from hyperval.model import Origins, predict
@@ -20,7 +20,7 @@ from hyperval.settings import with_settings
 
 
 KEY = ("tenth", "cem", "pixel")
-BY_NAME = {e.name: e for e in injected_errors()}
+BY_NAME = injected_errors()
 # In place of the scene's: an empirical line, tails, two targets, and a fill with blur.
 GREEN = "{name: green, spectrum: {builtin: green-paint-plank}, host: grass, "
 GREEN += "fill: {geometry: {side_m: 0.4, gsd_m: 1.0, psf_fwhm_pixels: 0.8}}}"
@@ -142,9 +142,8 @@ def test_without_an_atmosphere_light_is_not_injected_and_the_line_is_that_of_the
 
 
 def test_an_error_of_a_path_that_leads_nowhere_names_it():
-    lost = InjectedError("nothing", lambda world: {"surfaces.nobody.mean": 0.1})
     with pytest.raises(NotInjectable, match=r"surfaces\.nobody"):
-        injected_prediction(SCENE, lost, Origins(axis=AXIS, engine=engine))
+        injected_prediction(SCENE, lambda world: {"surfaces.nobody.mean": 0.1}, Origins(axis=AXIS, engine=engine))
 
 
 def test_an_input_of_the_budget_moves_from_where_it_was_injected():

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hyperval import campaign, cli
-from hyperval.attribute import InjectedError, injected_errors
+from hyperval.attribute import injected_errors
 from hyperval.errors import UsageError
 from hyperval.report import report_page
 from hyperval.results import Outcome, Result, Role
@@ -16,8 +16,8 @@ SUBJECTS = ["white-panel", "grey-panel-35"]
 DIGEST = "ab" * 32
 
 
-def some_errors(*names: str) -> list[InjectedError]:
-    return [e for e in injected_errors() if e.name in names]
+def some_errors(*names):
+    return {name: error for name, error in injected_errors().items() if name in names}
 
 
 def on_radiance_alone(small, **limit: float) -> Path:

@@ -65,7 +65,7 @@ TABLES = sorted((ROOT / "validation" / "power").glob("*.yaml"))
 def test_an_accepted_power_table_has_each_standard_error_its_gates_and_the_files_of_a_campaign(path):
     table = accepted_table(path.stem, path.parent)
     assert table is not None
-    assert list(table.errors) == [error.name for error in injected_errors()]
+    assert list(table.errors) == list(injected_errors())
     assert 0 < len(table.stated) <= table.gates + table.disagreeing
     folders = [p.parent for p in (ROOT / "campaigns").glob("*/campaign*.yaml") if p.name in table.files]
     # A criterion more, or a limit that is another, makes it stale: hyperval power --accept.

@@ -1,11 +1,8 @@
-"""Which inputs explain residuals: the likelihood gained by freeing each, and their order.
-
-Inputs whose uncertainty a scenario does not state, each with a usual one: they too may be the reason.
-"""
+"""Which inputs explain residuals: the likelihood gained by freeing each, and their order."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -14,75 +11,10 @@ import numpy.typing as npt
 import scipy
 from scipy import linalg
 
+from hyperval.attribute.candidates import Candidate
 from hyperval.attribute.residuals import ENOUGH, Stack
 from hyperval.compare.rows import Array
 from hyperval.errors import UsageError
-from hyperval.model import UncertainInput, World, inputs_of, number_input, spectral_input, value_at
-from hyperval.model.inputs import AEROSOL, SURROUNDINGS, WATER, Kind, field_spectrum_of, form_in_words
-from hyperval.scenario import SpectralForm
-
-SHIFT_NM = 0.2
-SPREAD = 0.10
-FRACTION = 0.10
-# A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
-# the directions that hold nine tenths of its variance between 400 and 2500 nm.
-SURFACE, SURFACE_NM, SURFACE_DIRECTIONS = 0.10, 300.0, 4
-# Name, kind, path, usual size as a part of what stands there.
-_PARTS: tuple[tuple[str, Kind, str, float], ...] = (
-    (SURROUNDINGS, "scene", "light.surroundings", 0.10),
-    (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10),
-    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10),
-    ("sensor gain", "sensor", "sensor.gain", 0.01),
-    ("sensor noise", "sensor", "sensor.noise", 0.05),
-    ("fill of the targets", "scene", "fill", 0.05),
-    ("blur of the image", "scene", "blur", 0.10),
-)
-
-
-def assumed_inputs(world: World) -> list[UncertainInput]:
-    """Every input of a scenario that may be off and whose uncertainty it does not state, with a usual one."""
-    stated = {item.path for item in inputs_of(world)}
-    return [item for item in _usual(world) if item.path not in stated]
-
-
-def _usual(world: World) -> Iterator[UncertainInput]:
-    scene = world.stated.scenario.scene
-    yield from (_part(world, *row) for row in _PARTS if _there(world, row[2]))
-    if world.stated.scenario.atmosphere is not None:
-        path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
-        size = np.array([SHIFT_NM])
-        yield number_input(world, "wavelength shift", "sensor", path, size, source="usual", words=words)
-    for c in scene.classes:
-        yield _part(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD)
-    # Mean spectra that the collection itself does not vouch for.  Those of targets are left out: mixed with their
-    # hosts they look like their fill, which is there already.
-    form = SpectralForm(correlation_nm=SURFACE_NM)
-    for s in (*scene.classes, *scene.panels, *scene.sites):
-        if s.spectrum.measured is None:
-            sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
-            one = spectral_input(world, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
-            words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
-            yield replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words)
-    shares = [c for c in scene.classes if _there(world, f"fraction.[{c.name}]")]
-    for c in shares[:1] if len(scene.classes) == 2 else shares:  # of two the other one's is the same input
-        yield _part(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION)
-
-
-def _part(world: World, name: str, kind: Kind, path: str, part: float) -> UncertainInput:
-    one = number_input(world, name, kind, path, np.zeros(1), source="usual", words=f"{100 * part:g} %")
-    return replace(one, rows=part * np.atleast_1d(np.asarray(one.nominal, dtype=float))[None, :])
-
-
-def _there(world: World, path: str) -> bool:
-    """Whether a scenario has something at a path that is not 0; an atmosphere's table is of one state."""
-    state = world.stated.scenario.atmosphere
-    if path.startswith("atmosphere.") and (state is None or state.engine == "table"):
-        return False
-    try:
-        return bool(np.any(np.nan_to_num(np.asarray(value_at(world, path), dtype=float))))
-    except UsageError:
-        return False
-
 
 ALL = "all"
 # A stated uncertainty is too wide where the data refute, at this level, all that is less than so many times so.
@@ -92,23 +24,6 @@ COMMON, DIFFERENT = "what all subjects share", "what differs between subjects"
 MOST_UNITS = 10.0  # an input that would have to move farther is no reason
 # Candidates whose gains differ by less cannot be told apart: the likelihoods differ by a factor of less than e.
 ALIKE = 2.0
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """An input as a reason.
-
-    Attributes
-    ----------
-    name, kind : for people
-    step : one unit in words
-    budgeted : its uncertainty is stated, and is in the covariance already
-    """
-
-    name: str
-    kind: str
-    step: str
-    budgeted: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +66,8 @@ class Explanation:
     @property
     def in_words(self) -> str:
         """How far the input would have to move."""
-        step = "stated uncertainty" if self.candidate.budgeted else f"step of {self.candidate.step}"
         size = f"{self.units:+.2g}" if self.amplitudes.size == 1 else f"{self.needed:.2g}"
-        return f"{size} times its {step}{', as far as it can' if self.limited else ''}"
+        return f"{size} times its {self.candidate.unit}{', as far as it can' if self.limited else ''}"
 
 
 @dataclass(frozen=True)

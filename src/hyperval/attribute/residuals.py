@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,28 +39,18 @@ SPECTRUM_FLOOR = 1e-4  # of the value, each band by itself: what closure with si
 MOST_WIDENED = 20.0  # times a covariance that too few pixels know
 SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
 LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
-_SPECTRA = ("radiance", "reflectance", "toa_reflectance")
 RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate
 # A false-alarm rate says something of the tail where this many pixels lie above the threshold.
 LEAST_ALARMS = 20
 
 
-@dataclass(frozen=True, eq=False)
-class ComparedQuantity:
-    """One number of both sides.
-
-    Attributes
-    ----------
-    product, subject, method, metric : as in the results table
-    observed : what the collection says
-    read : the same of a prediction
-    """
+class ComparedQuantity(NamedTuple):
+    """One number of both sides, named as in the results table, and what reads it."""
 
     product: str
     subject: str
     method: str
     metric: str
-    observed: float
     read: Callable[[Products], float]
 
 
@@ -74,12 +65,12 @@ def quantities(predicted: Products, observed: Products) -> list[ComparedQuantity
             level = float(np.mean(estimate.mean[use])) if use.any() else 0.0
             if level > 0:
                 ratio = partial(_mean_over, level, product, subject, use)
-                items.append(ComparedQuantity(product, subject, "", "ratio_windows", 1.0, ratio))
+                items.append(ComparedQuantity(product, subject, "", "ratio_windows", ratio))
     for key, curve in observed.roc.items():
         for pfa in POINTS if key in predicted.roc and key[2] == "pixel" else ():
             if pfa >= max(curve.pfa[0], predicted.roc[key].pfa[0]):
                 pd, method = partial(_detected, key, pfa), f"{key[1]}/{key[2]}"
-                items.append(ComparedQuantity("roc", key[0], method, f"pd@{scientific(pfa)}", pd(observed), pd))
+                items.append(ComparedQuantity("roc", key[0], method, f"pd@{scientific(pfa)}", pd))
     return items
 
 
@@ -105,7 +96,6 @@ class ResidualBlock:
     observed : (n,) what the collection says
     covariance : (n, n) of the error of ``observed``, the numerical floor of the model included
     read : the same (n,) from a prediction
-    read_covariance : (n, n) error covariance that a prediction states for it, None where it states none
     bands : (n,) index of the band of each entry, None for what is no spectrum
     calibration : (B, B) relative error covariance that all spectra of the collection share, in all bands; None
         without
@@ -117,7 +107,6 @@ class ResidualBlock:
     observed: Array
     covariance: Array
     read: Callable[[Products], Array]
-    read_covariance: Callable[[Products], Array] | None = None
     bands: Indices | None = None
     calibration: Array | None = None
 
@@ -155,8 +144,10 @@ class Stack:
         """
         out = np.zeros_like(budget)
         for block, place in self.placed():
-            if block.read_covariance is not None:
-                values, vectors = np.linalg.eigh(block.read_covariance(prediction) - budget[place, place])
+            if block.bands is not None:
+                stated = getattr(prediction, block.product)[block.subject].error_covariance
+                beyond = np.nan_to_num(stated[np.ix_(block.bands, block.bands)]) - budget[place, place]
+                values, vectors = np.linalg.eigh(beyond)
                 out[place, place] = (vectors * np.clip(values, 0.0, None)) @ vectors.T
         return out
 
@@ -200,15 +191,11 @@ def stacked(predicted: Products, observed: Products) -> Stack:
 def _blocks(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
     # Pixels that a target fills in part are judged by their scores: their mean spectrum is that of their mean fill.
     mixed = {subject for subject, _ in predicted.scores}
-    here = observed.radiance
-    left_out = {
-        "radiance": mixed,
-        "reflectance": mixed | {name for name in here if name in predicted.radiance},
-        "toa_reflectance": set(here),
-    }
-    for product in _SPECTRA:
+    in_radiance = {name for name in observed.radiance if name in predicted.radiance}
+    left_out = {"radiance": mixed, "reflectance": mixed | in_radiance, "toa_reflectance": set(observed.radiance)}
+    for product, others in left_out.items():
         for name, estimate in getattr(observed, product).items():
-            if name in getattr(predicted, product) and name not in left_out[product]:
+            if name in getattr(predicted, product) and name not in others:
                 yield from _spectrum(product, name, predicted, estimate)
     for name, estimate in observed.snr.items():
         if name in predicted.snr:
@@ -234,7 +221,6 @@ def _spectrum(product: str, subject: str, predicted: Products, estimate: Spectra
         product, subject, "", estimate.mean[use],
         sampled_covariance(estimate, use, np.diag((SPECTRUM_FLOOR * mean[use]) ** 2)),
         lambda p: np.asarray(getattr(p, product)[subject].mean[use]),
-        lambda p: np.asarray(np.nan_to_num(getattr(p, product)[subject].error_covariance[np.ix_(use, use)])),
         np.flatnonzero(use), relative,
     )  # fmt: skip
 

@@ -38,9 +38,6 @@ class AttributionOptions(Model):
     each: list[str] = Field(
         default_factory=list, description="subjects that are ranked by themselves too; * and ? allowed"
     )
-    unbudgeted: bool = Field(
-        True, description="also inputs whose uncertainty the scenario does not state, with a usual one"
-    )
     totals: bool = Field(True, description="first and total sensitivities, from pairs of inputs changed together")
     what_ifs: list[WhatIf] = Field(default_factory=list)
 

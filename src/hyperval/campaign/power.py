@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import hyperval
-from hyperval.attribute import InjectedError, NotInjectable, injected_errors, injected_prediction
+from hyperval.attribute import Family, NotInjectable, injected_errors, injected_prediction
+from hyperval.campaign import power_file
 from hyperval.campaign.job import Job, jobs_of
-from hyperval.campaign.power_file import (
-    ACCEPTED,
-    Injected,
-    PowerTable,
-    accepted_table,
-    gate_name,
-    gate_values,
-    own_files,
-    write_power_table,
-)
+from hyperval.campaign.power_file import Injected, PowerTable
 from hyperval.campaign.run import outcomes
 from hyperval.campaign.sides import collected, predicted_side
 from hyperval.errors import MissingDataError
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.metrics import Evidence
 from hyperval.model import Truth, predict
+from hyperval.products import PredictedProducts
 from hyperval.progress import track
 from hyperval.results import Outcome, Result
 from hyperval.storage import POWER, whole_folder, write_text
@@ -87,10 +79,10 @@ def campaign_power(
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         with workers(worker_count(len(jobs))) as where:
             tables = list(track(in_order(where, _power, jobs), "campaigns", len(jobs), show=show_progress))
-        for place in (*([folder] if folder is not None else []), *([ACCEPTED] if accept else [])):
+        for place in (*([folder] if folder is not None else []), *([power_file.ACCEPTED] if accept else [])):
             for item in tables:
                 if item.table is not None:
-                    write_power_table(place / f"{item.campaign}.yaml", item.table)
+                    power_file.write_power_table(place / f"{item.campaign}.yaml", item.table)
         if folder is not None:
             write_text(folder / POWER.marker, _csv(tables))
     return tables
@@ -101,13 +93,13 @@ def _power(job: Job) -> Power:
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        return Power(name, power_table(job, show_progress=False), accepted=accepted_table(name))
+        return Power(name, power_table(job, show_progress=False), accepted=power_file.accepted_table(name))
     except MissingDataError as error:
         return Power(name, skipped=str(error))
 
 
 def power_table(
-    job: Job, *, errors: Sequence[InjectedError] | None = None, show_progress: bool | None = None
+    job: Job, *, errors: Mapping[str, Family] | None = None, show_progress: bool | None = None
 ) -> PowerTable:
     """Observe once, predict with each of ``errors`` (default: the standard ones), and compare each time.
 
@@ -122,39 +114,34 @@ def power_table(
         origins = [here.origins(scenario, show_progress) for scenario in scenarios]
         stated = [predict(s, o, objects=True) for s, o in zip(scenarios, origins, strict=True)]
 
-        def judged_with(error: InjectedError | None) -> list[Result]:
-            predictions, truths, refused = [], [], []
+        def injected(error: Family) -> Injected:
+            """What it turns; of a scenario that has nothing of the kind the prediction stays."""
+            sides: list[tuple[PredictedProducts, Truth]] = []
+            refused = []
             for scenario, plain, own in zip(scenarios, stated, origins, strict=True):
-                prediction = plain
-                truth: Truth = {}
-                if error is not None:
-                    try:
-                        prediction, truth = injected_prediction(scenario, error, own, objects=True)
-                    except NotInjectable as why:  # of another scenario there may be something
-                        refused.append(why)
-                predictions.append(prediction)
-                truths.append(truth)
+                try:
+                    sides.append(injected_prediction(scenario, error, own, objects=True))
+                except NotInjectable as why:
+                    sides.append((plain, {}))
+                    refused.append(why.what)
             if len(refused) == len(scenarios):
-                raise refused[0]
-            return outcomes(here, predicted_side(here, predictions, truths))
+                return Injected(not_applicable=refused[0])
+            predictions, truths = zip(*sides, strict=True)
+            return turned(before, outcomes(here, predicted_side(here, predictions, truths)))
 
-        before = judged_with(None)
-        rows = {}
-        for error in track(errors, "injected errors", len(errors), show=show_progress):
-            try:
-                rows[error.name] = turned(before, judged_with(error))
-            except NotInjectable as why:
-                rows[error.name] = Injected(not_applicable=why.what)
+        before = outcomes(here, predicted_side(here, stated))
+        named = track(errors.items(), "injected errors", len(errors), show=show_progress)
+        rows = {name: injected(error) for name, error in named}
         gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
         disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
         return PowerTable(
             schema=1,
             campaign=job.campaign.name,
             version=hyperval.__version__,
-            files=own_files(here.inputs.entries()),
+            files=power_file.own_files(here.inputs.entries()),
             gates=len(gates) - disagreeing,
             disagreeing=disagreeing,
-            stated=gate_values(before),
+            stated=power_file.gate_values(before),
             errors=rows,
         )
 
@@ -164,17 +151,14 @@ def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:
     disagreed = {_key(row) for row in before if row.outcome is Outcome.DISAGREES}
     new = [row for row in after if row.outcome is Outcome.DISAGREES and _key(row) not in disagreed]
     return Injected(
-        gates=tuple(dict.fromkeys(gate_name(row) for row in new if row.gates)),
+        gates=tuple(dict.fromkeys(power_file.gate_name(row) for row in new if row.gates)),
         informing=dict(Counter(row.product for row in new if not row.gates)),
     )
 
 
-def _key(row: Result) -> tuple[object, ...]:
-    numbers = (row.band_nm, row.limit_low, row.limit_high)
-    return (
-        row.product, row.subject, row.method, row.metric, row.role,
-        *(None if math.isnan(x) else x for x in numbers),
-    )  # fmt: skip
+def _key(row: Result) -> tuple[str, ...]:
+    names = ("product", "subject", "method", "metric", "role", "band_nm", "limit_low", "limit_high")
+    return tuple(str(getattr(row, name)) for name in names)
 
 
 def _csv(table: Sequence[Power]) -> str:

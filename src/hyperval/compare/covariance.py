@@ -10,19 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from hyperval import pixels
 from hyperval.compare.rows import Array, Mask, row, skipped
 from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
-from hyperval.pixels import (
-    EigenDirections,
-    Statistics,
-    band_limits,
-    full_rank,
-    kurtosis_parameter,
-    noise_part,
-    sampling_band,
-    statistics_of_covariance,
-)
 from hyperval.products import PixelDistribution, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Result
 from hyperval.spectra.axis import SpectralAxis, in_window
@@ -114,8 +105,8 @@ class Sampled:
     sides: tuple[SpectralEstimate, SpectralEstimate]
     bands: Mask
     covariances: tuple[Array, Array]
-    measured: Statistics
-    band: Statistics
+    measured: pixels.Statistics
+    band: pixels.Statistics
     spaces: tuple[int, ...]
     n: int
     fewest: float
@@ -140,17 +131,17 @@ def sampled(predicted: Products, observed: Products, subject: str, quantity: str
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return "a covariance is not finite"
     law = predicted.distribution.get(subject)
-    kurtosis = 0.0 if law is None else kurtosis_parameter(law.tail_dof)
+    kurtosis = 0.0 if law is None else pixels.kurtosis_parameter(law.tail_dof)
     if math.isinf(kurtosis):
         return "tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band"
-    directions = EigenDirections.of(first)
+    directions = pixels.EigenDirections.of(first)
     size = directions.values.size
     independent = independent_pixels(n, observed.distribution.get(subject), size)
     drawn = max(min(MOST_EIGENVALUES, size, n - 1, int(independent.min())), 1)
     count = min(most, drawn)
     spaces = tuple(k for k in SPACES if k <= count and k < size)
-    full = full_rank(independent, size)
-    measured = statistics_of_covariance(directions, directions.of_other(second), count, spaces, full_rank=full)
+    full = pixels.full_rank(independent, size)
+    measured = pixels.statistics_of_covariance(directions, directions.of_other(second), count, spaces, full_rank=full)
     band = _band(directions.values.tobytes(), independent.tobytes(), drawn, spaces, kurtosis)
     band = band._replace(eigenvalues=band.eigenvalues[:, :count])
     fewest = float(independent.min()) + 1.0
@@ -158,17 +149,19 @@ def sampled(predicted: Products, observed: Products, subject: str, quantity: str
 
 
 @lru_cache(maxsize=64)
-def _band(variances: bytes, independent: bytes, count: int, spaces: tuple[int, ...], kurtosis: float) -> Statistics:
+def _band(
+    variances: bytes, independent: bytes, count: int, spaces: tuple[int, ...], kurtosis: float
+) -> pixels.Statistics:
     """The draws that rows and figures of a subject share, whichever way its directions point."""
     values = np.frombuffer(variances)
-    directions = EigenDirections(np.eye(values.size), values)
+    directions = pixels.EigenDirections(np.eye(values.size), values)
     rng = np.random.default_rng(_SEED)
-    return sampling_band(directions, np.frombuffer(independent), count, spaces, rng, kurtosis=kurtosis)
+    return pixels.sampling_band(directions, np.frombuffer(independent), count, spaces, rng, kurtosis=kurtosis)
 
 
 def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
     measured, band, n = sample.measured, sample.band, sample.n
-    low, high = band_limits(band.eigenvalues)
+    low, high = pixels.band_limits(band.eigenvalues)
     expected = band.eigenvalues.mean(axis=0)
     for k, value in enumerate(measured.eigenvalues):
         ends = low[k] / value, high[k] / value
@@ -177,7 +170,7 @@ def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
     inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
     yield row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
     total = band.total / float(measured.total)
-    yield _row("total_variance_ratio", float(total.mean()), band_limits(total), n)
+    yield _row("total_variance_ratio", float(total.mean()), pixels.band_limits(total), n)
 
 
 def _space_rows(sample: Sampled) -> Iterator[Result]:
@@ -199,7 +192,7 @@ def _distance_rows(sample: Sampled) -> Iterator[Result]:
     (p, o), (first, second) = (side.mean[sample.bands] for side in sample.sides), sample.covariances
     yield row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
     excess = found - float(drawn.mean())
-    low, high = band_limits(drawn - drawn.mean())
+    low, high = pixels.band_limits(drawn - drawn.mean())
     reason = f"sampling alone gives {drawn.mean():.3g}, {found:.3g} was found"
     ends = excess - float(high), excess - float(low)
     yield _row("bhattacharyya_covariance_excess", excess, ends, sample.n, reason)
@@ -221,7 +214,7 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     calibration = calibration + beyond
     noise = total[bands] + beyond + np.broadcast_to(observed.rounding, total.shape)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[at]
-    part = noise_part(
+    part = pixels.noise_part(
         second, first, noise, sample.fewest - 1.0, sample.kurtosis, calibration=calibration, samples=samples
     )
     low, high = (part.factor + sign * Z95 * part.uncertainty for sign in (-1.0, 1.0))

@@ -371,8 +371,9 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
     if beyond and row.outcome is Outcome.AGREES:
         row = replace(row, outcome=Outcome.UNDECIDED, cause=Cause.WIDE_INTERVAL)
     effect, lower, upper = map(unit, numbers)
+    ideal = known.agreement if unit.ideal is None else unit.ideal
     return replace(
-        row, effect=effect, effect_lower=lower, effect_upper=upper, ideal=unit(unit.ideal),
+        row, effect=effect, effect_lower=lower, effect_upper=upper, ideal=unit(ideal),
         effect_unit=unit.unit.format(product=product_words(row.product)),
         accepted_low=unit(low), accepted_high=unit(high), detectable_low=unit(below), detectable_high=unit(above),
     )  # fmt: skip

@@ -10,23 +10,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hyperval.compare.covariance import compare_covariance, compare_distribution
-from hyperval.compare.detection import (
-    ALWAYS,
-    IF_BACKGROUND_ALLOWS,
-    alarm_rows,
-    area_rows,
-    compare_abundance,
-    compare_area_errors,
-    compare_classification,
-    compare_exceedance,
-    compare_object_scores,
-    compare_roc,
-    compare_scores,
-    whole_curve_rows,
-)
+from hyperval.compare import covariance, detection, spectra
 from hyperval.compare.rows import named, row, scientific, skipped
-from hyperval.compare.spectra import compare_spectra
 from hyperval.errors import UsageError
 from hyperval.model.intervals import Z95
 from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
@@ -81,7 +66,7 @@ def _rows_of_one(products: Products, side: str) -> Iterator[Result]:
         one = row("area", area.area_m2, half=Z95 * area.standard_uncertainty, n=area.n)
         yield from named([one], "abundance", *key)
     for subject, distribution in products.distribution.items():
-        yield from named(compare_distribution(None, distribution), "covariance", subject, "pixels")
+        yield from named(covariance.compare_distribution(None, distribution), "covariance", subject, "pixels")
     for key, errors in products.classification.items():
         error = row("error", errors.error, (errors.lower, errors.upper), n=errors.n)
         yield from named([error, row("distance", errors.distance, n=errors.n)], "classification", *key)
@@ -104,10 +89,11 @@ def _of_curve(curve: RocCurve) -> Iterator[Result]:
             limits = (curve.pd_lower[at], curve.pd_upper[at])
             yield row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target)
     if curve.n_target is None:
-        yield from area_rows(curve, None)
+        yield from detection.area_rows(curve, None)
         return
-    rows = [item for pfa in (*ALWAYS, *IF_BACKGROUND_ALLOWS) for item in alarm_rows(None, curve, pfa)]
-    rows += whole_curve_rows(None, curve)
+    levels = (*detection.ALWAYS, *detection.IF_BACKGROUND_ALLOWS)
+    rows = [item for pfa in levels for item in detection.alarm_rows(None, curve, pfa)]
+    rows += detection.whole_curve_rows(None, curve)
     yield from (item for item in rows if item.outcome is Outcome.NONE)  # nothing is planned, so nothing is skipped
 
 
@@ -152,24 +138,25 @@ def compare_products(
 
     rows: list[Result] = []
     for product in SPECTRA:
-        rows += of(compare_spectra, product, product=product, axis=axis)
+        rows += of(spectra.compare_spectra, product, product=product, axis=axis)
     for quantity in SPREAD:
         for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
-            rows += named(compare_covariance(predicted, observed, subject, quantity), "covariance", subject, quantity)
+            spread = covariance.compare_covariance(predicted, observed, subject, quantity)
+            rows += named(spread, "covariance", subject, quantity)
     for subject, p, o in _pairs(predicted.distribution, observed.distribution):
-        rows += named(compare_distribution(p, o), "covariance", subject, "pixels")
-    rows += of(compare_classification, "classification")
-    rows += of(compare_scores, "scores")
+        rows += named(covariance.compare_distribution(p, o), "covariance", subject, "pixels")
+    rows += of(detection.compare_classification, "classification")
+    rows += of(detection.compare_scores, "scores")
     for detector in dict.fromkeys(detector for _, detector in predicted.object_scores):
         sides = ({s: v for (s, d), v in p.object_scores.items() if d == detector} for p in (predicted, observed))
-        rows += compare_object_scores(*sides, method=detector)
-    for (name, detector), curve in predicted.exceedance.items():
-        subject, measured = background_of(name), observed.exceedance.get((name, detector))
-        found = absent("scores", subject, curve, None) if measured is None else compare_exceedance(curve, measured)
+        rows += detection.compare_object_scores(*sides, method=detector)
+    for (name, detector), p in predicted.exceedance.items():
+        subject, o = background_of(name), observed.exceedance.get((name, detector))
+        found = absent("scores", subject, p, o) if o is None else detection.compare_exceedance(p, o)
         rows += named(found, "scores", subject, detector)
-    rows += of(compare_roc, "roc", equivalence_margin=equivalence_margin)
-    rows += of(compare_abundance, "abundance")
-    return [*rows, *compare_area_errors(predicted.abundance, observed.abundance)]
+    rows += of(detection.compare_roc, "roc", equivalence_margin=equivalence_margin)
+    rows += of(detection.compare_abundance, "abundance")
+    return [*rows, *detection.compare_area_errors(predicted.abundance, observed.abundance)]
 
 
 def _alternatives(side: Products, subject: str) -> str:

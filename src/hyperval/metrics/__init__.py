@@ -11,12 +11,14 @@ import difflib
 import math
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from functools import cache
 from importlib import resources
-from typing import Any, Literal
+from typing import Literal, NamedTuple
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from hyperval.errors import UsageError
 
@@ -46,19 +48,20 @@ class Kind(StrEnum):
 
 
 Of = Literal["value", "interval", "unit"]
-Move = tuple[float, Of]
-# A tolerance of an interval needs one; these are for rows without.
-_USUAL: tuple[Move, Move] = ((0.1, "interval"), (0.01, "value"))
+_USUAL: Mapping[Of, float] = {"interval": 0.1, "value": 0.01}
 
 
 @dataclass(frozen=True)
 class FieldUnit:
-    """How a number of a metric is told as an effect in units of the field: factor (number - origin) [unit]."""
+    """How a number of a metric is told as an effect in units of the field: factor (number - origin) [unit].
+
+    ``ideal`` : the number where both sides are equal; the metric's agreement where it is None
+    """
 
     unit: str
     factor: float = 1.0
     origin: float = 0.0
-    ideal: float = math.nan
+    ideal: float | None = None
 
     def __call__(self, number: float) -> float:
         """The effect [unit]."""
@@ -83,8 +86,8 @@ class Metric:
     better : direction of a better result, for metrics that rank
     kind : how it is judged
     interval : kind of its 95 % interval
-    tolerance : how far an accepted number may move: of its value, of half its interval, or in its unit; and where
-        the row has no interval
+    tolerance : how far an accepted number may move: of its value, of half its interval, or in its unit; what stands
+        last is for rows without an interval
     evidence : what moves it
     reference : source of the formula
     example, gives : an expression with the function, and its value; or a command whose rows have it, without a
@@ -108,7 +111,7 @@ class Metric:
     better: Literal["", "high", "low"] = ""
     kind: Kind = Kind.QUANTITY
     interval: str = "none"
-    tolerance: tuple[Move, Move] = _USUAL
+    tolerance: Mapping[Of, float] = Field(default_factory=lambda: _USUAL)
     evidence: Evidence = Evidence.MODEL
     reference: str = ""
     example: str = ""
@@ -135,22 +138,11 @@ def base_name(metric: str) -> str:
 def table() -> Mapping[str, Metric]:
     """Every metric by name; plain names before patterns."""
     sections = tomllib.loads((resources.files(__package__) / "metrics.toml").read_text("utf-8"))
-    rows = [_row(section, entries) for section, listed in sections.items() for entries in listed]
+    rows = [Metric(section=section, **entries) for section, listed in sections.items() for entries in listed]
     rows.sort(key=lambda m: "*" in m.name)
     if len({m.name for m in rows}) != len(rows):
         raise AssertionError("two metrics of one name")
     return {m.name: m for m in rows}
-
-
-def _row(section: str, entries: dict[str, Any]) -> Metric:
-    """A metric of the file; a tolerance of one kind holds with an interval and without."""
-    moves = [(float(size), of) for of, size in entries.pop("tolerance", {}).items()]
-    tolerance = {"tolerance": (moves[0], moves[-1])} if moves else {}
-    words = {"kind": Kind(entries.pop("kind", "quantity")), "evidence": Evidence(entries.pop("evidence", "model"))}
-    usual = {"usual": tuple(entries.pop("usual"))} if "usual" in entries else {}
-    effect = {"ideal": entries.get("agreement", math.nan)} | entries.pop("effect", {})
-    unit = {"effect": FieldUnit(**effect)} if "unit" in effect else {}
-    return Metric(section=section, **words, **tolerance, **usual, **unit, **entries)  # type: ignore[arg-type]
 
 
 @cache
@@ -272,13 +264,8 @@ def _span(low: float, high: float) -> str:
 
 def tolerance_text(metric: Metric) -> str:
     """How far an accepted number may move."""
-    first, other = metric.tolerance
-    return _move(first) if first == other else f"{_move(first)}, without one {_move(other)}"
-
-
-def _move(move: Move) -> str:
-    size, of = move
-    return {"value": f"{size:g} of the value", "interval": f"{size:g} of half the interval", "unit": f"{size:g}"}[of]
+    parts = {"value": " of the value", "interval": " of half the interval", "unit": ""}
+    return ", without one ".join(f"{size:g}{parts[of]}" for of, size in metric.tolerance.items())
 
 
 def listed() -> Iterator[tuple[str, ...]]:
@@ -293,6 +280,7 @@ def listed() -> Iterator[tuple[str, ...]]:
 
 def entry(m: Metric) -> list[str]:
     """The paragraph of one metric for the page of the documentation."""
+    value = f"`{m.example}`" if math.isnan(m.gives) else f"`{m.example}` is {m.gives:.6g}"
     lines = [f"### `{m.name}`", "", f"{m.words[0].upper()}{m.words[1:]}.", ""]
     facts = [
         ("formula", f"`{m.formula}`" if m.formula else ""),
@@ -309,16 +297,9 @@ def entry(m: Metric) -> list[str]:
         ("moves with", "the prediction" if m.evidence == "model" else "the pipeline alone"),
         ("accepted numbers may move by", tolerance_text(m)),
         ("reference", m.reference),
-        ("example", _example(m)),
+        ("example", value if m.example else f"in the docstring of `hyperval.{m.function}`"),
     ]
     return [*lines, *(f"- {name}: {text}" for name, text in facts if text), ""]
-
-
-def _example(m: Metric) -> str:
-    """What gives the row: an expression, a command, or the example in the function's docstring."""
-    if not m.example:
-        return f"in the docstring of `hyperval.{m.function}`"
-    return f"`{m.example}`" if math.isnan(m.gives) else f"`{m.example}` is {m.gives:.6g}"
 
 
 DIGITS = 6  # significant digits that are kept
@@ -326,8 +307,7 @@ _ROUNDING = 0.51 * 10.0 ** (1 - DIGITS)
 _SMALLEST = 1e-9  # below this a difference of numbers of order 1 is rounding
 
 
-@dataclass(frozen=True)
-class Tolerance:
+class Tolerance(NamedTuple):
     """A tolerance: of the accepted value, of the half width of its 95 % interval, or in the metric's own unit."""
 
     tolerance: float
@@ -341,5 +321,5 @@ class Tolerance:
 
 def default_tolerance(metric: str, half_width: float | None = None) -> Tolerance:
     """The tolerance of a metric whose baseline does not name one, as the table of metrics has it."""
-    with_interval, without = metric_of(metric).tolerance
-    return Tolerance(*(with_interval if half_width or with_interval[1] != "interval" else without))
+    moves = [Tolerance(size, of) for of, size in metric_of(metric).tolerance.items()]
+    return moves[0] if half_width or moves[0].of != "interval" else moves[-1]

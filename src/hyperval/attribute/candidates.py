@@ -1,0 +1,311 @@
+"""What may be wrong: uncertain inputs, each moved along its directions, and standard errors of a model.
+
+Inputs whose uncertainty a scenario does not state have a usual one here: they too may be the reason.  An error is one
+or several inputs that stand at another value than stated, injected into the model alone: a comparison that is worth its
+name sees it.  The truth of the model departs, what the detectors look for and how bands are labelled stays: the
+pipeline that is compared is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.model import (
+    Origins,
+    Truth,
+    UncertainInput,
+    World,
+    inputs_of,
+    number_input,
+    predict,
+    read,
+    spectral_input,
+    value_at,
+)
+from hyperval.model.inputs import AEROSOL, SURROUNDINGS, WATER, Kind, field_spectrum_of, form_in_words
+from hyperval.products import PredictedProducts, SpectralEstimate
+from hyperval.scenario import Scenario, SpectralForm
+from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
+
+Array = npt.NDArray[np.float64]
+Family = Callable[[World], Truth]  # what stands where with an error, for what a scenario says
+
+# Directions of an input that move all that is compared at once: of a smooth error nearly all of its variance, of a
+# rough one little.  The rest counts for each spectrum by itself (``stated_beyond``), and not for scores.
+MOST_DIRECTIONS = 8
+SHIFT_NM = 0.2
+SPREAD = 0.10
+FRACTION = 0.10
+# A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
+# the directions that hold nine tenths of its variance between 400 and 2500 nm.
+SURFACE, SURFACE_NM, SURFACE_DIRECTIONS = 0.10, 300.0, 4
+# Name, kind, path, usual size as a part of what stands there.
+_PARTS: tuple[tuple[str, Kind, str, float], ...] = (
+    (SURROUNDINGS, "scene", "light.surroundings", 0.10),
+    (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10),
+    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10),
+    ("sensor gain", "sensor", "sensor.gain", 0.01),
+    ("sensor noise", "sensor", "sensor.noise", 0.05),
+    ("fill of the targets", "scene", "fill", 0.05),
+    ("blur of the image", "scene", "blur", 0.10),
+)
+
+
+def assumed_inputs(world: World) -> list[UncertainInput]:
+    """Every input of a scenario that may be off and whose uncertainty it does not state, with a usual one."""
+    stated = {item.path for item in inputs_of(world)}
+    return [item for item in _usual(world) if item.path not in stated]
+
+
+def _usual(world: World) -> Iterator[UncertainInput]:
+    scene = world.stated.scenario.scene
+    yield from (_part(world, *row) for row in _PARTS if _there(world, row[2]))
+    if world.stated.scenario.atmosphere is not None:
+        path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
+        size = np.array([SHIFT_NM])
+        yield number_input(world, "wavelength shift", "sensor", path, size, source="usual", words=words)
+    for c in scene.classes:
+        yield _part(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD)
+    # Mean spectra that the collection itself does not vouch for.  Those of targets are left out: mixed with their
+    # hosts they look like their fill, which is there already.
+    form = SpectralForm(correlation_nm=SURFACE_NM)
+    for s in (*scene.classes, *scene.panels, *scene.sites):
+        if s.spectrum.measured is None:
+            sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
+            one = spectral_input(world, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
+            words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
+            yield replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words)
+    shares = [c for c in scene.classes if _there(world, f"fraction.[{c.name}]")]
+    for c in shares[:1] if len(scene.classes) == 2 else shares:  # of two the other one's is the same input
+        yield _part(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION)
+
+
+def _part(world: World, name: str, kind: Kind, path: str, part: float) -> UncertainInput:
+    one = number_input(world, name, kind, path, np.zeros(1), source="usual", words=f"{100 * part:g} %")
+    return replace(one, rows=part * np.atleast_1d(np.asarray(one.nominal, dtype=float))[None, :])
+
+
+def _there(world: World, path: str) -> bool:
+    """Whether a scenario has something at a path that is not 0; an atmosphere's table is of one state."""
+    state = world.stated.scenario.atmosphere
+    if path.startswith("atmosphere.") and (state is None or state.engine == "table"):
+        return False
+    try:
+        return bool(np.any(np.nan_to_num(np.asarray(value_at(world, path), dtype=float))))
+    except UsageError:
+        return False
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An input as a reason.
+
+    Attributes
+    ----------
+    name, kind : for people
+    step : one unit in words
+    budgeted : its uncertainty is stated, and is in the covariance already
+    members : the input that it is in each scenario, None where it is none there
+    """
+
+    name: str
+    kind: str
+    step: str
+    budgeted: bool
+    members: tuple[UncertainInput | None, ...] = field(default=(), compare=False, repr=False)
+
+    @property
+    def size(self) -> int:
+        """Directions that are followed."""
+        return min(max(m.size for m in self.members if m is not None), MOST_DIRECTIONS)
+
+    @property
+    def unit(self) -> str:
+        """One unit in a sentence."""
+        return "stated uncertainty" if self.budgeted else f"step of {self.step}"
+
+    def at(self, direction: int, units: float) -> list[Truth]:
+        """The truth of each scenario so many units along one direction."""
+        return [{} if m is None or direction >= m.size else m.direction(direction, units) for m in self.members]
+
+
+def candidates(
+    stated: Sequence[Sequence[UncertainInput]], assumed: Sequence[Sequence[UncertainInput]]
+) -> list[Candidate]:
+    """Inputs of all scenarios by name: what bears one name moves in all of them at once.
+
+    ``stated, assumed`` : inputs of each scenario, those with a stated uncertainty and the others; one that is stated in
+    any scenario is left out of the others.
+    """
+    out: dict[str, Candidate] = {}
+    for budgeted, groups in ((True, stated), (False, assumed)):
+        for name in dict.fromkeys(i.name for group in groups for i in group):
+            members = tuple(next((i for i in group if i.name == name), None) for group in groups)
+            first = next(m for m in members if m is not None)
+            out.setdefault(name, Candidate(name, first.kind, first.correlation, budgeted, members))
+    return list(out.values())
+
+
+NORMAL_DOF = 1e6  # degrees of freedom of tails that are left out
+
+
+class NotInjectable(UsageError):
+    """An error of something that the scenario does not have."""
+
+
+def injected_errors() -> dict[str, Family]:
+    """The standard errors by name, each of its size, in the order of the power table."""
+    return {
+        "sunlight x 0.95": partial(_times, path="light.irradiance", factor=0.95),
+        "sunlight x 1.05": partial(_times, path="light.irradiance", factor=1.05),
+        "path radiance x 1.1": partial(_times, path="light.path", factor=1.1),
+        "spherical albedo x 1.5": partial(_times, path="light.spherical_albedo", factor=1.5),
+        "spectral shift of 0.1 band": partial(_shifted, bands=0.1),
+        "spectral shift of 0.5 band": partial(_shifted, bands=0.5),
+        "wavelengths + 5 nm": partial(_shifted, nm=5.0),
+        "noise x 1.5": partial(_times, path="sensor.noise", factor=1.5),
+        "electrons x 1.05": partial(_times, path="sensor.electrons", factor=1.05),
+        "class spread x 0.8": partial(_spread, factor=0.8),
+        "class spread x 1.25": partial(_spread, factor=1.25),
+        "tails left out": _without_tails,
+        "class means exchanged": _class_means_exchanged,
+        "target spectra x 0.8": _darker_targets,
+        "target spectra exchanged": _target_spectra_exchanged,
+        "target spectra of another material": _other_material,
+        "target covariance by f, not f squared": _fine_texture,
+        "fill x 0.8": partial(_times, path="fill", factor=0.8),
+        "blur x 1.5": partial(_times, path="blur", factor=1.5),
+        "empirical line gain x 1.02": partial(_line, gain=1.02, offset=0.0),
+        "empirical line offset + 0.005": partial(_line, gain=1.0, offset=0.005),
+    }
+
+
+def injected_prediction(
+    scenario: Scenario, error: Family, origins: Origins | None = None, *, objects: bool | int = False
+) -> tuple[PredictedProducts, Truth]:
+    """The prediction of a scenario with one error injected, its budget as stated; and the truth behind it.
+
+    Raises
+    ------
+    NotInjectable : the scenario has nothing of the kind.
+    """
+    world = read(scenario, origins)
+    try:
+        truth = error(world)
+        for path in truth:
+            value_at(world, path)
+    except UsageError as why:
+        raise NotInjectable(why.what) from why
+    prediction = predict(scenario, origins, truth=truth, objects=objects)
+    if "line.gain" in truth:  # what was collected is through its own line: an error of the model's shows in its own
+        gain, offset = truth["line.gain"], truth["line.offset"]
+        seen = {name: _through_line(estimate, gain, offset) for name, estimate in prediction.reflectance.items()}
+        prediction = replace(prediction, reflectance=seen)
+    return prediction, truth
+
+
+def _times(world: World, *, path: str, factor: float) -> Truth:
+    nominal = np.asarray(value_at(world, path)[0], dtype=float)
+    if not np.any(nominal):
+        raise NotInjectable(f"{path} is 0")
+    return {path: factor * nominal}
+
+
+def _shifted(world: World, *, bands: float = 0.0, nm: float = 0.0) -> Truth:
+    """True band centres off by a part of each band's width, or by so much; spectra may end before such a band."""
+    moves: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * world.stated.axis.fwhm_nm + nm}
+    for key in ("classes", "panels", "sites", "targets"):
+        for s in getattr(world.stated.scenario.scene, key):
+            if s.spectrum.measured is None:
+                moves[f"scene.{key}.[{s.name}].spectrum.gaps"] = "allowed"
+    return moves
+
+
+def _spread(world: World, *, factor: float) -> Truth:
+    """Standard deviation of every class."""
+    return {f"surfaces.[{c.name}].spread": factor for c in world.stated.scenario.scene.classes}
+
+
+def _without_tails(world: World) -> Truth:
+    paths = [f"surfaces.[{c.name}].tail_dof" for c in world.stated.scenario.scene.classes]
+    heavy = {path: NORMAL_DOF for path in paths if value_at(world, path)[0] < NORMAL_DOF}
+    if not heavy:
+        raise NotInjectable("no class has tails")
+    return heavy
+
+
+def _class_means_exchanged(world: World) -> Truth:
+    """Those of the two classes that cover most."""
+    classes = sorted(world.stated.scenario.scene.classes, key=lambda c: -c.fraction)
+    return _exchanged(world, [c.name for c in classes[:2]], "class")
+
+
+def _darker_targets(world: World) -> Truth:
+    return {path: 0.8 * value_at(world, path)[0] for path in _target_means(world).values()}
+
+
+def _target_spectra_exchanged(world: World) -> Truth:
+    return _exchanged(world, list(_target_means(world)), "target")
+
+
+def _other_material(world: World) -> Truth:
+    """Of the built-in materials the one that is least like the target."""
+    moves = {}
+    others = [builtin_mean(n, world.stated.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
+    for name, path in _target_means(world).items():
+        own = world.stated.surfaces[name].mean
+        gaps = [float(np.nanmean((mean - own) ** 2)) for mean in others]
+        moves[path] = others[int(np.argmax(gaps))]
+    return moves
+
+
+def _fine_texture(world: World) -> Truth:
+    """All of the targets' spread."""
+    names = [name for name in _target_means(world) if np.any(world.stated.surfaces[name].covariance)]
+    if not names:
+        raise NotInjectable("no target has a spread")
+    return {f"surfaces.[{name}].fine_texture": 1.0 for name in names}
+
+
+def _target_means(world: World) -> dict[str, str]:
+    """Target -> path of its mean spectrum."""
+    paths = {t.name: f"surfaces.[{t.name}].mean" for t in world.stated.scenario.scene.targets}
+    if not paths:
+        raise NotInjectable("there is no target")
+    return paths
+
+
+def _exchanged(world: World, names: Sequence[str], what: str) -> Truth:
+    """Each surface has the mean spectrum of the next one, where that is known."""
+    if len(names) < 2:
+        raise NotInjectable(f"there is one {what}")
+    moves = {}
+    for name, other in zip(names, (*names[1:], names[0]), strict=True):
+        own, there = world.stated.surfaces[name].mean, world.stated.surfaces[other].mean
+        moves[f"surfaces.[{name}].mean"] = np.nan_to_num(np.where(np.isfinite(there), there, own))
+    return moves
+
+
+def _line(world: World, *, gain: float, offset: float) -> Truth:
+    """An empirical line that is off for the detectors; where reflectance was collected, in the surfaces' own."""
+    if world.stated.scenario.atmosphere is None:
+        return {"sensor.gain": gain, "sensor.offset": offset}
+    if world.stated.scenario.processing.elm == "none":
+        raise NotInjectable("there is no empirical line")
+    return {"line.gain": gain, "line.offset": offset}
+
+
+def _through_line(estimate: SpectralEstimate, gain: float, offset: float) -> SpectralEstimate:
+    pixels = estimate.pixel_covariance
+    return replace(
+        estimate,
+        mean=gain * estimate.mean + offset,
+        pixel_covariance=None if pixels is None else gain**2 * pixels,
+    )

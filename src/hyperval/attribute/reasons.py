@@ -1,0 +1,385 @@
+"""Looking for the reasons: every input moved and ranked, every what-if run; the reasons as rows.
+
+A what-if is a named experiment: a run with something changed, and what it does to the residuals and the false alarms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hyperval.attribute.candidates import Candidate, candidates
+from hyperval.attribute.ranking import Ranking, Whitened, budget_covariance, rankings
+from hyperval.attribute.residuals import POINTS, ComparedQuantity, Stack, quantities, stacked
+from hyperval.attribute.schema import AttributionOptions, WhatIf
+from hyperval.compare.detection import compare_exceedance
+from hyperval.compare.rows import Array, named, row, scientific
+from hyperval.errors import UsageError
+from hyperval.model import Truth, UncertainInput, together
+from hyperval.products import Products, background_of
+from hyperval.progress import track
+from hyperval.results import Cause, Outcome, Result
+from hyperval.scenario import Scenario
+from hyperval.settings import with_settings
+
+ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
+MOST_TOGETHER = 6
+# Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
+SINGLE_BANDS = 0.01
+FACTOR = 2.0  # a ratio of false alarms within it is good
+_EVERYTHING = "every input"
+
+Truths = Sequence[Truth]  # what is moved in each scenario
+Key = tuple[str, str, str]  # background, detector, metric
+Evaluate = Callable[[Sequence[Truths], str], list[tuple[Array, Array]]]
+Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioModel:
+    """Scenarios with what predicts them.
+
+    Attributes
+    ----------
+    scenarios : as they stand in the campaign
+    predict : (scenarios, truths) -> for each truth their products, merged as the campaign compares them
+    observe : measures the collection again with changed settings; None where that cannot be done
+    """
+
+    scenarios: Sequence[Scenario]
+    predict: Callable[[Sequence[Scenario], Sequence[Truths]], Iterator[Products]]
+    observe: Callable[[Mapping[str, Any]], Products] | None = None
+
+    def assuming(self, scenarios: Sequence[Scenario]) -> Products:
+        """Products of other scenarios."""
+        return next(self.predict(scenarios, [[{} for _ in scenarios]]))
+
+
+def attribute(
+    model: ScenarioModel,
+    observed: Products,
+    stated: Sequence[Sequence[UncertainInput]],
+    assumed: Sequence[Sequence[UncertainInput]],
+    options: AttributionOptions,
+    *,
+    budgeted: Products | None = None,
+    show_progress: bool | None = None,
+) -> list[Result]:
+    """Move every input, run every what-if, rank them all.
+
+    Rows of the product attribution: for each group of residuals ``reduced_chi_square`` and ``p_value`` under the
+    stated uncertainties, then for each input ``likelihood_gain`` (twice the log-likelihood gained when it may be less
+    well known) and ``needed_uncertainty`` (in units of its stated one, or of a usual step); of a background its
+    ``pfa_ratio``, and which experiment explains it if any.  sensitivity: for each number of the comparison the change
+    per unit of each input, with the units that would close the gap, and its total share.  what-if:
+    ``reduced_chi_square`` after the experiment, each summary gap after it, and ``pfa_ratio`` of every background.
+
+    Parameters
+    ----------
+    stated, assumed : inputs of each scenario, as of :func:`hyperval.attribute.candidates.candidates`
+    budgeted : the prediction with its error covariances; what they hold beyond the inputs' directions is added to
+        each spectrum
+
+    Raises
+    ------
+    UsageError : nothing that both sides hold, or a what-if that fits no scenario.
+    """
+    base = model.assuming(model.scenarios)
+    stack = stacked(base, observed)
+    if not stack.blocks:
+        raise UsageError("attribution: prediction and collection hold nothing in common")
+    numbers, moved = quantities(base, observed), candidates(stated, assumed)
+
+    def evaluate(truths: Sequence[Truths], title: str) -> list[tuple[Array, Array]]:
+        predictions = track(model.predict(model.scenarios, truths), title, len(truths), show=show_progress)
+        return [(stack.predicted(p), np.array([q.read(p) for q in numbers])) for p in predictions]
+
+    steps = [candidate.at(d, z) for candidate in moved for d in range(candidate.size) for z in (1.0, -1.0)]
+    found = iter(evaluate(steps, "reasons: inputs"))
+    columns: dict[Candidate, Array] = {}
+    ends: dict[Candidate, tuple[Array, Array]] = {}
+    for candidate in moved:
+        pairs = [(next(found), next(found)) for _ in range(candidate.size)]
+        columns[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
+        ends[candidate] = pairs[0][0][1], pairs[0][1][1]
+    if (bands := SINGLE_BANDS * stack.single_bands()).size:
+        columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
+    predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
+    budget = budget_covariance(columns, predicted.size)
+    covariance = stack.covariance + budget
+    if budgeted is not None:
+        covariance += stack.stated_beyond(budgeted, budget)
+    shares = _shares([c for c in moved if c.budgeted], evaluate, values, ends) if options.totals and numbers else {}
+    outcomes = _what_ifs(model, stack, numbers, covariance, (base, observed), options.what_ifs, show_progress)
+    ranked = rankings(stack, stack.observed - predicted, covariance, columns, options.each)
+    return [
+        *(item for ranking in ranked for item in _ranking_rows(ranking)),
+        *(
+            item
+            for place, number in enumerate(numbers)
+            for item in _sensitivity_rows(number, place, number.read(observed) - values[place], ends, shares)
+        ),
+        *outcomes,
+    ]
+
+
+def sensitivity_indices(
+    base: Array, ends: Sequence[tuple[Array, Array]], pairs: Mapping[tuple[int, int], Array]
+) -> tuple[Array, Array]:
+    """(k, Q) parts of each quantity's variance that each of k inputs brings alone, and with all its interactions.
+
+    NaN for a quantity without variance.
+    Inputs are standard normal, and the quantity is the polynomial of degree two through the values: of
+    f0 + a z + b (z^2 - 1)/sqrt(2) + c z z' with orthonormal terms the variance is the sum of the squares of
+    a = (f+ - f-)/2, b = (f+ + f- - 2 f0)/sqrt(2) and c = f++ - f+ - f'+ + f0.  Source: Sudret, Reliab. Eng. Syst.
+    Saf. 93, 964-979, 2008; indices: Sobol 1993, Homma & Saltelli 1996.
+
+    Parameters
+    ----------
+    base : (Q,) f0, the quantities with every input at its middle
+    ends : for each input (Q,) f+ and f-, with it one standard deviation up and down
+    pairs : (Q,) f++, with two inputs up at once; of a pair that is not there the interaction counts as none
+
+    Examples
+    --------
+    >>> f = lambda z, w: np.array([3.0 * z + w**2 + 2.0 * z * w])
+    >>> ends = [(f(1.0, 0.0), f(-1.0, 0.0)), (f(0.0, 1.0), f(0.0, -1.0))]
+    >>> alone, every = sensitivity_indices(f(0.0, 0.0), ends, {(0, 1): f(1.0, 1.0)})
+    >>> (15.0 * alone[:, 0]).round(9).tolist(), (15.0 * every[:, 0]).round(9).tolist()
+    ([9.0, 2.0], [13.0, 6.0])
+    """
+    alone = np.array([0.25 * (up - down) ** 2 + 0.5 * (up + down - 2.0 * base) ** 2 for up, down in ends])
+    total, variance = alone.copy(), alone.sum(axis=0)
+    for (i, j), value in pairs.items():
+        joint = (value - ends[i][0] - ends[j][0] + base) ** 2
+        total[i], total[j], variance = total[i] + joint, total[j] + joint, variance + joint
+    whole = np.where(variance > 1e-24 * (1.0 + base**2), variance, np.nan)
+    return alone / whole, total / whole
+
+
+def _shares(stated: Sequence[Candidate], evaluate: Evaluate, base: Array, ends: Ends) -> dict[Candidate, list[Array]]:
+    """First and total sensitivities (Q,) of the inputs, each along its leading direction.
+
+    Only the inputs that move most are changed together; inputs of the atmosphere never are, as each pair would take
+    a run of the engine.  The other interactions count as none.
+    """
+    if not stated:
+        return {}
+    sides = [ends[candidate] for candidate in stated]
+    moves = np.array([np.abs(up - down) for up, down in sides])
+    share = np.max(moves / np.maximum(moves.max(axis=0), 1e-300), axis=1)
+    leading = sorted(np.argsort(-share, kind="stable")[:MOST_TOGETHER].tolist())
+    pairs = [(i, j) for i, j in combinations(leading, 2) if not stated[i].kind == stated[j].kind == ATMOSPHERE]
+    truths = [
+        [together([(m, m.moved(1.0)) for m in both if m is not None])
+         for both in zip(stated[i].members, stated[j].members, strict=True)]
+        for i, j in pairs
+    ]  # fmt: skip
+    found = {pair: value for pair, (_, value) in zip(pairs, evaluate(truths, "reasons: pairs of inputs"), strict=True)}
+    return {c: list(both) for c, *both in zip(stated, *sensitivity_indices(base, sides, found), strict=True)}
+
+
+def _ranking_rows(r: Ranking) -> Iterator[Result]:
+    # The test of all products together concludes too, and informs.
+    whole = row("reduced_chi_square", r.chi_square / r.dof, reason=r.conclusion, n=r.dof)
+    if r.too_wide or not r.explained:
+        whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
+    tests = [whole, row("p_value", r.p_value, n=r.dof)]
+    if r.together:
+        why = "with " + " and ".join(x.candidate.name for x in r.together) + " freed"
+        tests.append(row("p_value_explained", r.together[-1].p_value, reason=why, n=r.dof))
+    yield from named(tests, "attribution", r.group, _EVERYTHING)
+    for place, item in enumerate(r.ranked, start=1):
+        why = f"rank {place}: {item.in_words}; leaves reduced chi-square {item.chi_square / r.dof:.3g}"
+        unit = item.candidate.unit + ("" if item.candidate.budgeted else ", none is stated")
+        own = [
+            row("likelihood_gain", item.gain, reason=why, n=r.dof),
+            row("needed_uncertainty", item.needed, reason=f"in units of its {unit}"),
+        ]
+        yield from named(own, "attribution", r.group, item.candidate.name)
+
+
+def _sensitivity_rows(
+    quantity: ComparedQuantity, place: int, gap: float, ends: Ends, shares: Mapping[Candidate, Sequence[Array]]
+) -> Iterator[Result]:
+    for candidate, (up, down) in ends.items():
+        change = 0.5 * float(up[place] - down[place])
+        closes = round(gap / change, 12) if change else math.inf
+        reason = f"gap {gap:.4g}"
+        reason += f" closed by {closes:+.3g} units" if math.isfinite(closes) else ", not closed by this input"
+        first, total = (float(x[place]) for x in shares.get(candidate, np.full((2, place + 1), math.nan)))
+        if math.isfinite(total):  # no stated input moves some quantities
+            reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
+        unit = "stated uncertainty" if candidate.budgeted else candidate.step
+        method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name
+        found = row(f"{quantity.product}_{quantity.metric}_change", change, reason=f"per {unit}; {reason}")
+        yield replace(found, product="sensitivity", subject=quantity.subject, method=method)
+
+
+class WhatIfOutcome(NamedTuple):
+    """What one experiment leaves: residuals over their uncertainty, summary gaps by name, ratios of false alarms."""
+
+    item: WhatIf
+    residuals: Whitened
+    gaps: Mapping[str, float]
+    alarms: Mapping[Key, Result]
+
+    @property
+    def reduced(self) -> float:
+        """Reduced chi-square."""
+        return self.residuals.chi_square / self.residuals.dof
+
+    def rows(self, before: WhatIfOutcome) -> Iterator[Result]:
+        """``reduced_chi_square`` after it, ``likelihood_gain`` and each gap after it.
+
+        The gain is the fall of the chi-square: twice the log-likelihood gained under the same covariance.
+        """
+        n = before.residuals.dof
+        yield row("reduced_chi_square", self.reduced, n=n, reason=f"{before.reduced:.4g} before; {self.item.question}")
+        why = f"p = {self.residuals.p_value:.2g} after"
+        yield row("likelihood_gain", (before.reduced - self.reduced) * n, n=n, reason=why)
+        for name, gap in before.gaps.items():
+            words = name.replace("|", "").replace("@", " at ").split()
+            yield row("_".join(words), self.gaps[name], n=n, reason=f"{gap:.4g} before")
+
+
+def _what_ifs(
+    model: ScenarioModel,
+    stack: Stack,
+    numbers: Sequence[ComparedQuantity],
+    covariance: Array,
+    sides: tuple[Products, Products],
+    what_ifs: Sequence[WhatIf],
+    show_progress: bool | None,
+) -> list[Result]:
+    """Rows of every experiment of a campaign, the one that closes most of the gap first; then those of false alarms.
+
+    ``sides`` : products of the scenarios as they stand, and those that were measured
+
+    Raises
+    ------
+    UsageError : an experiment that fits no scenario, or wants a collection measured again that cannot be.
+    """
+
+    def left(item: WhatIf, predicted: Products, seen: Products) -> WhatIfOutcome:
+        after = stack if seen is sides[1] else stacked(predicted, seen)
+        if [b.observed.shape for b in after.blocks] != [b.observed.shape for b in stack.blocks]:
+            raise UsageError(
+                f"what-if {item.name!r} compares other things than the campaign does",
+                mend="change what is measured, not which subjects there are",
+            )
+        spread = covariance if after is stack else covariance - stack.covariance + after.covariance
+        residuals = Whitened(after.observed - after.predicted(predicted), spread)
+        return WhatIfOutcome(item, residuals, gaps_of(numbers, predicted, seen), alarm_ratios(predicted, seen))
+
+    def tried(item: WhatIf) -> WhatIfOutcome:
+        scenarios = changed_scenarios(model.scenarios, item)
+        if item.observe and model.observe is None:
+            raise UsageError(f"what-if {item.name!r}: this collection cannot be measured again")
+        seen = model.observe(item.observe) if item.observe and model.observe else sides[1]
+        return left(item, model.assuming(scenarios), seen)
+
+    if not what_ifs:
+        return []
+    before = left(what_ifs[0], *sides)
+    outcomes = [tried(item) for item in track(what_ifs, "reasons: what-ifs", show=show_progress)]
+    outcomes.sort(key=lambda o: o.reduced)
+    rows = [one for o in outcomes for one in named(o.rows(before), "what-if", "all", o.item.name)]
+    return [*rows, *_alarm_rows(before.alarms, outcomes)]
+
+
+def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scenario]:
+    """The scenarios with an experiment's settings; one whose names do not fit stays as it is.
+
+    Raises
+    ------
+    UsageError : the settings fit none of them.
+    """
+    out, errors = [], []
+    for scenario in scenarios:
+        try:
+            out.append(with_settings(scenario, item.scenario) if item.scenario else scenario)
+        except UsageError as error:
+            errors.append(error)
+            out.append(scenario)
+    if errors and len(errors) == len(scenarios):
+        raise UsageError(f"what-if {item.name!r} fits no scenario: {errors[0].what}")
+    return out
+
+
+def gaps_of(numbers: Sequence[ComparedQuantity], predicted: Products, observed: Products) -> dict[str, float]:
+    """Summary gaps: median relative difference of spectra, mean difference of P_D; without what is measured no more."""
+    parts: dict[str, list[float]] = {}
+    for q in numbers:
+        try:
+            value, measured = q.read(predicted), q.read(observed)
+        except KeyError:
+            continue
+        if np.isfinite(value) and np.isfinite(measured):
+            if q.product == "roc":
+                parts.setdefault(f"mean |{q.metric} difference|", []).append(abs(value - measured))
+            elif measured:
+                parts.setdefault(f"median |{q.product} difference ratio|", []).append(abs(value / measured - 1.0))
+    return {name: float(np.mean(v) if name.startswith("mean") else np.median(v)) for name, v in parts.items()}
+
+
+def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, Result]:
+    """Rows of P_FA predicted over measured by (background, detector, metric), at 1e-2 and 1e-3 where both have it."""
+    wanted = {f"pfa_ratio@{scientific(level)}" for level in POINTS}
+    return {
+        (background_of(name), detector, one.metric): one
+        for (name, detector), measured in observed.exceedance.items()
+        if (model := predicted.exceedance.get((name, detector))) is not None
+        for one in compare_exceedance(model, measured)
+        if one.metric in wanted and one.outcome is Outcome.NONE
+    }
+
+
+def _off(ratio: Result) -> float:
+    """|ln ratio|: by how much it is wrong, either way."""
+    return abs(math.log(ratio.value)) if ratio.value > 0.0 else math.inf
+
+
+def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
+    """In words, which experiment explains a ratio that is off by more than a factor of two, or that none does.
+
+    Examples
+    --------
+    >>> r = [row("pfa_ratio@1e-2", v, (v / 2, v * 2)) for v in (6.0, 1.5, 4.0)]
+    >>> reason_for(r[0], [("local", r[1]), ("tails", r[2])])
+    "off by a factor of 6; 'local' leaves 1.5: it would explain it"
+    >>> reason_for(r[1], [("tails", r[2])])
+    'within a factor of two'
+    """
+    if _off(before) <= math.log(FACTOR):
+        return "within a factor of two"
+    size = f"off by a factor of {math.exp(_off(before)):.2g}"
+    if before.lower <= FACTOR and before.upper >= 1.0 / FACTOR:
+        size += ", within what its interval allows"
+    name, best = min(tried, key=lambda item: _off(item[1]), default=("", before))
+    if _off(best) >= _off(before):
+        return f"{size}; no what-if brings it nearer"
+    end = "it would explain it" if _off(best) <= math.log(FACTOR) else "the nearest, and not enough"
+    return f"{size}; {name!r} leaves {best.value:.2g}: {end}"
+
+
+def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
+    """Every ratio of false alarms with its reason, then the ratio after each experiment."""
+    tried = {key: [(o.item.name, o.alarms[key]) for o in outcomes if key in o.alarms] for key in before}
+    tried = {key: each for key, each in tried.items() if each}
+    for key, each in tried.items():
+        yield _ratio_row(key, "attribution", before[key], reason_for(before[key], each))
+    for key, each in tried.items():
+        words = f"{before[key].value:.3g} before ({before[key].lower:.2g} to {before[key].upper:.2g})"
+        for name, after in each:
+            yield _ratio_row(key, "what-if", after, words, f"{name} / ")
+
+
+def _ratio_row(key: Key, product: str, ratio: Result, reason: str, prefix: str = "") -> Result:
+    subject, detector, _ = key
+    return replace(ratio, product=product, subject=subject, method=f"{prefix}{detector}", n=None, reason=reason)
