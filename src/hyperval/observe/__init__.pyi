@@ -1,9 +1,23 @@
 """The empirical pipeline: from a collection to its products."""
 
 from .detect import map_name, scored_pixels, target_areas, target_groups
-from .laws import RegionLaws, class_sets
-from .measure import Observed, observe
-from .open import IMAGE, SCENE, Place, check_line_for_detection, open_place, open_source, read_band_table
+from .measure import Observed, RegionLaws, class_sets, observe
+from .open import (
+    IMAGE,
+    SCENE,
+    FinerGrid,
+    Place,
+    check_line_for_detection,
+    fills_of,
+    image_targets,
+    material_regions,
+    object_of_fills,
+    open_place,
+    open_source,
+    read_band_table,
+    registration_shifts,
+    window_fills,
+)
 from .sites import (
     calibration_covariance,
     detector_covariance,
@@ -12,15 +26,6 @@ from .sites import (
     rounding_variance,
     spectral_estimate,
     wavelength_notes,
-)
-from .truth_images import (
-    FinerGrid,
-    fills_of,
-    image_targets,
-    material_regions,
-    object_of_fills,
-    registration_shifts,
-    window_fills,
 )
 from .write import NO_DATA, SCALE, write_reflectance
 

@@ -1,44 +1,57 @@
-"""From a collection to its products: open, measure the pixels of every label in one pass, compensate, detect."""
+"""From a collection to its products: open, measure the pixels of every label in one pass, compensate, detect.
+
+How the pixels of a region are distributed: tails, how many of them are independent, the error of their mean.
+
+The laws of a region's pixels, for classes that take them: clusters, and how well the pixels know them.
+
+Measured error of a Gaussian maximum-likelihood classifier, trained on some lines and tried on others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval import pixels as px
 from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
-from hyperval.data import ClassStatistics, SampleStatistics
+from hyperval.data import ClassStatistics, Components, SampleStatistics, statistics_of
+from hyperval.errors import UsageError, refusal
 from hyperval.imagery import Cube
+from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
+from hyperval.observe import sites
 from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, painted, scored_pixels, target_groups, unmix
-from hyperval.observe.laws import RegionLaws, classification_errors, mean_error, pixel_tails
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
-from hyperval.observe.sites import (
-    calibration_covariance,
-    empirical_line,
-    line_notes,
-    observe_radcalnet,
-    observe_spectra,
-    refuse_saturated,
-    rounding_variance,
-    spectral_estimate,
-    wavelength_notes,
-)
-from hyperval.pixels import LEAST_DOF, SCENE, EmpiricalLine, Labels, nth_pixels, region_statistics, snr_decorrelated
-from hyperval.products import EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
+from hyperval.pixels import EmpiricalLine, Labels
+from hyperval.products import ClassificationError, EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
+from hyperval.scenario import BackgroundClass, Scenario
+from hyperval.spectra import in_window
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
 Resolve = Callable[[str], Path]
 
 CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
-# At most this many pixels of a region are held in memory for its SNR.
-MAX_SNR_PIXELS = 20_000
-MAX_SNR_NUMBERS = 2_000_000  # pixels times bands
+MOST_PIXELS = 20_000  # of a region, drawn at random: what memory should hold
+MOST_NUMBERS = 8_000_000  # pixels times bands held at once
+FEWEST_PIXELS = 200
+PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
+COMPONENTS = 6  # leading ones whose correlation on the ground is measured
+WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
+QUANTILES = 160
+FEWEST_FOR_CORRELATION = 50  # below it a correlation on the ground is not told from chance
+# Fewer training pixels for each feature, and the classifier's own error is that of its training.
+PIXELS_PER_FEATURE = 3
+_TRIES = 16  # pixels drawn for each window
+_TAIL_SEED, _MEAN_SEED, _LAW_SEED = 31, 37, 41
+MOST_FOR_SNR = 2_000_000  # pixels times bands of a region that its SNR is from
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,23 +129,23 @@ def observe(
     UsageError : names and settings that do not fit.
     """
     if collection.radcalnet is not None:
-        return Observed(observe_radcalnet(collection.radcalnet, resolve))
+        return Observed(sites.observe_radcalnet(collection.radcalnet, resolve))
     if collection.spectra:
-        return Observed(observe_spectra(collection, resolve))
+        return Observed(sites.observe_spectra(collection, resolve))
     before = before or Surfaces()
     place = before.place or open_place(collection, resolve, show_progress=show_progress)
     cube = place.cube
     masks, populations = _labels(place, detection)
     known = {n for n in before.masks if n in masks and np.array_equal(before.masks[n], masks[n])}
-    refuse_saturated(collection.empirical_line, masks, place)
+    sites.refuse_saturated(collection.empirical_line, masks, place)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
-    measured = region_statistics(cube, masks, watch=watch)
+    measured = px.region_statistics(cube, masks, watch=watch)
     sampling = {
         n: before.sampling[n] if n in known else _sampling_error(place, masks[n], measured[n])
         for n in track([*place.regions, *populations], "sampling", show=show_progress)
     }
     place = replace(place, statistics=measured)
-    line = place.line or empirical_line(collection.empirical_line, place, sampling, resolve)
+    line = place.line or sites.empirical_line(collection.empirical_line, place, sampling, resolve)
     place = replace(place, line=line)
     detected, unmixed = None, None
     if detection is not None:
@@ -149,7 +162,7 @@ def observe(
     for name in track([n for n in place.regions if n not in known], "tails", show=show_progress):
         tails = None if place.by_number else pixel_tails(place, masks[name], measured[name])
         distribution |= {} if tails is None else {name: tails}
-    snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
+    snr = {name: px.snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
     observation = ObservedProducts(
         axis=cube.axis,
         snr=snr,
@@ -167,10 +180,10 @@ def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str
     """Every population whose statistics are asked for, as one label image; and the subjects of targets among them."""
     # All pixels of a region count where none would be left.
     members = {n: place.counted(n) if place.counted(n).any() else own for n, own in place.regions.members.items()}
-    members[SCENE] = place.in_scene
+    members[px.SCENE] = place.counted(px.SCENE)
     populations: dict[str, Mask] = {}
     if detection is not None:
-        members[BACKGROUND] = place.background_labels(detection.background)
+        members[BACKGROUND] = place.counted(*detection.background)
         populations = dict(_target_pixels(place, detection, taken=set(members)))
     return Labels(place.labels.number, members).with_masks(populations.items()), list(populations)
 
@@ -196,7 +209,7 @@ def _sampling_error(place: Place, region: Mask, sample: SampleStatistics) -> Est
     if cube.dtype.kind not in "iu" or sample.n < 2:
         return sampling
     spread = np.sqrt(np.clip(np.diag(sample.covariance), 0.0, None))
-    rounding = np.diag(rounding_variance(np.abs(cube.gain), spread))
+    rounding = np.diag(sites.rounding_variance(np.abs(cube.gain), spread))
     return sampling.of_each(lambda c: c + rounding)
 
 
@@ -206,8 +219,8 @@ def _notes(
     """What is to be said of an observation."""
     axis, notes, measured = place.cube.axis, list(place.notes), place.statistics
     if not place.by_number:
-        means = [measured[name].mean for name in place.regions or (SCENE,)]
-        notes += wavelength_notes(means, axis, reflectance=place.cube.quantity == "reflectance")
+        means = [measured[name].mean for name in place.regions or (px.SCENE,)]
+        notes += sites.wavelength_notes(means, axis, reflectance=place.cube.quantity == "reflectance")
     if detection is not None:
         # How the pixels behind filter, false alarms and classes differ, where they do.
         filters, alarms = masks[BACKGROUND], place.background(detection.false_alarms)
@@ -227,7 +240,7 @@ def _notes(
         for name in place.regions
         if measured[name].n == 1
     ]
-    notes += [] if place.line is None else line_notes(place.line, axis)
+    notes += [] if place.line is None else sites.line_notes(place.line, axis)
     return (*notes, *(detected.notes if detected else ()))
 
 
@@ -240,7 +253,7 @@ def _spectra(
     for name, error in sampling.items():
         sample, parts = place.statistics[name], dict[str, Array]()
         if stated is not None and cube.quantity == "radiance":
-            parts["calibration"] = calibration_covariance(sample.mean, cube.axis, stated, resolve)
+            parts["calibration"] = sites.calibration_covariance(sample.mean, cube.axis, stated, resolve)
         own[name] = _estimate(cube, None, sample, error, parts)
         if place.line is not None and cube.quantity == "radiance":
             reflectance[name] = _reflectance(cube, place.line, name, sample, error)
@@ -278,7 +291,7 @@ def _estimate(
     if sampling is not None and sample.n > 1:
         sampling = sampling.of_each(lambda c: c / scale)
         parts, estimated = {"sampling": sampling.covariance, **parts}, (sampling, *estimated)
-    return spectral_estimate(
+    return sites.spectral_estimate(
         mean, parts, pixel_covariance=sample.covariance / scale if sample.n > 1 else None, n=sample.n,
         estimated=estimated, circular=circular,
         rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else 0.0,
@@ -289,8 +302,8 @@ def _some_pixels(place: Place, name: str) -> Array:
     """Valid pixels (n, B) of a region, evenly thinned to what memory should hold."""
     region = place.region(name)
     count = int(np.count_nonzero(region))
-    step = -(-count // min(MAX_SNR_PIXELS, MAX_SNR_NUMBERS // place.cube.bands))
-    lines, samples = nth_pixels(region, np.arange(0, count, step))
+    step = -(-count // min(MOST_PIXELS, MOST_FOR_SNR // place.cube.bands))
+    lines, samples = px.nth_pixels(region, np.arange(0, count, step))
     del region  # a byte a pixel
     values, n = np.empty((lines.size, place.cube.bands)), 0
     for part, _ in place.valid_pixels(lines, samples):
@@ -322,6 +335,321 @@ def _classes(
         tail = distribution[name].leading_tail_dof if name in distribution else np.inf
         out[name] = ClassStatistics(
             name, place.cube.axis, mean, (covariance + covariance.T) / 2.0, sample.n,
-            f"{sample.n} pixels of region {name}", max(tail, LEAST_DOF) if np.isfinite(tail) else None,
+            f"{sample.n} pixels of region {name}", max(tail, px.LEAST_DOF) if np.isfinite(tail) else None,
         )  # fmt: skip
+    return out
+
+
+def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> PixelDistribution | None:
+    """The tails of a region's pixels in the windows of the atmosphere; None with too few of them.
+
+    Pixels are drawn at random (the seed is fixed), at most 20,000; correlation on the ground is measured in windows
+    of the image, at lags of up to 24 pixels: along the leading components, and of the distances.
+
+    Parameters
+    ----------
+    region : (lines, samples) the pixels that ``statistics`` were taken from, in the cube's values
+    """
+    n, axis = statistics.n, place.cube.axis
+    variance = np.diag(statistics.covariance)
+    bands = np.flatnonzero(in_window(axis.centre_nm) & axis.good & np.isfinite(variance) & (variance > 0))
+    if n < FEWEST_PIXELS or bands.size < px.FEWEST_LEADING:
+        return None
+    rng = np.random.default_rng(_TAIL_SEED)
+    mean, covariance = statistics.mean[bands], statistics.covariance[np.ix_(bands, bands)]
+    every = px.EigenDirections.of(covariance)
+    dimension = min(every.values.size, n // PIXELS_PER_BAND)
+    vectors, values = every.vectors[:, :dimension], every.values[:dimension]
+    leading, count = px.leading_count(values, float(np.trace(covariance))), min(COMPONENTS, dimension)
+
+    def project(pixels: Array) -> Array:
+        scores = (pixels - mean) @ vectors
+        scores /= np.sqrt(values)
+        # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
+        far = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
+        return np.concatenate([scores[:, :count].T, far])
+
+    def centred(projected: Array) -> Array:
+        projected[count:] -= projected[count:].mean(axis=1, keepdims=True)
+        return projected
+
+    windows = _projected_windows(place, region, bands, rng, project, centred)
+    correlation = px.lag_correlation(windows, REACH).significant()
+    near = px.neighbour_shares(region, REACH, rng)
+    shares = px.independent_values(n, correlation[count:], near) / n
+    independent = px.independent_values(n, correlation[:count] ** 2, near)
+    lines, samples = px.drawn_pixels(region, max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS), rng)
+    order, dimensions = np.lexsort((samples, lines)), (dimension, leading)
+    parts = [
+        [px.squared_mahalanobis(pixels, mean, vectors[:, :k], values[:k]) for k in dimensions]
+        for pixels, _ in place.valid_pixels(lines[order], samples[order], bands)
+    ]
+    distances = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    if distances[0].size < FEWEST_PIXELS:
+        return None
+    whole, lead = (
+        px.fit_tail_dof(d, k, estimated_on=n, independent=share * d.size)
+        for d, k, share in zip(distances, dimensions, shares, strict=True)
+    )
+    distance, exceedance = _exceedance_curve(px.left_out_distances(distances[1], n))
+    return PixelDistribution(
+        whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
+        leading, whole.n, independent, distance, exceedance, int(np.count_nonzero(region.any(axis=0))),
+    )  # fmt: skip
+
+
+def _exceedance_curve(values: Array) -> tuple[Array, Array]:
+    """At most 160 of the values, closest together in the upper tail, and the share of values beyond each."""
+    ordered = np.sort(values)[::-1]
+    rank = np.unique(np.round(np.geomspace(1, ordered.size, QUANTILES)).astype(int))
+    return ordered[rank - 1][::-1], (rank / (ordered.size + 1.0))[::-1]
+
+
+def _projected_windows(
+    place: Place,
+    region: Mask,
+    bands: npt.NDArray[Any],
+    rng: np.random.Generator,
+    project: Callable[[Array], Array],
+    of_window: Callable[[Array], Array] = lambda values: values,
+) -> Iterator[tuple[Array, Mask]]:
+    """(K, lines, samples) what ``project`` makes (K, n) of a region's valid pixels (n, b) in each window, and where.
+
+    It is 0 at the other pixels of the window.  A part of a window is in memory at a time: whole windows of all bands
+    would be half of what a run takes.  Pixels of the region drawn at random lie in the windows, which are of a grid:
+    where windows lie over each other, pairs of pixels count several times, chance passes for correlation, and
+    independent pixels for fewer than they are.
+    """
+    count = int(np.count_nonzero(region))
+    lines, samples = px.nth_pixels(region, rng.choice(count, min(_TRIES * WINDOWS, count), replace=False))
+    corners = zip((lines // WINDOW * WINDOW).tolist(), (samples // WINDOW * WINDOW).tolist(), strict=True)
+    for row, column in list(dict.fromkeys(corners))[:WINDOWS]:
+        inside = region[row : row + WINDOW, column : column + WINDOW].copy()
+        lines, samples = np.nonzero(inside)
+        parts = [(project(pixels), valid) for pixels, valid in place.valid_pixels(lines + row, samples + column, bands)]
+        inside[inside] = np.concatenate([valid for _, valid in parts])
+        values = np.concatenate([values for values, _ in parts], axis=1)
+        out = np.zeros((len(values), *inside.shape))
+        out[:, inside] = of_window(values) if inside.any() else values
+        yield out, inside
+
+
+def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> EstimatedPart:
+    """Error covariance (B, B) of a region's mean, in the cube's values, and what it is known by.
+
+    Correlation on the ground is measured along the leading components, and the rest together, in windows of the
+    image, at lags of up to 24 pixels, and few independent pixels widen the error
+    (:func:`~hyperval.pixels.small_sample_factor`); regions of fewer than 50 pixels count as independent ones.
+    Pixels that are fewer than the bands have few common factors and independent bands
+    (:func:`~hyperval.pixels.factor_covariance`); the samples' own covariance stands beside it, and both without the
+    widening, which a test makes by its degrees of freedom.
+    """
+    n, covariance = statistics.n, statistics.covariance
+    variance = np.diag(covariance)
+    known = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    if known.size == 0:
+        return EstimatedPart(covariance / n, float(n - 1))
+    sample = covariance[np.ix_(known, known)]
+    inner, known_by = px.factor_covariance(sample, n) if n <= known.size else (sample, float(n - 1))
+
+    def full(part: Array) -> Array:
+        out = covariance / n
+        out[np.ix_(known, known)] = part
+        return out
+
+    if n < FEWEST_FOR_CORRELATION:
+        return EstimatedPart(full(inner / n), known_by, sample=covariance / n, sample_dof=float(n - 1))
+    mean, rng = statistics.mean[known], np.random.default_rng(_MEAN_SEED)
+    along = px.components(inner, rng)
+    windows = _projected_windows(place, region, known, rng, lambda pixels: along.scores(pixels - mean))
+    reach = min(REACH, max(*region.shape) - 1)
+    independent, of_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
+    counted = float(np.median(of_variance)) - 1.0
+    widened, model, own = (
+        full(px.mean_error_covariance(c, along, by))
+        for c, by in (
+            (inner, independent / px.small_sample_factor(independent)), (inner, independent), (sample, independent)
+        )
+    )  # fmt: skip
+    return EstimatedPart(widened, counted * known_by / (n - 1), model, own, counted)
+
+
+Key = tuple[str, int | Literal["auto"], bool]
+
+
+class RegionPixels(NamedTuple):
+    """Valid pixels of a region in reflectance, at most 20,000 of them drawn at random (seed fixed).
+
+    Attributes
+    ----------
+    values : (n, B); 0 in a band without a gain, as in the statistics of the class
+    lines, samples : (n,) where they are
+    lead : good bands in the windows of the atmosphere
+    """
+
+    values: Array
+    lines: Index
+    samples: Index
+    lead: Index
+
+
+class RegionLaws:
+    """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
+
+    def __init__(self, place: Place | None, statistics: Mapping[str, ClassStatistics]):
+        self._place, self._statistics = place, statistics
+        self._made: dict[Key, tuple[px.ClassMixture, Components | None] | None] = {}
+        self._without: dict[tuple[str, Key | None, bool], list[ClassStatistics]] = {}
+
+    @property
+    def place(self) -> Place:
+        """The image; raises UsageError without one."""
+        if self._place is None:
+            raise UsageError("the collection has no image whose pixels could be fitted")
+        return self._place
+
+    def _pixels(self, region: str) -> RegionPixels:
+        """The pixels of a region that its laws are fitted to."""
+        axis, rng = self.place.cube.axis, np.random.default_rng(_LAW_SEED)
+        most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
+        lines, samples = px.drawn_pixels(self.place.pixels_of(region), most, rng)
+        pixels, valid = self.place.pixels_at(lines, samples)
+        known = np.isfinite(pixels[valid]).any(axis=0)
+        pixels = np.where(known, pixels, 0.0)
+        valid &= np.isfinite(pixels).all(axis=1)
+        lead = np.flatnonzero(in_window(axis.centre_nm) & axis.good & known)
+        return RegionPixels(pixels[valid], lines[valid], samples[valid], lead)
+
+    def statistics(self, scenario: Scenario) -> Mapping[str, ClassStatistics]:
+        """The collection's statistics with the components that the classes of a scenario ask for.
+
+        Raises
+        ------
+        UsageError : too few pixels or blocks of the image; two classes that ask one region for different ones.
+        """
+        out = dict(self._statistics)
+        for region, (c, key) in self._keys(scenario).items():
+            mixture = self._mixture(c.name, key)
+            if mixture is not None:
+                out[region] = replace(out[region], components=mixture[1])
+        return out
+
+    def left_out(self, scenario: Scenario) -> Iterator[tuple[str, list[ClassStatistics]]]:
+        """(region, its statistics without each of its parts), for the regions that the classes take their law from.
+
+        None of a region without pixels, or of fewer than two parts.
+        """
+        for region, (c, key) in self._keys(scenario).items() if self._place is not None else ():
+            asked = region, key, c.tail_dof == "measured"
+            if asked not in self._without:
+                self._without[asked] = list(self._parts(region, self._mixture(c.name, key), tails=asked[2]))
+            if self._without[asked]:
+                yield region, self._without[asked]
+
+    def _parts(
+        self, region: str, mixture: tuple[px.ClassMixture, Components | None] | None, *, tails: bool
+    ) -> Iterator[ClassStatistics]:
+        """The statistics of a region without each of its parts; ``tails``: with a tail of their own."""
+        pixels, stated = self._pixels(region), self._statistics[region]
+        part, lead = px.compact_parts(pixels.lines, pixels.samples), pixels.lead
+        for number, (mean, covariance) in enumerate(px.moments_without_each(pixels.values, part)):
+            tail = stated.tail_dof
+            if tails and tail is not None:
+                rest = pixels.values[part != number][:, lead]
+                dof = px.leading_tail_dof(rest, mean[lead], covariance[np.ix_(lead, lead)])
+                tail = None if np.isinf(dof) else dof
+            own = None if mixture is None else mixture[0].components_without(pixels.values, part, number)
+            yield replace(stated, mean=mean, covariance=covariance, tail_dof=tail, components=own)
+
+    def _keys(self, scenario: Scenario) -> dict[str, tuple[BackgroundClass, Key | None]]:
+        """Region -> the first class that takes its law from there, and the mixture that the classes ask for."""
+        out: dict[str, tuple[BackgroundClass, Key | None]] = {}
+        for c in scenario.scene.classes:
+            region = c.spectrum.measured if c.covariance is None else c.covariance.measured
+            if region is None or region not in self._statistics:
+                continue
+            mixes = c.mixture is not None and c.has_mixture
+            key = (region, c.mixture, c.tail_dof is not None) if mixes and c.mixture is not None else None
+            first = out.setdefault(region, (c, key))[1]
+            if key is not None and first is None:
+                out[region] = (c, key)
+            elif key is not None and first != key:
+                raise UsageError(f"two classes ask for different components of region {region!r}")
+        return out
+
+    def _mixture(self, name: str, key: Key | None) -> tuple[px.ClassMixture, Components | None] | None:
+        """The mixture that a region's pixels are and its components; None where one law is all that they show.
+
+        Blocks of the image for the choice of their number are those of false alarms: the region fills about 64.
+        """
+        if key is None:
+            return None
+        if key not in self._made:
+            region, count, tails = key
+            try:
+                pixels, place = self._pixels(region), self.place
+                side = px.block_side(int(np.count_nonzero(place.pixels_of(region))))
+                block = (pixels.lines // side) * (place.cube.samples // side + 1) + pixels.samples // side
+                made = px.class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
+                self._made[key] = None if made is None else (made, made.components(pixels.values))
+            except UsageError as error:
+                where = f"mixture of class {name!r}, region {region!r}"
+                raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
+        return self._made[key]
+
+
+def classification_errors(place: Place, task: Classification) -> dict[tuple[str, str], ClassificationError]:
+    """Errors by (classes, features); classes joined by " / ".
+
+    Blocks of whole lines are dealt out at random (the campaign's seed) to training and test.
+
+    Raises
+    ------
+    UsageError : a region that is none, or one with too few pixels in either half.
+    """
+    axis = place.cube.axis
+    usable = in_window(axis.centre_nm) & axis.good
+    halves = {name: _halves(place, name, task) for name in task.classes}
+    out = {}
+    for chosen in class_sets(task):
+        for choice in task.features:
+            bands = feature_bands(axis.centre_nm, usable, choice.bands_nm)
+            trained = [statistics_of(halves[name][0][0][:, bands]) for name in chosen]
+            laws = [ClassLaw(s.mean, s.covariance) for s in trained]
+            psi = class_features(laws, choice.pca)
+            for name, sample in zip(chosen, trained, strict=True):
+                if sample.n < PIXELS_PER_FEATURE * psi.shape[0]:
+                    raise refusal("classes.few", n=sample.n, name=name, features=psi.shape[0], least=PIXELS_PER_FEATURE)
+            tested = [halves[name][1] for name in chosen]
+            out[" / ".join(chosen), choice.name] = measured_error(
+                [law.project(psi) for law in laws],
+                [pixels[:, bands] @ psi.T for pixels, _ in tested],
+                [blocks for _, blocks in tested],
+            )
+    return out
+
+
+def class_sets(task: Classification) -> list[tuple[str, ...]]:
+    """All classes together, and every pair of them where the campaign asks for pairs."""
+    pairs = combinations(task.classes, 2) if task.pairs and len(task.classes) > 2 else ()
+    return [tuple(task.classes), *pairs]
+
+
+def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, Index]]:
+    """Pixels (n, B) of a class that train, and those that test, each with the block of lines that it lies in."""
+    lines, samples = np.nonzero(place.pixels_of(name))
+    block = lines // task.block_lines
+    blocks = np.unique(block)
+    if blocks.size < 2:
+        raise refusal("classes.block", name=name, block_lines=task.block_lines)
+    # Half of the blocks that hold the class train.
+    order = np.random.default_rng([task.seed, place.cube.lines]).permutation(-(-place.cube.lines // task.block_lines))
+    dealt = order[np.isin(order, blocks)]
+    trains, out = np.isin(block, dealt[: dealt.size // 2]), []
+    for own in (np.flatnonzero(trains), np.flatnonzero(~trains)):
+        some = own[:: max(-(-own.size // task.pixels), 1)]  # evenly thinned
+        pixels, valid = place.cube.marked_pixels((lines[some], samples[some]))
+        if np.count_nonzero(valid) < 2:
+            raise UsageError(f"classification: region {name!r} has fewer than two valid pixels in one of the halves")
+        out.append((pixels[valid], block[some][valid]))
     return out

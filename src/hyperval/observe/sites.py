@@ -13,6 +13,7 @@ from pathlib import Path, PurePath
 import numpy as np
 import numpy.typing as npt
 
+from hyperval import pixels as px
 from hyperval.collection import (
     CalibrationUncertainty,
     CollectionSection,
@@ -24,16 +25,7 @@ from hyperval.collection import (
 from hyperval.errors import InputError, UsageError, one_of, refusal
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.observe.open import Place, read_band_table
-from hyperval.pixels import (
-    EmpiricalLine,
-    Labels,
-    MeasuredPanel,
-    Shift,
-    darkest_pixel_panel,
-    darkest_values,
-    fit_elm,
-    wavelength_shifts,
-)
+from hyperval.pixels import EmpiricalLine, Labels, MeasuredPanel, fit_elm
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
 from hyperval.scenario import SpectrumSource, Surface, Uncertainty, load_scenario
 from hyperval.sensor.specification import Sensor, load_sensor
@@ -190,7 +182,7 @@ def empirical_line(
         panels.append(MeasuredPanel(name, mean, covariance, sample.mean, part.covariance, sample.n, known_by))
     if (dark := source.darkest_pixel) is not None:
         noise = np.full(len(cube.axis), dark.radiance_noise**2)
-        panels.append(darkest_pixel_panel(darkest_values(cube), noise, dark.reflectance, dark.uncertainty))
+        panels.append(px.darkest_pixel_panel(px.darkest_values(cube), noise, dark.reflectance, dark.uncertainty))
     return fit_elm(panels, intercept=source.intercept)
 
 
@@ -279,9 +271,9 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
     lies, which the spectra share: it is not divided by their number.  Where it differs between spectra it is the
     median.
     """
-    found: dict[str, list[Shift]] = {}
+    found: dict[str, list[px.Shift]] = {}
     for spectrum in spectra:
-        for shift in wavelength_shifts(spectrum, axis, reflectance=reflectance):
+        for shift in px.wavelength_shifts(spectrum, axis, reflectance=reflectance):
             found.setdefault(shift.feature, []).append(shift)
     if not found:
         feature = "an absorption of oxygen or water vapour"
@@ -290,7 +282,7 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
         return [f"the wavelengths could not be checked: no spectrum shows {feature}"]
     parts, warnings = [], []
     for name, each in found.items():
-        s = Shift(name, *(float(np.median(x)) for x in zip(*((e.nm, e.uncertainty_nm) for e in each), strict=True)))
+        s = px.Shift(name, *(float(np.median(x)) for x in zip(*((e.nm, e.uncertainty_nm) for e in each), strict=True)))
         error = f"standard uncertainty {s.uncertainty_nm:.1f}"
         parts.append(f"{name} {s.nm:+.1f} nm ({error}, {len(each)} spectra)")
         if s.certain:
