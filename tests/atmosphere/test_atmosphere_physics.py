@@ -32,8 +32,8 @@ def ratio(dry=0.0, water=0.0, path=1.0, albedo=1.0) -> EngineRatio:
 
 def test_transmittances_go_with_the_amounts_and_beyond_the_states_with_their_root():
     flat = ratio(0.1, 0.2)
-    assert flat.gas(NM, 1.5, 2.0) == pytest.approx(np.exp(-0.1 * 1.5 - 0.2 * 2.0))
-    depth = lambda u: -np.log(flat.gas(NM, 0.0, u)[0]) / 0.2  # noqa: E731
+    assert flat.gas(1.5, 2.0) == pytest.approx(np.exp(-0.1 * 1.5 - 0.2 * 2.0))
+    depth = lambda u: -np.log(flat.gas(0.0, u)[0]) / 0.2  # noqa: E731
     edge = air.GREATEST_WATER_G_CM2
     assert depth(edge + 1e-6) == pytest.approx(edge + 1e-6, abs=1e-9)  # neither a jump nor a kink
     assert depth(4.0 * edge) == pytest.approx(3.0 * edge)
@@ -41,8 +41,8 @@ def test_transmittances_go_with_the_amounts_and_beyond_the_states_with_their_roo
 
 def test_spherical_albedo_has_the_aerosol_that_is_below_the_free_troposphere_which_holds_the_same_under_every_haze():
     own, molecules = np.full(3, 0.1), np.full(3, 0.04)
-    assert ratio(albedo=0.8).spherical_albedo(NM, own, molecules, 0.75) == pytest.approx(0.04 + 0.8 * 0.75 * 0.06)
-    assert np.array_equal(ratio(albedo=0.8).spherical_albedo(NM, molecules, molecules, 0.75), molecules)
+    assert ratio(albedo=0.8).spherical_albedo(own, molecules, 0.75) == pytest.approx(0.04 + 0.8 * 0.75 * 0.06)
+    assert np.array_equal(ratio(albedo=0.8).spherical_albedo(molecules, molecules, 0.75), molecules)
     above = [(1.0 - air.low_share(changed(aot550=depth))) * depth for depth in (0.05, 0.1, 0.2, 0.6)]
     assert above == pytest.approx(4 * [0.032], abs=5e-4)
     assert air.low_share(changed(**CLEAR)) == 1.0

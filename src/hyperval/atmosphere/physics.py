@@ -23,7 +23,7 @@ validation/atmosphere/README.md tells how well they predict states that they wer
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Final
 
@@ -74,37 +74,33 @@ class EngineRatio:
     path: Array
     albedo: Array
 
-    def gas(self, wavelength_nm: Array, air_atm: float, water_g_cm2: float) -> Array:
+    def at(self, wavelength_nm: Array) -> EngineRatio:
+        """The ratio at (n,) wavelengths."""
+        columns = (np.interp(wavelength_nm, self.wavelength_nm, getattr(self, f.name)) for f in fields(self)[1:])
+        return EngineRatio(wavelength_nm, *columns)
+
+    def gas(self, air_atm: float, water_g_cm2: float) -> Array:
         """(n,) factor on the transmittance of the gases over a way with so much air and water [1]."""
         air = _strong_line(air_atm, GREATEST_AIR_ATM)
-        water = _strong_line(water_g_cm2, GREATEST_WATER_G_CM2)
-        depth = self.dry * air + self.water * water
-        return np.asarray(np.exp(-np.interp(wavelength_nm, self.wavelength_nm, depth)))
+        return np.asarray(np.exp(-(self.dry * air + self.water * _strong_line(water_g_cm2, GREATEST_WATER_G_CM2))))
 
-    def within(self, wavelength_nm: Array, way: Way, dry_depth: Array, water_depth: Array) -> EngineRatio:
-        """The ratio at (n,) wavelengths; neither part takes back more than half of the engine's depth on a way.
+    def within(self, way: Way, dry_depth: Array, water_depth: Array) -> EngineRatio:
+        """The ratio of which neither part takes back more than half of the engine's depth (n,) on a way.
 
         What water has too much of in all states alike stands in ``dry``, so that both depths count for it.
         """
         air = _strong_line(way.air_atm, GREATEST_AIR_ATM)
         water = _strong_line(way.water_g_cm2, GREATEST_WATER_G_CM2)
-        at = [np.interp(wavelength_nm, self.wavelength_nm, getattr(self, f.name)) for f in fields(self)[1:]]
-        at[0] = np.maximum(at[0], -_GREATEST_SHARE_BACK * (dry_depth + water_depth) / air)
-        at[1] = np.maximum(at[1], -_GREATEST_SHARE_BACK * water_depth / water)
-        return EngineRatio(wavelength_nm, *at)
+        dry = np.maximum(self.dry, -_GREATEST_SHARE_BACK * (dry_depth + water_depth) / air)
+        return replace(self, dry=dry, water=np.maximum(self.water, -_GREATEST_SHARE_BACK * water_depth / water))
 
-    def aerosol_path(self, wavelength_nm: Array) -> Array:
-        """(n,) factor on the path radiance of rural aerosol [1]."""
-        return np.asarray(np.interp(wavelength_nm, self.wavelength_nm, self.path))
-
-    def spherical_albedo(self, wavelength_nm: Array, own: Array, molecules: Array, low_share: float) -> Array:
+    def spherical_albedo(self, own: Array, molecules: Array, low_share: float) -> Array:
         """(n,) spherical albedo under rural aerosol, from the engine's ``own`` and that of the molecules alone [1].
 
         S = S_molecules + albedo * low_share * (S_own - S_molecules) with the share of the depth below the free
         troposphere (:func:`low_share`): the finer aerosol above sends next to nothing back.
         """
-        factor = np.interp(wavelength_nm, self.wavelength_nm, self.albedo)
-        return np.asarray(molecules + factor * low_share * (own - molecules))
+        return np.asarray(molecules + self.albedo * low_share * (own - molecules))
 
 
 def low_share(state: AtmosphericState) -> float:

@@ -391,6 +391,7 @@ def assembled(
     if oxygen_continuum:
         gas = _with_oxygen_continuum(gas, state, setting)
     if factors is not None:
+        factors = factors.at(GRID_NM)
         gas = _with_ratio(gas, state, factors)
     mu0, mu_v = np.cos(np.deg2rad([setting.geometry.solar_zenith, setting.geometry.view_zenith]))
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
@@ -404,8 +405,8 @@ def assembled(
     aerosol_path, albedo = value.get("reflectance_aerosol", 0.0 * haze), value["spherical_albedo"]
     # Path and albedo were compared for the rural aerosol with the colour that its type has.
     if factors is not None and state.aerosol == "rural" and state.angstrom_exponent is None:
-        aerosol_path = aerosol_path * factors.aerosol_path(GRID_NM)
-        albedo = factors.spherical_albedo(GRID_NM, albedo, molecular_albedo(molecules), low_share(state))
+        aerosol_path = aerosol_path * factors.path
+        albedo = factors.spherical_albedo(albedo, molecular_albedo(molecules), low_share(state))
     over_the_sun = {
         "path": value["reflectance_rayleigh"] * gas["dry"] + aerosol_path * gas["half"],
         "direct": value["down"] * direct_up * gas["full"], "adjacency": value["down"] * diffuse_up * gas["full"],
@@ -622,11 +623,9 @@ def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: Settin
 def _with_ratio(gas: Arrays, state: AtmosphericState, ratio: EngineRatio) -> Arrays:
     """Gas transmittances times what MODTRAN has over 6S on the same ways."""
     down, both = ways(state)
-    here = ratio.within(GRID_NM, both, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
+    here = ratio.within(both, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
     way = {"full": (both, 1.0), "half": (both, 0.5), "dry": (both, 0.0), "ground": (down, 1.0)}
-    return {
-        name: gas[name] * here.gas(GRID_NM, at.air_atm, at.water_g_cm2 * share) for name, (at, share) in way.items()
-    }
+    return {name: gas[name] * here.gas(at.air_atm, at.water_g_cm2 * share) for name, (at, share) in way.items()}
 
 
 def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.units import PLAUSIBLE_NM
 
 # (from nm, to nm, gas)
@@ -74,20 +74,12 @@ class SpectralAxis:
         good = np.asarray(self.good, dtype=bool)
         if good.size == 0:  # not given: every band is usable
             good = np.ones(centre.shape, bool)
-        if centre.ndim != 1 or centre.size == 0:
-            raise UsageError("a spectral axis needs a one-dimensional, non-empty list of band centres")
-        if not np.all(np.isfinite(centre)) or not np.all(np.isfinite(fwhm)):
-            raise UsageError("band centres and widths must be finite")
-        if np.any(np.diff(centre) <= 0):
-            at = int(np.flatnonzero(np.diff(centre) <= 0)[0])
-            raise UsageError(
-                f"band centres must increase: band {at + 2} ({centre[at + 1]:g} nm) "
-                f"follows band {at + 1} ({centre[at]:g} nm)"
-            )
-        if np.any(fwhm <= 0):
-            raise UsageError("band widths (FWHM) must be positive")
-        if good.shape != centre.shape:
-            raise UsageError(f"the bad-band list has {good.size} entries for {centre.size} bands")
+        refuse(centre.ndim != 1 or centre.size == 0, "axis.empty")
+        refuse(not np.all(np.isfinite(centre)) or not np.all(np.isfinite(fwhm)), "axis.infinite")
+        falls = np.flatnonzero(np.diff(centre) <= 0)[:1]
+        refuse(falls.size, "axis.order", first=falls + 1, second=falls + 2, low=centre[falls], high=centre[falls + 1])
+        refuse(np.any(fwhm <= 0), "axis.width")
+        refuse(good.shape != centre.shape, "axis.flags", count=good.size, bands=centre.size)
         for name, value in (("centre_nm", centre), ("fwhm_nm", fwhm), ("good", good)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -112,8 +104,7 @@ class SpectralAxis:
 def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Band widths assumed equal to the local band spacing [nm]: for files that list no FWHM."""
     centre = np.asarray(centre_nm, dtype=float)
-    if centre.size < 2:
-        raise UsageError("a single band needs its FWHM stated: there is no spacing to take it from")
+    refuse(centre.size < 2, "axis.single")
     return np.asarray(np.gradient(centre))
 
 
@@ -149,22 +140,13 @@ def band_average(
     """
     grid = np.asarray(wavelength_nm, dtype=float)
     y = np.asarray(values, dtype=float)
-    if grid.ndim != 1 or y.shape[-1] != grid.size:
-        raise UsageError(f"{y.shape[-1]} values for {grid.size} wavelengths")
-    if np.any(np.diff(grid) <= 0):
-        raise UsageError("sample wavelengths must increase")
+    refuse(grid.ndim != 1 or y.shape[-1] != grid.size, "samples.count", values=y.shape[-1], wavelengths=grid.size)
+    refuse(np.any(np.diff(grid) <= 0), "samples.order")
     matrix, short = band_weights(grid, axis)
-    if np.any(short) and outside == "raise":
-        bad = axis.centre_nm[short]
-        raise UsageError(
-            f"the spectrum covers {grid[0]:g}-{grid[-1]:g} nm and {bad.size} bands lie outside it "
-            f"(first {bad[0]:g} nm)",
-            expected="samples over the whole band set",
-            mend="give a longer spectrum or select fewer bands",
-        )
+    bad = axis.centre_nm[short]
+    refuse(bad.size and outside == "raise", "samples.short", ends=grid[[0, -1]], count=bad.size, bands=bad)
     result = y @ matrix.T
-    if np.any(short):
-        result[..., short] = np.nan
+    result[..., short] = np.nan
     return result
 
 
