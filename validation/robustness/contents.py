@@ -16,7 +16,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.atmosphere import AtmosphericTable, write_table
-from hyperval.atmosphere.between import QUANTITIES
+from hyperval.atmosphere.table import QUANTITIES
 from hyperval.imagery import write_cube
 from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.run import write_products

@@ -1,6 +1,6 @@
 """From the state of the atmosphere to the terms of equation 3.7."""
 
-from .between import AtmosphericTable, interpolated_terms, smooth_rule, spaced
+from .between import interpolated_terms, smooth_rule, spaced
 from .cache import cache_folder, cached
 from .engine import ENGINES, atmospheric_terms
 from .modtran import (
@@ -48,7 +48,7 @@ from .state import (
     range_from_aot550,
     standard_profile,
 )
-from .table import build_table, read_table, write_table
+from .table import AtmosphericTable, build_table, read_table, write_table
 from .terms import AtmosphericTerms
 
 __all__ = [

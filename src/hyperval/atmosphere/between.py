@@ -11,16 +11,12 @@ the input and of the quantity it is nearly a polynomial:
 Linear rules and splines are linear in the values at the nodes, so that many states are one product of matrices:
 ``value(x) = sum_k w_k(x) value_k`` with weights that sum to 1.
 
-A table holds what does not depend on the strength of the sun, at the resolution of its engine; F = mu0 E0 / pi:
-
-    path = L_a / F, direct = A / F, adjacency = B / F, S, ground = E_ground / (pi F), gas: two-way
-    transmittance, and diffuse: the sky's part of E_ground, where the engine tells it
-
-Interpolated are these products, before any band is averaged: altitudes by monotone cubic; angles by cubic
-spline; water logarithms of the transmittances, linear in the square root of the column; ozone likewise, linear in
-the column; aerosol (a range as depth) along two optical depths, since the sun comes through all of it, tau, and the
-view passes what lies below the sensor, d.  The rule of MODTRAN's profile (:mod:`hyperval.atmosphere.state`) ties d to
-tau, and not as a straight line: under an aircraft d is nearly nothing up to tau = 0.05 and grows with tau above it.  So
+Interpolated are the products that a table holds (:mod:`hyperval.atmosphere.table`), before any band is averaged:
+altitudes by monotone cubic; angles by cubic spline; water logarithms of the transmittances, linear in the square root
+of the column; ozone likewise, linear in the column; aerosol (a range as depth) along two optical depths, since the sun
+comes through all of it, tau, and the view passes what lies below the sensor, d.  The rule of MODTRAN's profile
+(:mod:`hyperval.atmosphere.state`) ties d to tau, and not as a straight line: under an aircraft d is nearly nothing up
+to tau = 0.05 and grows with tau above it.  So
 
     ground G             straight in ln G over tau        (Beer's law for the way of the sun)
     direct A             straight in ln(A/G) over d       (Beer's law for the view)
@@ -35,25 +31,16 @@ validation/atmosphere/README.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.atmosphere import solar
-from hyperval.atmosphere.state import (
-    OZONE_G_CM2_PER_ATM_CM,
-    SPACE_KM,
-    AtmosphericState,
-    column_g_cm2,
-    fraction_below,
-    scaled_profile,
-)
-from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
+from hyperval.atmosphere.state import fraction_below
+from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import refuse
-from hyperval.units import PLAUSIBLE_NM
 
 Array = npt.NDArray[np.float64]
 
@@ -287,193 +274,3 @@ def _place(nodes: Array, aot550: float, ground_km: float, sensor_km: float) -> t
 
 def _straight(a: Array, b: Array, w: float) -> Array:
     return np.asarray(a + w * (b - a))
-
-
-QUANTITIES = ("path", "direct", "adjacency", "spherical_albedo", "ground", "gas")
-OPTIONAL = ("diffuse",)
-AEROSOL_RULE = None  # all quantities together
-_MONOTONE, _CUBIC, _STRAIGHT = Rule("monotone"), Rule("cubic"), Rule("linear")
-# Rule of each axis, and by how much a state may miss a value that the table holds only once.
-AXES: dict[str, tuple[Rule | None, float]] = {
-    "aot550": (AEROSOL_RULE, 1e-3),
-    "water_vapour_g_cm2": (Rule("linear", np.sqrt, logarithm=True), 5e-3),
-    "ozone_atm_cm": (Rule("linear", logarithm=True), 2e-3),
-    "ground_altitude_km": (_MONOTONE, 0.02),
-    "sensor_altitude_km": (_MONOTONE, 0.02),
-    "solar_zenith_deg": (_CUBIC, 0.3),
-    "view_zenith_deg": (_CUBIC, 0.5),
-    "relative_azimuth_deg": (_CUBIC, 5.0),
-}
-# Values that a table can be computed for only as a whole.
-NAMED = ("model", "aerosol")
-_LEAST_WIDTH_NM = 1e-3
-_SUN = (1e-9, 1e3)  # [uW cm-2 nm-1] at 1 au: its lines reach 250, and 1e-7 is left at 0.1 mm
-_RHO = 0.3  # ground over which the error is stated
-_LEAST_GAS = 0.1  # and the two-way gas transmittance above which
-
-
-@dataclass(frozen=True)
-class AtmosphericTable:
-    """Atmospheric terms over a grid of states.
-
-    Attributes
-    ----------
-    wavelength_nm : (n,) [nm]
-    axes : name -> nodes, increasing; their order is that of the leading dimensions
-    fixed : fields of the state that all nodes share
-    quantities : path, direct, adjacency, spherical_albedo, ground, gas and perhaps diffuse: (*nodes, n) each [1]
-    solar_irradiance : (n,) at 1 au [uW cm-2 nm-1]; None: the state chooses the solar spectrum
-    fwhm_nm : (n,) widths of the channels that the values are averages over; None: samples
-    source : engine and version, files
-    errors : axis -> worst and rms error of the total radiance when a node is left out [1]; None: not estimated yet
-    """
-
-    wavelength_nm: Array
-    axes: dict[str, Array]
-    fixed: dict[str, Any]
-    quantities: dict[str, Array]
-    solar_irradiance: Array | None = None
-    fwhm_nm: Array | None = None
-    source: dict[str, Any] = field(default_factory=dict)
-    errors: dict[str, dict[str, float] | None] | None = None
-
-    def __post_init__(self) -> None:
-        nm, shape = self.wavelength_nm, (*(nodes.size for nodes in self.axes.values()), self.wavelength_nm.size)
-        for name, nodes in self.axes.items():
-            refuse(name not in AXES, "table.axis", name=name, known=", ".join(AXES))
-            rising = nodes.ndim == 1 and nodes.size > 1 and np.all(np.diff(nodes) > 0) and np.all(np.isfinite(nodes))
-            refuse(not rising, "table.nodes", name=name, nodes=nodes.tolist())
-        refuse(nm.size < 2 or np.any(np.diff(nm) <= 0), "table.wavelengths")
-        for name in (*QUANTITIES, *(n for n in OPTIONAL if n in self.quantities)):
-            refuse(name not in self.quantities, "table.missing", name=name)
-            values = self.quantities[name]
-            refuse(values.shape != shape, "table.shape", name=name, found=values.shape, wanted=shape)
-            refuse(not np.all(np.isfinite(values)) or np.any(values < 0.0), "table.values", name=name)
-        refuse(np.any(self.quantities["spherical_albedo"] >= 1.0), "table.albedo")
-        for name, least, most in (
-            ("wavelength_nm", *PLAUSIBLE_NM), ("fwhm_nm", _LEAST_WIDTH_NM, nm), ("solar_irradiance", *_SUN),
-        ):  # fmt: skip
-            values = getattr(self, name)
-            if values is not None:
-                refuse(values.shape != nm.shape, "table.shape", name=name, found=values.shape, wanted=nm.shape)
-                beyond, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
-                at = int(np.argmax(beyond))
-                there = {"value": values[at], "nm": nm[at], "low": least, "high": high[at]}
-                refuse(beyond.any(), "table.beyond", name=name, **there)
-
-    def terms(self, state: AtmosphericState) -> AtmosphericTerms:
-        """The terms of a state inside the table.
-
-        Raises
-        ------
-        UsageError : a value outside the axes, or other than the one the table was computed for.
-        """
-        at = coordinates(state)
-        self._check_fixed(state, at)
-        values, left = dict(self.quantities), list(self.axes)
-        # Aerosol last: its rule needs the altitudes, which may be axes themselves.
-        for name in sorted(self.axes, key="aot550".__eq__):
-            x, number = float(inside(name, self.axes[name], at[name])), left.index(name)
-            values = _along(self.axes[name], {q: np.moveaxis(v, number, 0) for q, v in values.items()}, x, name, at)
-            left.remove(name)
-        path_relative = 0.0
-        if "aot550" in self.axes:
-            places = at["ground_altitude_km"], at["sensor_altitude_km"]
-            path_relative = path_error(self.axes["aot550"], at["aot550"], *places)
-        irradiance = self.solar_irradiance
-        if irradiance is None:
-            irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, self.wavelength_nm, 1.0)
-        unit = np.cos(np.deg2rad(state.sun[0])) * irradiance / state.distance_au**2 / np.pi
-        lines = None
-        if self.solar_irradiance is None and self.fwhm_nm is None:
-            lines = solar.lines_between(state.solar_spectrum, self.wavelength_nm)
-        return AtmosphericTerms(
-            wavelength_nm=self.wavelength_nm.copy(),
-            **lit_by(unit, values),
-            provenance={
-                "engine": "table",
-                "source": self.source,
-                "solar_spectrum": "of the table" if self.solar_irradiance is not None else state.solar_spectrum,
-                "axes": {name: [float(v) for v in nodes] for name, nodes in self.axes.items()},
-                "interpolation_path_relative": path_relative,
-                "leave_one_out_error": self.errors if self.errors is not None else leave_one_out(self),
-                "state": state.model_dump(mode="json"),
-            },
-            fwhm_nm=self.fwhm_nm,
-            solar_lines=lines,
-            path_uncertainty=path_relative * unit * values["path"],
-        )
-
-    def _check_fixed(self, state: AtmosphericState, at: Mapping[str, float]) -> None:
-        stated = state.model_dump(mode="json")
-        for name, value in self.fixed.items():
-            if name in NAMED:
-                given = stated[name]
-                wrong = given != value and not (name == "aerosol" and at["aot550"] == 0.0)
-            else:  # at nadir every azimuth is the same
-                given = at.get(name)
-                free = given is None or (name == "relative_azimuth_deg" and at["view_zenith_deg"] == 0.0)
-                wrong = not free and abs(float(value) - at[name]) > AXES[name][1]
-            refuse(wrong, "table.other", name=name, given=given, value=value)
-
-
-def coordinates(state: AtmosphericState) -> dict[str, float]:
-    """Where a state lies on every axis that a table can have."""
-    ground, (zenith, azimuth) = state.ground_altitude_km, state.sun
-    profile = scaled_profile(state.model, ground, state.water_vapour_g_cm2, state.ozone_atm_cm)
-    return {
-        "aot550": state.aerosol_optical_depth,
-        "water_vapour_g_cm2": column_g_cm2(profile, profile.water_g_m3, ground),
-        "ozone_atm_cm": column_g_cm2(profile, profile.ozone_g_m3, ground) / OZONE_G_CM2_PER_ATM_CM,
-        "ground_altitude_km": ground,
-        "sensor_altitude_km": min(state.sensor_altitude_km, SPACE_KM),
-        "solar_zenith_deg": zenith,
-        "view_zenith_deg": state.view_zenith_deg,
-        "relative_azimuth_deg": abs((azimuth - state.view_azimuth_deg + 180.0) % 360.0 - 180.0),
-    }
-
-
-def _along(nodes: Array, values: Mapping[str, Array], x: float, axis: str, at: Mapping[str, float]) -> dict[str, Array]:
-    """All quantities (k, ...) at ``x`` along their first dimension."""
-    rule = AXES[axis][0]
-    if rule is AEROSOL_RULE:
-        return between_aerosols(nodes, values, x, at["ground_altitude_km"], at["sensor_altitude_km"])
-    # What is no transmittance is straight where those are straight in their logarithm.
-    rules = {q: _STRAIGHT if rule.logarithm and q in AS_THEY_ARE else rule for q in values}
-    return {q: along(nodes, v, x, rules[q]) for q, v in values.items()}
-
-
-def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]:
-    """Relative error of the total radiance over ground of 0.3 at nodes predicted from the others, axis by axis.
-
-    Where the two-way gas transmittance is above 0.1.  Without the node the step is twice as wide, so this is an
-    upper estimate: the error inside the table is about a quarter of it for a linear rule, less for a cubic.
-    None for an axis of two nodes.
-    """
-    misses: dict[str, dict[str, float] | None] = {}
-    for name, nodes in table.axes.items():
-        quantities, axes, at, errors = dict(table.quantities), list(table.axes), dict[str, float](), list[Array]()
-        for level, usual in (("ground_altitude_km", 0.0), ("sensor_altitude_km", SPACE_KM)):
-            at[level] = table.fixed.get(level, usual)
-            if level in axes and name == "aot550":  # the haze below the sensor is asked for at the middle altitude
-                middle, number = table.axes[level].size // 2, axes.index(level)
-                at[level] = float(table.axes[level][middle])
-                quantities = {q: np.take(v, middle, axis=number) for q, v in quantities.items()}
-                axes.remove(level)
-        moved = {q: np.moveaxis(v, axes.index(name), 0) for q, v in quantities.items()}
-        for i in range(1, nodes.size - 1):
-            keep = np.delete(np.arange(nodes.size), i)
-            predicted = _along(nodes[keep], {q: v[keep] for q, v in moved.items()}, float(nodes[i]), name, at)
-            exact = {q: v[i] for q, v in moved.items()}
-            seen = exact["gas"] > _LEAST_GAS
-            errors.append((_total(predicted)[seen] / np.maximum(_total(exact)[seen], _LEAST)) - 1.0)
-        every = np.concatenate([*errors, np.zeros(0)])
-        worst, rms = np.max(np.abs(every), initial=0.0), np.sqrt(np.mean(every**2)) if every.size else 0.0
-        misses[name] = {"worst": round(float(worst), 6), "rms": round(float(rms), 6)} if errors else None
-    return misses
-
-
-def _total(values: Mapping[str, Array]) -> Array:
-    """Radiance over uniform ground by 3.7, in units of F."""
-    ground = values["direct"] + values["adjacency"]
-    return np.asarray(values["path"] + ground * _RHO / (1.0 - values["spherical_albedo"] * _RHO))

@@ -47,7 +47,7 @@ from hyperval.atmosphere import solar
 from hyperval.atmosphere.cache import Arrays, cached, run_program
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState, range_from_aot550
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import reader, refusal, refuse
+from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.progress import track
 from hyperval.storage import last_line, scratch_folder, sha256_of
@@ -57,16 +57,8 @@ Array = npt.NDArray[np.float64]
 
 MAX_BYTES = 256 << 20
 _RADIANCE = radiance_to_internal("W cm-2 sr-1 nm-1")
-RADIANCE_COLUMNS = (
-    "FREQ", "TOT_TRANS", "PTH_THRML", "THRML_SCT", "SURF_EMIS", "SOL_SCAT", "SING_SCAT", "GRND_RFLT", "DRCT_RFLT",
-    "TOTAL_RAD", "REF_SOL", "SOL@OBS", "DEPTH", "DIR_EM", "TOA_SUN", "BBODY_T[K]",
-)  # fmt: skip
-CHANNEL_COLUMNS = (
-    "spectral moment", "line of sight", "channel", "radiance per cm-1", "radiance per nm", "brightness temperature",
-    "channel radiance", "width in cm-1", "width in nm", "minimum", "maximum", "thermal emission", "thermal scatter",
-    "surface emission", "multiple scatter", "single scatter", "ground reflected", "ground reflected of the sun",
-    "sun", "sun by way of the ground", "sun at the sensor", "A", "B", "S", "path transmittance", "emissivity",
-)  # fmt: skip
+_TABLE = package_table("atmosphere/modtran.yaml")
+RADIANCE_COLUMNS = tuple(_TABLE["tape7"]["names"])
 TOTAL_PARTS = ("thermal", "path", "ground")  # of the total radiance
 _WIDTH_STEP_NM = 1e-4  # four decimals of a width are printed
 _LEAST_RADIANCE = 1e-28  # in the unit of the file: below the range of its exponent's digits nothing adds up
@@ -78,38 +70,21 @@ class _Layout(NamedTuple):
 
     what: str
     heading: str  # how it begins
-    names: tuple[str, ...]
+    names: list[str]
     of_names: bool  # whether the heading is of the names, else of a dash for each and one more
     end: str
     blank: float | None  # what stands for an empty field; None: there is none, and text may follow the columns
     rounding: float  # of the total, relative
-    sums: dict[str, tuple[str, ...]]  # radiances as sums of columns
+    sums: dict[str, list[str]]  # radiances as sums of columns
 
     def fits(self, words: list[str]) -> bool:
         """Whether these are the words of a whole heading."""
         if self.of_names:
-            return words == list(self.names)
+            return words == self.names
         return len(words) == len(self.names) + 1 and set("".join(words)) == {"-"}
 
 
-_TAPE7 = _Layout(
-    "tape7 of MODTRAN in radiance mode with the sun (IEMSCT 2)", r"\s*FREQ", RADIANCE_COLUMNS, True, r"\s*-9999",
-    blank=np.nan, rounding=9e-5,  # five digits are printed
-    sums={
-        "radiance": ("TOTAL_RAD",), "thermal": ("PTH_THRML", "SURF_EMIS"), "path": ("SOL_SCAT",),
-        "ground": ("GRND_RFLT",), "ground_of_sun": ("DRCT_RFLT",), "sun": ("TOA_SUN",),
-    },
-)  # fmt: skip
-_CHANNELS = _Layout(
-    f"a .chn file of MODTRAN 5.3 or 6, of {len(CHANNEL_COLUMNS)} columns", "----[- ]*$", CHANNEL_COLUMNS, False,
-    end=r"\s*$",
-    blank=None, rounding=1e-5,  # seven digits are printed
-    sums={
-        "radiance": ("channel radiance",), "path": ("multiple scatter", "single scatter"),
-        "thermal": ("thermal emission", "thermal scatter", "surface emission"), "ground": ("ground reflected",),
-        "ground_of_sun": ("ground reflected of the sun",), "sun": ("sun",),
-    },
-)  # fmt: skip
+_TAPE7, _CHANNELS = (_Layout(**_TABLE[name]) for name in ("tape7", "channels"))
 
 
 @dataclass(frozen=True)
@@ -452,35 +427,18 @@ def over_continuum(wavelength_nm: Array, coefficient: Array, reach_nm: float = 0
     return np.asarray(np.clip(coefficient / continuum, 0.0, 1.0))
 
 
-# Spectral range and step of the runs: wider than 340-2600 nm; 5 cm-1 is 0.08 nm at 400 nm and 3 nm at 2.5 um.
-FIRST_CM, LAST_CM, STEP_CM = 3800.0, 29500.0, 5.0
-CO2_PPM = 400.0
-STREAMS = 8
 ALBEDOS = (0.0, 0.1, 0.5)  # of the uniform ground of the runs: enough for A, B, S and L_a
 _EARTH_RADIUS_KM = 6371.23
 
-MODELS = {
-    "tropical": (1, "ATM_TROPICAL"),
-    "midlatitude-summer": (2, "ATM_MIDLAT_SUMMER"),
-    "midlatitude-winter": (3, "ATM_MIDLAT_WINTER"),
-    "subarctic-summer": (4, "ATM_SUBARC_SUMMER"),
-    "subarctic-winter": (5, "ATM_SUBARC_WINTER"),
-    "us-standard-1962": (6, "ATM_US_STANDARD_1976"),  # MODTRAN has the one of 1976
-}
-HAZES = {
-    "none": (0, "AER_NONE"),
-    "rural": (1, "AER_RURAL"),
-    "maritime": (4, "AER_MARITIME"),
-    "urban": (5, "AER_URBAN"),
-    "desert": (10, "AER_DESERT"),
-}
+MODELS, HAZES, FIELDS = (_TABLE[name] for name in ("models", "hazes", "fields"))
 
 
 def _haze(state: AtmosphericState) -> tuple[int, str]:
     """IHAZE of the card and of the JSON input: none where there is no aerosol, since a range of 0 is a default."""
     kind = "a mix" if isinstance(state.aerosol, AerosolMix) else state.aerosol
     refuse(kind not in HAZES, "modtran.aerosol", name=kind, known=", ".join(HAZES))
-    return HAZES[kind if state.aerosol_optical_depth > 0.0 else "none"]
+    number, word = HAZES[kind if state.aerosol_optical_depth > 0.0 else "none"]
+    return int(number), str(word)
 
 
 def _angles(state: AtmosphericState) -> tuple[float, float, float]:
@@ -520,44 +478,22 @@ def tape5(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, version: 
     UsageError : no run, an unknown version, or a state that MODTRAN cannot be told.
     """
     refuse(version not in (4, 5), "modtran.cards", version=version)
-    lines: list[str] = []
-    for number, albedo in enumerate(_checked(albedos), 1):
-        lines += _cards(state, albedo, version)
-        lines.append(f"{1 if number < len(albedos) else 0:5d}")  # card 5: another case follows
-    return "\n".join(lines) + "\n"
+    view, sun, azimuth = _angles(state)
+    haze, depth, ground_km = _haze(state)[0], state.aerosol_optical_depth, state.ground_altitude_km
+    amount = (-depth if version == 5 else range_from_aot550(depth, ground_km)) if haze else 0.0
+    told = {
+        "model": MODELS[state.model][0], "haze": haze, "amount": amount, "ground": ground_km, "day": _day(state),
+        "water": _amount("g", state.water_vapour_g_cm2), "ozone": _amount("a", state.ozone_atm_cm),
+        "sensor": state.sensor_altitude_km, "view": view, "azimuth": azimuth, "sun": sun,
+    }  # fmt: skip
+    cards, last = _TABLE["cards"][version], len(_checked(albedos)) - 1
+    return "".join(cards.format(albedo=albedo, more=int(i < last), **told) for i, albedo in enumerate(albedos))
 
 
 def _checked(albedos: Sequence[float]) -> Sequence[float]:
     absurd = not albedos or not all(0.0 <= a <= 1.0 for a in albedos)
     refuse(absurd, "modtran.ground", albedos=list(albedos))
     return albedos
-
-
-def _cards(state: AtmosphericState, albedo: float, version: int) -> list[str]:
-    five, zero, none = version == 5, "     0.000", "    0"
-    haze, depth, ground_km = _haze(state)[0], state.aerosol_optical_depth, state.ground_altitude_km
-    view, sun, azimuth = _angles(state)
-    amount = 0.0
-    if haze:
-        amount = -depth if five else range_from_aot550(depth, ground_km)
-    columns = _amount("g", state.water_vapour_g_cm2) + _amount("a", state.ozone_atm_cm)
-    end_1a = " F F F F F  0.000000" + 4 * zero + "         0" if five else " F F F F       0.000"
-    return [
-        # 1: MODTRN SPEED (BINARY LYMOLC) MODEL ITYPE IEMSCT IMULT M1-M6 MDEF I_RD2C NOPRNT TPTEMP SURREF
-        f"CM{'F ' if five else '  '}{MODELS[state.model][0]}    2    2   -1{8 * none}    1   0.000{albedo:7.4f}",
-        # 1A: DIS DISAZM (DISALB) NSTR (SFWHM, or LSUN ISUN) CO2MX H2OSTR O3STR, flags, SOLCON and what follows it
-        f"TT{'F' if five else ''}{STREAMS:3d}{'  0.' if five else 'F   0'}{CO2_PPM:10.3f}{columns}{end_1a}",
-        # 2: IHAZE ISEASN IVULCN ICSTL ICLD IVSA VIS WSS WHH RAINRT GNDALT
-        f"{haze:5d}{5 * none}{amount:10.4f}{3 * zero}{ground_km:10.4f}",
-        # 3: H1 H2 ANGLE RANGE BETA RO LENN PHI (CKRANG)
-        f"{state.sensor_altitude_km:10.3f}{ground_km:10.3f}{view:10.3f}{3 * zero}{none}     {zero}"
-        + (zero if five else ""),
-        # 3A1: IPARM IPH IDAY ISOURC; 3A2: PARM1-PARM4 TIME PSIPO ANGLEM G
-        f"   12    2{_day(state):5d}{none}",
-        f"{azimuth:10.4f}{sun:10.4f}{2 * zero}    0.0000{3 * zero}",
-        # 4: V1 V2 DV FWHM YFLAG XFLAG DLIMIT FLAGS (MLFLX VRFRAC)
-        f"{FIRST_CM:10.3f}{LAST_CM:10.3f}{STEP_CM:10.3f}{STEP_CM:10.3f}RW" + (f"{'0':>18}{zero}" if five else ""),
-    ]
 
 
 def _amount(unit: str, value: float | None) -> str:
@@ -578,32 +514,19 @@ def modtran6_json(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, n
 
 def _json_case(state: AtmosphericState, albedo: float, number: int, name: str) -> dict[str, Any]:
     view, sun, azimuth = _angles(state)
-    atmosphere: dict[str, Any] = {"MODEL": MODELS[state.model][1], "CO2MX": CO2_PPM}
-    if state.water_vapour_g_cm2 is not None:
-        atmosphere |= {"H2OSTR": state.water_vapour_g_cm2, "H2OUNIT": "g"}
-    if state.ozone_atm_cm is not None:
-        atmosphere |= {"O3STR": state.ozone_atm_cm, "O3UNIT": "a"}
-    haze, haze_name = _haze(state)
-    aerosols: dict[str, Any] = {"IHAZE": haze_name}
-    if haze:
-        aerosols["VIS"] = -state.aerosol_optical_depth  # negative: optical depth at 550 nm
-    return {
-        "NAME": name, "DESCRIPTION": "", "CASE": number, "ATMOSPHERE": atmosphere, "AEROSOLS": aerosols,
-        "RTOPTIONS": {
-            "MODTRN": "RT_CORRK_FAST", "LYMOLC": False, "T_BEST": False, "IEMSCT": "RT_SOLAR_AND_THERMAL",
-            "IMULT": "RT_DISORT", "DISALB": False, "NSTR": STREAMS, "SOLCON": 0.0,
-        },
-        "GEOMETRY": {
-            "ITYPE": 3, "H1ALT": state.sensor_altitude_km, "OBSZEN": view, "IDAY": _day(state),
-            "IPARM": 12, "PARM1": azimuth, "PARM2": sun,
-        },
-        "SURFACE": {"GNDALT": state.ground_altitude_km, "SURFTYPE": "REFL_CONSTANT", "NSURF": 1, "SURREF": albedo},
-        "SPECTRAL": {
-            "V1": FIRST_CM, "V2": LAST_CM, "DV": STEP_CM, "FWHM": STEP_CM, "YFLAG": "R", "XFLAG": "W",
-            "FLAGS": "W      ", "BMNAME": "05_2013",
-        },
-        "FILEOPTIONS": {"NOPRNT": 1, "CKPRNT": True},
+    haze, word = _haze(state)
+    told: dict[str, dict[str, Any]] = {
+        "ATMOSPHERE": {"MODEL": MODELS[state.model][1]}, "SURFACE": {"SURREF": albedo},
+        # A negative range is an optical depth at 550 nm.
+        "AEROSOLS": {"IHAZE": word} | ({"VIS": -state.aerosol_optical_depth} if haze else {}),
+        "GEOMETRY": {"OBSZEN": view, "IDAY": _day(state), "PARM1": azimuth, "PARM2": sun},
     }  # fmt: skip
+    for field, (section, key, of_unit, unit) in FIELDS.items():
+        if getattr(state, field) is not None:
+            told[section] |= {key: getattr(state, field)} | ({of_unit: unit} if unit else {})
+    fixed = _TABLE["input"]
+    sections = {section: fixed.get(section, {}) | told.get(section, {}) for section in (*told, *fixed)}
+    return {"NAME": name, "DESCRIPTION": "", "CASE": number, **sections}
 
 
 _MAX_BYTES = 16 << 20
@@ -644,21 +567,14 @@ def stated_fields(inputs: dict[str, Any], where: str) -> dict[str, Any]:
     InputError : a value of the wrong kind.
     """
     try:
-        atmosphere, aerosols, geometry, surface = (
-            inputs.get(name, {}) for name in ("ATMOSPHERE", "AEROSOLS", "GEOMETRY", "SURFACE")
-        )
+        geometry, aerosols = inputs.get("GEOMETRY", {}), inputs.get("AEROSOLS", {})
         fields: dict[str, Any] = _sun(geometry)
-        for name, section, key, words in (
-            ("model", atmosphere, "MODEL", MODELS), ("aerosol", aerosols, "IHAZE", HAZES),
-        ):  # fmt: skip
-            known = {word: state for state, (_, word) in words.items()}
-            if section.get(key) in known:
-                fields[name] = known[section[key]]
-        for name, section, key, unit in (
-            ("water_vapour_g_cm2", atmosphere, "H2OSTR", "g"), ("ozone_atm_cm", atmosphere, "O3STR", "a"),
-            ("ground_altitude_km", surface, "GNDALT", ""), ("sensor_altitude_km", geometry, "H1ALT", ""),
-        ):  # fmt: skip
-            if str(section.get(key.replace("STR", "UNIT"), "")).lower() == unit if unit else key in section:
+        models, hazes = ({word: ours for ours, (_, word) in words.items()} for words in (MODELS, HAZES))
+        said = models.get(inputs.get("ATMOSPHERE", {}).get("MODEL")), hazes.get(aerosols.get("IHAZE"))
+        fields |= {name: ours for name, ours in zip(("model", "aerosol"), said, strict=True) if ours}
+        for name, (place, key, of_unit, unit) in FIELDS.items():
+            section = inputs.get(place, {})
+            if str(section.get(of_unit, "")).lower() == unit if unit else key in section:
                 fields[name] = float(section[key])
         amount = float(aerosols.get("VIS", 0.0))
         if amount != 0.0 and fields.get("aerosol") != "none":

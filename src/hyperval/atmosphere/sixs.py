@@ -97,7 +97,7 @@ class Aerosol:
 def profile_atmosphere(profile: Profile) -> str:
     """Card idatm = 7 with the 34 levels: user columns in idatm = 8 go wrong over raised ground."""
     levels = (profile.altitude_km, profile.pressure_hpa, profile.temperature_k, profile.water_g_m3, profile.ozone_g_m3)
-    lines = [" ".join(f"{v:.6e}" for v in row) for row in [*zip(*levels, strict=True), _TOP_LEVEL]]
+    lines = [" ".join(f"{v:.6e}" for v in row) for row in (*zip(*levels, strict=True), _TOP_LEVEL)]
     return "7\n" + "\n".join(lines) + "\n"
 
 
@@ -124,16 +124,22 @@ def deck(
     height_km : sensor above the ground [km]; None for space, 0 for a sensor on the ground
     spectral : "-1\\nWL" (one wavelength, um) or "-2\\nFROM TO" (table in steps of 2.5 nm)
     """
-    haze = "0\n-1\n" if aerosol is None else f"{aerosol.card}\n0\n{aerosol.depth_550:.6f}\n"
-    if height_km is None:
-        sensor = "-1000\n"  # space
-    elif height_km == 0.0:
-        sensor = "0\n"
-    else:
-        below = 0.0 if aerosol is None else aerosol.depth_550_below
-        sensor = f"{altitude_card(height_km)}\n-1.0 -1.0\n{below:.6f}\n"
+    haze, below = "0\n-1\n", 0.0
+    if aerosol is not None:
+        haze, below = f"{aerosol.card}\n0\n{aerosol.depth_550:.6f}\n", aerosol.depth_550_below
+    sensor = {None: "-1000\n", 0.0: "0\n"}.get(height_km)  # in space, on the ground
+    if sensor is None:
+        sensor = f"{altitude_card(float(height_km or 0.0))}\n-1.0 -1.0\n{below:.6f}\n"
     ground = f"{altitude_card(ground_km)}\n{sensor}{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n"
     return geometry.card() + atmosphere + haze + ground
+
+
+# What is read of the answer to a single-wavelength run: its words, and which of the numbers behind them.
+_PRINTED = {
+    "reflectance": ("apparent reflectance", 0), "down": (r'total\s+sca\.\s+"\s+:', 0),
+    "up": (r'total\s+sca\.\s+"\s+:', 1), "spherical_albedo": (r"spherical albedo\s+:", 2),
+    "depth_rayleigh": ("optical depth {}:", 0), "depth_aerosol": ("optical depth {}:", 1),
+}  # fmt: skip
 
 
 def parse_monochromatic(text: str) -> dict[str, float]:
@@ -146,16 +152,14 @@ def parse_monochromatic(text: str) -> dict[str, float]:
     ------
     EngineError : a number is missing, NaN or asterisks.
     """
-    number = r"\s+(\S+)"
-    reflectance = _all(text, r"apparent reflectance" + number)[0]
-    total = _all(text, r"total\s+sca\.\s+\"\s+:" + 3 * number)
-    albedo = _all(text, r"spherical albedo\s+:" + 3 * number)
-    plane = "optical depth plane" in text
-    depth = _all(text, f"optical depth {'plane' if plane else 'total'}:" + 3 * number)
-    return {
-        "reflectance": reflectance, "down": total[0], "up": total[1], "spherical_albedo": albedo[2],
-        "depth_rayleigh": depth[0], "depth_aerosol": depth[1],
-    }  # fmt: skip
+    plane = "plane" if "optical depth plane" in text else "total"
+    found = {}
+    for name, (label, column) in _PRINTED.items():
+        pattern = label.format(plane) + (column + 1) * r"\s+(\S+)"
+        match = re.search(pattern, text)
+        refuse(match is None, "sixs.silent", pattern=pattern)
+        (found[name],) = _numbers(match.groups()[-1:] if match else ())
+    return found
 
 
 def parse_steps(text: str) -> tuple[Array, Array]:
@@ -169,12 +173,6 @@ def _table_rows(text: str) -> Array:
     """(n, 6) rows of a step run: wavelength [um], gas, down, up, spherical albedo, path reflectance."""
     rows = re.findall(r"^\*(\d\.\d{4})" + 5 * r"\s+(\S+)", text, flags=re.MULTILINE)
     return np.array([_numbers(row) for row in rows])
-
-
-def _all(text: str, pattern: str) -> list[float]:
-    match = re.search(pattern, text)
-    refuse(match is None, "sixs.silent", pattern=pattern)
-    return _numbers(match.groups() if match else ())
 
 
 def _numbers(words: tuple[str, ...]) -> list[float]:

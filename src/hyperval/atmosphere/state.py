@@ -407,3 +407,19 @@ class AtmosphericState(Model):
     def in_space(self) -> bool:
         """True when the sensor is above the atmosphere."""
         return self.sensor_altitude_km >= SPACE_KM
+
+
+def coordinates(state: AtmosphericState) -> dict[str, float]:
+    """Where a state lies on every axis that a table can have."""
+    ground, (zenith, azimuth) = state.ground_altitude_km, state.sun
+    profile = scaled_profile(state.model, ground, state.water_vapour_g_cm2, state.ozone_atm_cm)
+    return {
+        "aot550": state.aerosol_optical_depth,
+        "water_vapour_g_cm2": column_g_cm2(profile, profile.water_g_m3, ground),
+        "ozone_atm_cm": column_g_cm2(profile, profile.ozone_g_m3, ground) / OZONE_G_CM2_PER_ATM_CM,
+        "ground_altitude_km": ground,
+        "sensor_altitude_km": min(state.sensor_altitude_km, SPACE_KM),
+        "solar_zenith_deg": zenith,
+        "view_zenith_deg": state.view_zenith_deg,
+        "relative_azimuth_deg": abs((azimuth - state.view_azimuth_deg + 180.0) % 360.0 - 180.0),
+    }
