@@ -144,8 +144,6 @@ def compare_classification(p: ClassificationError, o: ClassificationError) -> It
 
 
 EVERY_OBJECT = "all objects"
-JOINT, TREND, SPREAD = "joint_distance_p_value", "pit_trend", "pit_spread_ratio"
-OF_ONE = ("object_score_pit", "object_score_inside_95")
 OF_ALL = ("objects_inside_95", "objects_inside_95_p_value", "pit_uniformity_p_value")
 # Spread of the scores about their medians, over the predicted one, that the tests are asked about.
 WIDTHS = (1.25, 1.5, 2.0, 3.0)
@@ -257,7 +255,7 @@ def judged_together(
     yield from _drift_rows(z, x, np.array(strength), note)
     if z.size > 1 and (found := float(np.std(z, ddof=1))):
         low, middle, high = np.quantile(np.std(x, axis=-1, ddof=1), [0.025, 0.5, 0.975]) / found
-        yield row(SPREAD, middle, (low, high), n=z.size, reason=f"normal scores about their mean, {_DRAWS}")
+        yield row("pit_spread_ratio", middle, (low, high), n=z.size, reason=f"normal scores about their mean, {_DRAWS}")
 
 
 def _tail(statistic: float, reference: Array) -> float:
@@ -302,7 +300,7 @@ def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Resu
     half, n = x.shape[0] // 2, z.size
     if n > MOST_JOINED:
         why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
-        yield from skipped(Cause.FEW_PIXELS, why, JOINT)
+        yield from skipped(Cause.FEW_PIXELS, why, "joint_distance_p_value")
         return
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
@@ -316,7 +314,7 @@ def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Resu
     width = _width_found(reference, distance(scipy.special.ndtri(wide)), POWER_LEVEL / 2.0)  # the other tail counts too
     about = Effect(size, min(low, size), max(high, size), accepted, (math.nan, width))
     why = f"Mahalanobis distance of the normal scores, {_DRAWS}{note}"
-    yield row(JOINT, _tail(found, reference), n=n, detectable=width, reason=why, about=about)
+    yield row("joint_distance_p_value", _tail(found, reference), n=n, detectable=width, reason=why, about=about)
 
 
 def _drift_rows(z: Array, drawn_scores: Array, strength: Array, note: str) -> Iterator[Result]:
@@ -331,10 +329,10 @@ def _drift_rows(z: Array, drawn_scores: Array, strength: Array, note: str) -> It
     ends = slope - max(high, 0.0), slope - min(low, 0.0)
     found = float(np.quantile(np.abs(drawn), 1.0 - POWER_LEVEL) - np.quantile(drawn, 1.0 - POWER))
     accepted = partial(drawn_range, np.concatenate([drawn, -drawn]), 0.5, 0.5)
-    yield row(TREND, slope, ends, n=z.size, reason=_DRAWS)
+    yield row("pit_trend", slope, ends, n=z.size, reason=_DRAWS)
     p, about = _tail(abs(slope), np.abs(drawn)), Effect(slope, *ends, accepted, (-found, found))
     why = f"drift of the normal scores, {_DRAWS}{note}"
-    yield row(f"{TREND}_p_value", p, n=z.size, detectable=found, reason=why, about=about)
+    yield row("pit_trend_p_value", p, n=z.size, detectable=found, reason=why, about=about)
 
 
 def drawn_range(sizes: Array, below: float, above: float, level: float) -> Interval:
@@ -384,7 +382,7 @@ def compare_object_scores(
 def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
     """Rows of the objects of one subject, with their finite scores."""
     if scores.size == 0:
-        yield from skipped(Cause.NO_OBSERVATION, "no measured score", *OF_ONE)
+        yield from skipped(Cause.NO_OBSERVATION, "no measured score", "object_score_pit", "object_score_inside_95")
     elif scores.size > 1:
         yield from judged_together({"": model}, {"": scores})
     else:

@@ -217,20 +217,17 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
         return Outcome.ERROR, Cause.BAD_INTERVAL, words
     if known.kind is Kind.TEST:
         return _of_test(row, low)
-    met = low <= row.value <= high
-    if known.kind is Kind.COVERAGE:
-        return (Outcome.UNDECIDED, Cause.COVERAGE, "") if met else (Outcome.DISAGREES, Cause.NONE, "")
-    if known.kind is Kind.EQUIVALENCE:
-        if row.value > 0:
-            return Outcome.AGREES, Cause.NONE, ""
-        return (Outcome.DISAGREES if row.value < 0 else Outcome.UNDECIDED), Cause.NONE, ""
-    if known.kind is Kind.EXACT:
-        return (Outcome.AGREES if met else Outcome.DISAGREES), Cause.NONE, ""
     if known.kind is Kind.STATISTIC:
         return Outcome.UNDECIDED, Cause.NOT_JUDGED, ""
-    if math.isnan(row.lower) or math.isnan(row.upper):
+    if known.kind is Kind.EQUIVALENCE:
+        codes = {1.0: Outcome.AGREES, -1.0: Outcome.DISAGREES}
+        return codes.get(row.value, Outcome.UNDECIDED), Cause.NONE, ""
+    ends = (row.lower, row.upper) if known.kind is Kind.QUANTITY else (row.value, row.value)
+    if any(map(math.isnan, ends)):
         return Outcome.UNDECIDED, Cause.NO_INTERVAL, ""
-    outcome = against_range(row.lower, row.upper, low, high)
+    outcome = against_range(*ends, low, high)
+    if known.kind is Kind.COVERAGE and outcome is Outcome.AGREES:
+        return Outcome.UNDECIDED, Cause.COVERAGE, ""
     if outcome is not Outcome.UNDECIDED:
         return outcome, Cause.NONE, ""
     never = replace(row, limit_low=low, limit_high=high).shortfall > 1.0
@@ -250,19 +247,15 @@ def tail_probability(row: Result) -> float:
     >>> round(tail_probability(Result("", "covariance", "", "", "noise_ratio", 1.2, lower=1.0, upper=1.5)), 6)
     0.05
     """
-    known = metric_of(row.metric)
-    if known.kind is not Kind.TEST:
-        near = row.lower if row.value > known.agreement else row.upper
-        equal, value, end = known.agreement, row.value, near
-        if math.isinf(known.high) and equal == 1.0 and min(value, end) > 0.0:
-            equal, value, end = 0.0, math.log(value), math.log(end)
-        reach = abs(end - value)
-        return (
-            2.0 * float(scipy.stats.norm.sf(Z95 * abs(value - equal) / reach)) if reach > 0.0 else float(value == equal)
-        )
-    if known.two_sided:
-        return min(2.0 * min(row.value, 1.0 - row.value), 1.0)
-    return row.value
+    known, value = metric_of(row.metric), row.value
+    if known.kind is Kind.TEST:
+        return min(2.0 * min(value, 1.0 - value), 1.0) if known.two_sided else value
+    equal, end = known.agreement, row.lower if value > known.agreement else row.upper
+    if math.isinf(known.high) and equal == 1.0 and min(value, end) > 0.0:
+        equal, value, end = 0.0, math.log(value), math.log(end)
+    if value == end:
+        return float(value == equal)
+    return 2.0 * float(scipy.stats.norm.sf(Z95 * abs(value - equal) / abs(end - value)))
 
 
 def _of_test(row: Result, level: float) -> Judgement:
@@ -302,12 +295,8 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
             shares[i] = share
             if kept and out[i].outcome is Outcome.DISAGREES:
                 why = f"its part of the level is {part:.2g}, one of {len(order)} criteria"
-                out[i] = replace(
-                    out[i],
-                    outcome=Outcome.UNDECIDED,
-                    cause=Cause.MULTIPLICITY,
-                    reason=_joined(why, out[i].reason),
-                )
+                why = _joined(why, out[i].reason)
+                out[i] = replace(out[i], outcome=Outcome.UNDECIDED, cause=Cause.MULTIPLICITY, reason=why)
     return [told_as_effect(row, shares.get(i, math.nan)) for i, row in enumerate(out)]
 
 

@@ -242,18 +242,42 @@ def explained(names: Iterable[str]) -> list[tuple[str, str]]:
     return [(base, metric_of(base).words) for base in sorted({base_name(name) for name in names})]
 
 
-HEADER = ("metric", "unit", "range", "agreement", "judged as", "interval", "evidence", "tolerance", "words")
-
-
-def range_text(metric: Metric) -> str:
-    """The values that a metric can take.
+def facts(m: Metric) -> dict[str, str]:
+    """What the table says of a metric, in words; empty where it says nothing.
 
     Examples
     --------
-    >>> range_text(metric_of("pd_difference")), range_text(metric_of("z"))
+    >>> facts(metric_of("pd_difference"))["range"], facts(metric_of("z"))["range"]
     ('-1 to 1', '')
     """
-    return _span(metric.low, metric.high)
+    value = f"`{m.example}`" if math.isnan(m.gives) else f"`{m.example}` is {m.gives:.6g}"
+    parts = {"value": " of the value", "interval": " of half the interval", "unit": ""}
+    return {
+        "formula": f"`{m.formula}`" if m.formula else "",
+        "computed by": f"`hyperval.{m.function}`",
+        "unit": m.unit,
+        "range": _span(m.low, m.high),
+        "when both sides are equal": "" if math.isnan(m.agreement) else f"{m.agreement:g}",
+        "better": m.better,
+        "judged as": m.kind,
+        "95 % interval": "" if m.interval == "none" else m.interval,
+        "told as an effect in": m.effect.unit if m.effect else "",
+        "judged unasked by": _span(*m.usual) if m.usual else "",
+        "power wanted against": m.departure,
+        "moves with": "the prediction" if m.evidence == "model" else "the pipeline alone",
+        "tolerance": ", without one ".join(f"{n:g}{parts[of]}" for of, n in m.tolerance.items()),
+        "reference": m.reference,
+        "example": value if m.example else f"in the docstring of `hyperval.{m.function}`",
+    }
+
+
+_LISTED = ("unit", "range", "when both sides are equal", "judged as", "95 % interval", "moves with", "tolerance")
+HEADER = ("metric", *_LISTED, "words")
+
+
+def listed() -> Iterator[tuple[str, ...]]:
+    """A line for each metric, in the columns of :data:`HEADER`."""
+    return ((m.name, *(facts(m)[column] for column in _LISTED), m.words) for m in table().values())
 
 
 def _span(low: float, high: float) -> str:
@@ -262,44 +286,10 @@ def _span(low: float, high: float) -> str:
     return f"{low:g} to {high:g}"
 
 
-def tolerance_text(metric: Metric) -> str:
-    """How far an accepted number may move."""
-    parts = {"value": " of the value", "interval": " of half the interval", "unit": ""}
-    return ", without one ".join(f"{size:g}{parts[of]}" for of, size in metric.tolerance.items())
-
-
-def listed() -> Iterator[tuple[str, ...]]:
-    """A line for each metric, in the columns of :data:`HEADER`."""
-    for m in table().values():
-        agreement = "" if math.isnan(m.agreement) else f"{m.agreement:g}"
-        yield (
-            m.name, m.unit, range_text(m), agreement, m.kind, "" if m.interval == "none" else m.interval,
-            m.evidence, tolerance_text(m), m.words,
-        )  # fmt: skip
-
-
 def entry(m: Metric) -> list[str]:
     """The paragraph of one metric for the page of the documentation."""
-    value = f"`{m.example}`" if math.isnan(m.gives) else f"`{m.example}` is {m.gives:.6g}"
     lines = [f"### `{m.name}`", "", f"{m.words[0].upper()}{m.words[1:]}.", ""]
-    facts = [
-        ("formula", f"`{m.formula}`" if m.formula else ""),
-        ("computed by", f"`hyperval.{m.function}`"),
-        ("unit", m.unit),
-        ("range", range_text(m)),
-        ("when both sides are equal", "" if math.isnan(m.agreement) else f"{m.agreement:g}"),
-        ("better", m.better),
-        ("judged as", m.kind),
-        ("95 % interval", "" if m.interval == "none" else m.interval),
-        ("told as an effect in", m.effect.unit if m.effect else ""),
-        ("judged unasked by", _span(*m.usual) if m.usual else ""),
-        ("power wanted against", m.departure),
-        ("moves with", "the prediction" if m.evidence == "model" else "the pipeline alone"),
-        ("accepted numbers may move by", tolerance_text(m)),
-        ("reference", m.reference),
-        ("example", value if m.example else f"in the docstring of `hyperval.{m.function}`"),
-    ]
-    return [*lines, *(f"- {name}: {text}" for name, text in facts if text), ""]
+    return [*lines, *(f"- {name}: {text}" for name, text in facts(m).items() if text), ""]
 
 
 DIGITS = 6  # significant digits that are kept
