@@ -72,16 +72,11 @@ def result(change: Callable[[Any], Any]) -> Callable[[Callable[..., Any]], Calla
 
 
 def turned(right: LinearFilter) -> LinearFilter:
-    return LinearFilter(-right.weights, -right.offset, right.condition)
+    return LinearFilter(-right.weights, -right.offset)
 
 
 def filter_sign(patch: Patch) -> None:
     """(3.22) with the background minus the target, in the model and on pixels."""
-
-    def cem(right: Callable[..., LinearFilter]) -> Callable[..., LinearFilter]:
-        return lambda name, *a, **k: turned(right(name, *a, **k)) if name == "cem" else right(name, *a, **k)
-
-    wrapped("hyperval.model.detection.solved_filter", cem)(patch)
     patch.setitem(FILTERS, "cem", lambda *a: turned(matched_filter_weights(*a)))
 
 

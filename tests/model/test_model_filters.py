@@ -62,24 +62,24 @@ def test_intervals_hold_the_mean_of_endless_pixels(classes, tail_dof):
 def test_solutions_and_condition_number(size):
     a = np.random.default_rng(0).normal(size=(size, size + 4))
     matrix = a @ a.T * np.outer(*[np.geomspace(1.0, 1e4, size)] * 2)
-    values, right = model.packed(matrix), np.random.default_rng(2).normal(size=(size, 2))
-    cholesky = model.factor(values.copy(), size)
-    assert cholesky is not None
-    assert model.solved(cholesky, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-6)
+    right, factored = np.random.default_rng(2).normal(size=(size, 2)), model.PositiveDefinite(matrix)
+    assert factored.solve(right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-6)
+    assert factored.matrix == pytest.approx(matrix, rel=1e-12)
     scale = 1.0 / np.sqrt(np.diag(matrix))
     # LAPACK's estimate is a lower bound, nearly always within a factor of three.
-    ratio = model.condition_number(values, cholesky, size) / np.linalg.cond(matrix * np.outer(scale, scale), 1)
+    ratio = factored.condition / np.linalg.cond(matrix * np.outer(scale, scale), 1)
     assert 0.33 < ratio < 1 + 1e-9
 
 
-@pytest.mark.parametrize(("correlation", "suspect"), [(0.5, False), (1 - 1e-10, True)])
-def test_pivots_tell_matrices_that_may_be_near_singular(correlation, suspect):
+@pytest.mark.parametrize(("correlation", "refused"), [(0.5, False), (1 - 1e-10, False), (1 - 1e-14, True)])
+def test_bands_that_are_nearly_copies_of_each_other_are_refused(correlation, refused):
     matrix = np.array([[1.0, correlation], [correlation, 1.0]]) * np.outer([1.0, 1e6], [1.0, 1e6])
-    values = model.packed(matrix)
-    cholesky = model.factor(values.copy(), 2)
-    assert model.near_singular(np.diag(matrix), cholesky) is suspect
+    if refused:
+        with pytest.raises(UsageError, match="rank . of 2 bands, condition number 2e.14"):
+            model.PositiveDefinite(matrix)
+        return
     expected = (1 + correlation) / (1 - correlation)
-    assert model.condition_number(values, cholesky, 2) == pytest.approx(expected, rel=1e-5)
+    assert model.PositiveDefinite(matrix).condition == pytest.approx(expected, rel=1e-5)
 
 
 B = 12
@@ -154,9 +154,9 @@ def test_a_filter_meets_its_two_conditions_or_is_refused(seed, scale, kind):
         except UsageError:
             assert kind != "full"
             continue
-        assert kind not in ("zero", "nan", "singular") or make is model.cem_correlation_weights
+        assert kind not in ("zero", "nan", "singular")
         assert np.all(np.isfinite(found.weights))
-        slack = 1e-12 * max(found.condition, 1.0) + 1e-9
+        slack = 1e-12 * model.PositiveDefinite(covariance).condition + 1e-9
         if make is model.matched_filter_weights:
             assert found.score(target) == pytest.approx(1.0, abs=slack)
             assert found.score(mean) == pytest.approx(0.0, abs=slack)

@@ -61,7 +61,8 @@ def test_a_neighbour_spreads_the_score_in_place_of_the_host():
     for subject, side in ((SQUARE, 0.4), (BESIDE, 0.8)):
         changes[f"{subject}.fill.geometry"] = {"side_m": side, "gsd_m": 1, "psf_fwhm_pixels": 0, "phase": "centred"}
     found = run((0, 0), (0, 0.65), changes=changes).object_scores["square", "cem"]
-    grass, asphalt = (filter_of().variance(builtin_class(name, AXIS).covariance) for name in ("grass", "asphalt"))
+    w = filter_of().weights
+    grass, asphalt = (w @ builtin_class(name, AXIS).covariance @ w for name in ("grass", "asphalt"))
     expected = (0.16**2 + 0.2**2) * grass + 0.64**2 * asphalt
     assert found.values.var() == pytest.approx(expected, rel=0.036)  # 38,400 draws: 0.7 %, five of these
 

@@ -22,17 +22,11 @@ from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_thresh
 from hyperval.model.classification import feature_covariance, features, minimum_noise_fraction, principal_components
 from hyperval.model.fill import FillDistribution, Fills
 from hyperval.model.filters import (
-    MAX_CONDITION,
     LinearFilter,
     PositiveDefinite,
     add_products,
-    condition_number,
     design_filter,
     diagonal_places,
-    factor,
-    near_singular,
-    solved,
-    solved_filter,
     unpacked,
 )
 from hyperval.model.radiance import (
@@ -53,7 +47,7 @@ from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid
 from hyperval.model.stated import Keeps, cut, distinct
 from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
-from hyperval.scenario import Processing, Scenario, Target, TargetSubject
+from hyperval.scenario import Features, Scenario, Target, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
 
 if TYPE_CHECKING:
@@ -62,68 +56,6 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 RocKey = tuple[str, str, str]
-
-
-class Filters(NamedTuple):
-    """Linear detectors of U truths: score = weights . x - offset.
-
-    ``weights`` (U, F), ``offset`` (U,); NaN where there is none.
-    """
-
-    weights: Array
-    offset: Array
-
-    def rows(self, index: Index) -> Filters:
-        """Of some truths."""
-        return Filters(self.weights[index], self.offset[index])
-
-
-@dataclass(frozen=True, eq=False)
-class Mixture:
-    """The background of one truth, as its filter's covariance is put together.
-
-    Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
-    divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
-    matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
-    the sensor changes is the diagonal alone.
-
-    Attributes
-    ----------
-    mean : (F,) mu
-    reflectance : (P,) sum w_k g_k Sigma_k, packed
-    surroundings : (P,) Sigma_ave, packed
-    slope : (F,) D_A over the gain;  around, between : (K, F) e, d
-    noise : (F,) sum w_k N_k over the square of the slope
-    """
-
-    mean: Array
-    reflectance: Array
-    surroundings: Array
-    slope: Array
-    around: Array
-    between: Array
-    noise: Array
-
-    def without_noise(self, memory: Array) -> Array:
-        """(P,) the covariance over the slopes but for the noise, packed, in ``memory``."""
-        total = add_products(memory, self.around, fresh=True)
-        total *= self.surroundings
-        total += self.reflectance
-        return add_products(total, self.between)
-
-    def shares_light(self, other: Mixture) -> bool:
-        """Whether the covariance differs from that of another by the noise alone."""
-        return (
-            self.reflectance is other.reflectance
-            and self.surroundings is other.surroundings
-            and np.array_equal(self.around, other.around)
-            and np.array_equal(self.between, other.between)
-        )
-
-    def covariance(self) -> Array:
-        """(F, F) whole."""
-        inner = unpacked(self.without_noise(np.empty_like(self.reflectance)), self.mean.size)
-        return (inner + np.diag(self.noise)) * np.outer(self.slope, self.slope)
 
 
 @dataclass(frozen=True)
@@ -151,131 +83,59 @@ class FilterBase:
 
     def filter(self, detector: str, target: Array) -> LinearFilter:
         """The filter, as weights of the bands: w Psi of the filter in the features (3.21-3.25)."""
-        of_features = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
-        if self.psi is None:
-            return of_features
-        return replace(of_features, weights=of_features.weights @ self.psi)
+        weights, offset = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
+        return LinearFilter(weights if self.psi is None else weights @ self.psi, offset)
 
 
-class Designer:
-    """Filters of the truths for targets and detectors, the matrices of each truth factorised once.
+class Mixtures:
+    """The background that the filter of each truth is built on, a mixture of classes (3.8, 3.11).
 
     Parameters
     ----------
     chosen : (M,) which classes the filter is made of
+    choice : features of the bands
     """
 
-    def __init__(self, processing: Processing, chosen: npt.NDArray[np.bool_], size: int):
-        self.processing, self._chosen, self._size = processing, chosen, size
-        # Memory of two matrices: the covariance of the latest light without its noise, and one to factorise.
-        self._still, self._matrix = np.empty((2, size * (size + 1) // 2))
-        self._latest: Mixture | None = None
+    def __init__(self, chosen: npt.NDArray[np.bool_], choice: Features | None):
+        self._chosen, self._choice = chosen, choice
+        self._latest: tuple[Array, ...] = ()
+        self._still: Array | None = None  # the covariance of the latest truth over the slopes, but for the noise
 
-    def mixture(self, of: Background, seen: Seen, u: int) -> Mixture:
-        """The background that the filter of one truth is built on (3.8, 3.11 of what is seen)."""
-        fractions = np.where(self._chosen, of_truth(of.fraction, u), 0.0)
-        used = fractions > 0.0
-        if not self._chosen.all():
-            fractions = fractions / fractions.sum()
-        reflectance = of.packed(fractions * of_truth(of.gain, u), u)
-        f, slope, means = fractions[used], of_truth(seen.slope, u), of_truth(seen.means, u)[used]
-        mean, under = f @ means, np.sqrt(f)[:, None] / slope
-        return Mixture(
-            mean, reflectance, of.packed_surroundings(u), slope, under * of_truth(seen.around, u)[used],
-            under * (means - mean), f @ of_truth(seen.noise, u)[used] / slope**2,
-        )  # fmt: skip
+    def base(self, light: Light, of: Background, seen: Seen, u: int) -> FilterBase:
+        """Mean and covariance of one truth, factorised.
 
-    def base(self, mixture: Mixture, noise_at: Callable[[Array], Array]) -> FilterBase:
-        """The mixture in the features, factorised; ``noise_at`` gives the noise at a retrieved reflectance (F,).
+        Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
+        divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
+        matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
+        the sensor changes is the diagonal alone, and the rest of the latest truth serves again.
 
         Raises
         ------
         UsageError : a matrix that can not be inverted.
         """
-        covariance, choice, psi = mixture.covariance(), self.processing.features, None
-        if choice is not None and choice.pca is not None:
-            psi = principal_components(covariance, choice.pca)
-        elif choice is not None and choice.mnf is not None:
-            psi = minimum_noise_fraction(covariance, noise_at(mixture.mean), choice.mnf)
-        return FilterBase(
-            mixture.mean, psi, PositiveDefinite(covariance if psi is None else feature_covariance(psi, covariance))
-        )
-
-    def design(
-        self, light: Light, of: Background, seen: Seen, truths: int, wanted: Sequence[tuple[str, Array]]
-    ) -> tuple[list[Filters], dict[int, UsageError]]:
-        """Filters for pairs of detector and spectrum as seen (U or 1, F); truth -> what is wrong with it."""
-        each = [Filters(np.full((truths, self._size), np.nan), np.full(truths, np.nan)) for _ in wanted]
-        problems: dict[int, UsageError] = {}
-        for u in range(truths):
-            spectra = [(detector, of_truth(spectrum, u)) for detector, spectrum in wanted]
-            try:
-                mixture = self.mixture(of, seen, u)
-                if self.processing.features is None:
-                    filters = self._solved(mixture, spectra)
-                else:
-                    base = self.base(mixture, lambda r, u=u: noise_of(light, seen, u, r))  # type: ignore[misc]
-                    filters = [base.filter(detector, spectrum) for detector, spectrum in spectra]
-            except UsageError as error:
-                problems[u] = error
-                continue
-            for into, one in zip(each, filters, strict=True):
-                into.weights[u], into.offset[u] = one.weights, one.offset
-        return each, problems
-
-    def _solved(self, mixture: Mixture, spectra: Sequence[tuple[str, Array]]) -> list[LinearFilter]:
-        """Filters on the bands themselves, one factorisation for all that invert the same matrix."""
-        out: dict[int, LinearFilter] = {}
-        for correlation in (False, True):
-            members = [i for i, (d, _) in enumerate(spectra) if (d == "cem-correlation") is correlation]
-            if not members:
-                continue
-            # R = Sigma + mu mu^T in place of Sigma, and no mean taken off.
-            matrix = mixture
-            if correlation:
-                mean = mixture.mean / mixture.slope  # the parts of a mixture stand over the slopes
-                matrix = replace(mixture, between=np.vstack([mixture.between, mean]))
-            centre = np.zeros_like(mixture.mean) if correlation else mixture.mean
-            differences = np.array([spectra[i][1] - centre for i in members])  # (3.22)
-            for i, d, x in zip(members, differences, self._solutions(matrix, differences), strict=True):
-                out[i] = solved_filter(spectra[i][0], d, x, mixture.mean)
-        return [out[i] for i in range(len(spectra))]
-
-    def _solutions(self, mixture: Mixture, right: Array) -> Array:
-        """(K, F) solutions x of covariance x = right (K, F).
-
-        Raises
-        ------
-        UsageError : as :class:`PositiveDefinite`.
-        """
-        if self._latest is None or not self._latest.shares_light(mixture):
-            self._latest = None  # should anything go wrong below, the memory holds no covariance
-            self._still = mixture.without_noise(self._still)
-            self._latest = mixture
-        matrix, places = self._matrix, diagonal_places(self._size)
-        matrix[:] = self._still
-        matrix[places] += mixture.noise
-        diagonal = matrix[places]
-        if not np.all(diagonal > 0) or not np.all(np.isfinite(diagonal)):
-            raise _refusal(mixture)
-        cholesky = factor(matrix, self._size)
-        if cholesky is None:
-            raise _refusal(mixture)
-        if near_singular(diagonal, cholesky):
-            values = self._still.copy()
-            values[places] = diagonal
-            if not condition_number(values, cholesky, self._size) <= MAX_CONDITION:
-                raise _refusal(mixture)
-        return solved(cholesky, (right / mixture.slope).T).T / mixture.slope
-
-
-def _refusal(mixture: Mixture) -> UsageError:
-    """What is wrong with a matrix that has no factor, in the words of :class:`PositiveDefinite`."""
-    try:
-        PositiveDefinite(mixture.covariance())
-    except UsageError as error:
-        return error
-    return UsageError("the background matrix is singular to working precision")
+        f = np.where(self._chosen, of_truth(of.fraction, u), 0.0)
+        f = f if self._chosen.all() else f / f.sum()
+        inner, surroundings = of.packed(f * of_truth(of.gain, u), u), of.packed_surroundings(u)
+        used, slope = f > 0.0, of_truth(seen.slope, u)
+        f, means, noise = f[used], of_truth(seen.means, u)[used], of_truth(seen.noise, u)[used]
+        mean, under = f @ means, np.sqrt(f)[:, None] / slope
+        around, between = under * of_truth(seen.around, u)[used], under * (means - mean)
+        parts = around, between, inner, surroundings
+        if not all(map(np.array_equal, parts, self._latest or 4 * [None])):
+            still = add_products(np.empty_like(inner) if self._still is None else self._still, around, fresh=True)
+            still *= surroundings
+            still += inner
+            self._latest, self._still = parts, add_products(still, between)
+        values = np.array(self._still)
+        values[diagonal_places(slope.size)] += f @ noise / slope**2
+        if self._choice is None:
+            return FilterBase(mean, None, PositiveDefinite(values, slope))
+        covariance = unpacked(values, slope.size) * np.outer(slope, slope)
+        if self._choice.pca is not None:
+            psi = principal_components(covariance, self._choice.pca)
+        else:
+            psi = minimum_noise_fraction(covariance, noise_of(light, seen, u, mean), self._choice.mnf or 0)
+        return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
 
 
 def noise_of(light: Light, seen: Seen, u: int, reflectance: Array) -> Array:
@@ -284,7 +144,7 @@ def noise_of(light: Light, seen: Seen, u: int, reflectance: Array) -> Array:
     return np.asarray(light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
 
 
-def class_scores(of: Background, seen: Seen, filters: Filters) -> tuple[Array, Array]:
+def class_scores(of: Background, seen: Seen, filters: LinearFilter) -> tuple[Array, Array]:
     """theta_m and sigma_m (U, J) of the laws that the background's classes are made of (3.27, 3.29).
 
     A component of a class lies off its mean and has a covariance of its own; noise and surroundings are those of
@@ -411,7 +271,7 @@ def target_pixels(light: Light, of: Background, seen: Seen, material: Material, 
     return TargetPixels(means, light.noise_variance(level) / seen.gain**2, around, factor)
 
 
-def target_scores(light: Light, of: Background, seen: Seen, filters: Filters, material: Material) -> Responses:
+def target_scores(light: Light, of: Background, seen: Seen, filters: LinearFilter, material: Material) -> Responses:
     """Score statistics of pixels of which the target fills f, at FILL_NODES (3.26, 3.28).
 
     Var(f) comes in by the average over the fill.
@@ -531,24 +391,31 @@ class Evaluation(Keeps):
         return seen_classes(self.view, self.background)
 
     @cached_property
-    def designer(self) -> Designer:
-        """Of the filters; its memory serves the next truths of the same scenario."""
+    def mixtures(self) -> Mixtures:
+        """What the filters are built on; what it keeps serves the next truths of the same scenario."""
         processing, names = self.scenario.processing, self.scenario.processing.filter_classes
         chosen = np.array([not names or n in names for n in self.stated.classes])
-        key = "designer", self.bands.tobytes()
-        return self.stated.once(key, lambda: Designer(processing, chosen, self.bands.size))
+        return self.stated.once(("mixtures", self.bands.tobytes()), lambda: Mixtures(chosen, processing.features))
 
     @cached_property
-    def _designed(self) -> tuple[dict[tuple[str, str], tuple[Filters, Array, Array]], dict[int, UsageError]]:
-        names = [(t.name, d) for t in self.targets for d in self.scenario.processing.linear_detectors]
-        wanted = [(d, self.looked_for(t)) for t, d in names]
-        filters, problems = self.designer.design(self.view, self.background, self.seen, self.first.size, wanted)
-        return {n: (f, *class_scores(self.background, self.seen, f)) for n, f in zip(names, filters, strict=True)}, {
-            int(u): problems[v] for u, v in enumerate(self.which) if v in problems
-        }
+    def _designed(self) -> tuple[dict[tuple[str, str], tuple[LinearFilter, Array, Array]], dict[int, UsageError]]:
+        linear = self.scenario.processing.linear_detectors
+        wanted = {(t.name, d): self.looked_for(t.name) for t in self.targets for d in linear}
+        shape, problems = (self.first.size, self.bands.size), dict[int, UsageError]()
+        made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
+        for v in range(self.first.size):
+            try:
+                base = self.mixtures.base(self.view, self.background, self.seen, v)
+                each = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
+            except UsageError as error:
+                problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
+                continue
+            for into, one in zip(made.values(), each, strict=True):
+                into.weights[v], into.offset[v] = one
+        return {key: (f, *class_scores(self.background, self.seen, f)) for key, f in made.items()}, problems
 
     @property
-    def filters(self) -> Mapping[tuple[str, str], tuple[Filters, Array, Array]]:
+    def filters(self) -> Mapping[tuple[str, str], tuple[LinearFilter, Array, Array]]:
         """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
         return self._designed[0]
 
@@ -768,7 +635,7 @@ def _ace_truth(
     """One truth: exceedance of the background, thresholds, error of P_FA, and target pixels at a fill."""
     processing, v, seen, of = e.scenario.processing, int(e.which[u]), e.seen.rows(e.which[u : u + 1]), e.background
     named, light, of = e.targets[target], e.view.rows(e.which[u : u + 1]), of.rows(e.which[u : u + 1])
-    base = e.designer.base(e.designer.mixture(e.background, e.seen, v), lambda r: noise_of(e.view, e.seen, v, r))
+    base = e.mixtures.base(e.view, e.background, e.seen, v)
     looked_for = of_truth(e.looked_for(named.name), v)
     space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
     slope, surroundings = seen.slope[0], e.background.covariance(v)

@@ -5,20 +5,23 @@ The names collide in the literature.  The source of the equations calls the filt
 field calls that the normalised (unit-response) matched filter and keeps CEM for the form with the
 correlation matrix and no mean removal (Harsanyi 1993).  Both are here, under both names.
 
+Symmetric matrices (F, F) are factorised in LAPACK's rectangular full packed form: half the memory, the speed of whole
+ones.  What many settings of one scene put together, element by element, is put together in vectors of F (F + 1) / 2
+numbers.  Their order is LAPACK's (transr N, uplo L) and nobody else's business.
+
 Abundances of endmembers in a pixel by fully constrained least squares, and their error.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, Union
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dsfrk, dtfttr, dtrttf
 
 from hyperval.errors import UsageError
@@ -27,34 +30,138 @@ Array = npt.NDArray[np.float64]
 
 # Beyond this the float64 solve keeps fewer than about three correct digits.
 MAX_CONDITION = 1e13
+# Below this ratio of the squared pivots at unit diagonal a matrix can not be near that limit in practice; above it the
+# condition number is estimated.
+_SUSPECT = 1e8
 
 
-Covariance = Union[npt.ArrayLike, "PositiveDefinite"]
+def packed(matrix: Array) -> Array:
+    """(P,) of a symmetric matrix (F, F)."""
+    values, _ = dtrttf(matrix.T, uplo="L")  # the transpose of C order is Fortran's, and the matrix is symmetric
+    return np.asarray(values)
 
 
-@dataclass(frozen=True)
-class LinearFilter:
-    """A linear detector: score = weights . x - offset.
+def unpacked(values: Array, size: int) -> Array:
+    """(F, F) the whole matrix."""
+    lower = np.tril(dtfttr(size, values, uplo="L")[0])
+    return np.asarray(lower + np.tril(lower, -1).T)
+
+
+@lru_cache(maxsize=32)
+def diagonal_places(size: int) -> npt.NDArray[np.intp]:
+    """(F,) where the diagonal stands."""
+    return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
+
+
+def add_products(values: Array, rows: Array, *, fresh: bool = False) -> Array:
+    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``; ``fresh``: in place of the matrix."""
+    count, size = rows.shape
+    keep = 0.0 if fresh else 1.0
+    return np.asarray(dsfrk(size, count, 1.0, rows.T, keep, values, uplo="L", overwrite_c=1))
+
+
+class PositiveDefinite:
+    """A covariance that (3.22-3.25) inverts: factorised once, used for every target.
+
+    By Cholesky over scales on both sides, such as the standard deviations of the bands: how far these are apart says
+    nothing of the loss of digits.
+
+    Parameters
+    ----------
+    matrix : (F, F), or (P,) packed over ``scale``
+    scale : (F,); None: the standard deviations
+
+    Raises
+    ------
+    UsageError : singular, indefinite, or worse conditioned than float64 can carry; the message names
+        the rank and the condition number.
+    """
+
+    def __init__(self, matrix: npt.ArrayLike, scale: Array | None = None):
+        values = np.asarray(matrix, dtype=float)
+        if scale is None:
+            scale = np.sqrt(np.maximum(np.diag(values), 0.0))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                values = packed(values / scale[:, None] / scale)
+        self.scale, self._values = scale, values
+        diagonal = values[diagonal_places(scale.size)]
+        bad = np.flatnonzero(~(diagonal > 0))
+        if bad.size or not np.isfinite(values.sum()):
+            raise UsageError(
+                f"the background matrix is singular: {bad.size} of {scale.size} bands have no variance "
+                f"(first: band {bad[0] + 1})"
+                if bad.size
+                else "the background matrix holds NaN or infinity",
+                mend="drop those bands from the detector's bands",
+            )
+        self._cholesky, failed = dpftrf(scale.size, values, uplo="L")
+        pivots = self._cholesky[diagonal_places(scale.size)] ** 2 / diagonal
+        if failed or (pivots.max() > _SUSPECT * pivots.min() and not self.condition <= MAX_CONDITION):
+            eigenvalues = np.linalg.eigvalsh(self._at_unit_diagonal)
+            rank = int(np.sum(eigenvalues > eigenvalues[-1] * scale.size * np.finfo(float).eps))
+            raise UsageError(
+                f"the background matrix is singular to working precision: rank {rank} of {scale.size} bands, "
+                f"condition number {np.inf if failed else self.condition:.3g}",
+                expected="more background pixels than bands, and bands that are not copies of each other",
+                mend="use fewer bands or features (PCA), more pixels, or add the sensor noise",
+            )
+
+    @property
+    def matrix(self) -> Array:
+        """(F, F)."""
+        return unpacked(self._values, self.scale.size) * np.outer(self.scale, self.scale)
+
+    @property
+    def _at_unit_diagonal(self) -> Array:
+        unit = 1.0 / np.sqrt(self._values[diagonal_places(self.scale.size)])
+        return unpacked(self._values, self.scale.size) * np.outer(unit, unit)
+
+    @cached_property
+    def _lower(self) -> Array:
+        """(F, F) factor over the scales; above its diagonal the memory holds anything."""
+        return np.asarray(dtfttr(self.scale.size, self._cholesky, uplo="L")[0])
+
+    @cached_property
+    def condition(self) -> float:
+        """Estimated 1-norm condition number at unit diagonal."""
+        unit = 1.0 / np.sqrt(self._values[diagonal_places(self.scale.size)])
+        lower = np.asfortranarray(self._lower * unit[:, None])
+        reciprocal, _ = dpocon(lower, np.abs(self._at_unit_diagonal).sum(axis=0).max(), uplo="L")
+        return float(1.0 / reciprocal) if reciprocal > 0 else float("inf")
+
+    def solve(self, right: Array) -> Array:
+        """x of matrix x = right, (F,) or (F, N)."""
+        x, _ = dpftrs(self.scale.size, self._cholesky, (right.T / self.scale).T, uplo="L")
+        return np.asarray((x.reshape(right.shape).T / self.scale).T)
+
+    def whiten(self, x: Array) -> Array:
+        """y (F, ...) of x (F, ...) such that y . y = x . matrix^-1 x."""
+        return np.asarray(solve_triangular(self._lower, (x.T / self.scale).T, lower=True, check_finite=False))
+
+
+class LinearFilter(NamedTuple):
+    """Linear detectors: score = weights . x - offset.
 
     Attributes
     ----------
-    weights : (B,) per unit of the data
-    offset : what is subtracted from weights . x [1]; the score of the background mean is 0 for the
+    weights : (..., B) per unit of the data
+    offset : (...) what is subtracted from weights . x [1]; the score of the background mean is 0 for the
         matched filter, the offset is 0 for the correlation reading
-    condition : estimated 1-norm condition number of the inverted matrix, scaled to unit diagonal
     """
 
     weights: Array
-    offset: float
-    condition: float = float("nan")
+    offset: Any
 
     def score(self, x: npt.ArrayLike) -> Array:
-        """Scores (...) of pixels (..., B)."""
+        """Scores (...) of pixels (..., B) by one filter."""
         return np.asarray(np.asarray(x, dtype=float) @ self.weights - self.offset)
 
-    def variance(self, covariance: npt.ArrayLike) -> float:
-        """Variance of the score of pixels with covariance (B, B): w Sigma w^T (3.28, 3.29)."""
-        return float(self.weights @ np.asarray(covariance, dtype=float) @ self.weights)
+    def rows(self, index: npt.NDArray[np.intp]) -> LinearFilter:
+        """Some of several filters."""
+        return LinearFilter(self.weights[index], self.offset[index])
+
+
+Covariance = npt.ArrayLike | PositiveDefinite
 
 
 def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
@@ -74,38 +181,11 @@ def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarianc
     UsageError : sizes differ, the covariance is singular or not positive definite, or the target is
         the background mean.
     """
-    return _of_difference("matched-filter", target, mean, covariance)
-
-
-def _of_difference(detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
-    """A filter of the target's difference from the background (3.22-3.25)."""
-    t, mu, cov = _checked(target, mean, covariance)
-    factor = covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(cov)
+    t, mu, sigma = _checked(target, mean, covariance)
     d = t - mu  # (3.22)
-    return solved_filter(detector, d, factor.solve(d), mu, factor.condition)
-
-
-def solved_filter(
-    detector: str, difference: Array, solved: Array, mean: Array, condition: float = float("nan")
-) -> LinearFilter:
-    """The filter of a linear detector once its matrix is inverted (3.23-3.25).
-
-    Parameters
-    ----------
-    difference : (B,) d of (3.22); for "cem-correlation" the target itself
-    solved : (B,) Sigma^-1 d
-    mean : (B,) background mean
-
-    Raises
-    ------
-    UsageError : the target is the background mean.
-    """
-    energy = float(difference @ solved)
-    if not energy > 0:
-        raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
-    w = solved / (np.sqrt(energy) if detector == "smf" else energy)  # (3.23), (3.24): the target itself scores 1
-    offset = 0.0 if detector == "cem-correlation" else float(w @ mean)  # (3.25)
-    return LinearFilter(w, offset, condition)
+    solved = sigma.solve(d)
+    w = solved / _energy(d, solved)  # (3.23), (3.24): the target itself scores 1
+    return LinearFilter(w, float(w @ mu))  # (3.25)
 
 
 def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
@@ -117,7 +197,10 @@ def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covarian
 
     Parameters and errors as :func:`matched_filter_weights`.
     """
-    return _of_difference("smf", target, mean, covariance)
+    t, mu, sigma = _checked(target, mean, covariance)
+    solved = sigma.solve(t - mu)
+    w = solved / np.sqrt(_energy(t - mu, solved))
+    return LinearFilter(w, float(w @ mu))
 
 
 def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
@@ -128,25 +211,34 @@ def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarian
 
     Parameters and errors as :func:`matched_filter_weights`.
     """
-    t, mu, cov = _checked(target, mean, covariance)
-    return correlation_filter(t, cov + np.outer(mu, mu))
+    t, mu, sigma = _checked(target, mean, covariance)
+    of_mean = sigma.solve(mu)
+    solved = sigma.solve(t) - of_mean * float(of_mean @ t) / (1.0 + float(of_mean @ mu))  # Sherman & Morrison 1950
+    return LinearFilter(solved / _energy(t, solved), 0.0)
 
 
-def correlation_filter(target: npt.ArrayLike, correlation: npt.ArrayLike) -> LinearFilter:
-    """CEM weights from a correlation matrix R (B, B) = E[x x^T] (variant of 3.22-3.25)."""
-    t = np.asarray(target, dtype=float)
-    if not np.any(t):
-        raise UsageError("the target spectrum is zero in every band")
-    solved, condition = solve_positive_definite(np.asarray(correlation, dtype=float), t)
-    return solved_filter("cem-correlation", t, solved, t, condition)
+def _checked(
+    target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance
+) -> tuple[Array, Array, PositiveDefinite]:
+    t, mu = np.asarray(target, dtype=float), np.asarray(mean, dtype=float)
+    shape = 2 * covariance.scale.shape if isinstance(covariance, PositiveDefinite) else np.shape(covariance)
+    if t.ndim != 1 or mu.shape != t.shape or shape != 2 * t.shape:
+        raise UsageError(f"target {t.shape}, mean {mu.shape} and covariance {shape} do not fit each other")
+    return t, mu, covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(covariance)
 
 
-FilterDesign = Callable[[npt.ArrayLike, npt.ArrayLike, Any], LinearFilter]
+def _energy(difference: Array, solved: Array) -> float:
+    """d^T Sigma^-1 d."""
+    energy = float(difference @ solved)
+    if not energy > 0:
+        raise UsageError("the target spectrum is zero in every band or equals the background mean: no filter finds it")
+    return energy
+
 
 # Each takes (target, background mean, background covariance).  "cem" and "matched-filter" are one
 # filter under the name the source gives it and the name most of the field gives it; "smf" is the same filter in
 # standard deviations of the background.
-FILTERS: Mapping[str, FilterDesign] = {
+FILTERS: Mapping[str, Callable[[npt.ArrayLike, npt.ArrayLike, Any], LinearFilter]] = {
     "cem": matched_filter_weights,
     "matched-filter": matched_filter_weights,
     "smf": spectral_matched_filter,
@@ -159,86 +251,6 @@ def design_filter(detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, cov
     if detector not in FILTERS:
         raise UsageError(f"unknown detector {detector!r}", expected="one of " + ", ".join(FILTERS))
     return FILTERS[detector](target, mean, covariance)
-
-
-class PositiveDefinite:
-    """A covariance that (3.22-3.25) inverts: factorised once, used for every target.
-
-    By Cholesky after scaling to unit diagonal: that removes the spread of band variances, which says
-    nothing of the loss of digits.
-
-    Attributes
-    ----------
-    matrix : (B, B)
-    condition : estimated 1-norm condition number at unit diagonal
-
-    Raises
-    ------
-    UsageError : singular, indefinite, or worse conditioned than float64 can carry; the message names
-        the rank and the condition number.
-    """
-
-    def __init__(self, matrix: npt.ArrayLike):
-        self.matrix: Array = np.asarray(matrix, dtype=float)
-        bands = self.matrix.shape[0]
-        diagonal = np.diag(self.matrix)
-        if np.any(diagonal <= 0) or not np.all(np.isfinite(self.matrix)):
-            bad = np.flatnonzero(~(diagonal > 0))
-            raise UsageError(
-                f"the background matrix is singular: {bad.size} of {bands} bands have no variance "
-                f"(first: band {bad[0] + 1})"
-                if bad.size
-                else "the background matrix holds NaN or infinity",
-                mend="drop those bands from the detector's bands",
-            )
-        self._scale = 1.0 / np.sqrt(diagonal)
-        scaled = self.matrix * self._scale[:, None]
-        scaled *= self._scale
-        self.condition = float("inf")
-        factor = None
-        try:
-            factor = cho_factor(scaled, lower=True, check_finite=False)
-            reciprocal, _ = dpocon(factor[0], np.abs(scaled).sum(axis=0).max(), uplo="L")
-            self.condition = 1.0 / reciprocal if reciprocal > 0 else self.condition
-        except LinAlgError:
-            pass
-        if factor is None or self.condition > MAX_CONDITION:
-            eigenvalues = np.linalg.eigvalsh(scaled)
-            rank = int(np.sum(eigenvalues > eigenvalues[-1] * bands * np.finfo(float).eps))
-            raise UsageError(
-                f"the background matrix is singular to working precision: rank {rank} of {bands} bands, "
-                f"condition number {self.condition:.3g}",
-                expected="more background pixels than bands, and bands that are not copies of each other",
-                mend="use fewer bands or features (PCA), more pixels, or add the sensor noise",
-            )
-        self._factor = factor
-
-    def solve(self, right: Array) -> Array:
-        """x of matrix x = right, (B,) or (B, N)."""
-        scaled = (right.T * self._scale).T
-        return np.asarray((cho_solve(self._factor, scaled, check_finite=False).T * self._scale).T)
-
-    def whiten(self, x: Array) -> Array:
-        """y (B, ...) of x (B, ...) such that y . y = x . matrix^-1 x."""
-        scaled = (x.T * self._scale).T
-        return np.asarray(solve_triangular(self._factor[0], scaled, lower=True, check_finite=False))
-
-
-def solve_positive_definite(matrix: npt.ArrayLike, right: npt.ArrayLike) -> tuple[Array, float]:
-    """Solve matrix x = right, as (3.22-3.25) need it, and estimate the condition number.
-
-    Errors as :class:`PositiveDefinite`.
-    """
-    factor = PositiveDefinite(matrix)
-    return factor.solve(np.asarray(right, dtype=float)), factor.condition
-
-
-def _checked(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> tuple[Array, Array, Array]:
-    inner = covariance.matrix if isinstance(covariance, PositiveDefinite) else covariance
-    t, mu, cov = (np.asarray(a, dtype=float) for a in (target, mean, inner))
-    if t.ndim != 1 or mu.shape != t.shape or cov.shape != (t.size, t.size):
-        raise UsageError(f"target {t.shape}, mean {mu.shape} and covariance {cov.shape} do not fit each other")
-    return t, mu, cov
 
 
 def own_mean_sampling(
@@ -338,69 +350,3 @@ def _closest_in_simplex(pixel: Array, endmembers: Array) -> Array:
     right[-1] = 1.0
     u, _ = scipy.optimize.nnls(matrix, right)
     return np.asarray(u / u.sum())
-
-
-# Symmetric matrices (F, F) in LAPACK's rectangular full packed form: half the memory, the speed of whole ones.
-# What many settings of one scene put together, element by element, and factorise, is put together in vectors of
-# F (F + 1) / 2 numbers.  Their order is LAPACK's (transr N, uplo L) and nobody else's business.
-# Below this ratio of the pivots at unit diagonal, squared, a matrix can not be near the limit of the condition
-# number in practice; above it the condition number is estimated.
-_SUSPECT = 1e8
-
-
-def packed(matrix: Array) -> Array:
-    """(P,) of a symmetric matrix (F, F)."""
-    values, _ = dtrttf(matrix.T, uplo="L")  # the transpose of C order is Fortran's, and the matrix is symmetric
-    return np.asarray(values)
-
-
-def unpacked(values: Array, size: int) -> Array:
-    """(F, F) the whole matrix."""
-    lower = np.tril(_lower(values, size))
-    return np.asarray(lower + np.tril(lower, -1).T)
-
-
-@lru_cache(maxsize=32)
-def diagonal_places(size: int) -> npt.NDArray[np.intp]:
-    """(F,) where the diagonal stands."""
-    return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
-
-
-def add_products(values: Array, rows: Array, *, fresh: bool = False) -> Array:
-    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``; ``fresh``: in place of the matrix."""
-    count, size = rows.shape
-    keep = 0.0 if fresh else 1.0
-    return np.asarray(dsfrk(size, count, 1.0, rows.T, keep, values, uplo="L", overwrite_c=1))
-
-
-def factor(values: Array, size: int) -> Array | None:
-    """Cholesky factor in the memory of ``values``; None where the matrix is not positive definite."""
-    cholesky, info = dpftrf(size, values, uplo="L", overwrite_a=1)
-    return None if info else np.asarray(cholesky)
-
-
-def solved(cholesky: Array, right: Array) -> Array:
-    """x (F, K) of matrix x = right (F, K), from the factor of the matrix."""
-    x, _ = dpftrs(right.shape[0], cholesky, right, uplo="L")
-    return np.asarray(x)
-
-
-def near_singular(diagonal: Array, cholesky: Array) -> bool:
-    """Whether the condition number at unit diagonal may be large, by the pivots; ``diagonal`` (F,)."""
-    pivots = cholesky[diagonal_places(diagonal.size)] / np.sqrt(diagonal)
-    return bool((pivots.max() / pivots.min()) ** 2 > _SUSPECT)
-
-
-def condition_number(values: Array, cholesky: Array, size: int) -> float:
-    """Estimated 1-norm condition number at unit diagonal, from a matrix and its factor."""
-    scale = 1.0 / np.sqrt(values[diagonal_places(size)])
-    norm = np.abs(unpacked(values, size) * np.outer(scale, scale)).sum(axis=0).max()
-    lower = np.asfortranarray(_lower(cholesky, size) * scale[:, None])
-    reciprocal, _ = dpocon(lower, norm, uplo="L")
-    return float(1.0 / reciprocal) if reciprocal > 0 else float("inf")
-
-
-def _lower(values: Array, size: int) -> Array:
-    """(F, F) the lower triangle; above it the memory holds anything."""
-    triangle, _ = dtfttr(size, values, uplo="L")
-    return np.asarray(triangle)

@@ -80,7 +80,6 @@ class PixelDetector:
     combine : score (N,) from y (K, N) and the quadratic (N,), which is None where none is asked for; None for
         a linear detector, whose score is y[0]
     quadratic : "distance", the squared Mahalanobis distance from the background mean; "length", |x|^2
-    condition : condition number of the matrix that was inverted for it, NaN where none was
     by_pixel : ``combine`` tells the score of a pixel from that pixel alone, and is called with a part of the
         image at a time; else once, with all pixels that hold data
     image : score (lines, samples) from y (lines, samples, K), NaN where there is no data, and what the truth says
@@ -91,7 +90,6 @@ class PixelDetector:
     constants: Array
     combine: Callable[[Array, Array | None], Array] | None = None
     quadratic: Literal["distance", "length"] | None = None
-    condition: float = float("nan")
     by_pixel: bool = False
     image: Callable[[Array, Any], npt.ArrayLike] | None = None
     added: str = ""
@@ -224,7 +222,7 @@ def pixel_detector(
     linear = from_filter(design_filter("smf" if name == "ace" else name, t, mean, covariance))
     if name != "ace":
         return linear
-    return PixelDetector(linear.weights, linear.constants, combine, "distance", linear.condition, by_pixel=True)
+    return PixelDetector(linear.weights, linear.constants, combine, "distance", by_pixel=True)
 
 
 def _combined(name: str, y: Array, value: Array | None) -> Array:
@@ -235,7 +233,7 @@ def _combined(name: str, y: Array, value: Array | None) -> Array:
 
 def from_filter(linear: LinearFilter) -> PixelDetector:
     """A linear filter as a detector on pixels."""
-    return PixelDetector(linear.weights[None], np.array([-linear.offset]), condition=linear.condition)
+    return PixelDetector(linear.weights[None], np.array([-linear.offset]))
 
 
 def osp_filter(target: npt.ArrayLike, undesired: npt.ArrayLike | None) -> LinearFilter:
