@@ -75,7 +75,7 @@ def test_solutions_and_condition_number(size):
 def test_bands_that_are_nearly_copies_of_each_other_are_refused(correlation, refused):
     matrix = np.array([[1.0, correlation], [correlation, 1.0]]) * np.outer([1.0, 1e6], [1.0, 1e6])
     if refused:
-        with pytest.raises(UsageError, match="rank . of 2 bands, condition number 2e.14"):
+        with pytest.raises(UsageError, match="singular to working precision"):
             model.PositiveDefinite(matrix)
         return
     expected = (1 + correlation) / (1 - correlation)

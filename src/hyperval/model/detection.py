@@ -121,7 +121,7 @@ class Mixtures:
         mean, under = f @ means, np.sqrt(f)[:, None] / slope
         around, between = under * of_truth(seen.around, u)[used], under * (means - mean)
         parts = around, between, inner, surroundings
-        if not all(map(np.array_equal, parts, self._latest or 4 * [None])):
+        if not self._latest or not all(map(np.array_equal, parts, self._latest)):
             still = add_products(np.empty_like(inner) if self._still is None else self._still, around, fresh=True)
             still *= surroundings
             still += inner
@@ -575,51 +575,52 @@ _NODES = 7
 _DECADES = (0.0, 0.0, 0.0, 0.0, 3.0, 6.0)
 
 
-class AceCurve(NamedTuple):
-    """ACE of one population in one truth.
+class Curves(NamedTuple):
+    """ROC of one population by one detector in n truths, and scores at some points of them.
 
     Attributes
     ----------
-    target, background : score distributions
-    threshold : (K,)
-    pd : unit -> (K,) P_D
-    error, alarm_error : greatest standard error of P_D, of the draws, and that of P_FA at the least of its values, as
-        a part of it
+    thresholds : (n, K)
+    pd : unit -> (n, K) P_D
+    target, background : score distributions at the points
+    preset : (K,) preset P_FA of (3.30) at each point; None where it is not known
+    errors : at each point, greatest standard error of drawn P_D, and that of the least P_FA as a part of it
     """
 
-    target: ScoreDistribution
-    background: ScoreDistribution
-    threshold: Array
+    thresholds: Array
     pd: Mapping[str, Array]
-    error: float
-    alarm_error: float
+    target: Sequence[ScoreDistribution]
+    background: Sequence[ScoreDistribution]
+    preset: Sequence[Array | None]
+    errors: Sequence[tuple[float, float]] = ()
 
 
-def ace_curves(e: Evaluation, target: int, pfa: Array, object_curves: bool) -> dict[str, list[AceCurve]]:
-    """Population of a target -> ACE of it in each truth; the host of a pixel keeps its laws."""
-    of = [(i, p.name) for i, (t, _, p) in enumerate(e.stated.populations) if t == target]
-    out: dict[str, list[AceCurve]] = {name: [] for _, name in of}
+def ace_curves(e: Evaluation, target: int, pfa: Array, units: Sequence[str]) -> dict[str, Curves]:
+    """Population of a target -> ACE of it in all truths, each a point; the host of a pixel keeps its laws."""
+    of = {i: p.name for i, (t, _, p) in enumerate(e.stated.populations) if t == target}
+    thresholds, behind, errors = np.empty((len(e), pfa.size)), [], []
+    pd = {i: {unit: np.empty(thresholds.shape) for unit in units} for i in of}
+    own: dict[int, list[ScoreDistribution]] = {i: [] for i in of}
     for u in range(len(e)):
-        background, threshold, error, at_fill = _ace_truth(e, u, target, pfa)
-        fills = {number: e.fill_of(u, number) for number, _ in of}
-        whole = {number: _objects(e, u, number) for number, _ in of}
+        background, thresholds[u], alarm_error, at_fill = _ace_truth(e, u, target, pfa)
+        behind.append(_distribution(background))
+        fills, whole = {i: e.fill_of(u, i) for i in of}, {i: _objects(e, u, i) for i in of}
         # Those of whole objects too, even where their curve is not asked for.
         every = np.concatenate([*(f.values for f in fills.values()), *(w[1].ravel() for w in whole.values())])
         nodes = _nodes(float(every.min()), float(every.max()))
         at_nodes = [at_fill(float(f)) for f in nodes]
-        greatest = max(float(x.standard_error.max()) for x in at_nodes)
-        for number, name in of:
-            pixel = _averaged(at_nodes, nodes, fills[number].values[:, None], fills[number].weights)
-            pd = {"pixel": exceedance_at(threshold, pixel)}
-            if object_curves:
-                shape, objects = whole[number]
-                pd["object"] = pd["pixel"]
-                if shape is not None:
-                    weights = np.full(objects.shape[0], 1.0 / objects.shape[0])
-                    pd["object"] = exceedance_at(threshold, _averaged(at_nodes, nodes, objects, weights))
-            behind = _distribution(background)
-            out[name].append(AceCurve(_distribution(pixel), behind, threshold, pd, greatest, error))
-    return out
+        errors.append((max(float(x.standard_error.max()) for x in at_nodes), alarm_error))
+        for i in of:
+            pixel = _averaged(at_nodes, nodes, fills[i].values[:, None], fills[i].weights)
+            own[i].append(_distribution(pixel))
+            shape, places = whole[i]
+            each = np.full(len(places), 1.0 / len(places))
+            for unit in units:
+                alone = unit == "pixel" or shape is None
+                pd[i][unit][u] = exceedance_at(
+                    thresholds[u], pixel if alone else _averaged(at_nodes, nodes, places, each)
+                )
+    return {name: Curves(thresholds, pd[i], own[i], behind, len(e) * [None], errors) for i, name in of.items()}
 
 
 def _objects(e: Evaluation, u: int, number: int) -> tuple[tuple[int, ...] | None, Array]:
@@ -745,9 +746,6 @@ def _distribution(population: Exceedance) -> ScoreDistribution:
 _GRID, _REACH = 201, 6.0
 
 
-Made = dict[str, dict[Any, Any]]  # product, by its name in ``Prediction`` -> subject and detector -> what it is
-
-
 def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] = (0,)) -> list[PredictedProducts]:
     """Scores and ROC curves of all target populations (3.22-3.33) of some truths; those of all into ``e.curves``.
 
@@ -755,88 +753,70 @@ def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] =
     ------
     UsageError : no filter, as the background can not be inverted.
     """
-    processing = e.scenario.processing
-    by_point: list[Made] = [{"scores": {}, "roc": {}, "exceedance": {}} for _ in points]
-    notes: list[list[str]] = [[] for _ in points]
-    if not e.targets or not processing.detectors:
-        return [PredictedProducts(e.axis) for _ in points]
-    if processing.linear_detectors:
-        e.filters  # noqa: B018 - designed here, refused below
-    for error in e.problems.values():
-        raise error
-    grid = processing.false_alarm_grid
-    pfa = false_alarm_grid(grid.lowest, grid.per_decade)
-    for target in e.targets:
+    processing, units = e.scenario.processing, ("pixel", "object") if object_curves else ("pixel",)
+    out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": ()} for _ in points]
+    pfa = false_alarm_grid(processing.false_alarm_grid.lowest, processing.false_alarm_grid.per_decade)
+    for number, target in enumerate(e.targets):
         for name in processing.detectors:
-            populations = [p.name for p in target.populations]
-            if name in LINEAR_DETECTORS:
-                for population in populations:
-                    _add_linear(e, by_point, points, target.name, population, name, pfa, object_curves)
-                continue
-            number = e.targets.index(target)
-            drawn = e.once(("ace", number, object_curves), lambda t=number: ace_curves(e, t, pfa, object_curves))  # type: ignore[misc]
-            for population, curves in drawn.items():
-                for into, point in zip(by_point, points, strict=True):
-                    one, key = curves[point], (population, name)
-                    into["scores"] |= {key: one.target, (background_of(population), name): one.background}
-                    for unit, pd in one.pd.items():
-                        into["roc"][(*key, unit)] = RocCurve(pfa, pd, pd, pd, one.threshold, unit)  # type: ignore[arg-type]
-                        e.curves[(*key, unit)] = np.array([c.pd[unit] for c in curves])
-            for note, point in zip(notes, points, strict=True):
-                worst = max(curves[point].error for curves in drawn.values())
-                alarms = 100 * drawn[populations[0]][point].alarm_error
-                note.append(
-                    f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
-                    f"{worst:.2g}, of P_FA at {pfa[0]:.1g} {alarms:.2g} %"
-                )
-    return [PredictedProducts(e.axis, **made, notes=tuple(n)) for made, n in zip(by_point, notes, strict=True)]
+            linear = name in LINEAR_DETECTORS
+            if linear:
+                made, at = linear_curves(e, target, name, pfa, units, points), list(range(len(points)))
+            else:
+                made = e.once(("ace", number, units), lambda t=number: ace_curves(e, t, pfa, units))  # type: ignore[misc]
+                at = list(points)
+            for population, c in made.items():
+                e.curves |= {(population, name, unit): pd for unit, pd in c.pd.items()}
+                for products, u, i in zip(out, points, at, strict=True):
+                    pair = {population: c.target[i], background_of(population): c.background[i]}
+                    products["scores"] |= {(subject, name): scores for subject, scores in pair.items()}
+                    x = c.thresholds[u]
+                    products["roc"] |= {
+                        (population, name, unit): RocCurve(pfa, *(pd[u],) * 3, x, unit, preset_pfa=c.preset[i])  # type: ignore[arg-type]
+                        for unit, pd in c.pd.items()
+                    }
+                    if linear:
+                        products["exceedance"][target.name, name] = ExceedanceCurve(x[::-1], *(pfa[::-1],) * 3)
+            if not linear:
+                errors = next(iter(made.values())).errors
+                for products, u in zip(out, points, strict=True):
+                    note = (
+                        f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
+                        f"{errors[u][0]:.2g}, of P_FA at {pfa[0]:.1g} {100 * errors[u][1]:.2g} %"
+                    )
+                    products["notes"] += (note,)
+    return [PredictedProducts(e.axis, **products) for products in out]
 
 
-def _add_linear(
-    e: Evaluation, by_point: Sequence[Made], points: Sequence[int], target: str, population: str,
-    name: str, pfa: Array, object_curves: bool,
-) -> None:  # fmt: skip
-    scores = e.scores(population, name)
-    thresholds, behind = e.once(("background", target, name), lambda: _behind(scores, pfa, points))
-    # Truths that move other things than this target's scores share what follows from them.
-    first, which = scores.distinct() if not object_curves else 2 * (np.arange(len(e)),)
-    threshold = thresholds[first]
-    pd = scores.rows(first).detection_above(threshold)
-    by_unit = {"pixel": pd}
-    if object_curves:
-        objects = e.object_scores(population, name)
-        alone = objects.objects is None and objects.means.shape == scores.means.shape
-        by_unit["object"] = pd if alone else objects.detection_above(threshold)
-    wanted, row_of = np.unique(which[list(points)], return_inverse=True)
-    some = scores.rows(first[wanted])
-    distributions = _distributions(some.mean, some.sd, some.target_density)
-    for into, point, row in zip(by_point, points, row_of.tolist(), strict=True):
-        background, preset = behind[int(scores.which[point])]
-        at, mine = thresholds[point], int(which[point])
-        into["scores"] |= {(population, name): distributions[row], (background_of(population), name): background}
-        for unit, curve in by_unit.items():
-            into["roc"][population, name, unit] = RocCurve(pfa, *(curve[mine],) * 3, at, unit, preset_pfa=preset)  # type: ignore[arg-type]
-        into["exceedance"][target, name] = ExceedanceCurve(at[::-1], *(pfa[::-1],) * 3)
-    e.curves |= {(population, name, unit): curve[which] for unit, curve in by_unit.items()}
-
-
-def _behind(
-    scores: RocScores, pfa: Array, points: Sequence[int]
-) -> tuple[Array, Mapping[int, tuple[ScoreDistribution, Array]]]:
-    """What the background scores by one filter, which all populations of its target share.
-
-    Returns
-    -------
-    (n, K) thresholds of all truths, and by the number of its laws the distribution of their score and the preset P_FA
-    (K,), for the points that were asked for
-    """
-    threshold, at = scores.thresholds(pfa[None]), np.array(points)
-    rows, first = np.unique(scores.which[at], return_index=True)
-    some, c = scores.rows(at[first]), scores.classes.rows(rows)
-    mean = (c.fraction * c.mean).sum(axis=1)
-    sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
-    each = zip(_distributions(mean, sd, some.background_density), some.preset(threshold[at[first]]), strict=True)
-    return threshold, dict(zip(rows.tolist(), each, strict=True))
+def linear_curves(
+    e: Evaluation, target: Target, name: str, pfa: Array, units: Sequence[str], points: Sequence[int]
+) -> dict[str, Curves]:
+    """Population of a target -> scores and ROC by a linear detector in all truths (3.26-3.33)."""
+    out: dict[str, Curves] = {}
+    for population in target.populations:
+        scores, at = e.scores(population.name, name), np.array(points)
+        for error in e.problems.values():
+            raise error
+        if not out:  # what the background scores by one filter, all populations of its target share
+            thresholds = scores.thresholds(pfa[None])
+            rows, first, of = np.unique(scores.which[at], return_index=True, return_inverse=True)
+            some, c = scores.rows(at[first]), scores.classes.rows(rows)
+            mean = (c.fraction * c.mean).sum(axis=1)
+            sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
+            distributions = _distributions(mean, sd, some.background_density)
+            behind, presets = [distributions[i] for i in of], some.preset(thresholds[at[first]])[of]
+        # Truths that move other things than this target's scores share what follows from them.
+        first, which = scores.distinct() if units == ("pixel",) else 2 * (np.arange(len(e)),)
+        pd = {"pixel": scores.rows(first).detection_above(thresholds[first])}
+        if "object" in units:
+            objects = e.object_scores(population.name, name)
+            alone = objects.objects is None and objects.means.shape == scores.means.shape
+            pd["object"] = pd["pixel"] if alone else objects.detection_above(thresholds[first])
+        wanted, of = np.unique(which[at], return_inverse=True)
+        some = scores.rows(first[wanted])
+        distributions = _distributions(some.mean, some.sd, some.target_density)
+        pd = {unit: curve[which] for unit, curve in pd.items()}
+        out[population.name] = Curves(thresholds, pd, [distributions[i] for i in of], behind, list(presets))
+    return out
 
 
 def _distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:

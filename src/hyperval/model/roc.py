@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -76,77 +76,50 @@ def false_alarm_grid(lowest: float = 1e-9, per_decade: int = 20) -> Array:
     return grid
 
 
-@dataclass(frozen=True)
-class _Laws:
-    """The same with the classes first, (M, n) each, so that sums over classes run along the memory.
+Laws = tuple[Array, Array, Array, Array, Array]
+
+
+def _laws(scores: ClassScores, times: int = 1) -> Laws:
+    """log f_m, theta_m, scale, log density at the middle, and degrees of freedom, (M, n) each: each evaluation so many
+    times, and the classes first, so that sums over them run along the memory.
 
     For a class with nu degrees of freedom the tail is 1 - F_t,nu((x - theta_m) / (sigma_m sqrt((nu-2)/nu))).
-
-    Attributes
-    ----------
-    log_fraction, mean, scale : log f_m, theta_m, sigma_m or that of the t law
-    log_peak : log of the density at its middle
-    dof : of the t laws, NaN of Gaussian ones; None where all are
     """
+    fraction, mean, sd, nu = (np.ascontiguousarray(a.T) for a in vars(scores).values())
+    scale, tailed = np.maximum(sd, SMALLEST_SD), np.isfinite(nu)
+    peak = np.full(nu.shape, -_LOG_ROOT_2PI)
+    if tailed.any():
+        own = nu[tailed]
+        scale[tailed] *= np.sqrt((own - 2.0) / own)
+        peak[tailed] = gammaln(0.5 * (own + 1)) - gammaln(0.5 * own) - 0.5 * np.log(own * np.pi)
+    with np.errstate(divide="ignore"):
+        each = np.log(fraction), mean, scale, peak - np.log(scale), nu
+    return each if times == 1 else tuple(np.repeat(a, times, axis=1) for a in each)  # type: ignore[return-value]
 
-    log_fraction: Array
-    mean: Array
-    scale: Array
-    log_peak: Array
-    dof: Array | None
 
-    @staticmethod
-    def of(scores: ClassScores) -> _Laws:
-        """The laws of R evaluations."""
-        fraction, mean, sd, nu = (np.ascontiguousarray(a.T) for a in vars(scores).values())
-        scale = np.maximum(sd, SMALLEST_SD)
+def _log_tails(threshold: Array, laws: Laws) -> tuple[Array, Array, Array]:
+    """log P(score > x), log of the density, and the slope of that, (M, n) each, at x (n,)."""
+    _, mean, scale, peak, nu = laws
+    z, tailed = (mean - threshold) / scale, np.isfinite(nu)
+    tail, density, slope = log_ndtr(z), peak - 0.5 * z**2, z / scale
+    if tailed.any():
+        own, nu = z[tailed], nu[tailed]
         with np.errstate(divide="ignore"):
-            weight = np.log(fraction)
-        gaussian = np.isinf(nu)
-        if gaussian.all():
-            return _Laws(weight, mean, scale, -_LOG_ROOT_2PI - np.log(scale), None)
-        nu = np.where(gaussian, np.nan, nu)
-        scale = np.where(gaussian, scale, scale * np.sqrt((nu - 2.0) / nu))
-        norm = gammaln(0.5 * (nu + 1)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
-        return _Laws(weight, mean, scale, np.where(gaussian, -_LOG_ROOT_2PI, norm) - np.log(scale), nu)
+            tail[tailed] = np.log(stdtr(nu, own))
+        density[tailed] = peak[tailed] - 0.5 * (nu + 1) * np.log1p(own**2 / nu)
+        slope[tailed] = (nu + 1) * own / (nu + own**2) / scale[tailed]
+    return tail, density, slope
 
-    def rows(self, index: npt.NDArray[Any]) -> _Laws:
-        """The evaluations that ``index`` (numbers or a mask) names."""
-        return _Laws(*(None if a is None else a[:, index] for a in vars(self).values()))  # type: ignore[arg-type]
 
-    def log_tails(self, threshold: Array) -> tuple[Array, Array, Array]:
-        """log P(score > x), log of the density, and the slope of that, (M, n) each, at x (n,)."""
-        z = (self.mean - threshold) / self.scale
-        density = self._log_density(z)
-        if self.dof is None:
-            return log_ndtr(z), density, z / self.scale
-        gaussian, nu = np.isnan(self.dof), self.dof
-        tail = np.empty_like(z)
-        tail[gaussian] = log_ndtr(z[gaussian])
-        with np.errstate(divide="ignore"):
-            tail[~gaussian] = np.log(stdtr(nu[~gaussian], z[~gaussian]))
-        slope = np.where(gaussian, z, (nu + 1) * z / (nu + z**2))
-        return tail, density, slope / self.scale
-
-    def log_density(self, score: Array) -> Array:
-        """(M, n) at x (n,)."""
-        return self._log_density((self.mean - score) / self.scale)
-
-    def _log_density(self, z: Array) -> Array:
-        if self.dof is None:
-            return self.log_peak - 0.5 * z**2
-        nu, gaussian = self.dof, np.isnan(self.dof)
-        return self.log_peak + np.where(gaussian, -0.5 * z**2, -0.5 * (nu + 1) * np.log1p(z**2 / nu))
-
-    def log_false_alarm(self, threshold: Array) -> tuple[Array, Array, Array]:
-        """log P_FA(x) = log sum f_m P(score of class m > x) (3.33) and its two first derivatives (n,) at x (n,)."""
-        tail, density, bend = self.log_tails(threshold)
-        tail += self.log_fraction
-        top = tail.max(axis=0)
-        total = top + np.log(np.exp(tail - top).sum(axis=0))  # (3.33)
-        part = np.exp(density + self.log_fraction - total)
-        slope = -part.sum(axis=0)
-        return total, slope, -(part * bend).sum(axis=0) - slope**2
+def _log_false_alarm(threshold: Array, laws: Laws) -> tuple[Array, Array, Array]:
+    """log P_FA(x) = log sum f_m P(score of class m > x) (3.33) and its two first derivatives (n,) at x (n,)."""
+    tail, density, bend = _log_tails(threshold, laws)
+    tail += laws[0]
+    top = tail.max(axis=0)
+    total = top + np.log(np.exp(tail - top).sum(axis=0))  # (3.33)
+    part = np.exp(density + laws[0] - total)
+    slope = -part.sum(axis=0)
+    return total, slope, -(part * bend).sum(axis=0) - slope**2
 
 
 def log_false_alarm(threshold: Array, scores: ClassScores) -> tuple[Array, Array]:
@@ -160,7 +133,7 @@ def log_false_alarm(threshold: Array, scores: ClassScores) -> tuple[Array, Array
     -------
     (R,) natural logarithms, and (R,) their derivatives by x
     """
-    return _Laws.of(scores).log_false_alarm(threshold)[:2]
+    return _log_false_alarm(threshold, _laws(scores))[:2]
 
 
 def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
@@ -169,7 +142,7 @@ def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
     x = max_m x_m(P) is where the class with the longest tail gives P and all others less.  A curve drawn against P
     is the reading of (3.32) without (3.33): it counts the worst class as if it covered the image.
     """
-    tail, _, _ = _Laws.of(scores).log_tails(threshold)
+    tail, _, _ = _log_tails(threshold, _laws(scores))
     return np.asarray(np.exp(np.where(scores.fraction.T > 0, tail, -np.inf).max(axis=0)))
 
 
@@ -178,16 +151,15 @@ def score_density(score: Array, scores: ClassScores) -> Array:
 
     The derivative of (3.33).
     """
-    laws = _Laws.of(scores).rows(np.repeat(np.arange(score.shape[0]), score.shape[1]))
-    density = np.exp(laws.log_density(score.ravel()) + laws.log_fraction)
-    return np.asarray(density.sum(axis=0)).reshape(score.shape)
+    laws = _laws(scores, score.shape[1])
+    _, density, _ = _log_tails(score.ravel(), laws)
+    return np.asarray(np.exp(density + laws[0]).sum(axis=0).reshape(score.shape))
 
 
 def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
     """Thresholds (R, K) at which the whole background gives ``pfa`` (R, K) (inverse of 3.33).
 
-    Bracketed in closed form: at max_m x_m(P) no class exceeds P; at the largest x_m(P / f_m) one class alone
-    already gives P.  Inside by steps of third order, halved where they leave the bracket.
+    Evaluations without scores, or with a probability outside 0-1, have NaN.
 
     Raises
     ------
@@ -195,21 +167,31 @@ def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
     """
     if not np.any(scores.fraction > 0, axis=1).all():
         raise UsageError("no background class has a positive fraction")
-    roots = np.empty(pfa.shape)
+    known = np.isfinite(scores.mean).all(axis=1) & np.isfinite(scores.sd).all(axis=1)
+    rows, roots = np.flatnonzero(known & np.all((pfa > 0) & (pfa <= 1), axis=1)), np.full(pfa.shape, np.nan)
     together = max(1, _TOGETHER // max(1, pfa.shape[1] * scores.fraction.shape[1]))
-    for start in range(0, pfa.shape[0], together):
-        rows = slice(start, start + together)
-        roots[rows] = _thresholds(np.log(pfa[rows]), scores.rows(np.arange(pfa.shape[0])[rows]))
+    for start in range(0, rows.size, together):
+        some = rows[start : start + together]
+        roots[some] = _thresholds(np.log(pfa[some]), scores.rows(some))
     return roots
 
 
 def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
-    low, high = (end.ravel() for end in _bracket(log_pfa, scores))
-    laws = _Laws.of(scores).rows(np.repeat(np.arange(log_pfa.shape[0]), log_pfa.shape[1]))
-    goal, x, roots = log_pfa.ravel(), low.copy(), low.copy()
-    at = np.arange(goal.size)  # those not yet there
+    """Bracketed in closed form: at max_m x_m(P) no class exceeds P; at the largest x_m(P / f_m) one class alone already
+    gives P.  Inside by steps of third order, halved where they leave the bracket.
+    """
+    used = scores.fraction.T[:, :, None] > 0
+    with np.errstate(divide="ignore"):
+        share = log_pfa - np.log(scores.fraction.T[:, :, None])
+    classes = range(len(used))
+    each = np.array([class_threshold(log_pfa, scores, m) for m in classes])
+    alone = np.array([class_threshold(np.minimum(share[m], -1e-300), scores, m) for m in classes])
+    low, high = np.where(used, each, np.inf).min(axis=0), np.where(used, each, -np.inf).max(axis=0)
+    low = np.minimum(np.maximum(low, np.where(used & (share < 0), alone, -np.inf).max(axis=0)), high).ravel()
+    high, goal, laws = high.ravel(), log_pfa.ravel(), _laws(scores, log_pfa.shape[1])
+    x, roots, at = low, low.copy(), np.arange(goal.size)  # those not yet there
     for _ in range(_STEPS):
-        value, slope, curve = laws.log_false_alarm(x)
+        value, slope, curve = _log_false_alarm(x, laws)
         value -= goal
         low, high = np.where(value > 0, x, low), np.where(value > 0, high, x)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -217,31 +199,13 @@ def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
         inside = (step > low) & (step < high)  # False for NaN
         last = inside & (np.abs(value) < _NEAR) & (np.abs(value * curve) < _STRAIGHT * slope**2)
         roots[at] = np.where(last, step, x)
-        open_ = ~last & (np.abs(value) > 1e-12) & (high - low > 1e-14 * np.maximum(1.0, np.abs(x)))
-        if not open_.any():
+        go = ~last & (np.abs(value) > 1e-12) & (high - low > 1e-14 * np.maximum(1.0, np.abs(x)))
+        if not go.any():
             break
-        x = np.where(inside, step, 0.5 * (low + high))[open_]
-        at, low, high, goal = at[open_], low[open_], high[open_], goal[open_]
-        laws = laws.rows(open_)
-    return roots.reshape(log_pfa.shape)
-
-
-def _bracket(log_pfa: Array, scores: ClassScores) -> tuple[Array, Array]:
-    used = scores.fraction > 0
-    rows, points = log_pfa.shape
-    low, high = np.full((rows, points), np.inf), np.full((rows, points), -np.inf)
-    share_low = np.full((rows, points), -np.inf)
-    for m in range(scores.mean.shape[1]):
-        here = used[:, m]
-        if not here.any():
-            continue
-        one = scores.rows(np.flatnonzero(here))
-        alone = class_threshold(np.minimum(log_pfa[here], 0.0), one, m)
-        low[here], high[here] = np.minimum(low[here], alone), np.maximum(high[here], alone)
-        share = log_pfa[here] - np.log(one.fraction[:, m, None])
-        x = class_threshold(np.minimum(share, -1e-300), one, m)
-        share_low[here] = np.maximum(share_low[here], np.where(share < 0, x, -np.inf))
-    return np.minimum(np.maximum(low, share_low), high), high
+        x = np.where(inside, step, 0.5 * (low + high))[go]
+        at, low, high, goal = at[go], low[go], high[go], goal[go]
+        laws = tuple(a[:, go] for a in laws)  # type: ignore[assignment]
+    return np.asarray(roots.reshape(log_pfa.shape))
 
 
 def class_threshold(log_pfa: Array, scores: ClassScores, m: int) -> Array:
@@ -252,16 +216,12 @@ def class_threshold(log_pfa: Array, scores: ClassScores, m: int) -> Array:
     """
     mean, sd, nu = (a[:, m, None] for a in (scores.mean, scores.sd, scores.dof))
     # Most batches ask all rows for the same probabilities: the quantile is looked up once.
-    one = log_pfa[:1] if np.all(log_pfa == log_pfa[:1]) else log_pfa
-    gaussian = np.isinf(nu[:, 0])
-    x = np.empty(log_pfa.shape)
-    if gaussian.any():
-        z = ndtri_exp(one if one.shape[0] == 1 else one[gaussian])
-        x[gaussian] = mean[gaussian] - sd[gaussian] * z  # (3.30)
-    if not gaussian.all():
-        t = ~gaussian
-        scale = sd[t] * np.sqrt((nu[t] - 2.0) / nu[t])
-        x[t] = mean[t] - scale * stdtrit(nu[t], np.exp(one if one.shape[0] == 1 else one[t]))
+    same = bool(np.all(log_pfa == log_pfa[:1]))
+    x: Array = mean - sd * ndtri_exp(log_pfa[:1] if same else log_pfa)  # (3.30)
+    t = np.isfinite(nu[:, 0])
+    if t.any():
+        quantile = stdtrit(nu[t], np.exp(log_pfa[:1] if same else log_pfa[t]))
+        x[t] = mean[t] - sd[t] * np.sqrt((nu[t] - 2.0) / nu[t]) * quantile
     return x
 
 
@@ -364,19 +324,14 @@ class Host:
                 out += weight * normal  # (3.31)
         return out
 
-    def each_exceedance(self, threshold: Array, means: Array, sds: Array) -> Iterator[Array]:
-        """K times (n, J), the same; where fills are many it is read between some of them, in probit."""
-        if means.shape[1] <= _NODES:
-            yield from np.moveaxis(self.exceedance(threshold, means, sds), 1, 0)
-            return
+    def between(self, threshold: Array, means: Array, sds: Array) -> Callable[[slice], Array]:
+        """The same of many fills, read between some of them, in probit: some thresholds -> (n, k, J)."""
         from scipy.interpolate import PchipInterpolator  # a quarter of a second, which single fills do not need
 
-        curves, alike = [], np.zeros(means.shape[0], dtype=int)
-        shares = self.share
-        if len(shares) > 1:
-            shares, alike = np.unique(self.share, axis=0, return_inverse=True)
+        shares, alike = np.unique(self.share, axis=0, return_inverse=True)
+        alike, curves = np.broadcast_to(alike.reshape(-1), len(means)), []
         for number, share in enumerate(shares):
-            rows = np.flatnonzero(alike.reshape(-1) == number)
+            rows = np.flatnonzero(alike == number)
             order = np.argsort(share)
             low, high = share[order[[0, -1]]]
             wanted = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, np.pi, _NODES))
@@ -384,17 +339,32 @@ class Host:
             chosen = chosen[np.unique(share[chosen], return_index=True)[1]]
             some, at = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
             p = some.exceedance(threshold[rows], means[at], sds[at])
-            z = np.nan_to_num(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))
-            curves.append((rows, share, share[chosen], z))
-        together = max(1, _LAWS_TOGETHER // means.size)
-        for start in range(0, threshold.shape[1], together):
-            part = slice(start, start + together)
+            curves.append((rows, share, share[chosen], np.nan_to_num(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))))
+
+        def read(part: slice) -> Array:
             out = np.empty((means.shape[0], threshold[:, part].shape[1], means.shape[1]))
             for rows, share, nodes, z in curves:
                 one = nodes.size == 1
                 out[rows] = ndtr(z[:, part] if one else PchipInterpolator(nodes, z[:, part], axis=2)(share))
             out[~np.isfinite(means[:, 0])] = np.nan
-            yield from np.moveaxis(out, 1, 0)
+            return out
+
+        return read
+
+
+def _exceedance(threshold: Array, means: Array, sds: Array, host: Host | None) -> Iterator[tuple[slice, Array]]:
+    """Some thresholds at a time, (n, k, J) P(score > x) of pixels (n, J) at x (n, K) (3.31)."""
+    read = host.between(threshold, means, sds) if host is not None and means.shape[1] > _NODES else None
+    together = max(1, _LAWS_TOGETHER // means.size)
+    for start in range(0, threshold.shape[1], together):
+        part = slice(start, start + together)
+        if read is not None:
+            yield part, read(part)
+        elif host is not None:
+            yield part, host.exceedance(threshold[:, part], means, sds)
+        else:
+            z = (means[:, None] - threshold[:, part, None]) / np.maximum(sds, SMALLEST_SD)[:, None]
+            yield part, ndtr(z)  # (3.31)
 
 
 _SAME = 1e-9  # relative: a point of the curve itself
@@ -477,14 +447,10 @@ def detection_probability(
     -------
     (n, K)
     """
-    if host is not None:
-        each = [(weights * above).sum(axis=1) for above in host.each_exceedance(threshold, means, sds)]
-        return np.asarray(np.clip(np.stack(each, axis=1), 0.0, 1.0))
-    pd = np.zeros(threshold.shape)
-    for k in range(means.shape[1]):
-        z = (means[:, k, None] - threshold) / np.maximum(sds[:, k, None], SMALLEST_SD)
-        pd += weights[:, k, None] * ndtr(z)  # (3.31)
-    return np.clip(pd, 0.0, 1.0)
+    pd = np.empty(threshold.shape)
+    for part, above in _exceedance(threshold, means, sds, host):
+        pd[:, part] = np.matmul(above, weights[:, :, None])[:, :, 0]
+    return np.asarray(np.clip(pd, 0.0, 1.0))
 
 
 def object_detection_probability(threshold: Array, means: Array, sds: Array, host: Host | None = None) -> Array:
@@ -503,25 +469,14 @@ def object_detection_probability(threshold: Array, means: Array, sds: Array, hos
     -------
     (n, K)
     """
-    pd = np.empty(threshold.shape)
-    if host is not None:
-        flat = (a.reshape(len(a), -1) for a in (means, sds))
-        for k, above in enumerate(host.each_exceedance(threshold, *flat)):
-            pd[:, k] = _any(np.moveaxis(above.reshape(means.shape), 2, 0))
-        return pd
-    inverse = 1.0 / np.maximum(np.ascontiguousarray(np.moveaxis(sds, 2, 0)), SMALLEST_SD)  # (J, n, P)
-    reached = np.moveaxis(means, 2, 0) * inverse
-    for k in range(threshold.shape[1]):
-        pd[:, k] = _any(ndtr(reached - threshold[:, k, None] * inverse))
+    pd, shape = np.empty(threshold.shape), means.shape
+    for part, above in _exceedance(threshold, means.reshape(len(means), -1), sds.reshape(len(sds), -1), host):
+        each = np.moveaxis(above.reshape(shape[0], -1, *shape[1:]), 3, 0)  # (J, n, k, P)
+        passed = each[0].copy()
+        for other in each[1:]:
+            passed += other * (1.0 - passed)  # small probabilities keep their digits
+        pd[:, part] = passed.mean(axis=2)
     return pd
-
-
-def _any(above: Array) -> Array:
-    """(n,) probability that one of J independent pixels passes, each with (J, n, P), averaged over P places."""
-    passed = above[0].copy()
-    for other in above[1:]:
-        passed += other * (1.0 - passed)  # small probabilities keep their digits
-    return np.asarray(passed.mean(axis=1))
 
 
 @dataclass(frozen=True)
@@ -571,11 +526,9 @@ class RocScores:
 
     def thresholds(self, pfa: Array) -> Array:
         """(n, K) thresholds at ``pfa`` (n, K) or (1, K)."""
-        if pfa.shape[0] == 1:
-            rows = self.classes.mean.shape[0]
-            threshold = _known(thresholds_at, np.broadcast_to(pfa, (rows, pfa.shape[1])), self.classes)
-            return threshold[self.which]
-        return _known(thresholds_at, pfa, self.classes.rows(self.which))
+        if pfa.shape[0] > 1:
+            return thresholds_at(pfa, self.classes.rows(self.which))
+        return thresholds_at(np.broadcast_to(pfa, (len(self.classes.mean), pfa.shape[1])), self.classes)[self.which]
 
     def preset(self, thresholds: Array) -> Array:
         """(n, K) preset P_FA of (3.30) whose least P_D (3.32) has ``thresholds`` (n, K)."""
@@ -656,16 +609,6 @@ class RocScores:
         spread = variance[:, :, None] + (sd[:, None] ** 2 * factor)[:, None, :]
         z = ahead[:, :, None] / np.sqrt(np.maximum(spread, SMALLEST_SD**2))
         return np.asarray((self.weights * np.matmul(ndtr(z), weight[:, :, None])[:, :, 0]).sum(axis=1))
-
-
-def _known(solve: Any, pfa: Array, classes: ClassScores) -> Array:
-    """Thresholds of the evaluations that have scores; NaN elsewhere."""
-    good = np.isfinite(classes.mean).all(axis=1) & np.isfinite(classes.sd).all(axis=1)
-    good &= np.all((pfa > 0) & (pfa <= 1), axis=1)
-    out = np.full(pfa.shape, np.nan)
-    if good.any():
-        out[good] = solve(pfa[good], classes.rows(np.flatnonzero(good)))
-    return out
 
 
 @dataclass(frozen=True)
