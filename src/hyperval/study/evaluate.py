@@ -24,11 +24,6 @@ PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at 
 _PER_DECADE = 20
 
 
-def detector_of(output: Output, scenario: Scenario) -> str:
-    """The detector that an output reads: the one it names, or the scenario's first."""
-    return output.detector or scenario.processing.detectors[0]
-
-
 def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis) -> None:
     """Refuse outputs of subjects, detectors or bands that the scenario does not have.
 
@@ -36,22 +31,22 @@ def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis)
     ------
     UsageError : with the output's name.
     """
-    scene = scenario.scene
+    scene, detectors = scenario.scene, scenario.processing.detectors
     pure = [s.name for s in (*scene.classes, *scene.panels, *scene.sites)]
     populations = [p.name for t in scene.targets for p in t.populations]
     for o in outputs:
+        where = f"output {o.name!r}"
         spectral = o.kind in ("snr", "radiance")
-        if spectral and scenario.atmosphere is None:
-            raise UsageError(f"output {o.name!r}: the scenario has no atmosphere, so no {o.kind}")
-        if not spectral and not scenario.processing.detectors:
-            raise UsageError(f"output {o.name!r}: the scenario has no detectors", mend="add processing.detectors")
         among = pure if spectral else populations
+        if spectral and scenario.atmosphere is None:
+            raise UsageError(f"{where}: the scenario has no atmosphere, so no {o.kind}")
+        if not spectral and not detectors:
+            raise UsageError(f"{where}: the scenario has no detectors", mend="add processing.detectors")
         if o.subject not in among:
-            raise UsageError(f"output {o.name!r}: no subject {o.subject!r}", expected="one of " + ", ".join(among))
-        if o.detector is not None and o.detector not in scenario.processing.detectors:
+            raise UsageError(f"{where}: no subject {o.subject!r}", expected="one of " + ", ".join(among))
+        if o.detector not in (None, *detectors):
             raise UsageError(
-                f"output {o.name!r}: the scenario does not run {o.detector!r}",
-                expected="one of " + ", ".join(scenario.processing.detectors),
+                f"{where}: the scenario does not run {o.detector!r}", expected="one of " + ", ".join(detectors)
             )
         if spectral:
             bands_of(o, axis)
@@ -78,12 +73,6 @@ def bands_of(output: Output, axis: SpectralAxis) -> npt.NDArray[np.intp]:
     return bands
 
 
-def log_range(output: Output) -> Array:
-    """Probabilities over which ``log-auc`` averages, even in their logarithm."""
-    low, high = output.pfa_range
-    return np.geomspace(low, high, max(2, round(np.log10(high / low) * _PER_DECADE)) + 1)
-
-
 def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     """An output in every truth of an evaluation (n,); ``pfa`` (n,) where an input moves it."""
     if output.kind in ("snr", "radiance"):
@@ -91,7 +80,7 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
         snr = output.kind == "snr"
         values = e.snr(output.subject, output.calibration_error) if snr else e.radiance(output.subject)
         return np.asarray(values[:, bands].mean(axis=1))
-    detector = detector_of(output, e.scenario)
+    detector = output.detector or e.scenario.processing.detectors[0]
     if detector in NUMERICAL_DETECTORS:
         return _of_curves(e, detector, output, pfa)
     objects = output.kind == "pd" and output.by == "object"
@@ -103,7 +92,8 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
         return scores.log10_false_alarm(np.full(len(e), output.pd))
     if output.kind == "auc":
         return scores.auc()
-    x = log_range(output)
+    low, high = output.pfa_range  # probabilities even in their logarithm
+    x = np.geomspace(low, high, max(2, round(np.log10(high / low) * _PER_DECADE)) + 1)
     return np.asarray(np.trapezoid(scores.detection(x[None, :]), np.log(x), axis=1) / np.log(x[-1] / x[0]))
 
 
@@ -133,29 +123,24 @@ class Evaluator:
     def values(self, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
         """Outputs (n, O) at n points, NaN where there is none, and why, by the number of the point.
 
-        ``columns``: dotted path -> (n,) values, None where an entry is left as it is.
+        ``columns``: dotted path -> (n,) values, None where an entry is left as it is.  Where points can not be
+        evaluated together, those that can not at all are found.
         """
         n = len(next(iter(columns.values())))
-        values, problems = np.full((n, len(outputs)), np.nan), dict[int, str]()
-        self._fill(values, problems, np.arange(n), columns, outputs)
+        values, problems, pieces = np.full((n, len(outputs)), np.nan), dict[int, str](), [np.arange(n)]
+        while pieces:
+            rows = pieces.pop()
+            moved = {p: c[rows] for p, c in columns.items()}
+            pfa = moved.pop(PFA, None)
+            try:
+                # Without anything that moves there is one truth, read at many P_FA.
+                for index, e in evaluations(with_values(self.world, moved or {"line.offset": np.zeros(rows.size)})):
+                    at, of = rows[index], None if pfa is None else pfa[index]
+                    values[at] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
+                    problems |= {int(at[u]): " ".join(str(error).split()) for u, error in e.problems.items()}
+            except UsageError as error:
+                if rows.size > 1:
+                    pieces += np.array_split(rows, 2)
+                else:
+                    problems[int(rows[0])] = " ".join(str(error).split())
         return values, problems
-
-    def _fill(
-        self, values: Array, problems: dict[int, str], rows: Column, columns: Columns, outputs: Sequence[Output]
-    ) -> None:
-        """Evaluate some points; where they can not be evaluated together, those that can not at all are found."""
-        moved = {p: c[rows] for p, c in columns.items()}
-        pfa = moved.pop(PFA, None)
-        try:
-            if not moved:  # one truth, read at many P_FA
-                moved = {"line.offset": np.zeros(rows.size)}
-            for index, e in evaluations(with_values(self.world, moved)):
-                at, of = rows[index], None if pfa is None else pfa[index]
-                values[at] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
-                problems |= {int(at[u]): " ".join(str(error).split()) for u, error in e.problems.items()}
-        except UsageError as error:
-            if rows.size == 1:
-                problems[int(rows[0])] = " ".join(str(error).split())
-                return
-            for half in np.array_split(rows, 2):
-                self._fill(values, problems, half, columns, outputs)

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +17,9 @@ from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, M
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
-from hyperval.study.evaluate import detector_of
 from hyperval.study.plan import Plan
 from hyperval.study.schema import Input, Knee, Output, Plot, Required, StudyFile
-from hyperval.study.tables import StudyTable, listed, plain_value
+from hyperval.study.tables import fields_of, plain_value
 
 Array = npt.NDArray[np.float64]
 LEAST_POINTS = 5
@@ -31,7 +30,6 @@ _MOST_LINES = 9
 _BINS = 24
 _SPREAD = {"low": 0.1, "middle": 0.5, "high": 0.9}
 _MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "plus", "star", "x", "hex")
-_CELL = ("left", "right", "bottom", "top", "value")
 _MOST_REASONS = 12
 _MOST_VALUES = 12
 _MOST_KNEES = 24
@@ -104,29 +102,21 @@ def knee(
 
 
 _NO_VALUE: dict[str, Any] = {"outcome": Outcome.SKIPPED, "cause": Cause.NO_VALUE}
+CurveKnee = tuple[Knee, dict[str, Any], KneePoint]  # the question, where the other inputs stand, the answer
 
 
-@dataclass(frozen=True)
-class CurveKnee:
-    """A knee of one curve: the question, the other inputs, the answer."""
-
-    question: Knee
-    others: dict[str, Any]
-    point: KneePoint
-
-
-def knees_of(study: StudyFile, table: StudyTable) -> list[CurveKnee]:
+def knees_of(study: StudyFile, table: pd.DataFrame) -> list[CurveKnee]:
     """The knees that a study asks for, one for each combination of its other inputs."""
     found = []
     for wanted in study.knees:
         others = [i.name for i in study.inputs if i.name != wanted.along]
-        frame = table.frame(*others, wanted.along, wanted.output)
+        frame = table
         if study.design.kind == "one-at-a-time":
             frame, others = frame[frame[wanted.along].notna()], []
         for fixed, part in frame.groupby(others, sort=False) if others else [((), frame)]:
             x, y = part.sort_values(wanted.along, kind="stable")[[wanted.along, wanted.output]].to_numpy(float).T
             point = knee(x, y, logarithmic=wanted.scale == "log", bend=wanted.bend)
-            found.append(CurveKnee(wanted, dict(zip(others, fixed, strict=True)), point))
+            found.append((wanted, dict(zip(others, fixed, strict=True)), point))
     return found
 
 
@@ -135,74 +125,81 @@ def words_of(values: Mapping[str, Any]) -> str:
     return ", ".join(f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
 
 
-def extremes(values: Array) -> dict[str, float]:
-    """Least, median and greatest of finite values (n,); nothing of none.
+def extremes(values: pd.Series) -> tuple[int, dict[str, float]]:
+    """How many of the values are finite, and the least, median and greatest of these; NaN of none.
 
     Examples
     --------
-    >>> extremes(np.array([3.0, 1.0, 2.0]))
-    {'least': 1.0, 'median': 2.0, 'greatest': 3.0}
+    >>> extremes(pd.Series([3.0, 1.0, np.nan, 2.0]))
+    (3, {'least': 1.0, 'median': 2.0, 'greatest': 3.0})
     """
-    if not values.size:
-        return {}
-    return {"least": float(values.min()), "median": float(np.median(values)), "greatest": float(values.max())}
+    finite = values[np.isfinite(values)]
+    named = zip(("least", "median", "greatest"), finite.agg(["min", "median", "max"]).tolist(), strict=True)
+    return len(finite), dict(named)
 
 
-def _finite(table: StudyTable, name: str) -> Array:
-    values = table.output(name)
-    return values[np.isfinite(values)]
-
-
-def result_rows(plan: Plan, table: StudyTable, knees: Sequence[CurveKnee]) -> ResultTable:
+def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> ResultTable:
     """Least, median and greatest value of every output, answers, knees, and what the evaluation cost in exactness.
 
     A study of few points has a row for every point and output too.  An output without a single value is SKIPPED
     with the reason.
     """
-    study, kinds = plan.study, {o.name: o for o in plan.study.outputs}
-    rows, count = ResultTable(), len(table.values)
+    study, asked = plan.study, {o.name: o for o in plan.study.outputs}
+    rows, count, units = ResultTable(), len(table), {i.name: i.unit for i in study.inputs}
+    fields = fields_of(study)[len(units) :]
 
     def add(product: str, subject: str, method: str, metric: str, value: float, unit: str = "1", **more: Any) -> None:
         rows.add(Result(study.name, product, subject, method, metric, float(value), unit, **more))
 
-    for f in table.outputs:
-        output, finite = kinds.get(f.name), _finite(table, f.name)
+    for f in fields:
+        output, (n, values) = asked.get(f.name), extremes(table[f.name])
         product = "study" if output is None else output.kind if output.kind in ("snr", "radiance") else "roc"
         names = product, f.name if output is None else output.subject, f.name
-        if not finite.size:
-            first = next(iter(table.reasons.values()), "no point has a value")
+        said = f"{count - n} of {count} points have no value; reasons stand in table.csv" if n < count else ""
+        if n:
+            for metric, value in values.items():
+                add(*names, metric, value, f.unit, n=n, reason=said)
+        else:
+            first = next(filter(None, table["reason"]), "no point has a value")
             add(*names, "median", np.nan, f.unit, reason=first, n=0, **_NO_VALUE)
-        lacking = count - finite.size
-        said = f"{lacking} of {count} points have no value; reasons stand in table.csv" if lacking else ""
-        for metric, value in extremes(finite).items():
-            add(*names, metric, value, f.unit, n=int(finite.size), reason=said)
-    units = {i.name: i.unit for i in study.inputs}
-    for item in knees:
-        wanted, point = item.question, item.point
-        reason = "; ".join(x for x in (words_of(item.others), point.reason) if x)
+    for wanted, others, point in knees:
+        reason = "; ".join(x for x in (words_of(others), point.reason) if x)
         add("study", wanted.output, f"knee along {wanted.along}", "knee", point.x, units[wanted.along],
             reason=reason, **(_NO_VALUE if point.reason else {}))  # fmt: skip
     for name, value in plan.sky_error.items():
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, n=study.atmosphere.checked)
-    if count <= MOST_LISTED:
-        frame = next(table.stretches())
-        for number, point in zip(frame.index, frame.to_dict("records"), strict=True):
-            there = [n for n in units if point[n] is not None and point[n] == point[n]]
-            said = words_of({n: point[n] for n in there})
-            for f in table.outputs:
-                why = point["reason"] if np.isnan(point[f.name]) else ""
-                reason = "; ".join(x for x in (said, why) if x)
-                add("study", f.name, f"point {number}", "output", point[f.name], f.unit, reason=reason)
+    for number, point in enumerate(table.to_dict("records") if count <= MOST_LISTED else ()):
+        said = words_of({n: point[n] for n in units if point[n] is not None and point[n] == point[n]})
+        for f in fields:
+            why = point["reason"] if np.isnan(point[f.name]) else ""
+            reason = "; ".join(x for x in (said, why) if x)
+            add("study", f.name, f"point {number}", "output", point[f.name], f.unit, reason=reason)
     return rows
 
 
-def stated_figures(study: StudyFile, table: StudyTable, knees: Sequence[CurveKnee]) -> list[Figure]:
-    """All figures that a study asks for."""
-    kinds = {"tornado": _tornado, "heat": _heat, "lines": _lines}
-    return [
-        kinds[plot.kind](study, table, plot, f"{number:02d}-{plot.kind}-{plot.output}", knees)
-        for number, plot in enumerate(study.plots, 1)
-    ]
+class _Drawn(NamedTuple):
+    """What a plot shows: its view, in words, against what in full and in short, and what is to be said of it."""
+
+    view: Panels
+    told: str
+    against: tuple[str, str]
+    notes: str
+    width_in: float
+    legend_title: str = ""
+
+
+def stated_figures(study: StudyFile, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> list[Figure]:
+    """All figures that a study asks for, each under its own title or, in full or short words, under what it shows."""
+    kinds, figures = {"tornado": _tornado, "heat": _heat, "lines": _lines}, []
+    for number, plot in enumerate(study.plots, 1):
+        drawn, of = kinds[plot.kind](study, table, plot, knees), _named(study, plot.output)
+        full = plot.title or of.words + drawn.against[0]
+        short = plot.title or (of.label or of.name) + drawn.against[1]
+        figures.append(Figure(
+            f"{number:02d}-{plot.kind}-{plot.output}", "study", full + drawn.notes, drawn.told, (drawn.view,),
+            head=short, legend_title=drawn.legend_title, width_in=drawn.width_in,
+        ))  # fmt: skip
+    return figures
 
 
 def _named(study: StudyFile, name: str | None) -> Any:
@@ -211,28 +208,19 @@ def _named(study: StudyFile, name: str | None) -> Any:
     return next(item for item in items if item.name == name)
 
 
-def _figure(
-    study: StudyFile, plot: Plot, name: str, view: Panels, told: str, ways: tuple[str, str], notes: str, **more: Any
-) -> Figure:  # fmt: skip
-    """A figure under its own title, or under what it shows in full words and, on paper, in short ones."""
-    of = _named(study, plot.output)
-    full, short = plot.title or of.words + ways[0], plot.title or (of.label or of.name) + ways[1]
-    return Figure(name, "study", full + notes, told, (view,), head=short, **more)
-
-
-def _shown(study: StudyFile, table: StudyTable, plot: Plot) -> tuple[pd.DataFrame, dict[str, Any], str]:
+def _shown(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFrame, dict[str, Any], str]:
     """Points that a figure shows, and where the listed inputs stand that it does not draw: at the middle one."""
-    drawn, fixed = [n for n in (plot.x, plot.y, plot.family) if n], {}
-    others = {n: v for n, v in table.points.listed.items() if n not in drawn and v is not None and len(v) > 1}
-    frame = table.frame(*drawn, *others, plot.output)
-    for name, values in others.items():
-        fixed[name] = plain_value(values[len(values) // 2])
-        frame = frame[frame[name] == fixed[name]]
-    return frame, fixed, f"; at {words_of(fixed)}" if fixed else ""
+    fixed = {}
+    for item in study.inputs:
+        values = None if item.name in (plot.x, plot.y, plot.family) else item.listed
+        if values is not None and len(values) > 1:
+            fixed[item.name] = plain_value(values[len(values) // 2])
+            table = table[table[item.name] == fixed[item.name]]
+    return table, fixed, f"; at {words_of(fixed)}" if fixed else ""
 
 
-def _lines(study: StudyFile, table: StudyTable, plot: Plot, name: str, knees: Sequence[CurveKnee]) -> Figure:
-    item, family, log = _named(study, plot.x), plot.family, plot.scale == "log"
+def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> _Drawn:
+    item, output, family, log = _named(study, plot.x), _named(study, plot.output), plot.family, plot.scale == "log"
     frame, fixed, notes = _shown(study, table, plot)
     places, members = _different(frame[item.name]), _different(frame[family]) if family else [None]
     words = not all(isinstance(v, int | float) for v in places)
@@ -243,20 +231,17 @@ def _lines(study: StudyFile, table: StudyTable, plot: Plot, name: str, knees: Se
     for k, member in enumerate(shown):
         part = finite[finite[family] == member] if family else finite
         line = _summarised(part[item.name], part[plot.output], log)
-        columns = {"x": [places.index(v) for v in line.index] if words else line.index.to_numpy(float),
-                   "y": line["middle"].to_numpy()}  # fmt: skip
-        if "low" in line:
-            columns |= {"low": line["low"].to_numpy(), "high": line["high"].to_numpy()}
+        columns = {"y" if name == "middle" else name: line[name].to_numpy() for name in line}
+        columns["x"] = [places.index(v) for v in line.index] if words else line.index.to_numpy(float)
         ordered = isinstance(member, float) and len(shown) > 1
         colour = tones(VIRIDIS[:16], len(shown))[k] if ordered else SOURCES[k % len(SOURCES)]
-        marker = _MARKERS[k] if len(line) <= 40 else ""
         label = _text(member) if family else ""
-        marks.append(Mark("line", columns, label, colour, marker=marker, alpha=0.15))
+        marks.append(Mark("line", columns, label, colour, marker=_MARKERS[k] if len(line) <= 40 else "", alpha=0.15))
         here = {**fixed, **({family: member} if family else {})}
         circles += [
-            (one.point.x, one.point.y) for one in knees
-            if (one.question.output, one.question.along) == (plot.output, plot.x) and np.isfinite(one.point.x)
-            and all(here[n] == v for n, v in one.others.items() if n in here)
+            (point.x, point.y) for wanted, others, point in knees
+            if (wanted.output, wanted.along) == (plot.output, plot.x) and np.isfinite(point.x)
+            and all(here[n] == v for n, v in others.items() if n in here)
         ]  # fmt: skip
         ends = [f"{_text(line['middle'].iloc[i])} at {_text(line.index[i])}" for i in (0, -1) if len(line)]
         said += [f"{label or plot.output}: {', '.join(ends)}"] if ends else []
@@ -268,81 +253,71 @@ def _lines(study: StudyFile, table: StudyTable, plot: Plot, name: str, knees: Se
         columns = {"x": at, "y": height, "size": np.full(at.size, 10.0)}
         marks.append(Mark("dots", columns, "", "#222222", marker="circle", hollow=True))
         notes += "; circle: knee"
-    share = getattr(_named(study, plot.output), "kind", "") in ("pd", "auc", "log-auc") and len(finite)
-    across = Axis(item.words, "log" if log else "linear")
-    if words:
-        across = Axis(item.words, "names", tuple(map(str, places)))
+    share = getattr(output, "kind", "") in ("pd", "auc", "log-auc") and len(finite)
+    across = Axis(item.words, "names", tuple(map(str, places))) if words else _axis(item.words, log)
     # The greatest first, as the lines mostly stand above each other.
-    y = Axis(_named(study, plot.output).words, ends=(-0.03, 1.03) if share else None)
-    return _figure(
-        study, plot, name, Panels(across, (Part(y, tuple(marks[::-1])),)), f"Lines. {'; '.join(said)}.",
-        (f" against {item.words}", f" against {item.label or item.name}"), notes,
-        legend_title=_named(study, family).words if family else "", width_in=8.6,
-    )  # fmt: skip
+    y = Axis(output.words, ends=(-0.03, 1.03) if share else None)
+    against = f" against {item.words}", f" against {item.label or item.name}"
+    legend_title = _named(study, family).words if family else ""
+    return _Drawn(
+        Panels(across, (Part(y, tuple(marks[::-1])),)), f"Lines. {'; '.join(said)}.", against, notes, 8.6, legend_title
+    )
 
 
-def _heat(study: StudyFile, table: StudyTable, plot: Plot, name: str, knees: Sequence[CurveKnee]) -> Figure:
+def _axis(label: str, log: bool, ends: tuple[float, float] | None = None) -> Axis:
+    return Axis(label, "log" if log else "linear", ends=None if log and ends and ends[0] <= 0 else ends)
+
+
+def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> _Drawn:
     across, up = _named(study, plot.x), _named(study, plot.y)
     frame, _, notes = _shown(study, table, plot)
-    edges = [_edges(table, item, frame[item.name].to_numpy(float)) for item in (across, up)]
+    edges = [_edges(item, frame[item.name].to_numpy(float)) for item in (across, up)]
     cell = [
         np.clip(np.searchsorted(e, frame[item.name].to_numpy(float), "right") - 1, 0, e.size - 2)
         for e, item in zip(edges, (across, up), strict=True)
     ]
     median = frame[plot.output].groupby(cell[::-1]).median().dropna()
     r, c = (median.index.get_level_values(level) for level in (0, 1))
-    value = median.to_numpy()
-    columns = dict(zip(_CELL, (edges[0][c], edges[0][c + 1], edges[1][r], edges[1][r + 1], value), strict=True))
+    (x, y), value = edges, median.to_numpy()
+    columns = {"left": x[c], "right": x[c + 1], "bottom": y[r], "top": y[r + 1], "value": value}
     least, greatest = (float(value.min()), float(value.max())) if value.size else (0.0, 1.0)
     scale = ColourScale("rising", least, max(greatest, least + 1e-12), _named(study, plot.output).words)
     words = f"from {number_text(least)} to {number_text(greatest)}" if value.size else "empty"
-    log = plot.scale == "log"
-    ends = [(float(e[0]), float(e[-1])) for e in edges]
-    x = Axis(across.words, "log" if log else "linear", ends=ends[0] if not log or ends[0][0] > 0 else None)
-    return _figure(
-        study, plot, name, Panels(x, (Part(Axis(up.words, ends=ends[1]), (Mark("cells", columns, scale=scale),)),)),
-        f"Heat map, {words}.",
-        (f" over {across.words} and {up.words}", f" over {across.label or across.name} and {up.label or up.name}"),
-        notes, width_in=7.6,
-    )  # fmt: skip
+    part = Part(Axis(up.words, ends=(float(y[0]), float(y[-1]))), (Mark("cells", columns, scale=scale),))
+    against = f" over {across.words} and {up.words}", f" over {across.label or across.name} and {up.label or up.name}"
+    axis = _axis(across.words, plot.scale == "log", (float(x[0]), float(x[-1])))
+    return _Drawn(Panels(axis, (part,)), f"Heat map, {words}.", against, notes, 7.6)
 
 
-def _tornado(study: StudyFile, table: StudyTable, plot: Plot, name: str, knees: Sequence[CurveKnee]) -> Figure:
-    frame = table.frame(*(i.name for i in study.inputs), plot.output)
-    base, bars = float(frame[plot.output].iloc[0]), list[tuple[Input, tuple[float, Any], tuple[float, Any]]]()
+def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> _Drawn:
+    output, bars = table[plot.output], list[tuple[Input, list[tuple[float, Any]]]]()
+    base = float(output.iloc[0])
     for item in study.inputs:
-        own = frame[frame[item.name].notna() & np.isfinite(frame[plot.output])].sort_values(plot.output, kind="stable")
+        own = output[table[item.name].notna() & np.isfinite(output)].sort_values(kind="stable")
         if len(own):
-            first, last = ((float(own[plot.output].iloc[i]), own[item.name].iloc[i]) for i in (0, -1))
-            bars.append((item, first, last))
-    bars.sort(key=lambda b: min(b[1][0], b[2][0], base) - max(b[1][0], b[2][0], base))
-    # Of two ends on one side the nearer is drawn over the other, its label on the side where nothing stands.
-    ends: dict[tuple[str, bool, str], list[tuple[float, float, float, float, str]]] = {}
-    said = []
-    for k, (item, (low, at_low), (high, at_high)) in enumerate(bars):
-        inner = low if abs(low - base) < abs(high - base) else high
-        for end, at, colour in ((low, at_low, SOURCES[0]), (high, at_high, SOURCES[1])):
+            bars.append((item, [(float(own.iloc[i]), table[item.name][own.index[i]]) for i in (0, -1)]))
+    bars.sort(key=lambda bar: min(bar[1][0][0], base) - max(bar[1][1][0], base))
+    inner, outer, said = list[Mark](), list[Mark](), []
+    for k, (item, ends) in enumerate(bars):
+        (low, at_low), (high, at_high) = ends
+        nearer = low if abs(low - base) < abs(high - base) else high
+        for (end, at), colour in zip(ends, SOURCES, strict=False):
+            # Of two ends on one side the nearer is drawn over the other, its label on the side where nothing stands.
+            crowded = end == nearer and low != high and (low - base) * (high - base) > 0
+            columns = {"left": min(end, base), "right": max(end, base), "bottom": k - 0.31, "top": k + 0.31}
+            side: Any = "left" if (end < base) != crowded else "right"
             if end != base:
-                crowded = end == inner and low != high and (low - base) * (high - base) > 0
-                side = "left" if (end < base) != crowded else "right"
-                bar = (min(end, base), max(end, base), k - 0.31, k + 0.31, _text(at))
-                ends.setdefault((colour, crowded, side), []).append(bar)
+                own = Mark("bars", columns, "", colour, alpha=1.0, words=(_text(at),), beside=side)
+                (inner if crowded else outer).append(own)
         said.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
-    marks = []
-    for (colour, _, side), texted in sorted(ends.items(), key=lambda e: e[0][1]):
-        *numbers, texts = zip(*texted, strict=True)
-        columns = dict(zip(_CELL, np.array(numbers, float), strict=False))
-        marks.append(Mark("bars", columns, "", colour, alpha=1.0, words=texts, beside=side))  # type: ignore[arg-type]
-    reach = [base, *(value for _, *both in bars for value, _ in both)]
+    reach = [base, *(value for _, ends in bars for value, _ in ends)]
     margin = 0.12 * (max(reach) - min(reach)) or 1.0
     x = Axis(_named(study, plot.output).words, ends=(min(reach) - margin, max(reach) + margin))
-    part = Part(row_names([item.words for item, *_ in bars], 60), tuple(marks), (("x", base),))
+    part = Part(row_names([item.words for item, _ in bars], 60), (*outer, *inner), (("x", base),))
     notes = f"; line: as the scenario stands, {number_text(base)}; at the ends the input's values, "
     notes += "blue where the output is lowest, orange where it is highest"
-    return _figure(
-        study, plot, name, Panels(x, (part,)), f"Tornado. {'; '.join(said)}.",
-        (": each input alone over its values", ": each input alone"), notes, width_in=9.0,
-    )  # fmt: skip
+    against = ": each input alone over its values", ": each input alone"
+    return _Drawn(Panels(x, (part,)), f"Tornado. {'; '.join(said)}.", against, notes, 9.0)
 
 
 def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
@@ -358,11 +333,10 @@ def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
     return line if (groups.size() > 1).any() else line[["middle"]]
 
 
-def _edges(table: StudyTable, item: Input, seen: Array) -> Array:
-    values = table.points.listed[item.name]
-    if values is None:
+def _edges(item: Input, seen: Array) -> Array:
+    if item.listed is None:
         return np.linspace(seen.min(), seen.max(), _BINS + 1)
-    at = np.unique(np.asarray(values, float))
+    at = np.unique(np.asarray(item.listed, float))
     middle = 0.5 * (at[1:] + at[:-1])
     return np.concatenate([[at[0] - (middle[0] - at[0])], middle, [at[-1] + (at[-1] - middle[-1])]])
 
@@ -378,31 +352,33 @@ def _text(value: Any) -> str:
 
 
 def study_page(
-    plan: Plan, table: StudyTable, figures: Sequence[Figure], record: Mapping[str, Any], names: Sequence[str],
+    plan: Plan, table: pd.DataFrame, figures: Sequence[Figure], record: Mapping[str, Any], names: Sequence[str],
     knees: Sequence[CurveKnee],
 ) -> str:  # fmt: skip
     """The page: figures first, then answers, knees, what moved, what was asked, and how it was evaluated."""
-    study, count = plan.study, len(table.values)
+    study = plan.study
     # Reasons without their numbers, and how many points each has.
-    reasons = Counter(re.sub(r"; it comes to [^;]*", "", text) for text in table.reasons.values())
+    reasons = Counter(re.sub(r"; it comes to [^;]*", "", text) for text in table["reason"] if text)
     return page(
         "study.html.j2", figures,
         study=study,
         scenario=plan.scenario,
         title=study.title or study.name,
-        summary=f"{count:,} points were evaluated; nothing here passes or fails. Tables: {', '.join(names)}.",
+        summary=f"{len(table):,} points were evaluated; nothing here passes or fails. Tables: {', '.join(names)}.",
         figures=figures,
         from_words=f"From {names[0]}; study {study.name}, scenario {plan.scenario.name}",
-        answers=[_answer(table, question) for question in study.required],
+        answers=[
+            {"words": _question(q), "why": _unsolved(table, q), **_numbers(table[q.name])} for q in study.required
+        ],
         knees=[
-            (k.question.output, k.question.along + (", in its logarithm" if k.question.scale == "log" else ""),
-             words_of(k.others), *map(number_text, (k.point.x, k.point.y, k.point.curvature)), k.point.reason)
-            for k in knees[:_MOST_KNEES]
+            (wanted.output, wanted.along + (", in its logarithm" if wanted.scale == "log" else ""),
+             words_of(others), *map(number_text, (point.x, point.y, point.curvature)), point.reason)
+            for wanted, others, point in knees[:_MOST_KNEES]
         ],
         knees_left_out=max(0, len(knees) - _MOST_KNEES),
-        inputs=[_input(i) for i in study.inputs],
+        inputs=[{"words": i.words, "moves": _moves(i), "taken": _values(i)} for i in study.inputs],
         outputs=[
-            {"name": o.name, "words": _meaning(plan, o), **_numbers(table, o.name),
+            {"name": o.name, "words": _meaning(plan, o), **_numbers(table[o.name]),
              "error": f"{plan.sky_error[key]:.1e}" if (key := f"output {o.name}") in plan.sky_error else ""}
             for o in study.outputs
         ],
@@ -413,38 +389,35 @@ def study_page(
     )  # fmt: skip
 
 
-def _numbers(table: StudyTable, name: str) -> dict[str, str]:
+def _numbers(values: pd.Series) -> dict[str, str]:
     """How many points have an output, and its least, median and greatest value, as a page prints them."""
-    finite = _finite(table, name)
-    known = dict.fromkeys(("least", "median", "greatest"), np.nan) | extremes(finite)
-    return {"n": f"{finite.size} of {len(table.values)}", **{key: number_text(value) for key, value in known.items()}}
+    n, known = extremes(values)
+    return {"n": f"{n} of {len(values)}", **{key: number_text(value) for key, value in known.items()}}
 
 
-def _answer(table: StudyTable, question: Required) -> dict[str, str]:
-    name = f"{question.name}: "
-    words = [text.split(name, 1)[1].split("; ")[0] for text in table.reasons.values() if name in text]
-    return {
-        "words": f"{question.words} for {question.output} = {number_text(question.equals)}, "
-        f"looked for from {number_text(question.between[0])} to {number_text(question.between[1])}",
-        "why": f"{len(words)} points, such as: {Counter(words).most_common(1)[0][0]}" if words else "",
-        **_numbers(table, question.name),
-    }  # fmt: skip
+def _question(q: Required) -> str:
+    low, high = map(number_text, q.between)
+    return f"{q.words} for {q.output} = {number_text(q.equals)}, looked for from {low} to {high}"
 
 
-def _input(item: Input) -> dict[str, str]:
-    moves = [
-        m.path + (f" = {m.offset:g} + {m.factor:g} x" if (m.factor, m.offset) != (1.0, 0.0) else "")
-        for m in item.targets
-    ]
-    given = listed(item) if item.grid is None else None
-    if given is not None:
-        shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in given.tolist()]
-        values = ", ".join(shown[:_MOST_VALUES])
-        values += f" and {len(shown) - _MOST_VALUES} more" if len(shown) > _MOST_VALUES else ""
-    else:
-        stated = (item.grid or item.random).model_dump(exclude_none=True)  # type: ignore[union-attr]
-        values = ", ".join(f"{key.replace('_', ' ')} {_text(value)}" for key, value in stated.items())
-    return {"words": item.words, "moves": "; ".join(moves), "taken": values}
+def _unsolved(table: pd.DataFrame, q: Required) -> str:
+    words = [text.split(f"{q.name}: ", 1)[1].split("; ")[0] for text in table["reason"] if f"{q.name}: " in text]
+    return f"{len(words)} points, such as: {Counter(words).most_common(1)[0][0]}" if words else ""
+
+
+def _moves(item: Input) -> str:
+    ways = {m.path: f" = {m.offset:g} + {m.factor:g} x" for m in item.targets if (m.factor, m.offset) != (1.0, 0.0)}
+    return "; ".join(m.path + ways.get(m.path, "") for m in item.targets)
+
+
+def _values(item: Input) -> str:
+    stated = item.grid or item.random
+    if stated is not None:
+        entries = stated.model_dump(exclude_none=True).items()
+        return ", ".join(f"{key.replace('_', ' ')} {_text(value)}" for key, value in entries)
+    shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in np.asarray(item.listed).tolist()]
+    more = f" and {len(shown) - _MOST_VALUES} more" if len(shown) > _MOST_VALUES else ""
+    return ", ".join(shown[:_MOST_VALUES]) + more
 
 
 def _meaning(plan: Plan, o: Output) -> str:
@@ -459,4 +432,4 @@ def _meaning(plan: Plan, o: Output) -> str:
         "snr": f"SNR of {o.subject} {where}" + ("" if o.calibration_error else ", without calibration error"),
         "radiance": f"radiance of {o.subject} {where} [{o.unit}]",
     }[o.kind]
-    return words if o.kind in ("snr", "radiance") else f"{words}, {detector_of(o, plan.scenario)}"
+    return words if o.kind in ("snr", "radiance") else f"{words}, {o.detector or plan.scenario.processing.detectors[0]}"

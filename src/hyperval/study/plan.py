@@ -5,11 +5,9 @@ Inverse questions: at which value of an input does an output take a value?
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +22,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.study.evaluate import PFA, Columns, Evaluator, check_outputs
 from hyperval.study.schema import Input, Output, Required, StudyFile
-from hyperval.study.tables import Column, StudyPoints, listed, moved
+from hyperval.study.tables import Column, StudyPoints, moved
 
 Array = npt.NDArray[np.float64]
 _MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
@@ -53,7 +51,7 @@ class Plan:
 
     def columns(self, start: int, stop: int) -> dict[str, Column]:
         """Dotted path -> values at the points from ``start`` to before ``stop``."""
-        return moved({i.name: i for i in self.study.inputs}, self.points.stretch(start, stop))
+        return moved(self.study.inputs, self.points.stretch(start, stop))
 
 
 def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
@@ -95,7 +93,7 @@ def try_values(study: StudyFile, world: World) -> None:
     """
     for item in study.moving:
         for value in _values_to_try(item):
-            point = moved({item.name: item}, {item.name: column_of([value])})
+            point = moved([item], {item.name: column_of([value])})
             changes = {path: plain(column[0]) for path, column in point.items()}
             try:
                 if (at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0:
@@ -114,11 +112,10 @@ def try_values(study: StudyFile, world: World) -> None:
 def _values_to_try(item: Input | Required) -> list[Any]:
     if isinstance(item, Required):
         return list(item.between)
-    values = listed(item)
-    if values is None:
+    if item.listed is None:
         return list(item.random.ends) if item.random is not None else []
-    tries = values.tolist()
-    return tries if len(tries) <= _MOST_TRIED or values.dtype == object else [min(tries), max(tries)]
+    tries = item.listed.tolist()
+    return tries if len(tries) <= _MOST_TRIED or item.listed.dtype == object else [min(tries), max(tries)]
 
 
 def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
@@ -129,21 +126,19 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
         (item, move, key) for item in study.moving for move in item.targets
         for room, _, key in [move.path.partition(".")] if room == "atmosphere" and key not in ("engine", "table")
     ]  # fmt: skip
-    values = {item.name: listed(item) if isinstance(item, Input) else None for item, _, _ in moving}
-    alone = study.design.kind == "one-at-a-time"
-    every = [[*([None] if alone else []), *(() if own is None else own.tolist())] for own in values.values()]
-    count = 0 if any(own is None for own in values.values()) else math.prod(map(len, every))
-    if count and (alone or count <= study.atmosphere.above):
-        points = [c for c in product(*every) if not alone or sum(x is not None for x in c) <= 1]
-        columns = {name: column_of(of) for name, of in zip(values, zip(*points, strict=True), strict=True)}
-        states = moved({item.name: item for item, _, _ in moving}, columns)
-        each = {key: states[move.path].tolist() for _, move, key in moving}
-        rows = [dict(zip(each, row, strict=True)) for row in zip(*each.values(), strict=True)] if each else [{}]
-        rows = [{k: plain(v) for k, v in row.items() if v is not None} for row in rows]
+    items = list({item.name: item for item, _, _ in moving}.values())
+    listed = [item for item in items if isinstance(item, Input) and not item.random]
+    points = StudyPoints(study.model_copy(update={"inputs": listed}))
+    few = study.design.kind == "one-at-a-time" or len(points) <= study.atmosphere.above
+    if len(listed) == len(items) and few:
+        columns = moved(items, points.stretch(0, len(points)))
+        keys, each = [key for _, _, key in moving], [columns[move.path].tolist() for _, move, _ in moving]
+        rows = [dict(zip(keys, row, strict=True)) for row in zip(*each, strict=True)] or [{}]
+        rows = [{key: plain(v) for key, v in row.items() if v is not None} for row in rows]
         return list({repr(sorted(row.items())): row for row in rows}.values()), {}
     nodes = {}
     for item, move, key in moving:
-        own = values[item.name]
+        own = item.listed if isinstance(item, Input) else None
         if own is None or own.dtype != object:  # words are read again for each
             ends = np.unique([move.offset + move.factor * float(v) for v in _values_to_try(item)])
             few = own is not None and ends.size <= study.atmosphere.nodes
@@ -214,28 +209,19 @@ def _between(nodes: Array, u: Array) -> Array:
 _MOST_AT_ONCE = 4096  # evaluations in one batch
 
 
-@dataclass(frozen=True)
-class Answers:
+class Answers(NamedTuple):
     """Answers at n points.
 
     Attributes
     ----------
-    values : (n,) of the input; NaN where there is none
+    solutions : (n,) values of the input; NaN where there is none
     reports : (n, R) outputs told at the answer
     reasons : number of the point -> why there is none, or what else is to be said
     """
 
-    values: Array
+    solutions: Array
     reports: Array
     reasons: Mapping[int, str]
-
-
-def scan_values(question: Required) -> Array:
-    """Where the output is looked at first, both ends among them."""
-    low, high = question.between
-    return (
-        np.geomspace(low, high, question.scan) if question.spacing == "log" else np.linspace(low, high, question.scan)
-    )
 
 
 def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs: Sequence[Output]) -> Answers:
@@ -246,49 +232,38 @@ def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs:
     Brent's), for all points together.  Without a bracket there is no solution, and the reason says how far the
     output reaches.  With several the lowest is told, and that there are more.
     """
-    output = next(o for o in outputs if o.name == question.output)
+
+    def at(x: Array, rows: npt.NDArray[Any], *names: str) -> Array:
+        """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,)."""
+        wanted, index, parts = [named[name] for name in names], np.asarray(rows, int), []
+        for start in range(0, x.size, _MOST_AT_ONCE):
+            some = slice(start, start + _MOST_AT_ONCE)
+            own = {path: column[index[some]] for path, column in columns.items()}
+            own |= {m.path: m.offset + m.factor * x[some] for m in question.targets}
+            parts.append(evaluator.values(own, wanted)[0])
+        return np.concatenate(parts)
+
+    def miss(x: Array, row: Array) -> Array:
+        return at(x.ravel(), row.ravel(), question.output).reshape(x.shape) - question.equals
+
+    named = {o.name: o for o in outputs}
     n = len(next(iter(columns.values())))
-    x = scan_values(question)
-    seen = _at(evaluator, columns, question, np.repeat(np.arange(n), x.size), np.tile(x, n), [output])
-    gap = seen.reshape(n, x.size) - question.equals
-    reasons: dict[int, str] = {}
-    bracket = np.full(n, -1)
-    for i in range(n):
-        bracket[i], why = _bracket(x, gap[i], question)
-        if why:
-            reasons[i] = why
-    solved = np.flatnonzero(bracket >= 0)
-    values = np.full(n, np.nan)
+    x = (np.geomspace if question.spacing == "log" else np.linspace)(*question.between, question.scan)
+    gap = miss(np.tile(x, n), np.repeat(np.arange(n), x.size)).reshape(n, x.size)
+    bracket, said = zip(*(_bracket(x, own, question) for own in gap), strict=True)
+    reasons = {i: why for i, why in enumerate(said) if why}
+    first, values = np.array(bracket), np.full(n, np.nan)
+    solved = np.flatnonzero(first >= 0)
     if solved.size:
-        low, high = x[bracket[solved]], x[bracket[solved] + 1]
-
-        def miss(at: Array, row: Array) -> Array:
-            output_at = _at(evaluator, columns, question, row.astype(int).ravel(), np.asarray(at).ravel(), [output])
-            return output_at.reshape(np.shape(at)) - question.equals
-
-        root = find_root(miss, (low, high), args=(solved.astype(float),), tolerances={"xrtol": 1e-10}, maxiter=100)
+        ends = x[first[solved]], x[first[solved] + 1]
+        root = find_root(miss, ends, args=(solved.astype(float),), tolerances={"xrtol": 1e-10}, maxiter=100)
         values[solved] = np.where(root.success, root.x, np.nan)
         reasons |= {int(i): "the root was not found" for i in solved[~root.success]}
-    reported = [next(o for o in outputs if o.name == name) for name in question.report]
-    reports = np.full((n, len(reported)), np.nan)
+    reports = np.full((n, len(question.report)), np.nan)
     good = np.flatnonzero(np.isfinite(values))
-    if reported and good.size:
-        reports[good] = _at(evaluator, columns, question, good, values[good], reported).reshape(good.size, -1)
+    if reports.size and good.size:
+        reports[good] = at(values[good], good, *question.report)
     return Answers(values, reports, reasons)
-
-
-def _at(
-    evaluator: Evaluator, columns: Columns, question: Required, rows: npt.NDArray[np.intp], x: Array,
-    outputs: Sequence[Output],
-) -> Array:  # fmt: skip
-    """Outputs at points ``rows`` with the question's input at ``x``; (k,) of one output, (k, O) of several."""
-    parts = []
-    for start in range(0, rows.size, _MOST_AT_ONCE):
-        some = slice(start, start + _MOST_AT_ONCE)
-        moved = {m.path: m.offset + m.factor * x[some] for m in question.targets}
-        parts.append(evaluator.values({**{p: c[rows[some]] for p, c in columns.items()}, **moved}, outputs)[0])
-    values = np.concatenate(parts) if parts else np.empty((0, len(outputs)))
-    return values[:, 0] if len(outputs) == 1 else values
 
 
 def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:

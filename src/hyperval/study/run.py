@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 import hyperval
 from hyperval.campaign.provenance import command_without_output, package_versions, provenance
@@ -22,7 +23,7 @@ from hyperval.storage import partial_folder, whole_folder
 from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
 from hyperval.study.plan import Plan, answers, plan_study
 from hyperval.study.schema import load_study
-from hyperval.study.tables import Field, PointStore, StudyTable, input_fields, write_tables
+from hyperval.study.tables import PointStore, table_of, write_tables
 
 Array = npt.NDArray[np.float64]
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
@@ -60,21 +61,18 @@ def study_to_folder(
     """
     with whole_folder(Path(output)) as folder:  # first of all: hours may be spent on it
         plan = plan_study(load_study(Path(path)), show_progress=show_progress)
-        fields = output_fields(plan)
         chunk = chunk_size(len(plan.points))
-        store = PointStore(partial_folder(Path(output)), identity(plan, chunk), len(fields), chunk)
-        left = len(plan.points) - store.finished
+        store = PointStore(partial_folder(Path(output)), identity(plan, chunk))
+        left = len(plan.points) - len(store)
         # Starting processes takes longer than a few thousand points of linear detectors.
         linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
-        few = linear and left <= _HERE
+        count = 1 if linear and left <= _HERE else worker_count(-(-left // chunk) or 1)
         with ExitStack() as stack:
-            where = executor or stack.enter_context(
-                workers(1 if few else worker_count(-(-left // chunk) or 1), scheduler)
-            )
+            where = executor or stack.enter_context(workers(count, scheduler))
             evaluate_into(store, plan, where, chunk, show_progress)
-        table = StudyTable(plan.points, input_fields(plan.points), fields, store.values(), store.reasons())
+        reasons = {point: text for _, own in store.chunks for point, text in own.items()}
+        table = table_of(plan.points, np.concatenate([values for values, _ in store.chunks]), reasons)
         _write(plan, table, folder, show_progress)
-        del table
     store.remove()
     return 0
 
@@ -82,19 +80,6 @@ def study_to_folder(
 def chunk_size(points: int) -> int:
     """Points evaluated and kept at once: it follows from the study alone, as the last digits do from the chunks."""
     return int(np.clip(-(-points // _CHUNKS), _SMALLEST, _LARGEST))
-
-
-def output_fields(plan: Plan) -> list[Field]:
-    """The columns of numbers: outputs, answers, and outputs told at the answers."""
-    study = plan.study
-    outputs = {o.name: o for o in study.outputs}
-    fields = [Field(o.name, o.label or o.name, o.unit) for o in study.outputs]
-    for q in study.required:
-        fields.append(Field(q.name, q.label or q.name, q.unit))
-        for name in q.report:
-            o = outputs[name]
-            fields.append(Field(f"{q.name}.{name}", f"{o.label or name} at {q.label or q.name}", o.unit))
-    return fields
 
 
 def identity(plan: Plan, chunk: int) -> str:
@@ -114,7 +99,7 @@ def evaluate_into(
     store: PointStore, plan: Plan, where: Executor | Workers, chunk: int, show_progress: bool | None = None
 ) -> None:
     """Evaluate what is not finished yet and append it, in the order of the points."""
-    count, first = len(plan.points), store.finished
+    count, first = len(plan.points), len(store)
     if first >= count:
         return
     words = f"{count:,} points" if not first else f"{count:,} points, from {first:,} on"
@@ -136,7 +121,7 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
         row = [values]
         for question in study.required:
             answer = answers(evaluator, columns, question, study.outputs)
-            row += [answer.values[:, None], answer.reports]
+            row += [answer.solutions[:, None], answer.reports]
             for i, text in answer.reasons.items():
                 said.setdefault(i, []).append(f"{question.name}: {text}")
         parts.append(np.concatenate(row, axis=1))
@@ -144,10 +129,10 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     return np.concatenate(parts), reasons
 
 
-def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | None) -> None:
+def _write(plan: Plan, table: pd.DataFrame, folder: Path, show_progress: bool | None) -> None:
     study = plan.study
     prediction = predict(plan.scenario, Origins(show_progress=show_progress))
-    names = write_tables(table, folder, show_progress=show_progress)
+    names = write_tables(study, table, folder)
     knees = knees_of(study, table)
     rows = result_rows(plan, table, knees)
     record = provenance(

@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import Field, PrivateAttr, model_validator
 
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError, reader
+from hyperval.model.world import column_of
 from hyperval.scenario import exactly_one
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$", max_length=60)]
@@ -116,6 +119,14 @@ class Input(Moving):
         if self.values is not None and not plain and not all(isinstance(v, int | float) for v in self.values):
             raise ValueError("factor and offset go with numbers")
         return self
+
+    @property
+    def listed(self) -> npt.NDArray[Any] | None:
+        """Its values in the order of the file, numbers as floats and anything else as objects; None where random."""
+        if self.grid is not None:
+            spaced = np.geomspace if self.grid.spacing == "log" else np.linspace
+            return spaced(self.grid.start, self.grid.stop, self.grid.count)
+        return column_of(self.values) if self.values is not None else None
 
 
 class Design(Model):

@@ -1,4 +1,4 @@
-"""The points of a study, any stretch of them without those before it; its table, and the store of finished chunks."""
+"""The points of a study, any stretch of them without those before it; the store of finished chunks, and the table."""
 
 from __future__ import annotations
 
@@ -6,39 +6,26 @@ import json
 import os
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+import xarray as xr
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 import hyperval
 from hyperval.errors import UsageError
-from hyperval.model.world import column_of
-from hyperval.progress import track
 from hyperval.run import harmless
-from hyperval.storage import write_text
-from hyperval.study.schema import Input, Moving, Random, StudyFile
+from hyperval.study.schema import Moving, Random, StudyFile
 
 Array = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
-STRETCH = 20_000  # rows in memory at once
-_IDENTITY, _VALUES, _REASONS = "study.txt", "values.f64", "reasons.jsonl"
-
-
-def listed(item: Input) -> Column | None:
-    """The values of an input in the order of the file; numbers as floats, anything else as objects."""
-    if item.grid is not None:
-        spaced = np.geomspace if item.grid.spacing == "log" else np.linspace
-        return spaced(item.grid.start, item.grid.stop, item.grid.count)
-    return column_of(item.values) if item.values is not None else None  # noqa: PD011
+_CHUNKS = "chunks.jsonl"
 
 
 def drawn(distribution: Random, u: Array) -> Array:
@@ -62,42 +49,34 @@ class StudyPoints:
 
     def __init__(self, study: StudyFile):
         self.study = study
-        self.listed = {i.name: listed(i) for i in study.inputs}
-        self.random = [i for i in study.inputs if i.random is not None]
-        self._sizes = [len(v) for v in self.listed.values() if v is not None]
+        self.listed = {i.name: values for i in study.inputs if (values := i.listed) is not None}
+        self.random = {i.name: i.random for i in study.inputs if i.random is not None}
+        self._each = int(np.prod([len(values) for values in self.listed.values()], dtype=np.int64))
         self._alone = study.design.kind == "one-at-a-time"
 
     def __len__(self) -> int:
         if self._alone:
-            return 1 + sum(self._sizes)
-        return int(np.prod(self._sizes, dtype=np.int64)) * (self.study.design.count if self.random else 1)
+            return 1 + sum(map(len, self.listed.values()))
+        return self._each * (self.study.design.count if self.random else 1)
 
     def stretch(self, start: int, stop: int) -> Mapping[str, Column]:
         """Input name -> its values at the points from ``start`` to before ``stop``."""
-        number = np.arange(start, stop)
+        number, columns, first = np.arange(start, stop), dict[str, Column](), 1
         if self._alone:
-            return self._one_at_a_time(number)
-        columns: dict[str, Column] = {}
+            for name, values in self.listed.items():
+                own = (number >= first) & (number < first + len(values))
+                columns[name] = np.full(number.size, None, dtype=object)
+                columns[name][own] = values[number[own] - first]
+                first += len(values)
+            return columns
         if self.random:
-            draw, number = np.divmod(number, int(np.prod(self._sizes, dtype=np.int64)))
+            draw, number = np.divmod(number, self._each)
             u = _sobol(len(self.random), self.study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
-            columns |= {i.name: drawn(i.random, u[:, k]) for k, i in enumerate(self.random) if i.random is not None}
-        for item in reversed(self.study.inputs):
-            values = self.listed[item.name]
-            if values is not None:
-                number, at = np.divmod(number, len(values))
-                columns[item.name] = values[at]
+            columns = {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(self.random.items())}
+        for name, values in reversed(self.listed.items()):
+            number, at = np.divmod(number, len(values))
+            columns[name] = values[at]
         return {i.name: columns[i.name] for i in self.study.inputs}
-
-    def _one_at_a_time(self, number: npt.NDArray[np.intp]) -> dict[str, Column]:
-        columns, first = {}, 1
-        for name, values in self.listed.items():
-            assert values is not None  # noqa: S101 - the study's own check
-            own = (number >= first) & (number < first + len(values))
-            columns[name] = np.full(number.size, None, dtype=object)
-            columns[name][own] = values[number[own] - first]
-            first += len(values)
-        return columns
 
 
 def _sobol(dimensions: int, seed: int, start: int, stop: int) -> Array:
@@ -110,11 +89,11 @@ def _sobol(dimensions: int, seed: int, start: int, stop: int) -> Array:
         return np.asarray(np.clip(sequence.random(stop - start), 1e-12, 1.0 - 1e-12))
 
 
-def moved(inputs: Mapping[str, Moving], columns: Mapping[str, Column]) -> dict[str, Column]:
+def moved(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict[str, Column]:
     """Dotted path -> (n,) values at the points of ``columns``; None where an entry is left as it is."""
     out: dict[str, Column] = {}
-    for name, column in columns.items():
-        moves = inputs[name].targets
+    for item in inputs:
+        column, moves = columns[item.name], item.targets
         for k, move in enumerate(moves):
             if column.dtype != object:
                 out[move.path] = move.offset + move.factor * column
@@ -127,9 +106,8 @@ def moved(inputs: Mapping[str, Moving], columns: Mapping[str, Column]) -> dict[s
     return out
 
 
-@dataclass(frozen=True)
-class Field:
-    """One column: its name, what it holds, its unit."""
+class Field(NamedTuple):
+    """One column of the table: its name, what it holds, its unit; whether its values are words."""
 
     name: str
     words: str
@@ -137,47 +115,18 @@ class Field:
     text: bool = False
 
 
-@dataclass(frozen=True)
-class StudyTable:
-    """Points, their inputs and their numbers.
-
-    Attributes
-    ----------
-    inputs, outputs : the columns in the order of the file
-    values : (n, outputs);  reasons : number of the point -> what is to be said of it
-    """
-
-    points: StudyPoints
-    inputs: Sequence[Field]
-    outputs: Sequence[Field]
-    values: Array
-    reasons: Mapping[int, str]
-
-    def stretches(self) -> Iterator[pd.DataFrame]:
-        """One stretch of points after another: inputs, outputs and the reason, by the number of the point."""
-        for start in range(0, len(self.values), STRETCH):
-            stop = min(start + STRETCH, len(self.values))
-            inputs = self.points.stretch(start, stop)
-            # A number that is left alone is NaN.
-            columns: dict[str, Any] = {
-                f.name: inputs[f.name] if f.text else np.asarray(inputs[f.name], float) for f in self.inputs
-            }
-            columns |= {f.name: self.values[start:stop, k] for k, f in enumerate(self.outputs)}
-            columns["reason"] = [self.reasons.get(point, "") for point in range(start, stop)]
-            yield pd.DataFrame(columns, index=pd.RangeIndex(start, stop, name="point"))
-
-    def frame(self, *names: str) -> pd.DataFrame:
-        """Some columns of all points; entries that are lists or mappings as their text."""
-        parts = [stretch[list(dict.fromkeys(names))] for stretch in self.stretches()]
-        whole = pd.concat(parts) if len(parts) > 1 else parts[0].copy()
-        for f in self.inputs:
-            if f.text and f.name in whole:
-                whole[f.name] = pd.Series(list(map(plain_value, whole[f.name])), whole.index, dtype=object)
-        return whole
-
-    def output(self, name: str) -> Array:
-        """(n,) of one output."""
-        return np.asarray(self.values[:, [f.name for f in self.outputs].index(name)], float)
+def fields_of(study: StudyFile) -> list[Field]:
+    """The columns of a study's table: inputs, outputs, answers, and outputs told at the answers."""
+    outputs, fields = {o.name: o for o in study.outputs}, list[Field]()
+    for i in study.inputs:
+        fields.append(Field(i.name, i.label or i.name, i.unit, i.listed is not None and i.listed.dtype == object))
+    fields += [Field(o.name, o.label or o.name, o.unit) for o in study.outputs]
+    for q in study.required:
+        fields.append(Field(q.name, q.label or q.name, q.unit))
+        for name in q.report:
+            o = outputs[name]
+            fields.append(Field(f"{q.name}.{name}", f"{o.label or name} at {q.label or q.name}", o.unit))
+    return fields
 
 
 def plain_value(value: Any) -> Any:
@@ -185,121 +134,93 @@ def plain_value(value: Any) -> Any:
     return str(value) if isinstance(value, list | dict) else value.item() if hasattr(value, "item") else value
 
 
-def input_fields(points: StudyPoints) -> list[Field]:
-    """The columns of the inputs; words and lists are text."""
-    text = {name for name, column in points.listed.items() if column is not None and column.dtype == object}
-    return [Field(i.name, i.label or i.name, i.unit, i.name in text) for i in points.study.inputs]
+def table_of(points: StudyPoints, values: Array, reasons: Mapping[int, str]) -> pd.DataFrame:
+    """Inputs, numbers (n, K) and what is to be said of each point; a number that is left alone is NaN."""
+    columns, fields = points.stretch(0, len(points)), fields_of(points.study)
+    table = pd.DataFrame(index=pd.RangeIndex(len(points), name="point"))
+    for f in fields[: len(columns)]:
+        own = columns[f.name]
+        table[f.name] = pd.Series(list(map(plain_value, own)), dtype=object) if f.text else np.asarray(own, float)
+    table[[f.name for f in fields[len(columns) :]]] = values
+    table["reason"] = pd.Series([reasons.get(point, "") for point in range(len(points))], dtype=object)
+    return table
 
 
-def write_tables(table: StudyTable, folder: Path, *, show_progress: bool | None = None) -> list[str]:
+def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[str]:
     """Write table.csv, table.nc and, with the extra parquet, table.parquet; the names of what was written."""
-    names = ["table.csv", "table.nc"] + ["table.parquet"] * (find_spec("pyarrow") is not None)
-    fields = (*table.inputs, *table.outputs)
+    fields = fields_of(study)
     texts = [*(f.name for f in fields if f.text), "reason"]
-    with ExitStack() as stack:
-        csv = stack.enter_context(open(folder / names[0], "w", encoding="utf-8", newline=""))
-        variables = _variables(stack, table, folder / names[1])
-        parquet = _parquet(stack, fields, folder / names[2]) if len(names) > 2 else None
-        total = -(-len(table.values) // STRETCH)
-        for frame in track(table.stretches(), "table", total, show=show_progress):
-            first, last = int(frame.index[0]), int(frame.index[-1]) + 1
-            said = {name: ["" if v is None else str(v) for v in frame[name]] for name in texts}
-            for f in fields:
-                variables[f.name][first:last] = said[f.name] if f.text else frame[f.name].to_numpy()
-            if parquet is not None:
-                parquet(frame.assign(**said).reset_index())
-            cells = frame.assign(**{name: list(map(harmless, own)) for name, own in said.items()})
-            cells.to_csv(csv, header=first == 0, lineterminator="\n")
+    said = {name: pd.Series(["" if v is None else str(v) for v in table[name]], dtype=object) for name in texts}
+    table = table.assign(**said)
+    cells = {name: list(map(harmless, own)) for name, own in said.items()}
+    table.assign(**cells).to_csv(folder / "table.csv", lineterminator="\n")
+    about = {"Conventions": "CF-1.11", "title": study.title or study.name, "source": f"hyperval {hyperval.__version__}"}
+    data = xr.Dataset(attrs=about)
+    for f in fields:
+        data[f.name] = ("point", table[f.name].to_numpy(), {"long_name": f.words, "units": f.unit})
+        if not f.text:
+            data[f.name].encoding = {"zlib": True, "shuffle": True, "_FillValue": None}
+    data.to_netcdf(folder / "table.nc", engine="h5netcdf")
+    names = ["table.csv", "table.nc"]
+    if find_spec("pyarrow") is not None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        columns = table.reset_index().items()
+        # A number that is not there is NaN, as in the other files.
+        parts = {name: pa.array(own.to_numpy(), from_pandas=False) for name, own in columns}
+        pq.write_table(pa.table(parts), folder / "table.parquet")
+        names.append("table.parquet")
     return names
 
 
-def _variables(stack: ExitStack, table: StudyTable, path: Path) -> Mapping[str, Any]:
-    """The variables of a new NetCDF file, to be filled."""
-    import h5netcdf
-
-    count, file = len(table.values), stack.enter_context(h5netcdf.File(path, "w"))
-    study = table.points.study
-    about = {"title": study.title or study.name, "source": f"hyperval {hyperval.__version__}"}
-    file.attrs.update({"Conventions": "CF-1.11", **about})
-    file.dimensions = {"point": count}
-    packed = {"chunks": (min(count, STRETCH),), "compression": "gzip", "shuffle": True}
-    variables = {}
-    for f in (*table.inputs, *table.outputs):
-        kind: Any = h5netcdf.core.h5py.string_dtype() if f.text else "f8"
-        variables[f.name] = file.create_variable(f.name, ("point",), kind, **({} if f.text else packed))
-        variables[f.name].attrs.update({"long_name": f.words, "units": f.unit})
-    return variables
-
-
-def _parquet(stack: ExitStack, fields: Sequence[Field], path: Path) -> Any:
-    """What adds a stretch to a new file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    kinds = [(f.name, pa.string() if f.text else pa.float64()) for f in fields]
-    schema = pa.schema([("point", pa.int64()), *kinds, ("reason", pa.string())])
-    writer = stack.enter_context(pq.ParquetWriter(path, schema))
-    # A number that is not there is NaN, as in the other files.
-    return lambda frame: writer.write_table(
-        pa.Table.from_arrays([pa.array(frame[name].to_numpy(), kind, from_pandas=False)
-                              for name, kind in zip(schema.names, schema.types, strict=True)], schema=schema)
-    )  # fmt: skip
-
-
 class PointStore:
-    """Rows of numbers in the order of the points, in a folder of its own.
+    """Finished chunks in the order of the points, a line each, in a folder of its own.
 
     Parameters
     ----------
     folder : made where it is not there
-    identity : what the numbers follow from; rows of another identity are thrown away
-    columns : numbers in a row
-    chunk : rows that are appended at once; a part of a chunk at the end is thrown away
+    identity : what the numbers follow from; chunks of another identity are thrown away
 
     Raises
     ------
     UsageError : the folder holds something else.
     """
 
-    def __init__(self, folder: Path, identity: str, columns: int, chunk: int):
-        self.folder, self.columns = Path(folder), columns
-        said, values, reasons = (self.folder / name for name in (_IDENTITY, _VALUES, _REASONS))
-        if self.folder.exists() and any(self.folder.iterdir()) and not said.is_file():
-            raise UsageError("holds files that are not of a study's run", where=str(self.folder), mend="remove it")
-        if not said.is_file() or said.read_text("utf-8") != identity:
-            shutil.rmtree(self.folder, ignore_errors=True)
-            self.folder.mkdir(parents=True)
-            values.touch()
-            reasons.touch()
-            write_text(said, identity)
-        # What counts is whole chunks, of which both files have everything.
-        lines = [line for line in reasons.read_text("utf-8").splitlines(keepends=True) if line.endswith("]\n")]
-        chunks = min(values.stat().st_size // (8 * columns * chunk), len(lines))
-        self.finished = chunks * chunk
-        os.truncate(values, self.finished * 8 * columns)
-        write_text(reasons, "".join(lines[:chunks]))
+    def __init__(self, folder: Path, identity: str):
+        self.path, first = Path(folder) / _CHUNKS, json.dumps([identity]).encode() + b"\n"
+        if not self.path.is_file() and self.path.parent.exists() and any(self.path.parent.iterdir()):
+            raise UsageError("holds files that are not of a study's run", where=str(folder), mend="remove it")
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.chunks: list[tuple[Array, dict[int, str]]] = []
+        with open(self.path, "a+b") as stream:
+            stream.seek(0)
+            whole = len(first) if stream.readline() == first else 0
+            for line in stream if whole else ():
+                if not line.endswith(b"]\n"):  # cut off while it was written
+                    break
+                values, reasons = json.loads(line)
+                self.chunks.append((np.array(values, float), dict(reasons)))
+                whole += len(line)
+            stream.truncate(whole)
+        if not whole:
+            self._write(first)
+
+    def __len__(self) -> int:
+        """Number of finished points."""
+        return sum(len(values) for values, _ in self.chunks)
 
     def append(self, values: Array, reasons: Mapping[int, str]) -> None:
         """Add the rows (n, columns) that follow, and the reasons by the number of the point."""
-        said = json.dumps(sorted(reasons.items()), ensure_ascii=False) + "\n"
-        for name, content in ((_REASONS, said.encode()), (_VALUES, np.ascontiguousarray(values, "<f8").tobytes())):
-            with open(self.folder / name, "ab") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-        self.finished += len(values)
+        self._write(json.dumps([values.tolist(), sorted(reasons.items())], ensure_ascii=False).encode() + b"\n")
+        self.chunks.append((values, dict(reasons)))
 
-    def values(self) -> Array:
-        """(n, columns) all rows, mapped from the file."""
-        if self.finished == 0:
-            return np.empty((0, self.columns))
-        return np.memmap(self.folder / _VALUES, dtype="<f8", mode="r", shape=(self.finished, self.columns))
-
-    def reasons(self) -> dict[int, str]:
-        """Number of the point -> what is to be said of it."""
-        lines = (self.folder / _REASONS).read_text("utf-8").splitlines()
-        return {point: text for line in lines for point, text in json.loads(line)}
+    def _write(self, line: bytes) -> None:
+        with open(self.path, "ab") as stream:
+            stream.write(line)
+            stream.flush()
+            os.fsync(stream.fileno())
 
     def remove(self) -> None:
         """Throw everything away."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        shutil.rmtree(self.path.parent, ignore_errors=True)
