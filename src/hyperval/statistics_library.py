@@ -91,7 +91,13 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
     }  # fmt: skip
     mixtures = [c.components for c in classes]
     if most := max(0 if parts is None else len(parts) for parts in mixtures):
-        values |= dict(zip(_OF_COMPONENTS, _padded(mixtures, most, len(axis)), strict=True))
+        for name, part in zip(_OF_COMPONENTS, ("weights", "offsets", "covariances"), strict=False):
+            shape = (len(classes), most, *[len(axis)] * (_OF_COMPONENTS[name].count("band")))
+            values[name] = padded = np.zeros(shape)  # by components without weight to the same number
+            for i, parts in enumerate(mixtures):
+                if parts is not None:
+                    padded[i, : len(parts)] = getattr(parts, part)
+        values["component_dof"] = [np.nan if m is None or np.isinf(m.dof) else m.dof for m in mixtures]
     units = {"fwhm": {"units": "nm"}, "source": {}, "class_name": {}}
     data = xr.Dataset(
         {name: (_along(name), np.asarray(v), units.get(name, {"units": "1"})) for name, v in values.items()},
@@ -100,19 +106,6 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
     )
     with whole_file(Path(path)) as temporary:
         data.to_netcdf(temporary, engine="h5netcdf")
-
-
-def _padded(mixtures: Sequence[Components | None], most: int, bands: int) -> tuple[Array, Array, Array, Array]:
-    """Weights, offsets, covariances and dof of the components of classes, padded to the same number."""
-    count = len(mixtures)
-    weight, offset = np.zeros((count, most)), np.zeros((count, most, bands))
-    covariance, dof = np.zeros((count, most, bands, bands)), np.full(count, np.nan)
-    for i, parts in enumerate(mixtures):
-        if parts is not None:
-            k = len(parts)
-            weight[i, :k], offset[i, :k], covariance[i, :k] = parts.weights, parts.offsets, parts.covariances
-            dof[i] = np.nan if np.isinf(parts.dof) else parts.dof
-    return weight, offset, covariance, dof
 
 
 def _along(name: str) -> tuple[str, ...]:
@@ -245,12 +238,16 @@ def _curve(terms: str | list[list[Any]], w: Array) -> Array:
     return total
 
 
+def _level(name: str) -> float | None:
+    """Reflectance of a panel; None for another surface."""
+    grey = _GREY.match(name)
+    return int(grey[1]) / 100.0 if grey else _PANELS["level"].get(name)
+
+
 def _mean(name: str, w: Array) -> Array:
     """(B,) mean reflectance of a surface."""
-    grey = _GREY.match(name)
-    if grey or name in _PANELS["level"]:
-        level = int(grey[1]) / 100.0 if grey else _PANELS["level"][name]
-        slope = _PANELS["slope"]["grey" if grey else name]
+    if (level := _level(name)) is not None:
+        slope = _PANELS["slope"].get(name, _PANELS["slope"]["grey"])
         return np.asarray(level * (1 - slope * (w - 400) / 2100 - 0.05 * _rise(-w, -385, 12)))
     surface = _SURFACES[name]
     mean, exponent = _curve(surface["level"], w), np.zeros_like(w)
@@ -293,8 +290,8 @@ def builtin_mean(name: str, axis: SpectralAxis) -> Array:
     ------
     UsageError : as by :func:`builtin_class`.
     """
-    unknown, known = not _GREY.match(name) and name not in BUILTIN_NAMES[:-1], ", ".join(BUILTIN_NAMES)
-    refuse(unknown, "class.unknown", name=name, known=known)
+    unknown = _level(name) is None and name not in _SURFACES
+    refuse(unknown, "class.unknown", name=name, known=", ".join(BUILTIN_NAMES))
     w, (low, high) = axis.centre_nm, RANGE_NM
     refuse(w[0] < low or w[-1] > high, "class.range", low=low, high=high, first=w[0], last=w[-1])
     return _mean(name, w)
@@ -303,13 +300,10 @@ def builtin_mean(name: str, axis: SpectralAxis) -> Array:
 @lru_cache(maxsize=64)
 def _evaluated(name: str, centre: bytes, fwhm: bytes, good: bytes) -> ClassStatistics:
     axis = SpectralAxis(np.frombuffer(centre), np.frombuffer(fwhm), np.frombuffer(good, bool))
-    mean, surface = builtin_mean(name, axis), _SURFACES.get(name)
-    if surface is None:
-        level = int(grey[1]) / 100.0 if (grey := _GREY.match(name)) else _PANELS["level"][name]
-        words, spread = f"a grey panel of reflectance {level:g}", _PANELS["band_spread"] * level
-    else:
-        words, spread = surface["words"], surface["band_spread"]
-    modes = np.stack(list(_modes(surface or _PANELS, mean, axis.centre_nm)))
+    mean, surface, level = builtin_mean(name, axis), _SURFACES.get(name, _PANELS), _level(name)
+    words, spread = surface.get("words", f"a grey panel of reflectance {level or 0.0:g}"), surface["band_spread"]
+    spread *= 1.0 if level is None else level
+    modes = np.stack(list(_modes(surface, mean, axis.centre_nm)))
     covariance = modes.T @ modes + spread**2 * np.eye(len(axis))
     source = f"built-in parametric curve of {words}; a definition of this project, not a measurement"
     return ClassStatistics(name, axis, mean, covariance, source=source)

@@ -11,8 +11,8 @@ gas, gas transmittance in a table, and the terms are formed here:
 
 (Vermote et al., IEEE TGRS 35, 1997, 675-686, equations 2 and 5-7; 6S user guide part 1.)
 
-To each Tg comes the absorption by colliding oxygen molecules, which 6S lacks (module oxygen_continuum), and what
-MODTRAN 6 has over 6S otherwise (module engine_ratio).
+To each Tg comes the absorption by colliding oxygen molecules, which 6S lacks, and what MODTRAN 6 has over 6S otherwise
+(:mod:`hyperval.atmosphere.physics`).
 
 The input deck of 6S and its printed answer.
 
@@ -21,12 +21,10 @@ Starting the 6S executable: find it, give it its Fortran library, run one input 
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import importlib.util
 import os
 import re
-import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -34,6 +32,7 @@ from functools import lru_cache
 from os import cpu_count
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
+from uuid import uuid4
 
 import numpy as np
 import numpy.typing as npt
@@ -57,7 +56,7 @@ from hyperval.atmosphere.state import (
 from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
 from hyperval.errors import EngineError, refusal, refuse
 from hyperval.progress import track
-from hyperval.storage import last_line, remove_left, scratch_folder, sha256_of
+from hyperval.storage import last_line, sha256_of
 
 Array = npt.NDArray[np.float64]
 
@@ -252,22 +251,17 @@ def fortran_libraries() -> list[Path]:
 def _linked(library: Path, cache_folder: Path) -> Path:
     """A folder with links to all libraries beside ``library``, and to it as libgfortran.so.5.
 
-    Made whole under another name and then renamed: processes that do the same at once agree.
+    Each is made under another name and then renamed: processes and threads that do the same at once agree.
     """
-    name = hashlib.sha256(str(library.resolve()).encode()).hexdigest()[:16]
-    final = cache_folder / "libraries" / name
-    if (final / _LIBRARY).resolve() == library.resolve():
-        remove_left(final.parent, ".hyperval-links-")
-        return final
-    with scratch_folder("links", final.parent) as temporary:
-        for other in library.parent.glob("*.so*"):
-            (temporary / other.name).symlink_to(other)
-        (temporary / _LIBRARY).symlink_to(library)
-        if (final / _LIBRARY).is_symlink() and not (final / _LIBRARY).exists():  # the environment was rebuilt
-            shutil.rmtree(final, ignore_errors=True)
-        with contextlib.suppress(OSError):  # another process or thread was first: its folder is the same, and in use
-            os.rename(temporary, final)
-    return final
+    folder = cache_folder / "libraries" / hashlib.sha256(str(library.resolve()).encode()).hexdigest()[:16]
+    folder.mkdir(parents=True, exist_ok=True)
+    others = [(other.name, other) for other in library.parent.glob("*.so*")]
+    for name, other in (*others, (_LIBRARY, library)):
+        if (folder / name).resolve() != other.resolve():  # none yet, or that of an environment since rebuilt
+            link = folder / f".{uuid4().hex}"
+            link.symlink_to(other)
+            link.replace(folder / name)
+    return folder
 
 
 def _works(folder: str | None) -> bool:

@@ -42,7 +42,7 @@ def source_samples(name: str) -> tuple[Array, Array]:
 
     Raises as :func:`extraterrestrial_irradiance`.
     """
-    return _spectrum(name, _places())
+    return _spectrum(name, os.environ.get("HYPERVAL_DATA", ""), os.environ.get("HYPERVAL_CACHE", ""))
 
 
 def parse_utc(text: str) -> datetime:
@@ -105,7 +105,7 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     MissingDataError : the file is not at hand.
     """
     grid = np.asarray(wavelength_nm, dtype=float)
-    source_nm, irradiance = _extended(*_spectrum(name, _places()), grid)
+    source_nm, irradiance = _extended(*source_samples(name), grid)
     beyond = grid[0] < source_nm[0] - _REACH_NM or grid[-1] > source_nm[-1] + _REACH_NM
     refuse(beyond, "sun.short", name=name, covers=source_nm[[0, -1]], wanted=grid[[0, -1]])
     step = np.gradient(grid)
@@ -133,16 +133,12 @@ def lines_between(name: str, wavelength_nm: Array) -> tuple[Array, Array]:
     return fine_nm, extraterrestrial_irradiance(name, fine_nm) / between
 
 
-def _places() -> tuple[str, ...]:
-    return os.environ.get("HYPERVAL_DATA", ""), os.environ.get("HYPERVAL_CACHE", "")
-
-
 def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, Array]:
     """The spectrum continued to the ends of the grid with the shape of ASTM G173.
 
     At most ``_EXTENSION_NM``; the level is that of the two spectra's averages over the last 20 nm they share.
     """
-    wide_nm, wide = _spectrum("astm-g173", ())
+    wide_nm, wide = source_samples("astm-g173")
     for below in (True, False):
         end = source_nm[0] if below else source_nm[-1]
         gap = end - grid[0] if below else grid[-1] - end
@@ -159,8 +155,8 @@ def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, 
 
 
 @lru_cache(maxsize=8)
-def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
-    """Wavelength [nm] and irradiance at 1 au [uW cm-2 nm-1]; ``places`` tells one data directory from another."""
+def _spectrum(name: str, *places: str) -> tuple[Array, Array]:
+    """The same; ``places`` tell one data directory from another."""
     if name == "tsis-1":
         nm, irradiance = np.loadtxt(Path(__file__).with_name(TSIS_1), delimiter=",", unpack=True)
         return nm, irradiance * irradiance_to_internal("mW m-2 nm-1")
