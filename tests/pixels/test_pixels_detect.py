@@ -80,7 +80,7 @@ def line_of(bands):
 
 
 @pytest.mark.parametrize("interleave", ["bil", "bip", "bsq"])
-def test_scores_equal_the_long_way_round(tmp_path, interleave):
+def test_scores_equal_the_long_way_round(tmp_path, monkeypatch, interleave):
     x = numbers()
     x[4, 4] = -9999
     x[5, 5, 29] = -9999  # in a band that no detector uses
@@ -99,8 +99,10 @@ def test_scores_equal_the_long_way_round(tmp_path, interleave):
     names = ("cem", "cem-correlation", "smf", "ace", "sam", "rx", "osp")
     detectors = {n: pixels.pixel_detector(n, target, mean, covariance, rho[:3, 0]) for n in names}
     whitener = pixels.whitener_of(mean, covariance)
-    for step, threads in ((None, None), (1, 1), (7, 2)):
-        found = pixels.score_cube(cube, detectors, elm, bands, whitener=whitener, threads=threads, block_lines=step)
+    for step, threads in ((10**3, None), (1, 1), (7, 2)):
+        monkeypatch.setattr("hyperval.pixels.statistics.BLOCK_PIXELS", step * SAMPLES)
+        monkeypatch.setattr(type(cube), "threads", threads)
+        found = pixels.score_cube(cube, detectors, elm, bands, whitener=whitener)
         for name, detector in detectors.items():
             assert found[name].shape == (LINES, SAMPLES)
             assert np.isnan(found[name][4, 4])  # never a score of 0
@@ -152,7 +154,8 @@ def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(dr
     if threads == 2:
         monkeypatch.setattr(pixels.detect, "_VALUES_AT_ONCE", 0)  # strips that end within the image
     whitener = pixels.whitener_of(mean, covariance)
-    found, _ = pixels.score_cube_locally(cube, names, whitener, window, counted, None, used, threads=threads)
+    monkeypatch.setattr(type(cube), "threads", threads)
+    found, _ = pixels.score_cube_locally(cube, names, whitener, window, counted, None, used)
     for line, sample in ((0, 0), (5, 8), (18, 14), (21, 12), (46, 22), (30, 0), (8, 19), (9, 20)):
         ring = np.zeros_like(counted)
         for side, value in ((window[0], True), (window[1], False)):

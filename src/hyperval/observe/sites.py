@@ -6,9 +6,10 @@ Spectra of sites where no cube is held, their reflectance by each other, or as a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path, PurePath
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from hyperval.collection import (
     PanelReference,
     PathRadiance,
     RadCalNetSource,
+    SpectrumCollection,
 )
 from hyperval.errors import InputError, UsageError, one_of, refusal
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
@@ -47,28 +49,15 @@ ROUNDING, NETWORK = "rounding", "as the network states"
 NOISE, CALIBRATION = "detector noise", "calibration"
 
 
-def spectral_estimate(
-    mean: npt.ArrayLike,
-    parts: Mapping[str, Array],
-    *,
-    pixel_covariance: Array | None = None,
-    n: int | None = None,
-    estimated: Sequence[EstimatedPart] = (),
-    circular: str = "",
-    rounding: Array | float = 0.0,
-) -> SpectralEstimate:
+def spectral_estimate(mean: npt.ArrayLike, parts: Mapping[str, Array], **known: Any) -> SpectralEstimate:
     """Estimate whose error covariance is the sum of independent ``parts`` (B, B), each named in the budget.
 
-    ``estimated``: those of the parts that were estimated from samples; ``circular`` and ``rounding`` are those of
-    the estimate.
+    ``known``: the other fields of the estimate, such as what of the parts was estimated from samples.
     """
     mean = np.asarray(mean, dtype=float)
     total = sum(parts.values(), np.zeros((mean.size, mean.size)))
     budget = {name: np.sqrt(np.clip(np.diag(part), 0.0, None)) for name, part in parts.items()}
-    return SpectralEstimate(
-        mean, total, pixel_covariance, n, budget, tuple(estimated), circular, rounding=rounding,
-        calibration=parts.get("calibration"),
-    )  # fmt: skip
+    return SpectralEstimate(mean, total, budget=budget, calibration=parts.get(CALIBRATION), **known)
 
 
 def calibration_covariance(
@@ -294,24 +283,12 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
     return ["wavelengths as labelled less those of known features: " + "; ".join(parts), *warnings]
 
 
-@dataclass(frozen=True)
-class Site:
-    """A collected site.
+class Site(NamedTuple):
+    """A collected site: its entry in the collection, mean radiance (B,), and (B, B) parts of its error by name."""
 
-    Attributes
-    ----------
-    mean : (B,) radiance [uW cm-2 sr-1 nm-1]
-    own : (B, B) error covariance that no other site shares, its detector noise
-    relative : (B, B) relative error covariance that all sites of a flight line share, the calibration's
-    n : pixels averaged, None when unknown
-    line : flight line
-    """
-
+    source: SpectrumCollection
     mean: Array
-    own: Array
-    relative: Array
-    n: int | None
-    line: str | None
+    parts: Mapping[str, Array]
 
 
 def observe_spectra(collection: CollectionSection, resolve: Resolve) -> ObservedProducts:
@@ -326,7 +303,7 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     if collection.bands is None:
         raise UsageError("collected spectra need a band table")
     axis = read_band_table(resolve(collection.bands.path), collection.bands)
-    detector, zero = None, np.zeros((len(axis), len(axis)))
+    detector = None
     if (name := collection.detector) is not None:
         detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
     notes = []
@@ -347,9 +324,7 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
         if detector is not None and site.pixels is not None:
             parts[NOISE] = detector_covariance(mean, axis, detector, site.pixels)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
-        level = np.where(mean == 0.0, np.inf, mean)
-        relative = parts.get(CALIBRATION, zero) / np.outer(level, level)
-        sites[site.subject] = Site(mean, parts.get(NOISE, zero), relative, site.pixels, site.line)
+        sites[site.subject] = Site(site, mean, parts)
     notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
     reflectance: dict[str, SpectralEstimate] = {}
     if collection.empirical_line is not None:
@@ -388,7 +363,7 @@ def _site_reflectance(
     flight line, and the note marks it as a one-point line.  Sites of one flight share their calibration, which
     cancels, but for the part of it in which a stated path radiance has none.
     """
-    lines = {site.line for site in sites.values()}
+    lines = {site.source.line for site in sites.values()}
     for entry in source.path_radiance:
         if entry.line not in lines:
             what, known = f"path_radiance: no site of flight line {entry.line!r}", sorted(repr(line) for line in lines)
@@ -399,18 +374,20 @@ def _site_reflectance(
         if name not in sites:
             raise UsageError(f"empirical line: no site {name!r}", where=WHERE, expected=one_of(sites))
         site = sites[name]
-        panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), site.mean, site.own, site.n or 1)
+        own, n = site.parts.get(NOISE, np.zeros(len(axis))), site.source.pixels or 1
+        panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), site.mean, own, n)
     paths = {entry.line: entry for entry in source.path_radiance}
     out: dict[str, SpectralEstimate] = {}
     notes: list[str] = []
     for name, site in sites.items():
-        others = [p for n, p in panels.items() if n != name and sites[n].line == site.line]
+        flight = site.source.line
+        others = [p for n, p in panels.items() if n != name and sites[n].source.line == flight]
         how, lacks = "empirical line", "no other site is known"
         if source.intercept and len(others) == 1:
             lacks = "one other site makes a line only with its path_radiance"
-            if site.line in paths:
+            if flight in paths:
                 how = "one-point empirical line"
-                others.append(_black(paths[site.line], site, axis, resolve))
+                others.append(_black(paths[flight], site, axis, resolve))
         try:
             if not others or (source.intercept and len(others) == 1):
                 raise UsageError(lacks)
@@ -419,9 +396,9 @@ def _site_reflectance(
             notes.append(f"{name}: no reflectance by other sites of its flight line: {error.what}")
             continue
         parts = {"empirical line": line.error_covariance(site.mean)}
-        if np.any(site.own):
-            parts[NOISE] = site.own / np.outer(line.gain, line.gain)
-        out[name] = spectral_estimate(line.reflectance(site.mean), parts, n=site.n)
+        if NOISE in site.parts:
+            parts[NOISE] = site.parts[NOISE] / np.outer(line.gain, line.gain)
+        out[name] = spectral_estimate(line.reflectance(site.mean), parts, n=site.source.pixels)
         usable = f"usable in {int(line.usable.sum())} of {len(axis)} bands"
         words = [f"reflectance by the {how} through {' and '.join(line.names)}, {usable}", *line_warnings(line, axis)]
         notes += [f"{name}: {text}" for text in words]
@@ -432,7 +409,8 @@ def _black(stated: PathRadiance, site: Site, axis: SpectralAxis, resolve: Resolv
     """The path radiance as a panel that reflects nothing."""
     black, zero = path_estimate(stated, axis, resolve), np.zeros(len(axis))
     # A common error of the calibration moves all sites and not the path: as if the path alone had moved.
-    error = black.error_covariance + site.relative * np.outer(black.mean, black.mean)
+    share = black.mean / np.where(site.mean == 0.0, np.inf, site.mean)
+    error = black.error_covariance + site.parts.get(CALIBRATION, 0.0) * np.outer(share, share)
     return MeasuredPanel("the path radiance of the engine", zero, zero, black.mean, error)
 
 

@@ -274,8 +274,6 @@ def score_cube(
     whitener: Whitener | None = None,
     needed: Mask | None = None,
     scenes: Mapping[str, Any] = MappingProxyType({}),
-    threads: int | None = None,
-    block_lines: int | None = None,
     watch: Watch = iter,
 ) -> dict[str, Array]:
     """Score map (lines, samples) of every detector; no reflectance is written or kept.
@@ -290,7 +288,6 @@ def score_cube(
     whitener : of the selected bands, needed where a detector measures distance
     needed : (B,) bands that must hold data besides those used, all that are used by default
     scenes : of each detector with ``image``, what the truth says (:class:`hyperval.pixels.ImageTruth`)
-    threads, block_lines : None chooses them
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
     Raises
@@ -337,7 +334,7 @@ def score_cube(
                     score = np.where(usable.ravel(), score, np.nan)
                     kept.get(name, maps[name])[..., lines, :] = score.reshape(*score.shape[:-1], *usable.shape)
 
-    for _ in stream(cube, segment, used, must, threads=threads, block_lines=block_lines, watch=watch):
+    for _ in stream(cube, segment, used, must, watch):
         pass
     for name, values in kept.items():
         with _of_added(detectors[name].added):
@@ -398,7 +395,6 @@ def score_cube_locally(
     bands: Mask | None = None,
     *,
     needed: Mask | None = None,
-    threads: int | None = None,
     watch: Watch = iter,
 ) -> tuple[dict[str, Array], int]:
     """Score map of every detector with the mean of each pixel's surroundings; how many pixels had the global mean.
@@ -411,7 +407,7 @@ def score_cube_locally(
     whitener : of the background in the selected bands
     window : sides of the outer and the inner square [pixels], odd
     counted : (lines, samples) pixels that may count for a mean; those without data never do
-    elm, bands, needed, threads, watch : as for :func:`score_cube`
+    elm, bands, needed, watch : as for :func:`score_cube`
 
     Raises
     ------
@@ -469,7 +465,7 @@ def score_cube_locally(
         lines = [slice(line, min(line + outer, cube.lines)) for line in firsts]
         return sum(scored(*part) for part in itertools.product(lines, strips))
 
-    return maps, sum(by_segments(cube, outer, segment, threads=threads, watch=watch))
+    return maps, sum(by_segments(cube, outer, segment, watch))
 
 
 def _square_sums(values: Array, side: int) -> Array:

@@ -30,6 +30,7 @@ from hyperval.errors import UsageError, refusal
 from hyperval.pixels.statistics import EigenDirections
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 LEAST_DOF = 2.05  # of a t law: the covariance is finite; a heavier tail is held just above it
 MOST_DOF = 200.0  # beyond, nobody tells it from the normal law
@@ -38,6 +39,7 @@ _TOLERANCE = 1e-4  # of the penalised log likelihood of one pixel
 _LLOYD = 10
 _FIRST_DOF = 10.0
 TRIED_DOF = (None, 16.0, 8.0, 4.0)
+FOLDS = 4  # parts of the image that are left out in turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,9 +241,7 @@ def chosen_count(
     block: npt.ArrayLike,
     counts: Sequence[int],
     rng: np.random.Generator,
-    *,
     dof: float | None = np.inf,
-    folds: int = 4,
 ) -> tuple[int, Array]:
     """The number of components that predicts other parts of the image best, and what each number scored.
 
@@ -265,7 +265,7 @@ def chosen_count(
     UsageError : fewer than two blocks.
     """
     x = np.asarray(values, dtype=float)
-    fold, at = _folds(block, folds, rng)
+    fold, at = _folds(block, rng)
     score, each = np.full(len(counts), -np.inf), []
     for i, count in enumerate(counts):
         # Fewer pixels than that for each component of the smallest part, and it knows no covariance.
@@ -283,31 +283,25 @@ def chosen_count(
     return int(counts[best]), score
 
 
-def chosen_dof(
-    values: npt.ArrayLike, block: npt.ArrayLike, count: int, rng: np.random.Generator, *, folds: int = 4
-) -> float | None:
+def chosen_dof(values: npt.ArrayLike, block: npt.ArrayLike, count: int, rng: np.random.Generator) -> float | None:
     """Degrees of freedom, of t laws in number ``count``, that predict left-out blocks best; None: as fitted.
 
     The pixels of a sample lie nearer to its own clusters than those of another part of the image do.
     """
-    x, fold = np.asarray(values, dtype=float), _folds(block, folds, rng)[0]
+    x, fold = np.asarray(values, dtype=float), _folds(block, rng)[0]
     return max(TRIED_DOF, key=lambda dof: float(_left_out_density(x, fold, count, dof, rng).sum()))
 
 
-def _folds(
-    block: npt.ArrayLike, folds: int, rng: np.random.Generator
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _folds(block: npt.ArrayLike, rng: np.random.Generator) -> tuple[Index, Index]:
     """(n,) part of the image that a pixel is left out with, and its block counted from 0."""
     at = np.unique(np.asarray(block), return_inverse=True)[1].reshape(-1)
     blocks = int(at.max(initial=-1)) + 1
     if blocks < 2:
         raise refusal("mixture.one_block")
-    return np.asarray((rng.permutation(blocks) % min(folds, blocks))[at]), at
+    return np.asarray((rng.permutation(blocks) % min(FOLDS, blocks))[at]), at
 
 
-def _left_out_density(
-    x: Array, fold: npt.NDArray[np.intp], count: int, dof: float | None, rng: np.random.Generator
-) -> Array:
+def _left_out_density(x: Array, fold: Index, count: int, dof: float | None, rng: np.random.Generator) -> Array:
     """(n,) log density of each value by the mixture of the other parts."""
     density = np.empty(len(x))
     for f in np.unique(fold):
@@ -338,7 +332,7 @@ class ClassMixture:
     """
 
     mean: Array
-    lead: npt.NDArray[np.intp]
+    lead: Index
     directions: Array
     fit: MixtureFit
 
@@ -346,7 +340,7 @@ class ClassMixture:
         """The laws in all bands, by the share that each pixel (n, B) has in each; None where one is left."""
         return self._moments(pixels, self._standardised(pixels), self.fit)
 
-    def components_without(self, pixels: Array, part: npt.NDArray[np.intp], number: int) -> Components | None:
+    def components_without(self, pixels: Array, part: Index, number: int) -> Components | None:
         """The same without the pixels of one part of the image, the fit made again from where it stands."""
         rest = pixels[part != number]
         values = self._standardised(rest)
@@ -382,7 +376,7 @@ def class_mixture(
     count: int | Literal["auto"],
     *,
     tails: bool,
-    lead: npt.NDArray[np.intp] | None = None,
+    lead: Index | None = None,
     seed: int = 0,
     counts: Sequence[int] = COUNTS,
 ) -> ClassMixture | None:
@@ -635,8 +629,6 @@ def squared_mahalanobis(pixels: npt.ArrayLike, mean: npt.ArrayLike, vectors: Arr
     z = (np.asarray(pixels, dtype=float) - np.asarray(mean, dtype=float)) @ vectors
     return np.asarray(np.einsum("ij,ij->i", z / values, z))
 
-
-Index = npt.NDArray[np.intp]
 
 _HALVINGS = 4  # 16 parts
 _FEWEST = 8  # pixels of a part

@@ -108,16 +108,13 @@ def _segments(lines: int, block_lines: int) -> list[range]:
     return [range(a, b, block_lines) for a, b in itertools.pairwise(edges)]
 
 
-def by_segments(
-    cube: Cube, block_lines: int, work: Callable[[range], Result], *, threads: int | None = None, watch: Watch = iter
-) -> Iterator[Result]:
+def by_segments(cube: Cube, block_lines: int, work: Callable[[range], Result], watch: Watch = iter) -> Iterator[Result]:
     """The result of ``work`` for each segment, in order; ``work`` gets the first lines of the segment's blocks.
 
-    With ``threads`` None as many are used as the cube says, else as there are cores, at most four, and one where
-    NumPy's BLAS cannot be kept to one thread.  ``watch`` wraps the iterator over the segments, for a progress bar.
+    As many threads are used as the cube says, else as there are cores, at most four, and one where NumPy's BLAS
+    cannot be kept to one thread.  ``watch`` wraps the iterator over the segments, for a progress bar.
     """
-    segments = _segments(cube.lines, block_lines)
-    threads = cube.threads if threads is None else threads
+    segments, threads = _segments(cube.lines, block_lines), cube.threads
 
     def results() -> Iterator[tuple[range, Result]]:
         with cube.kept_open(), single_blas_thread() as alone:
@@ -139,9 +136,6 @@ def stream(
     work: Callable[[Iterator[StoredBlock]], Result],
     bands: Mask | None = None,
     needed: Mask | None = None,
-    *,
-    threads: int | None = None,
-    block_lines: int | None = None,
     watch: Watch = iter,
 ) -> Iterator[Result]:
     """What ``work`` makes of the blocks of each segment of a cube, in order: the whole image once.
@@ -150,10 +144,9 @@ def stream(
     ----------
     bands : (B,) that are handed out, all by default
     needed : (B,) that must hold data in a usable pixel, all by default
-    threads, block_lines : None chooses them
     watch : wraps the iterator over the parts of the pass, for a progress bar
     """
-    step = min(block_lines or max(1, round(BLOCK_PIXELS / cube.samples)), cube.lines)
+    step = min(max(1, round(BLOCK_PIXELS / cube.samples)), cube.lines)
     stretches = _runs(np.ones(cube.bands, bool) if bands is None else bands)
     count, most = stretches[-1][1].stop if stretches else 0, step * cube.samples
 
@@ -173,7 +166,7 @@ def stream(
             del stored  # a view of lines that a raster may hold: they would stay while it reads the next
             yield StoredBlock(slice(first, first + shape[0]), numbers, usable)
 
-    return by_segments(cube, step, lambda firsts: work(blocks(firsts)), threads=threads, watch=watch)
+    return by_segments(cube, step, lambda firsts: work(blocks(firsts)), watch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,12 +292,7 @@ class Sums:
 
 
 def region_statistics(
-    cube: Cube,
-    regions: Mapping[str, Mask] | None = None,
-    *,
-    threads: int | None = None,
-    block_lines: int | None = None,
-    watch: Watch = iter,
+    cube: Cube, regions: Mapping[str, Mask] | None = None, *, watch: Watch = iter
 ) -> dict[str, SampleStatistics]:
     """Mean and covariance of every region and of the whole scene.
 
@@ -316,7 +304,6 @@ def region_statistics(
     Parameters
     ----------
     regions : masks (lines, samples) by name, of which "scene" is kept for the whole; or labels, the scene among them
-    threads, block_lines : None chooses them
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
     Raises
@@ -354,7 +341,7 @@ def region_statistics(
     with single_blas_thread():
         total: defaultdict[int, Sums] = defaultdict(lambda: Sums(cube.bands))
         left_out = np.zeros(count, np.int64)
-        for sums, missing in stream(cube, segment, threads=threads, block_lines=block_lines, watch=watch):
+        for sums, missing in stream(cube, segment, watch=watch):
             left_out += missing
             while sums:  # taken from there: 2 MB for each label
                 key, value = sums.popitem()
@@ -378,7 +365,7 @@ def _statistics(cube: Cube, name: str, own: Mask, sums: Mapping[int, Sums], left
     )
 
 
-def darkest_values(cube: Cube, *, threads: int | None = None) -> Array:
+def darkest_values(cube: Cube) -> Array:
     """The least value (B,) of each band over the pixels that hold data in every band.
 
     Raises
@@ -393,7 +380,7 @@ def darkest_values(cube: Cube, *, threads: int | None = None) -> Array:
         return np.asarray(np.min(cube.gain * np.array(ends) + cube.offset, axis=(0, 1)) if ends else np.inf)
 
     none = np.full(cube.bands, np.inf)
-    lowest = np.min(np.broadcast_arrays(none, *stream(cube, segment, threads=threads)), axis=0)
+    lowest = np.min(np.broadcast_arrays(none, *stream(cube, segment)), axis=0)
     if not np.all(np.isfinite(lowest)):
         raise UsageError("no pixel of the cube holds data in every band")
     return np.asarray(lowest)
@@ -403,8 +390,7 @@ def darkest_values(cube: Cube, *, threads: int | None = None) -> Array:
 _SIGNIFICANT = 3.5
 
 
-@dataclass(frozen=True)
-class LagCorrelation:
+class LagCorrelation(NamedTuple):
     """Correlation of pixels against their distance.
 
     Attributes
