@@ -234,12 +234,7 @@ class FinerTruth(Model):
     def _placed(self) -> FinerTruth:
         if (self.corner is None) != (self.times_finer is None):
             raise ValueError("corner and times_finer go together")
-        if self.registration_m is not None and self.registration_pixels is not None:
-            raise ValueError("give registration_m or registration_pixels")
-        if self.registration_m is None and self.registration_pixels is None:
-            raise ValueError(
-                "state the error of registration: registration_m or registration_pixels, 0 if there is none"
-            )
+        exactly_one(self, ("registration_m", "registration_pixels"))  # 0 where there is none
         return self
 
 
@@ -275,9 +270,7 @@ class TargetTruth(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> TargetTruth:
-        sources = (self.rasters, self.csv, self.finer, self.abundances)
-        if bool(self.regions) + sum(source is not None for source in sources) != 1:
-            raise ValueError("give exactly one of regions, rasters, csv, finer, abundances")
+        exactly_one(self, ("regions", "rasters", "csv", "finer", "abundances"))
         if self.csv is None and self.pixels == "centre":
             raise ValueError("only a list (csv) says where a target's centre is: pixels must be 'touched'")
         return self
@@ -400,8 +393,7 @@ class CollectionSection(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> CollectionSection:
-        if bool(self.cube) + bool(self.spectra) + bool(self.radcalnet) != 1:
-            raise ValueError("give exactly one of cube, spectra, radcalnet")
+        exactly_one(self, ("cube", "spectra", "radcalnet"))
         if self.detector is not None and not (self.spectra and all(site.pixels for site in self.spectra)):
             raise ValueError("detector is for spectra, each of which states its pixels: a cube shows its own noise")
         line = self.empirical_line

@@ -31,7 +31,7 @@ from hyperval.sensor.specification import SensorChanges, SensorOperation
 
 def exactly_one(model: Model, names: tuple[str, ...]) -> None:
     """Raise ValueError unless exactly one of the fields is given."""
-    given = [n for n in names if getattr(model, n) is not None]
+    given = [n for n in names if getattr(model, n) not in (None, [])]
     if len(given) != 1:
         raise ValueError(f"give exactly one of {', '.join(names)}" + (f": {given} are given" if given else ""))
 

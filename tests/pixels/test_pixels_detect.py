@@ -194,29 +194,22 @@ def test_an_object_in_its_window_scores_as_in_the_whole_image(halo):
         assert pixels.object_scores(scores, {"window": placed}, halo) == {"window": brute.max()}
 
 
-def test_footprint_maxima_by_hand_and_without_the_excluded():
+def test_footprint_tiles_by_hand_and_without_the_excluded():
     scores = np.arange(24.0).reshape(4, 6)
-    assert sorted(pixels.footprint_maxima(scores, np.ones((2, 3), bool))[0]) == [8.0, 11.0, 20.0, 23.0]
+    assert sorted(pixels.footprint_tiles(scores, np.ones((2, 3), bool))[0].max(axis=1)) == [8.0, 11.0, 20.0, 23.0]
     cross = np.array([[True, False], [False, False]])
-    assert sorted(pixels.footprint_maxima(scores, cross)[0]) == [0, 2, 4, 12, 14, 16]
+    assert sorted(pixels.footprint_tiles(scores, cross)[0].ravel()) == [0, 2, 4, 12, 14, 16]
     exclude = np.zeros((4, 6), bool)
     exclude[0, 0] = True
-    maxima, lines, samples = pixels.footprint_maxima(scores, np.ones((2, 3), bool), exclude)
+    under, lines, samples = pixels.footprint_tiles(scores, np.ones((2, 3), bool), exclude)
+    maxima = under.max(axis=1)
     assert sorted(maxima) == [11.0, 20.0, 23.0]
     assert all(scores[a : a + 2, b : b + 3].max() == m for m, a, b in zip(maxima, lines, samples, strict=True))
-    assert pixels.footprint_maxima(np.full((4, 4), np.nan), np.ones((2, 2), bool))[0].size == 0
+    sums = pixels.footprint_tiles(scores, np.array([[True, True], [True, False]]), exclude)[0].sum(axis=1)
+    assert sums.tolist() == [scores[r, c] + scores[r, c + 1] + scores[r + 1, c] for r in (0, 2) for c in (0, 2, 4)][1:]
+    assert pixels.footprint_tiles(np.full((4, 4), np.nan), np.ones((2, 2), bool))[0].size == 0
     with pytest.raises(UsageError, match="does not fit"):
-        pixels.footprint_maxima(scores, np.ones((5, 5), bool))
-
-
-def test_footprint_sums_tile_the_background_and_leave_out_what_is_excluded():
-    scores = np.arange(36.0).reshape(6, 6)
-    shape = np.array([[True, True], [True, False]])
-    exclude = np.zeros((6, 6), bool)
-    exclude[0, 0] = True
-    sums = pixels.footprint_sums(scores, shape, exclude)
-    every = [scores[r, c] + scores[r, c + 1] + scores[r + 1, c] for r in (0, 2, 4) for c in (0, 2, 4)]
-    assert sums.tolist() == every[1:]
+        pixels.footprint_tiles(scores, np.ones((5, 5), bool))
 
 
 # Gaussian classification: closed forms, bounds, errors of pixels, and pixels that err together.

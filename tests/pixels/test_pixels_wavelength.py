@@ -165,13 +165,13 @@ def roof(w):
 def test_a_planted_shift_is_found(surface, too_much, shift):
     found = pixels.oxygen_residual(*compensated(shift, too_much, surface))
     assert found is not None
-    assert abs(found.shift_nm - shift) < 1.25
+    assert abs(found.nm - shift) < 1.25
     assert 1.0 < found.uncertainty_nm < 1.3
 
 
 @pytest.mark.parametrize("too_much", [0.6, 1.5])
 def test_too_much_or_too_little_oxygen_is_no_shift(too_much):
-    assert abs(pixels.oxygen_residual(*compensated(0.0, too_much, roof)).shift_nm) < 0.3
+    assert abs(pixels.oxygen_residual(*compensated(0.0, too_much, roof)).nm) < 0.3
 
 
 def test_where_nothing_is_left_nothing_is_said():
@@ -195,7 +195,7 @@ def test_the_wavelengths_of_a_compensated_image_are_checked_to_a_nanometre():
     fwhm = np.full(w.size, 4.76)
     stands = [(y, s) for y in table.T[1:] if (s := pixels.oxygen_residual(w, y, fwhm)) is not None]
     assert len(stands) >= 3  # of six materials, the rest of which varies more
-    assert all(abs(s.shift_nm) < 1.0 for _, s in stands)
+    assert all(abs(s.nm) < 1.0 for _, s in stands)
     notes = wavelength_notes([stands[0][0]], SpectralAxis(w, fwhm), reflectance=True)
     assert any("rest of the oxygen A band" in note for note in notes)
 

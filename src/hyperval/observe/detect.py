@@ -284,8 +284,8 @@ def _scene(place: Place, detection: Detection, target: DetectionTarget) -> px.Im
     numbers = np.zeros(place.cube.shape, np.intp)
     groups = target_groups(place.targets, target, detection.group)
     for number, item in enumerate((one for members in groups.values() for one in members), start=1):
-        (line, sample), part = scored_pixels(item, place)
-        numbers[line : line + part.shape[0], sample : sample + part.shape[1]][part] = number
+        corner, part = scored_pixels(item, place)
+        _window(numbers, corner, part)[part] = number
     return px.ImageTruth(place.background(detection.background), numbers)
 
 
@@ -399,9 +399,10 @@ class _Curves:
             shapes[shape.shape, shape.tobytes()] = shape
             if any(np.greater(shape.shape, scores.shape)):
                 raise refusal("detection.halo", where, name=name, halo=halo, shape=scores.shape)
-        parts = [px.footprint_maxima(scores, shape, ~self.alarms) for shape in shapes.values()]
-        looked_at = sum(part[0].size * shape.size for part, shape in zip(parts, shapes.values(), strict=True))
-        maxima, lines, samples = (np.concatenate(part) for part in zip(*parts, strict=True))
+        parts = [px.footprint_tiles(scores, shape, ~self.alarms) for shape in shapes.values()]
+        looked_at = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
+        maxima = np.concatenate([under.max(axis=1) for under, _, _ in parts])
+        lines, samples = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
         if maxima.size == 0:
             what = f"with a halo of {halo} pixels no footprint of the targets fits on the background"
             raise UsageError(f"{what} ({', '.join(placed)})", where=where)
@@ -524,7 +525,7 @@ def _footprint_sums(
         shape = px.footprint(summed)
         key = shape.shape, shape.tobytes()
         if key not in spread:
-            spread[key] = px.footprint_sums(scores, shape, taken)
+            spread[key] = px.footprint_tiles(scores, shape, taken)[0].sum(axis=1)
         return ObjectSum(float(np.nansum(_window(scores, corner, grown)[summed])), int(summed.sum()), spread[key])
 
     return of

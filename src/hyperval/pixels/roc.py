@@ -892,7 +892,7 @@ def object_scores(score_map: npt.NDArray[Any], objects: Mapping[str, Placed], ha
     Returns
     -------
     score by object; NaN for an object without a valid pixel.  With a halo the background must be scored by
-    :func:`footprint_maxima`, else noise alone looks like detection.
+    :func:`footprint_tiles`, else noise alone looks like detection.
     """
     scores = np.asarray(score_map, dtype=float)
     greatest: dict[str, float] = {}
@@ -915,13 +915,15 @@ def footprint(mask: npt.NDArray[Any], halo: int = 0) -> Mask:
     return grown[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
-def footprint_maxima(
+def footprint_tiles(
     score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None
 ) -> tuple[Array, Indices, Indices]:
-    """Greatest score of each placement of an object's footprint on the background.
+    """Scores under each placement of an object's footprint on the background.
 
-    The image is tiled by the footprint's bounding box, without overlap, so that the maxima are separate
-    draws; tiles that touch an invalid or an excluded pixel under the footprint are left out.
+    The image is tiled by the footprint's bounding box, without overlap, so that the placements are separate
+    draws; tiles that touch an invalid or an excluded pixel under the footprint are left out.  The greatest score of
+    each stands for a false alarm per footprint, not per pixel, beside objects with a halo; the spread of their sums is
+    the standard uncertainty of the same sum over the object, with the correlation between neighbouring pixels in it.
 
     Parameters
     ----------
@@ -931,26 +933,8 @@ def footprint_maxima(
 
     Returns
     -------
-    maxima, lines, samples : (n,) the ``background_scores`` that belong with haloed object scores, of which one
-        stands for a false alarm per footprint, not per pixel; and the first line and sample of each placement
+    scores (n, pixels of the footprint); and the first lines and samples (n,) of the placements
     """
-    values, lines, samples = _tiles(score_map, shape, exclude)
-    return values.max(axis=1) if values.size else np.empty(0), lines, samples
-
-
-def footprint_sums(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None) -> Array:
-    """Sum of scores over each placement of an object's footprint on the background.
-
-    Their spread is the standard uncertainty of the same sum over the object, with the correlation between
-    neighbouring pixels in it.  Parameters and placements as :func:`footprint_maxima`.
-    """
-    return np.asarray(_tiles(score_map, shape, exclude)[0].sum(axis=1))
-
-
-def _tiles(
-    score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None
-) -> tuple[Array, Indices, Indices]:
-    """(n, pixels of the footprint) scores of each placement without invalid or excluded pixels; line and sample."""
     scores = np.array(score_map, dtype=float)
     if exclude is not None:
         scores[np.asarray(exclude, dtype=bool)] = np.nan

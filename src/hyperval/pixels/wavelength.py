@@ -43,35 +43,22 @@ _LEAST_FIGURE = 1e-4  # relative: what four digits of a reflectance can tell
 _ALPHA = 1e-4  # of so many shifts tried a few are independent: 1e-3 together
 
 
-@dataclass(frozen=True)
-class OxygenResidual:
-    """Wavelengths as labelled less the true ones [nm], and its standard uncertainty by scatter and shape [nm]."""
-
-    shift_nm: float
-    uncertainty_nm: float
-
-
 def oxygen_absorption(wavelength_nm: npt.ArrayLike, fwhm_nm: npt.ArrayLike) -> Array:
     """(B,) absorption of the oxygen A band through Gaussian bands, of area 1 over wavelength [nm-1]."""
-    w = np.asarray(wavelength_nm, dtype=float)
-    band = np.asarray(fwhm_nm, dtype=float) * SIGMA_PER_FWHM
-    spread = [np.hypot(sd, band) for _, _, sd in _BRANCHES]
-    return np.asarray(
-        sum(
-            a * np.exp(-(((w - c) / s) ** 2) / 2.0) / (np.sqrt(2.0 * np.pi) * s)
-            for (a, c, _), s in zip(_BRANCHES, spread, strict=True)
-        )
-    )
+    w, band = np.asarray(wavelength_nm, dtype=float), np.asarray(fwhm_nm, dtype=float) * SIGMA_PER_FWHM
+    share, centre, sd = np.array(_BRANCHES).T[:, :, None]
+    spread = np.hypot(sd, band)
+    density = np.exp(-(((w - centre) / spread) ** 2) / 2.0) / (np.sqrt(2.0 * np.pi) * spread)
+    return np.asarray((share * density).sum(axis=0))
 
 
-def oxygen_residual(
-    wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike, fwhm_nm: npt.ArrayLike
-) -> OxygenResidual | None:
+def oxygen_residual(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike, fwhm_nm: npt.ArrayLike) -> Shift | None:
     """The shift that explains what is left of the oxygen A band; None where nothing is left beyond the scatter.
 
     Least squares in the logarithm over 742 to 787 nm: the surface as a cubic, both equivalent widths and the shift.
-    What the light went through is known to a quarter, and so is a shift.  Nothing is left, or was taken out by
-    interpolation, where no shift improves on the cubic by more than chance (F test with two free numbers).
+    Its uncertainty is by scatter and shape; what the light went through is known to a quarter, and so is a shift.
+    Nothing is left, or was taken out by interpolation, where no shift improves on the cubic by more than chance (F
+    test with two free numbers).
 
     Parameters
     ----------
@@ -115,7 +102,7 @@ def oxygen_residual(
         return None
     covariance = np.linalg.pinv(best.jac.T @ best.jac)
     widened = special.stdtrit(free, 0.975) / special.ndtri(0.975)
-    return OxygenResidual(float(p[0]), float(np.hypot(_SHAPE, widened * np.sqrt(covariance[0, 0]))))
+    return Shift(OXYGEN_RESIDUAL, float(p[0]), float(np.hypot(_SHAPE, widened * np.sqrt(covariance[0, 0]))))
 
 
 def _log_transmitted(absorbed: Array) -> Array:
@@ -286,7 +273,7 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
     if reflectance:
         left = oxygen_residual(w, y, axis.fwhm_nm[use])
         if left is not None:
-            yield Shift(OXYGEN_RESIDUAL, left.shift_nm, left.uncertainty_nm)
+            yield left
         edge = red_edge(w, y)
         if np.isfinite(edge):
             yield _shift(RED_EDGE, edge, w)
