@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     Field,
@@ -489,14 +489,7 @@ class DarkestPixel(Model):
     """Darkest-pixel compensation: the scene's darkest pixel stands for a dark surface, a panel gives the gain."""
 
     darkest_pixel: int = Field(ge=1, le=1_000_000_000, description="pixels of the scene, the darkest of which counts")
-    dark_reflectance: float = Field(0.0, ge=0, lt=1, description="what it is taken for")
-    panel: Fraction = Field(0.6, description="reflectance of the bright panel")
-
-    @model_validator(mode="after")
-    def _check(self) -> DarkestPixel:
-        if not self.dark_reflectance < self.panel:
-            raise ValueError("the panel is brighter than the dark surface")
-        return self
+    reflectances: ClassVar = (0.0, 0.6)  # what it is taken for, and that of the bright panel
 
 
 class Features(Model):

@@ -266,7 +266,7 @@ def paths_of(variant: str, scenario: Scenario, *, of_file: bool) -> list[str]:
     if variant != "ACE":
         return paths
     stated = read(scenario).stated
-    sorts = {(find(stated, p)[0].field if of_file else re.sub(r"\[.*\]", "*", p)): p for p in reversed(paths)}
+    sorts = {(find(stated, p).field if of_file else re.sub(r"\[.*\]", "*", p)): p for p in reversed(paths)}
     anew = ["scene.classes.[soil].spectrum.constant", "processing.seed", "processing.samples"]
     return [*sorts.values(), *(anew if of_file else [])]
 
@@ -348,5 +348,5 @@ def test_an_input_moved_among_others_alone_and_in_the_file_gives_the_same(folder
 def test_every_field_of_the_world_is_moved(folder):
     """A field that no variant moves would go without a comparison."""
     worlds = [read(variant_of(folder, v)) for v in VARIANTS]
-    moved = {find(world.stated, p)[0].field for world in worlds for p in every_path(world)}
+    moved = {find(world.stated, p).field for world in worlds for p in every_path(world)}
     assert moved == {path.field for path in PATHS.values()}

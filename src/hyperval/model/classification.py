@@ -24,7 +24,8 @@ from hyperval.errors import UsageError
 from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained
 from hyperval.model.intervals import clopper_pearson
-from hyperval.model.stated import Origins, Truth, correlation, cut
+from hyperval.model.radiance import cut
+from hyperval.model.stated import Origins, Truth, correlation
 from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, Target, TargetSubject

@@ -35,6 +35,7 @@ from hyperval.model.radiance import (
     Seen,
     TwoPanelLine,
     at_rows,
+    cut,
     light_of,
     of_truth,
     retrieved_reflectance,
@@ -44,7 +45,7 @@ from hyperval.model.radiance import (
     wide,
 )
 from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid
-from hyperval.model.stated import Keeps, cut, distinct
+from hyperval.model.stated import Keeps, distinct
 from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Features, Scenario, Target, TargetSubject
@@ -399,7 +400,7 @@ class Evaluation(Keeps):
 
     @cached_property
     def _designed(self) -> tuple[dict[tuple[str, str], tuple[LinearFilter, Array, Array]], dict[int, UsageError]]:
-        linear = self.scenario.processing.linear_detectors
+        linear = self.stated.linear_detectors
         wanted = {(t.name, d): self.looked_for(t.name) for t in self.targets for d in linear}
         shape, problems = (self.first.size, self.bands.size), dict[int, UsageError]()
         made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}

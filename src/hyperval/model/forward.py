@@ -24,8 +24,7 @@ from hyperval.model.inputs import (
     UncertainInput,
     drawn_truths,
     inputs_of,
-    number_input,
-    spectral_directions,
+    interpolation_input,
     spectrum_errors,
     spectrum_inputs,
 )
@@ -43,19 +42,15 @@ from hyperval.model.propagate import (
     DRAWN_SHIFT,
     Changes,
     Draws,
-    drawn_curve,
     drawn_products,
     emulator,
     law_directions,
-    limits,
     linearised,
     mean_shifts,
     probit,
-    shift_notes,
-    with_bands,
     with_intervals,
     with_law_errors,
-    with_law_limits,
+    with_limits,
     worlds_without,
 )
 from hyperval.model.radiance import (
@@ -70,14 +65,13 @@ from hyperval.model.radiance import (
 )
 from hyperval.model.stated import Origins, Stated, Truth
 from hyperval.model.world import SHIFT, World, find, read, settled, under, with_truths
-from hyperval.products import PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
+from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
 from hyperval.progress import track
-from hyperval.scenario import Scenario, SpectralForm, Uncertainty
+from hyperval.scenario import Scenario, Uncertainty
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 SpectralErrors = Mapping[tuple[str, str], Mapping[str, Errors]]  # (product, subject) -> source -> its errors
-TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
 _DIRECTIONS = 32  # directions whose spectra are in memory at once
 _ROUNDING = 1e-9  # of an error: what rounding leaves where nothing follows
 _SEEN_BY_NO_SPECTRUM = ("dark", "bright", "line_gain", "line_offset", "spread", "tail", "fine_texture")
@@ -193,33 +187,19 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
     return out
 
 
-def interpolation_input(world: World) -> list[UncertainInput]:
-    """Error of the path radiance by interpolation between the nodes of a table; none without one.
-
-    Its size is :func:`hyperval.atmosphere.between.path_error`; it is smooth over wavelength.
-    """
-    if world.stated.scenario.atmosphere is None:
-        return []
-    sigma = world.stated.atmosphere({}, 1).path_uncertainty
-    if sigma is None or not np.any(sigma):
-        return []
-    rows = spectral_directions(world, sigma[0, 0], SpectralForm(correlation_nm=INTERPOLATION_NM))
-    return [number_input(world, TABLE, "engine", "light.path_error", 0.0, rows=rows)]
-
-
 def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralErrors:
     """Errors of the mean spectra of one truth: half the difference of up and down along each direction of each input,
     the rest held.
     """
     out: dict[tuple[str, str], dict[str, list[Array]]] = {}
     for item in inputs:
-        if find(world.stated, item.path)[0].field in _SEEN_BY_NO_SPECTRUM:
+        if find(world.stated, item.path).field in _SEEN_BY_NO_SPECTRUM:
             continue
         least = _ROUNDING * float(np.abs(item.rows).max(initial=0.0))
         of_spectrum = item.subject and item.kind == "surface"
         for start in range(0, len(item.rows), _DIRECTIONS):
             some = range(start, min(start + _DIRECTIONS, len(item.rows)))
-            there = moved_by(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])
+            there = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])
             for key, rows in half_differences(there, len(some)).items():
                 if item.kind == "engine" and key[0] == "reflectance":  # the empirical line takes it off
                     continue
@@ -228,11 +208,6 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 name = "field spectrum" if of_spectrum else item.name
                 out.setdefault(key, {}).setdefault(name, []).append(np.nan_to_num(rows))
     return {key: {name: Errors(np.concatenate(r)) for name, r in each.items()} for key, each in out.items()}
-
-
-def moved_by(world: World, truths: Sequence[Mapping[str, object]]) -> World:
-    """Truths beside the one of a world, which may be moved itself."""
-    return with_truths(world.rows(np.array([0])), truths)
 
 
 def half_differences(world: World, size: int) -> dict[tuple[str, str], Array]:
@@ -246,82 +221,66 @@ def half_differences(world: World, size: int) -> dict[tuple[str, str], Array]:
 
 def spectral_products(e: Evaluation, u: int, errors: SpectralErrors) -> dict[str, Any]:
     """All spectra of one truth with their errors: product, by its name in ``Prediction``, -> subject -> what it is."""
-    world = e.world.rows(np.array([u]))
+    world, v = e.world.rows(np.array([u])), int(e.which[u])
     names = ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")
     out: dict[str, Any] = {name: {} for name in names}
-    light, v = e.light.row(int(e.which[u])), int(e.which[u])
+    light, one, bands = e.light.row(v), e.light.rows(np.array([v])), len(e.axis)
     means = {key: of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
-    each, bands = e.once("reflectances", lambda: reflectances(e.world, e.light.rows(e.which))), len(e.axis)
+    each = e.once("reflectances", lambda: reflectances(e.world, e.light.rows(e.which)))
     around = Background.of(e.at, np.arange(bands)).covariance(v)
-    pure = {*e.stated.names["surface"]} - {*e.stated.names["target"]}
+    mixed = {p.name: number for number, (_, _, p) in enumerate(e.stated.populations)}
     # One piece of memory for all: new pages for each matrix take longer than the numbers in it.
     *room, scratch = np.empty((1 + 2 * len(each), bands, bands))
     for number, (name, (rho, met)) in enumerate(each.items()):
         rho, met = (of_truth(x, u)[0] for x in (rho, met))
         of_radiance, of_reflectance = room[2 * number : 2 * number + 2]
         others: Mapping[str, Array] = {}
-        if name in pure:
-            covariance, gain = _of_surface(world, name), _gain(world, name)
+        if name in mixed:
+            covariance, gain, others = _mixed(world, one, mixed[name])
         else:
-            covariance, gain, others = _mixed(world, e.light.rows(np.array([v])), name)
-        level = light.level(rho)
+            covariance, gain = _of_surface(world, name)
+        level, line = light.level(rho), light.library_line
         seen = light.pixel_covariance(level, met, covariance, around, gain, of_radiance, scratch)
+        errors_seen = {source: light.through(c) for source, c in others.items()}
+        spreads: dict[str, tuple[Array | None, Mapping[str, Array]]] = {"radiance": (known(seen), errors_seen)}
+        if ("reflectance", name) in means:
+            errors_seen = {source: retrieved_covariance(line, c) for source, c in errors_seen.items()}
+            spreads["reflectance"] = known(retrieved_covariance(line, seen, of_reflectance)), errors_seen
         for product in ("radiance", "toa_reflectance", "snr", "reflectance"):
-            keys = (name, without_calibration_error(name)) if product == "snr" else (name,)
-            for key in keys:
-                if (product, key) not in means:
-                    continue
-                shapes, pixel = {}, None
-                if product == "radiance":
-                    shapes, pixel = {source: light.through(c) for source, c in others.items()}, known(seen)
-                elif product == "reflectance":
-                    shapes = {source: light.through(c) for source, c in others.items()}
-                    pixel = known(seen)
-                    if light.radiant:
-                        shapes = {s: retrieved_covariance(light.library_line, c) for s, c in shapes.items()}
-                        pixel = known(retrieved_covariance(light.library_line, seen, of_reflectance))
-                total, budget = combined(errors.get((product, key), {}), shapes, bands)
-                estimate = SpectralEstimate(means[product, key], total, pixel, None, budget)
-                out[product][key] = estimate
+            for key in (name, without_calibration_error(name)):
+                if (product, key) in means:
+                    pixel, shapes = spreads.get(product, (None, {}))
+                    total, budget = combined(errors.get((product, key), {}), shapes, bands)
+                    out[product][key] = SpectralEstimate(means[product, key], total, pixel, None, budget)
         if light.radiant and light.noise is not None:
             if light.noise.full_scale is not None:
                 out["full_scale"][name] = light.noise.full_scale_fraction(level)
-            if name in pure:
+            if name not in mixed:
                 out["noise"][name] = asdict(light.noise.breakdown(level))
     return out
 
 
-def _gain(world: World, name: str) -> float:
-    """g_m of a class; 1 of any other surface."""
-    classes = world.stated.classes
-    return float(world.column("class_gain")[0, classes.index(name)]) if name in classes else 1.0
+def _of_surface(world: World, name: str) -> tuple[Array, float]:
+    """(B, B) covariance of a surface in one truth, its gain included, and that gain: g_m of a class, 1 of any other."""
+    classes, stretch = world.stated.classes, world.stretch[0, world.surface(name)]
+    gain = float(world.column("class_gain")[0, classes.index(name)]) if name in classes else 1.0
+    factor = gain * (stretch[0] ** 2 if stretch.size == 1 else np.outer(stretch, stretch))
+    covariance = world.stated.surfaces[name].covariance
+    return covariance if np.all(factor == 1.0) else factor * covariance, gain
 
 
-def _of_surface(world: World, name: str) -> Array:
-    """(B, B) covariance of a surface in one truth, its gain included."""
-    covariance, stretch = world.stated.surfaces[name].covariance, world.stretch[0, world.surface(name)]
-    factor = _gain(world, name)
-    if stretch.size == 1:
-        factor *= float(stretch[0]) ** 2
-    else:
-        covariance = covariance * np.outer(stretch, stretch)
-    return covariance if factor == 1.0 else factor * covariance
-
-
-def _mixed(world: World, light: Light, name: str) -> tuple[Array, float, Mapping[str, Array]]:
+def _mixed(world: World, light: Light, number: int) -> tuple[Array, float, Mapping[str, Array]]:
     """Covariance of target pixels of one population (3.10, 3.12), gain of the host, and errors (B, B) of the mean of
     one object at its place by source.
     """
-    stated = world.stated
-    number, (t, _, _) = next((i, p) for i, p in enumerate(stated.populations) if p[2].name == name)
+    stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
     full = {o.name: lit(world, light, i)[0][0, 0] for i, o in enumerate(stated.targets)}
-    shade, own = lit(world, light, t)[2], _of_surface(world, target.name)
+    shade, own = lit(world, light, t)[2], _of_surface(world, target.name)[0]
     if np.ndim(shade):
         factor = np.asarray(shade)[0, 0]
         own = own * np.outer(factor, factor)
-    host, gain = world.mean[0, world.surface(target.host)], _gain(world, target.host)
-    behind = _of_surface(world, target.host)
+    host, (behind, gain) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     models, which = world.fill_models(number)
     fill = fill_distribution(models[which[0]])
     covariance = target_pixel_covariance(
@@ -409,9 +368,13 @@ def predict(
     world = settled(with_truths(read(scenario, source), [truth or {}]))[0][1]
     world = replace(world, stated=replace(world.stated, before=None))
     inputs, lit = inputs_of(world), scenario.atmosphere is not None
-    linear = [i for i in inputs if lit or not i.of_light]
-    of_spectra = spectral_errors(world, [*linear, *interpolation_input(world)])
-    products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
+    linear, between, errors = (
+        [i for i in inputs if lit or not i.of_light],
+        interpolation_input(world),
+        spectrum_errors(world),
+    )
+    of_spectra = spectral_errors(world, [*linear, *between])
+    products, changes = _prediction(world, of_spectra, errors, linear, objects, object_curves, source, truth or {})
     drawn = inputs if truth is None else []
     u, made = scenario.uncertainty, None
     shifts = mean_shifts(products.roc, changes)
@@ -431,7 +394,7 @@ def predict(
         truths = track(drawn_truths(drawn, u.samples, u.seed), "draws of the budget", show=source.show_progress)
         draws = drawn_products(_predictions(world_of_draws, truths))
     curves = draws.curves if u.method == "linear" else {}
-    products = _with_limits(scenario, products, changes, shifts, {k: curves[k] for k in far if k in curves})
+    products = with_limits(scenario, products, changes, shifts, {k: curves[k] for k in far if k in curves})
     if u.method == "linear" or not drawn:
         return products
     spread = linearised(products, drawn, partial(_predictions, world_of_draws))
@@ -478,13 +441,13 @@ def _predictions(
 
 
 def _prediction(
-    world: World, of_spectra: SpectralErrors, inputs: Sequence[UncertainInput],
+    world: World, of_spectra: SpectralErrors, errors: Mapping[str, Array], inputs: Sequence[UncertainInput],
     objects: bool | int, object_curves: bool, origins: Origins, truth: Truth,
 ) -> tuple[PredictedProducts, dict[RocKey, Changes]]:  # fmt: skip
     """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
     input; of the targets' field spectra for the one that their filter looks along.
     """
-    stated, errors = world.stated, spectrum_errors(world)
+    stated = world.stated
     light = [i for i in inputs if i.of_light and i.kind != "engine"]
     # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
     others = [i for i in inputs if not i.of_light and (i.subject in stated.classes or i.kind != "surface")]
@@ -497,7 +460,7 @@ def _prediction(
     down = np.where(up > last, up + 1, up + len(moves))
     shift = np.zeros(len(truths))
     shift[last + 1 :] = (1.0, -1.0)[: len(shift) - last - 1]
-    every = moved_by(world, truths)
+    every = with_truths(world, truths)
     parts = evaluations(every, errors, shift)
     numbers, e = parts[0]
     detection = detect(e, object_curves=object_curves)[0]
@@ -553,23 +516,3 @@ def _distribution(world: World, number: int) -> PixelDistribution:
     dof = [float(world.law_dof[0, j]) for j, law in enumerate(stated.laws) if law.owner == number]
     clusters = zip(own.weights.tolist(), own.offsets, own.covariances, dof, strict=True)
     return PixelDistribution(tail, clusters=tuple(clusters))
-
-
-def _with_limits(
-    scenario: Scenario, prediction: PredictedProducts, changes: Mapping[RocKey, Changes],
-    shifts: Mapping[RocKey, float], drawn: Mapping[RocKey, Array],
-) -> PredictedProducts:  # fmt: skip
-    """The prediction with limits of its curves.
-
-    ``drawn`` : curves (N, K) of truths drawn from the budget, where errors shift the mean of P_D by so much that
-    their directions do not add up
-    """
-    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
-    roc: dict[RocKey, RocCurve] = with_bands(prediction.roc, changes)
-    roc |= {key: drawn_curve(prediction.roc[key], limits(curves)) for key, curves in drawn.items()}
-    notes = shift_notes(shifts, drawn, len(next(iter(drawn.values()), ())))
-    for (population, detector, unit), curve in roc.items():
-        alarms = prediction.exceedance.get((filters[population], detector))
-        if alarms is not None and np.any(alarms.upper > alarms.probability):
-            roc[population, detector, unit] = with_law_limits(curve, alarms)
-    return replace(prediction, roc=roc, notes=(*prediction.notes, *notes))

@@ -203,7 +203,7 @@ def number_input(
 
     ``spread`` : standard uncertainty of each;  ``rows`` : (K, n) directions in its place
     """
-    entry, _ = find(world.stated, path)
+    entry = find(world.stated, path)
     nominal = np.asarray(value_at(world, path)[0], dtype=float).reshape(-1)
     if rows is None:
         rows = np.broadcast_to(spread, nominal.shape)[None, :]
@@ -224,14 +224,9 @@ def spectral_input(
     world: World, name: str, kind: Kind, path: str, sd: Array | float, form: SpectralForm
 ) -> UncertainInput:
     """An input over wavelength with standard uncertainty ``sd`` (B,) and the correlation of ``form``."""
-    rows = spectral_directions(world, sd, form)
-    return number_input(world, name, kind, path, 0.0, words=form_in_words(form), rows=rows)
-
-
-def spectral_directions(world: World, sd: Array | float, form: SpectralForm) -> Array:
-    """(K, B) directions of an error over wavelength on the bands of a world."""
     axis = world.stated.axis
-    return directions(np.broadcast_to(sd, len(axis)), form, axis, world.stated.sensor)
+    rows = directions(np.broadcast_to(sd, len(axis)), form, axis, world.stated.sensor)
+    return number_input(world, name, kind, path, 0.0, words=form_in_words(form), rows=rows)
 
 
 def surface_at(world: World, name: str) -> SurfaceStatistics:
@@ -242,6 +237,7 @@ def surface_at(world: World, name: str) -> SurfaceStatistics:
     return replace(surface, mean=world.mean[0, number], covariance=covariance)
 
 
+TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
 ENGINE, ENGINE_LINES, ENGINE_PATH = (
     "radiative-transfer engine", "engine's fine structure", "engine's path radiance"
 )  # fmt: skip
@@ -387,3 +383,17 @@ def _of_sensor(world: World) -> list[UncertainInput]:
             if sd > 0:
                 inputs.append(spectral_input(world, name, "sensor", path, sd, form))
     return inputs
+
+
+def interpolation_input(world: World) -> list[UncertainInput]:
+    """Error of the path radiance by interpolation between the nodes of a table; none without one.
+
+    Its size is :func:`hyperval.atmosphere.between.path_error`; it is smooth over wavelength.
+    """
+    if world.stated.scenario.atmosphere is None:
+        return []
+    sigma = world.stated.atmosphere({}, 1).path_uncertainty
+    if sigma is None or not np.any(sigma):
+        return []
+    form = SpectralForm(correlation_nm=INTERPOLATION_NM)
+    return [spectral_input(world, TABLE, "engine", "light.path_error", sigma[0, 0], form)]

@@ -155,7 +155,7 @@ def law_directions(e: Evaluation, regions: Iterable[Sequence[World]]) -> dict[Fi
     """
     grid = e.scenario.processing.false_alarm_grid
     pfa = false_alarm_grid(grid.lowest, grid.per_decade)
-    names = [(t, d) for t in e.targets for d in e.scenario.processing.linear_detectors]
+    names = [(t, d) for t in e.targets for d in e.stated.linear_detectors]
     thresholds = {(t.name, d): e.scores(t.populations[0].name, d).thresholds(pfa[None])[0] for t, d in names}
     directions: dict[Filter, list[Array]] = {key: [] for key in thresholds}
     for region in regions:
@@ -212,6 +212,26 @@ def _read(at: Array, x: Array, z: Array) -> Array:
     below, above = (z[1] - z[0]) / (at[1] - at[0]), (z[-1] - z[-2]) / (at[-1] - at[-2])
     inside = np.interp(at, x, z)
     return np.asarray(inside + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
+
+
+def with_limits(
+    scenario: Scenario, prediction: PredictedProducts, changes: Mapping[RocKey, Changes],
+    shifts: Mapping[RocKey, float], drawn: Mapping[RocKey, Array],
+) -> PredictedProducts:  # fmt: skip
+    """The prediction with limits of its curves.
+
+    ``drawn`` : curves (N, K) of truths drawn from the budget, where errors shift the mean of P_D by so much that
+    their directions do not add up
+    """
+    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
+    roc: dict[RocKey, RocCurve] = with_bands(prediction.roc, changes)
+    roc |= {key: drawn_curve(prediction.roc[key], limits(curves)) for key, curves in drawn.items()}
+    notes = shift_notes(shifts, drawn, len(next(iter(drawn.values()), ())))
+    for (population, detector, unit), curve in roc.items():
+        alarms = prediction.exceedance.get((filters[population], detector))
+        if alarms is not None and np.any(alarms.upper > alarms.probability):
+            roc[population, detector, unit] = with_law_limits(curve, alarms)
+    return replace(prediction, roc=roc, notes=(*prediction.notes, *notes))
 
 
 FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared

@@ -36,7 +36,7 @@ from scipy.special import ndtr, ndtri
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.model.filters import add_products, packed
-from hyperval.model.stated import Law, cut, without_gaps
+from hyperval.model.stated import Law
 from hyperval.model.world import World
 from hyperval.scenario import DarkestPixel, ElmPanels
 from hyperval.sensor.noise import NoiseModel, recorded_noise
@@ -393,6 +393,11 @@ Index = npt.NDArray[np.intp]
 T = TypeVar("T")
 
 
+def cut(covariance: Array, bands: Index) -> Array:
+    """The rows and columns ``bands`` of a covariance; the matrix itself where they are all of it."""
+    return covariance if bands.size == covariance.shape[0] else covariance[np.ix_(bands, bands)]
+
+
 def at_rows(values: Array, index: Index) -> Array:
     """Rows of values (U or 1, ...); what is shared stays."""
     return np.asarray(values[index]) if len(values) > 1 else values
@@ -408,39 +413,34 @@ def wide(values: Array, truths: int) -> Array:
     return np.broadcast_to(values, (truths, *values.shape[1:]))
 
 
-def _as_one(items: Sequence[T], change: Callable[[list[Any]], Any]) -> T:
-    """Dataclasses as one, whose numbers and arrays are made of those of each, tuples of arrays included."""
-    changes: dict[str, Any] = {}
-    for f in fields(items[0]):  # type: ignore[arg-type]
-        values = [getattr(item, f.name) for item in items]
-        first = values[0]
-        if isinstance(first, tuple) and first and isinstance(first[0], np.ndarray):
-            changes[f.name] = tuple(change(list(parts)) for parts in zip(*values, strict=True))
-        elif isinstance(first, AtmosphericTerms | NoiseModel):
-            changes[f.name] = _as_one(values, change)
-        elif isinstance(first, np.ndarray | float | int) and not isinstance(first, bool):
-            changes[f.name] = change(values)
-    return replace(items[0], **changes)  # type: ignore[type-var]
-
-
-def stacked(items: Sequence[T], bands: int) -> T:
-    """U dataclasses as one whose arrays are (U, 1, B), so that levels (U, S, B) go through its formulas.
+def stacked(models: Sequence[NoiseModel], bands: int) -> NoiseModel:
+    """U noise models as one whose arrays are (U, 1, B), so that levels (U, S, B) go through its formulas.
 
     What is the same in all stays as it is: numbers, words, arrays that are one object.
     """
 
-    def joined(values: list[Any]) -> Any:
+    def joined(*values: Any) -> Any:
         first = values[0]
+        if isinstance(first, tuple):
+            return tuple(joined(*parts) for parts in zip(*values, strict=True))
         if all(v is first or (np.ndim(first) == np.ndim(v) == 0 and v == first) for v in values):
             return first
         return np.stack([np.broadcast_to(v, (bands,)) for v in values])[:, None, :]
 
-    return _as_one(items, joined)
+    return replace(models[0], **{f.name: joined(*(getattr(m, f.name) for m in models)) for f in fields(NoiseModel)})
 
 
-def _on_arrays(value: T, change: Callable[[Any], Any]) -> T:
-    """A dataclass with every array in it changed."""
-    return _as_one([value], lambda each: change(each[0]) if np.ndim(each[0]) else each[0])
+def _on_arrays(value: T, change: Callable[[Array], Any]) -> T:
+    """A dataclass with every array in it changed, those of the dataclasses and tuples in it too."""
+    changes: dict[str, Any] = {}
+    for name, part in vars(value).items():
+        if isinstance(part, np.ndarray) and part.ndim:
+            changes[name] = change(part)
+        elif isinstance(part, AtmosphericTerms | NoiseModel):
+            changes[name] = _on_arrays(part, change)
+        elif isinstance(part, tuple) and part and isinstance(part[0], np.ndarray):
+            changes[name] = tuple(map(change, part))
+    return replace(value, **changes)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True)
@@ -469,8 +469,8 @@ class Light:
     radiant: bool = True
     elm: ElmPanels | DarkestPixel | None = None
     dark: Array | None = None
-    panels: tuple[Array, Array] | None = None
-    retrieval: tuple[Array, Array] | None = None
+    panels: tuple[Array | float, Array | float] = (1.0, 1.0)
+    retrieval: tuple[Array | float, Array | float] = (1.0, 0.0)
 
     def at(self, bands: Index) -> Light:
         """On some bands alone."""
@@ -528,8 +528,6 @@ class Light:
 
         ``under_sky`` (B,) enters D_B; ``around`` (B, B) is the covariance of the surroundings.
         """
-        if not self.radiant:
-            return covariance
         result = radiance_covariance(
             self.terms, under_sky, covariance, self.average, around, adjacency_gain=gain,
             kappa=float(self.kappa.reshape(-1)[0]), formulation=self.formulation, out=out, scratch=scratch,
@@ -548,7 +546,7 @@ class Light:
 
     def through(self, covariance: Array) -> Array:
         """An error (B, B) of the pixel's reflectance as one of the signal, through D_A (3.11)."""
-        return covariance * np.outer(self.slope(), self.slope()) if self.radiant else covariance
+        return covariance * np.outer(self.slope(), self.slope())
 
     def adjacency_slope(self, reflectance: Array) -> Array:
         """(..., B) change of the signal per change of the surroundings (D_B of 3.11)."""
@@ -563,32 +561,22 @@ class Light:
 
         Bands without light have NaN.
         """
-        line = self.library_line if self.panels is None else self._line_of(*self.panels)
-        if self.retrieval is None:
-            return line
-        gain, offset = self.retrieval  # (L - b) / k of the line of the panels is gain rho + offset
-        k = line.gain / gain
+        (gain, offset), line = self.retrieval, self._line_of(*self.panels)
+        k = line.gain / gain  # (L - b) / k of the line of the panels is gain rho + offset
         return TwoPanelLine(k, line.offset - k * offset)
 
     @cached_property
     def library_line(self) -> TwoPanelLine:
         """The line of panels that are as stated: what puts the spectra of a library into the image's units."""
-        if self.elm is None or not self.radiant:
-            return TwoPanelLine(np.ones(self.average.shape), np.zeros(self.average.shape))
         return self._line_of(1.0, 1.0)
 
     def _line_of(self, dark_panel: float | Array, bright_panel: float | Array) -> TwoPanelLine:
         """The line where the panels truly reflect so many times what they are taken for."""
         if self.elm is None:
-            raise ValueError("there is no empirical line")
+            return TwoPanelLine(np.ones(self.average.shape), np.zeros(self.average.shape))
         bands = self.average.shape[-1]
-        if isinstance(self.elm, DarkestPixel):
-            low, high = self.elm.dark_reflectance, self.elm.panel
-            assert self.dark is not None  # noqa: S101 - made with the light
-            dark = self.dark
-        else:
-            low, high = self.elm.reflectances
-            dark = self.level(np.full(bands, low) * dark_panel)
+        low, high = self.elm.reflectances
+        dark = self.level(np.full(bands, low) * dark_panel) if self.dark is None else self.dark
         lit, bright = self.lit(), self.level(np.full(bands, high) * bright_panel)
         inner = two_panel_line(np.where(lit, dark, 0.0), np.where(lit, bright, 1.0), low, high)
         return TwoPanelLine(np.where(lit, inner.gain, np.nan), np.where(lit, inner.offset, np.nan))
@@ -604,12 +592,12 @@ def light_of(world: World) -> Light:
     EngineError : the atmosphere engine failed.
     """
     stated, processing = world.stated, world.stated.scenario.processing
-    classes, bands, radiant = len(stated.classes), len(stated.axis), stated.scenario.atmosphere is not None
+    radiant = stated.scenario.atmosphere is not None
 
     def factor(name: str) -> Array:
         return np.asarray(world.column(name)[:, None, :])
 
-    terms = stated.atmosphere({p: v for p, _, v in world.fields("atmosphere")}, world.size)
+    terms, means = world.surroundings
     e, g, offset = factor("irradiance"), factor("gain"), factor("offset")
     if radiant:
         seen, white = g * e * factor("ground"), terms.diffuser_radiance
@@ -622,19 +610,18 @@ def light_of(world: World) -> Light:
             ground_irradiance=e * terms.ground_irradiance,
             diffuser_radiance=None if white is None else e * white,
         )
-    means = np.apply_along_axis(without_gaps, -1, world.mean[:, :classes])
     average = np.matmul(world.fraction[:, None, :], means)  # (3.8)
     if stated.surroundings is not None:
         average = stated.surroundings[None, None, :]
-    models, which = world.sensor_noise()
+    models, which = world.sensor_noise
     noise = None
     if models:
         noise = models[0]
         if len(models) > 1:
-            noise = _on_arrays(stacked(models, bands), lambda x: x[which] if x.ndim == 3 else x)
+            noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
         noise = recorded_noise(noise, gain=g, offset=offset, factor=factor("noise"), signal_factor=factor("electrons"))
     panels, retrieval = (factor("dark"), factor("bright")), (factor("line_gain"), factor("line_offset"))
-    elm = None if processing.elm == "none" else processing.elm
+    elm = processing.elm if isinstance(processing.elm, ElmPanels) or (radiant and processing.elm != "none") else None
     light = Light(
         terms,
         average * factor("surroundings"),
@@ -644,11 +631,13 @@ def light_of(world: World) -> Light:
         radiant,
         elm,
         None,
-        panels if any(np.any(x != 1.0) for x in panels) else None,
-        retrieval if np.any(retrieval[0] != 1.0) or np.any(retrieval[1]) else None,
+        panels,
+        retrieval,
     )
-    if isinstance(elm, DarkestPixel) and radiant:
-        return replace(light, dark=_darkest(light, Background.of(world, np.arange(bands)), elm.darkest_pixel))
+    if isinstance(elm, DarkestPixel):
+        return replace(
+            light, dark=_darkest(light, Background.of(world, np.arange(len(stated.axis))), elm.darkest_pixel)
+        )
     return light
 
 
@@ -699,12 +688,17 @@ class Background:
         def on_bands() -> tuple[tuple[Array, ...], tuple[Law, ...], dict[Any, Any]]:
             return (
                 tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes),
-                tuple(law.at(bands) for law in stated.laws),
+                tuple(
+                    law._replace(
+                        offset=None if law.offset is None else law.offset[bands], covariance=cut(law.covariance, bands)
+                    )
+                    for law in stated.laws
+                ),
                 {},
             )
 
         covariances, laws, kept = stated.once(("background", bands.tobytes()), on_bands)
-        means = np.apply_along_axis(without_gaps, -1, world.mean[:, :classes])
+        means = world.surroundings[1]
         between = means - np.matmul(world.fraction[:, None, :], means)
         stretch = world.stretch[:, :classes]
         return Background(

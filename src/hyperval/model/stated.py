@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import product
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple, TypeVar
@@ -43,18 +43,8 @@ from hyperval.scenario import (
     Target,
     TargetSubject,
 )
-from hyperval.sensor.noise import NoiseModel, mtf_at_nyquist
-from hyperval.sensor.specification import (
-    Sensor,
-    SensorChanges,
-    SensorOperation,
-    binned_axis,
-    binned_noise,
-    changed_noise,
-    library_names,
-    library_sensor,
-    load_sensor,
-)
+from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor.specification import Sensor, binned_axis, library_names, library_sensor, load_sensor
 from hyperval.settings import with_settings
 from hyperval.spectra import FieldSpectrum, read_records
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
@@ -392,11 +382,6 @@ def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
     return np.asarray(np.exp(-0.5 * (gap / (length_nm or np.inf)) ** 2))
 
 
-def cut(covariance: Array, bands: Index) -> Array:
-    """The rows and columns ``bands`` of a covariance; the matrix itself where they are all of it."""
-    return covariance if bands.size == covariance.shape[0] else covariance[np.ix_(bands, bands)]
-
-
 def without_gaps(values: Array) -> Array:
     """(B,) with NaN replaced by the nearest known values: for the scene average alone."""
     known = np.isfinite(values)
@@ -433,19 +418,6 @@ def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], a
                     expected=f"a spectrum over {axis.centre_nm[0]:g}-{axis.centre_nm[-1]:g} nm",
                     mend="give a longer spectrum, mark those bands bad, or allow it: spectrum: {gaps: allowed}",
                 )
-
-
-def noise_model(
-    sensor: Sensor, axis: SpectralAxis | None, operation: SensorOperation | None, changes: SensorChanges | None,
-    kept: dict[Any, Any],
-) -> NoiseModel:  # fmt: skip
-    """Noise of a sensor as it is run and changed (3.13)-(3.20); ``kept``: that of each way to run it."""
-    key = "noise", repr(operation)
-    if key not in kept:
-        kept[key] = sensor.noise(axis, operation)
-    model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
-    count = operation.spectral_binning if operation else 1
-    return binned_noise(model, min(count, len(sensor.axis))) if count > 1 else model
 
 
 def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
@@ -490,7 +462,7 @@ class Origins:
 
     def find(self, scenario: Scenario) -> Resolve:
         """Turns the file references of a scenario into paths."""
-        return self.resolve or partial(datasets.resolve, base=scenario.folder)
+        return self.resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
 
 
 def state_entries(state: AtmosphericState, changes: Truth) -> dict[str, Any]:
@@ -713,19 +685,6 @@ def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
     return notes
 
 
-def sensor_notes(sensor: Sensor, noise: NoiseModel, shift_nm: Array) -> list[str]:
-    """Assumptions of the sensor file, MTF at Nyquist, shift of the bands."""
-    notes = [f"sensor {sensor.name}: {text}" for text in noise.assumed]
-    if sensor.specification.psf is not None:
-        along, across = mtf_at_nyquist(np.array(sensor.specification.psf.fwhm))
-        notes.append(f"sensor {sensor.name}: MTF at Nyquist {along:.3f} along, {across:.3f} across the track")
-    if np.any(shift_nm):
-        notes.append(
-            f"sensor {sensor.name}: bands stand {shift_nm.min():+.3g} to {shift_nm.max():+.3g} nm off their labels"
-        )
-    return notes
-
-
 class Keeps:
     """What keeps what follows from it, once it was asked for."""
 
@@ -757,11 +716,6 @@ class Law(NamedTuple):
     covariance: Array
     dof: float | None
 
-    def at(self, bands: Index) -> Law:
-        """The law on some bands."""
-        offset = None if self.offset is None else self.offset[bands]
-        return self._replace(offset=offset, covariance=cut(self.covariance, bands))
-
 
 @dataclass(eq=False)
 class Stated(Keeps):
@@ -777,13 +731,14 @@ class Stated(Keeps):
     signatures : target -> (B,) reflectance that its filter looks for, where the bands are labelled
     surroundings : (B,) their reflectance where the scenario states it; None: the average of the classes
     notes : what is to be said of the sensor
-    before : what the values of paths refer to, where this was read again after the change of some; None: this
+    before, nominal : what the values of paths refer to, where this was read again after the change of some; None: this
     kept : what follows from it alone, once it was asked for
     names : class, surface or target -> names of them all, which the star of a path stands for
     populations : number of the target, number in it, and population of target pixels
     mean : (S, B) mean reflectance of the surfaces
     columns : field of the world -> (1, items) as stated
     laws : what the scores of the classes are distributed as: a class each, or the components of a mixture
+    linear_detectors : whose score is linear in the pixel
     """
 
     scenario: Scenario
@@ -801,13 +756,10 @@ class Stated(Keeps):
     kept: dict[Any, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        scene = self.scenario.scene
+        scene, self.nominal = self.scenario.scene, self.before or self
         self.targets: list[Target] = scene.targets
         self.classes = [c.name for c in scene.classes]
         self.names = {"class": self.classes, "surface": list(self.surfaces), "target": [t.name for t in scene.targets]}
-        self.populations: list[tuple[int, int, TargetSubject]] = [
-            (t, k, p) for t, target in enumerate(scene.targets) for k, p in enumerate(target.populations)
-        ]
         self.mean = np.array([s.mean for s in self.surfaces.values()])
         lights = [t.illumination or Illumination() for t in scene.targets]
         of: dict[str, list[float]] = {
@@ -823,14 +775,13 @@ class Stated(Keeps):
         }
         self.columns = {name: np.array([values], dtype=float) for name, values in of.items()}
         self.laws = [law for m, c in enumerate(scene.classes) for law in _laws(m, c, self.surfaces[c.name])]
+        self.populations: list[tuple[int, int, TargetSubject]] = [
+            (t, k, p) for t, target in enumerate(scene.targets) for k, p in enumerate(target.populations)
+        ]
+        self.linear_detectors = self.scenario.processing.linear_detectors
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "kept": {}}
-
-    @property
-    def nominal(self) -> Stated:
-        """What the values of paths refer to."""
-        return self.before or self
 
 
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float:
@@ -875,7 +826,8 @@ def read_files(
         of_library = name in library_names()
         meant_as_file = not of_library and (PurePath(name).suffix or ":" in name)
         sensor = library_sensor(name) if of_library else load_sensor(find(name) if meant_as_file else name)
-    axis = source.axis or (sensor and sensor.axis) or next((s.axis for s in measured.values()), None)
+    axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
+    axis = next((a for a in axes if a is not None), None)
     if axis is None:
         raise UsageError(
             "the scenario has no bands",
@@ -883,7 +835,7 @@ def read_files(
         )
     true, noise, kept = axis, None, dict[Any, Any]()
     if sensor is not None:
-        noise = noise_model(sensor, axis, operation, scenario.sensor_changes, kept)
+        noise = sensor.operated_noise(axis, operation, scenario.sensor_changes, kept)
         true, count = sensor.true_axis(axis, operation), operation.spectral_binning if operation else 1
         if count > 1:
             if source.axis is not None:
@@ -896,6 +848,7 @@ def read_files(
             true, axis = binned_axis(true, count), binned_axis(axis, count)
     if np.any(shift_nm):
         true = SpectralAxis(true.centre_nm + shift_nm, true.fwhm_nm, true.good)
+    notes = sensor.notes(noise, true.centre_nm - axis.centre_nm) if sensor and noise else []
     scenario = with_sensor_blur(scenario, sensor)
     scene, sources = scenario.scene, Sources(true, measured, find, axis, source.read)
     surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
@@ -903,7 +856,6 @@ def read_files(
     labelled, around = replace(sources, axis=axis, nominal=None), scene.adjacency.spectrum
     signatures = {t.name: labelled.spectrum(t.filter_spectrum or t.spectrum, t.name).mean for t in scene.targets}
     surroundings = None if around is None else without_gaps(sources.spectrum(around, "surroundings").mean)
-    notes = sensor_notes(sensor, noise, true.centre_nm - axis.centre_nm) if sensor and noise else []
     return Stated(
         scenario, source, sensor, axis, true, noise, surfaces, signatures, surroundings,
         Atmosphere(scenario, source, true, nodes or {}), notes, kept=kept,

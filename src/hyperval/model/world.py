@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST_KM
+from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.model.fill import (
     Fills,
@@ -38,10 +39,10 @@ from hyperval.model.stated import (
     Truth,
     Values,
     distinct,
-    noise_model,
     plain,
     read_files,
     state_value,
+    without_gaps,
 )
 from hyperval.scenario import ElmPanels, Fill, Scenario, Target
 from hyperval.sensor.noise import NoiseModel
@@ -61,6 +62,8 @@ class Path(NamedTuple):
     of : what its star names: class, target or surface
     shape : of a value: a number, or a spectrum or list of numbers (vector)
     low, high : between which it can be
+    item, populations : of a scenario, what its star names, by number; and of fills the populations that it moves, by
+        number, with the part of its values that is of each
     """
 
     field: str
@@ -69,6 +72,8 @@ class Path(NamedTuple):
     shape: str = "number"
     low: float = -np.inf
     high: float = np.inf
+    item: int = 0
+    populations: Mapping[int, slice] = {}
 
 
 _RADIANCE = "uW cm-2 sr-1 nm-1"
@@ -151,6 +156,7 @@ NEUTRAL = {
     **dict.fromkeys(("path_error", "offset", "line_offset"), 0.0),
 }  # fmt: skip
 _NOT_WITHOUT_LIGHT = ("light.*", "sensor.noise", "sensor.electrons", "atmosphere.*")
+_OF_SENSOR = ("sensor_operation", "sensor_changes")
 # What leaves light, sensor and classes alone, and with them the filters.
 _OF_TARGETS = ("tail", "fill", "fill entry", "blur", "target_gain", "beam", "sky_view", "fine_texture")
 
@@ -184,8 +190,8 @@ def _numbers(values: Values) -> Array:
     return np.array([np.nan if v is None else v for v in values], dtype=float)
 
 
-def find(stated: Stated, path: str) -> tuple[Path, int]:
-    """Where a path leads, and the number of its item.
+def find(stated: Stated, path: str) -> Path:
+    """Where a path of a scenario leads, to which of its items.
 
     Raises
     ------
@@ -194,64 +200,56 @@ def find(stated: Stated, path: str) -> tuple[Path, int]:
     return stated.once(("path", path), lambda: _found(stated, path))
 
 
-def _found(stated: Stated, path: str) -> tuple[Path, int]:
+def _found(stated: Stated, path: str) -> Path:
     pattern = next(p for p in PATHS if fits(p, path))
     entry, parts, scenario = PATHS[pattern], path_parts(path), stated.scenario
+    again = PATHS["**"]
     if scenario.atmosphere is None:
         if any(fits(p, path) for p in _NOT_WITHOUT_LIGHT[:3]):
             raise UsageError(f"{path}: the scenario has no atmosphere")
         if entry.field in ("atmosphere", "sensor"):
-            return PATHS["**"], 0
+            return again
     if entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels):
         raise UsageError("uncertainty: elm_panels needs an empirical line of two panels")
     if entry.field == "atmosphere":
         nodes = stated.atmosphere.nodes
-        again = parts[1] in ("engine", "table") or (nodes and parts[1] not in nodes)
-        return (PATHS["**"] if again else entry), 0
+        return again if parts[1] in ("engine", "table") or (nodes and parts[1] not in nodes) else entry
     if entry.field == "fill entry":
-        return _of_fill(stated, entry, parts, path)
-    if entry.field == "fill" and not _filled(stated, path):
-        what = "fill: no target of the scene has one" if len(parts) == 1 else path
-        raise UsageError(what, expected="a target of the scene")
-    if entry.field == "blur" and not _blurred(stated):
-        raise UsageError("blur: no fill of the scene follows from geometry")
+        number = item_number(stated.names["target"], parts[2], path)
+        subjects = [s.name for s in stated.targets[number].subjects]
+        if (parts[3] == "subjects") != bool(subjects):
+            return again  # and refused there
+        within = item_number(subjects, parts[4], path) if subjects else 0
+        at = next(i for i, (t, k, _) in enumerate(stated.populations) if (t, k) == (number, within))
+        return entry._replace(populations={at: slice(None)})
+    if entry.field in ("fill", "blur"):
+        moves = _moved_fills(stated, entry.field, parts[1] if len(parts) > 1 else None)
+        if not moves:
+            what = "no target of the scene has one" if entry.field == "fill" else "no fill of the scene is of geometry"
+            raise UsageError(f"{path}: {what}", expected="a target of the scene")
+        return entry._replace(populations=moves)
     if not entry.of:
-        return entry, 0
+        return entry
     name, names = parts[pattern.split(".").index("*")], stated.names[entry.of]
     if parts[0] == "scene":
-        return entry, item_number(names, name, path)
+        return entry._replace(item=item_number(names, name, path))
     if name not in names:
         raise UsageError(f"{path}: no such {entry.of}", expected="one of " + ", ".join(names))
     if entry.field == "fine_texture" and name not in stated.names["target"]:
         raise UsageError(f"{path}: {name!r} is no target")
-    return entry, names.index(name)
+    return entry._replace(item=names.index(name))
 
 
-def _of_fill(stated: Stated, entry: Path, parts: Sequence[str], path: str) -> tuple[Path, int]:
-    """An entry of the fill of a population, whose number is that among all of the scene."""
-    number = item_number(stated.names["target"], parts[2], path)
-    subjects = [s.name for s in stated.targets[number].subjects]
-    if (parts[3] == "subjects") != bool(subjects):
-        return PATHS["**"], 0  # it is read again, and refused
-    within = item_number(subjects, parts[4], path) if subjects else 0
-    return entry, next(i for i, (t, k, _) in enumerate(stated.populations) if (t, k) == (number, within))
-
-
-def _filled(stated: Stated, path: str) -> list[int]:
-    """Numbers of the populations whose mean fill a path moves."""
-    name = path_parts(path)[1] if path != "fill" else None
-    return [
-        i for i, (t, _, p) in enumerate(stated.populations) if name in (None, p.name, stated.targets[t].name)
-    ]  # fmt: skip
-
-
-def _blurred(stated: Stated) -> dict[int, slice]:
-    """Number of a population whose fill follows from geometry -> its part of the widths of the blur."""
+def _moved_fills(stated: Stated, field: str, name: str | None) -> dict[int, slice]:
+    """Populations with a fill of some name or any, or those whose fill is blurred, and their part of the values."""
     out, end = {}, 0
-    for i, (_, _, p) in enumerate(stated.populations):
-        if p.fill.geometry is not None:
-            width = np.size(p.fill.geometry.psf_fwhm_pixels or 0.0)
-            out[i], end = slice(end, end + width), end + width
+    for i, (t, _, p) in enumerate(stated.populations):
+        if field == "fill":
+            size = int(name in (None, p.name, stated.targets[t].name))
+        else:
+            size = np.size(p.fill.geometry.psf_fwhm_pixels or 0.0) if p.fill.geometry else 0
+        if size:
+            out[i], end = slice(end, end + size), end + size
     return out
 
 
@@ -265,7 +263,8 @@ def value_at(world: World, path: str) -> Any:
     if path in world.moved:
         return world.moved[path]
     stated, parts = world.stated, path_parts(path)
-    entry, item = find(stated, path)
+    entry = find(stated, path)
+    item, populations = entry.item, entry.populations
     if entry.field in NEUTRAL:
         return np.array([NEUTRAL[entry.field]])
     if entry.field in stated.columns:
@@ -278,9 +277,9 @@ def value_at(world: World, path: str) -> Any:
             raise UsageError(f"uncertainty: fractions: {parts[1]!r} is the only class with an area")
         return fractions[item : item + 1]
     if entry.field == "fill":
-        return np.array([[fill_distribution(stated.populations[i][2].fill).mean for i in _filled(stated, path)]])
+        return np.array([[fill_distribution(stated.populations[i][2].fill).mean for i in populations]])
     if entry.field == "blur":
-        fills = (stated.populations[i][2].fill.geometry for i in _blurred(stated))
+        fills = (stated.populations[i][2].fill.geometry for i in populations)
         return np.concatenate([np.atleast_1d((g and g.psf_fwhm_pixels) or 0.0) for g in fills])[None].astype(float)
     if path == SHIFT:
         return np.zeros(1)
@@ -331,6 +330,12 @@ class World:
     moved: Mapping[str, Values] = field(default_factory=dict)
     size: int = 1
 
+    def made(self) -> World:
+        """Itself, with what follows from all that was moved; what contradicts itself is refused."""
+        for name in ("fraction", "law_fraction", "law_dof", "kappa", "stretch", "surroundings", "sensor_noise"):
+            getattr(self, name)
+        return self
+
     def rows(self, index: Index) -> World:
         """Some of the truths."""
         if index.size == self.size and np.array_equal(index, np.arange(self.size)):
@@ -342,9 +347,9 @@ class World:
     def fields(self, *names: str) -> Iterable[tuple[str, int, Values]]:
         """Path, number of the item and values of what was moved of some fields, in the order in which it was."""
         for path, values in self.moved.items():
-            entry, item = find(self.stated, path)
+            entry = find(self.stated, path)
             if entry.field in names:
-                yield path, item, values
+                yield path, entry.item, values
 
     def distinct(self, targets: Sequence[str] = ()) -> tuple[Index, Index]:
         """First of all truths with other light, sensor and classes, and which (U,) of these each truth has.
@@ -355,8 +360,8 @@ class World:
         others = set(self.stated.names["target"]) - set(targets) - set(self.stated.classes)
         columns = []
         for path, values in self.moved.items():
-            entry, item = find(self.stated, path)
-            of_other = entry.of == "surface" and self.stated.names["surface"][item] in others
+            entry = find(self.stated, path)
+            of_other = entry.of == "surface" and self.stated.names["surface"][entry.item] in others
             if len(values) > 1 and entry.field not in alone and not of_other:
                 columns.append(values)
         return distinct(columns, self.size)
@@ -452,6 +457,12 @@ class World:
         return out if np.all(gain == 1.0) and not np.any(offset) else gain * out + offset
 
     @cached_property
+    def surroundings(self) -> tuple[AtmosphericTerms, Array]:
+        """Terms of (3.7) at the bands, (U or 1, 1, B) each, and (U or 1, M, B) means of the classes, gaps filled."""
+        moved, means = {p: v for p, _, v in self.fields("atmosphere")}, self.mean[:, : len(self.stated.classes)]
+        return self.stated.atmosphere(moved, self.size), np.apply_along_axis(without_gaps, -1, means)
+
+    @cached_property
     def stretch(self) -> Array:
         """(U or 1, S, B or 1) factor on the departures of the surfaces from their means."""
         return np.asarray(self.column("spread")[:, :, None] * self._recorded[0])
@@ -466,46 +477,43 @@ class World:
 
     # ---- fills ---------------------------------------------------------------------------------------------
 
+    def of_fill(self, number: int) -> dict[str, tuple[str, slice, Values]]:
+        """Path -> field, part that is of a population, and values, of what moves its fill."""
+        every = {p: (find(self.stated, p), v) for p, v in self.moved.items()}
+        return {
+            p: (found.field, found.populations[number], v)
+            for p, (found, v) in every.items() if number in found.populations
+        }  # fmt: skip
+
     def fill_models(self, number: int) -> tuple[list[Fill], Index]:
         """The different fills of a population, and which (U,) of them each truth has."""
-        stated, columns = self.stated, {}
-        for path, item, values in self.fields("fill", "fill entry", "blur"):
-            entry, _ = find(stated, path)
-            if item == number if entry.field == "fill entry" else number in _touched(stated, path):
-                columns[path] = np.broadcast_to(values, (self.size, *values.shape[1:]))
+        moved = self.of_fill(number)
+        columns = {p: np.broadcast_to(v, (self.size, *v.shape[1:])) for p, (*_, v) in moved.items()}
         first, which = distinct(columns.values(), self.size)
-        return [self._fill(number, {p: v[u] for p, v in columns.items()}) for u in first], which
+        return [self._fill(number, [(p, *moved[p][:2], v[u]) for p, v in columns.items()]) for u in first], which
 
-    def _fill(self, number: int, values: Truth) -> Fill:
-        stated, nominal = self.stated, self.stated.nominal
-        fill, change = stated.populations[number][2].fill, 0.0
-        entries = {
-            ".".join(path_parts(p)[6 if path_parts(p)[3] == "subjects" else 4 :]): plain(v)
-            for p, v in values.items()
-            if find(stated, p)[0].field == "fill entry" and v is not None
-        }
-        if "blur" in values:
-            width = np.atleast_1d(values["blur"])
-            width = width[_blurred(stated)[number]] if width.size > 1 else width
-            entries["geometry.psf_fwhm_pixels"] = float(width[0]) if width.size == 1 else width.tolist()
-        if entries:
-            fill = with_settings(fill, entries)
-        for path, value in values.items():
-            if find(stated, path)[0].field == "fill":
-                filled, each = _filled(stated, path), np.atleast_1d(value)
-                own = fill_distribution(nominal.populations[number][2].fill).mean
-                change += float(each[filled.index(number)] if each.size > 1 else each[0]) - own
-        return with_mean(fill, change)
+    def _fill(self, number: int, moved: Sequence[tuple[str, str, slice, Any]]) -> Fill:
+        """The fill of a population where path, field, part of the values and values of one truth say so."""
+        fill, before = (s.populations[number][2].fill for s in (self.stated, self.stated.nominal))
+        entries, change = {}, 0.0
+        for path, field_, part, value in moved:
+            each = np.atleast_1d(value)
+            each = each[part] if each.size > 1 and field_ != "fill entry" else each
+            if field_ == "fill":
+                change += float(each[0]) - fill_distribution(before).mean
+            elif field_ == "blur":
+                entries["geometry.psf_fwhm_pixels"] = float(each[0]) if each.size == 1 else each.tolist()
+            elif value is not None:
+                parts = path_parts(path)
+                entries[".".join(parts[6 if parts[3] == "subjects" else 4 :])] = plain(value)
+        return with_mean(with_settings(fill, entries) if entries else fill, change)
 
     def object_sizes(self) -> Index:
         """(U or 1, P) number of pixels of an object of each population."""
         each = []
         for number in range(len(self.stated.populations)):
-            geometry = any(
-                item == number and not path.endswith(("fill.fixed", "fill.mean", "fill.sd"))
-                for path, item, _ in self.fields("fill entry")
-            )
-            if geometry:
+            entries = [p for p, (field_, *_) in self.of_fill(number).items() if field_ == "fill entry"]
+            if any(not path.endswith(("fill.fixed", "fill.mean", "fill.sd")) for path in entries):
                 models, which = self.fill_models(number)
                 each.append(np.array([pixels_of_object(fill) for fill in models])[which])
         return np.array(each).T if each else np.zeros((1, 1), int)
@@ -534,23 +542,23 @@ class World:
         ------
         UsageError : objects of different numbers of pixels.
         """
-        thesis = self.stated.scenario.formulation == "thesis"
-        moved = [(p, v) for p, item, v in self.fields("fill entry") if item == number]
-        others = any(number in _touched(self.stated, p) for p, *_ in self.fields("fill", "blur"))
+        thesis, moved = self.stated.scenario.formulation == "thesis", self.of_fill(number)
         stated = self.stated.populations[number][2].fill
-        if len(moved) == 1 and not others and moved[0][0].endswith("fill.fixed") and stated.fixed is not None:
-            values = np.nan_to_num(_numbers(moved[0][1]), nan=stated.fixed)[:, None]
+        if len(moved) == 1 and next(iter(moved)).endswith("fill.fixed") and stated.fixed is not None:
+            ((*_, column),) = moved.values()
+            values = np.nan_to_num(_numbers(column), nan=stated.fixed)[:, None]
             if not np.all((values >= 0.0) & (values <= 1.0)):
                 raise UsageError(f"fill {values.min():g} to {values.max():g}", expected="0 to 1")
             return Fills(values, np.ones((1, 1)))
         make = whole_object_fills if objects else fills_of_population
-        if not moved and not others:
+        if not moved:
             return self.stated.once(("fills", number, objects), lambda: make(stated, thesis))
         models, which = self.fill_models(number)
         return stacked_fills([make(fill, thesis) for fill in models], which)
 
     # ---- light and sensor ----------------------------------------------------------------------------------
 
+    @cached_property
     def sensor_noise(self) -> tuple[list[NoiseModel], Index]:
         """The different noise models (3.13)-(3.20), none without a sensor, and which (U,) of them each truth has."""
         stated = self.stated
@@ -562,26 +570,14 @@ class World:
         return [_noise(stated, moved) if moved else stated.noise for moved in each], which
 
 
-def _touched(stated: Stated, path: str) -> Iterable[int]:
-    """Populations that a path of fills or blur moves."""
-    return _blurred(stated) if path == "blur" else _filled(stated, path)
-
-
 def _noise(stated: Stated, moved: Truth) -> NoiseModel:
     """The noise with other numbers of the sensor or of how it is run."""
     scenario, sensor = stated.scenario, stated.sensor
-    run, changes = scenario.sensor_operation, scenario.sensor_changes
-    rooms: dict[str, dict[str, Any]] = {"sensor_operation": {}, "sensor_changes": {}}
-    for path, value in moved.items():
-        room, _, entry = path.partition(".")
-        rooms[room][entry] = value
-    if rooms["sensor_operation"]:
-        run = with_settings(run or SensorOperation(), rooms["sensor_operation"])
-    if rooms["sensor_changes"]:
-        changes = with_settings(changes or SensorChanges(), rooms["sensor_changes"])
+    run, changes = scenario.sensor_operation or SensorOperation(), scenario.sensor_changes or SensorChanges()
+    entries = {room: {p[len(room) + 1 :]: v for p, v in moved.items() if p.startswith(room)} for room in _OF_SENSOR}
+    run, changes = with_settings(run, entries[_OF_SENSOR[0]]), with_settings(changes, entries[_OF_SENSOR[1]])
     assert sensor is not None  # noqa: S101 - asked for where there is noise
-    whole = run is None or run.spectral_binning == 1
-    return noise_model(sensor, stated.axis if whole else None, run, changes, stated.kept)
+    return sensor.operated_noise(stated.axis if run.spectral_binning == 1 else None, run, changes, stated.kept)
 
 
 def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
@@ -612,7 +608,7 @@ def with_truths(world: World, truths: Sequence[Truth]) -> World:
     """The world of several truths, each of which moves what it names of the stated one."""
     values: dict[str, Values] = {}
     for path in dict.fromkeys(p for truth in truths for p in truth):
-        entry, _ = find(world.stated, path)
+        entry = find(world.stated, path)
         if entry.shape == "number":
             as_stated = value_at(world, path)[0] if entry.field in world.stated.columns else None
             if entry.field in ("share", "tail") and path not in world.moved:
@@ -636,7 +632,7 @@ _AGAIN = 16  # of the latest scenarios that were read again
 
 def reads_again(stated: Stated, path: str, values: Values | None = None) -> bool:
     """Whether the scenario is read again for each different value of a path."""
-    field_ = find(stated, path)[0].field
+    field_ = find(stated, path).field
     if not field_:
         return True
     if values is None or values.dtype != object or field_ not in stated.columns:
@@ -652,13 +648,13 @@ def settled(world: World) -> list[tuple[Index, World]]:
     }
     sizes = world.object_sizes()
     if not again and len(sizes) == 1:
-        return [(np.arange(world.size), world)]
+        return [(np.arange(world.size), world.made())]
     first, which = distinct([*again.values(), *(sizes.T if len(sizes) > 1 else ())], world.size)
     rest, out = World(stated, {p: v for p, v in world.moved.items() if p not in again}, world.size), []
     for i, u in enumerate(first):
         index = np.flatnonzero(which == i)
         there = _read_with(stated, {p: v[u] for p, v in again.items()}) if again else stated
-        out.append((index, replace(rest.rows(index), stated=there, size=index.size)))
+        out.append((index, replace(rest.rows(index), stated=there, size=index.size).made()))
     return out
 
 

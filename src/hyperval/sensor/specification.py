@@ -28,6 +28,7 @@ from hyperval.sensor.noise import (
     aperture_throughput,
     electrons_per_radiance,
     f_number_throughput,
+    mtf_at_nyquist,
     psf_fwhm_from_mtf,
     with_signal,
 )
@@ -529,6 +530,28 @@ class Sensor:
         calibration = spec.calibration_error_percent.at(w)
         model = self._measured_noise(w, calibration) if spec.measured_noise else self._noise(on, calibration)
         return model if operation is None else averaged_noise(model, operation)
+
+    def operated_noise(
+        self, axis: SpectralAxis | None, operation: SensorOperation | None, changes: SensorChanges | None,
+        kept: dict[Any, Any],
+    ) -> NoiseModel:  # fmt: skip
+        """Noise as the sensor is run and changed (3.13-3.20), bands binned; ``kept``: that of each way to run it."""
+        key = "noise", repr(operation)
+        if key not in kept:
+            kept[key] = self.noise(axis, operation)
+        model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
+        count = operation.spectral_binning if operation else 1
+        return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
+
+    def notes(self, noise: NoiseModel, shift_nm: Array) -> list[str]:
+        """Assumptions of the sensor file, MTF at Nyquist, shift of the bands."""
+        notes = list(noise.assumed)
+        if self.specification.psf is not None:
+            along, across = mtf_at_nyquist(np.array(self.specification.psf.fwhm))
+            notes.append(f"MTF at Nyquist {along:.3f} along, {across:.3f} across the track")
+        if np.any(shift_nm):
+            notes.append(f"bands stand {shift_nm.min():+.3g} to {shift_nm.max():+.3g} nm off their labels")
+        return [f"sensor {self.name}: {text}" for text in notes]
 
     def _measured_noise(self, w: Array, calibration: Array) -> NoiseModel:
         given = self.specification.measured_noise

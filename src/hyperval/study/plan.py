@@ -99,7 +99,7 @@ def try_values(study: StudyFile, world: World) -> None:
                 if (at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0:
                     raise UsageError(f"a false-alarm probability of {at:g}", expected="0 to 1")
                 for path in [path for path in changes if not in_file(path)]:
-                    entry, number = find(world.stated, path)[0], changes.pop(path)
+                    entry, number = find(world.stated, path), changes.pop(path)
                     if not entry.low <= number <= entry.high:
                         expected = f"a number from {entry.low:g} to {entry.high:g}"
                         raise UsageError(f"{path} at {value!r}", expected=expected)
