@@ -133,9 +133,9 @@ def test_gain_is_the_likelihood_ratio_of_the_normal_density(k):
 
 
 def test_the_budgeted_amplitude_with_nothing_to_gain_is_that_of_the_stated_uncertainty():
-    c, g = np.eye(4), np.array([1.0, 0, 0, 0])
+    c, g = np.eye(4), np.eye(4)[:, :1]
     r = np.array([1.0, 0.5, -0.5, 0.2])
-    total = c + np.outer(g, g)
+    total = c + g @ g.T
     found = attribute.explanation(attribute.Whitened(r, total), g, STATED)
     assert found.gain == 0.0
     assert found.amplitudes[0] == pytest.approx(0.5)  # N(0, 1) prior and unit noise share a residual of 1

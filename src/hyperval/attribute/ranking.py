@@ -14,7 +14,7 @@ from scipy import linalg
 from hyperval.attribute.candidates import Candidate
 from hyperval.attribute.residuals import ENOUGH, Stack
 from hyperval.compare.rows import Array
-from hyperval.errors import UsageError
+from hyperval.errors import refusal, refuse
 
 ALL = "all"
 # A stated uncertainty is too wide where the data refute, at this level, all that is less than so many times so.
@@ -251,15 +251,13 @@ class Whitened:
 
     def __init__(self, residual: npt.ArrayLike, covariance: npt.ArrayLike):
         r, c = np.asarray(residual, dtype=float), np.asarray(covariance, dtype=float)
-        if r.size == 0 or not (np.isfinite(r).all() and np.isfinite(c).all()):
-            raise UsageError("attribution needs finite residuals", mend="leave out what has no value")
+        refuse(r.size == 0 or not (np.isfinite(r).all() and np.isfinite(c).all()), "attribution.finite")
         self._sd = np.sqrt(np.diag(c))
-        if not np.all(self._sd > 0):
-            raise UsageError("attribution needs an uncertainty for every residual")
+        refuse(not np.all(self._sd > 0), "attribution.uncertainty")
         try:
             self._lower = linalg.cholesky(c / np.outer(self._sd, self._sd), lower=True)
         except linalg.LinAlgError as error:
-            raise UsageError("the covariance of the residuals is not positive definite") from error
+            raise refusal("attribution.definite") from error
         self.residual = self.whiten(r)
 
     def whiten(self, columns: npt.ArrayLike) -> Array:
@@ -288,7 +286,7 @@ def explanation(data: Whitened, columns: npt.ArrayLike, candidate: Candidate, mo
 
     Parameters
     ----------
-    columns : (n,) or (n, k) change of the compared quantities (prediction) per standard uncertainty
+    columns : (n, k) change of the compared quantities (prediction) per standard uncertainty
     candidate : whose columns they are; where it is budgeted C holds them already, and tau comes on top of 1
     most : greatest tau, and greatest amplitude of any direction; an input that would have to move farther than it
         can is no reason
@@ -296,12 +294,11 @@ def explanation(data: Whitened, columns: npt.ArrayLike, candidate: Candidate, mo
     Examples
     --------
     >>> gain = Candidate("gain", "sensor", "1 %", budgeted=False)
-    >>> why = explanation(Whitened([3.0, 0.1], np.eye(2)), [1.0, 0.0], gain)
+    >>> why = explanation(Whitened([3.0, 0.1], np.eye(2)), [[1.0], [0.0]], gain)
     >>> round(why.gain, 2), round(why.tau, 2), round(why.chi_square, 2), round(why.p_value, 2)
     (5.8, 2.83, 1.01, 0.6)
     """
     w = data.whiten(columns)
-    w = w[:, None] if w.ndim == 1 else w
     u, s, vt = linalg.svd(w, full_matrices=False)
     keep = s > 1e-12 * max(float(s[0]), 1e-300)
     if not np.any(s > 0):

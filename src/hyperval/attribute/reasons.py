@@ -19,7 +19,7 @@ from hyperval.attribute.residuals import POINTS, ComparedQuantity, Stack, quanti
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import Array, named, row, scientific
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.model import Truth, UncertainInput, together
 from hyperval.products import Products, background_of
 from hyperval.progress import track
@@ -48,12 +48,12 @@ class ScenarioModel:
     ----------
     scenarios : as they stand in the campaign
     predict : (scenarios, truths) -> for each truth their products, merged as the campaign compares them
-    observe : measures the collection again with changed settings; None where that cannot be done
+    observe : measures the collection again with changed settings
     """
 
     scenarios: Sequence[Scenario]
     predict: Callable[[Sequence[Scenario], Sequence[Truths]], Iterator[Products]]
-    observe: Callable[[Mapping[str, Any]], Products] | None = None
+    observe: Callable[[Mapping[str, Any]], Products]
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
@@ -67,7 +67,7 @@ def attribute(
     assumed: Sequence[Sequence[UncertainInput]],
     options: AttributionOptions,
     *,
-    budgeted: Products | None = None,
+    budgeted: Products,
     show_progress: bool | None = None,
 ) -> list[Result]:
     """Move every input, run every what-if, rank them all.
@@ -91,8 +91,7 @@ def attribute(
     """
     base = model.assuming(model.scenarios)
     stack = stacked(base, observed)
-    if not stack.blocks:
-        raise UsageError("attribution: prediction and collection hold nothing in common")
+    refuse(not stack.blocks, "attribution.nothing")
     numbers, moved = quantities(base, observed), candidates(stated, assumed)
 
     def evaluate(truths: Sequence[Truths], title: str) -> list[tuple[Array, Array]]:
@@ -111,9 +110,7 @@ def attribute(
         columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
     predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
     budget = budget_covariance(columns, predicted.size)
-    covariance = stack.covariance + budget
-    if budgeted is not None:
-        covariance += stack.stated_beyond(budgeted, budget)
+    covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
     shares = _shares([c for c in moved if c.budgeted], evaluate, values, ends) if options.totals and numbers else {}
     outcomes = _what_ifs(model, stack, numbers, covariance, (base, observed), options.what_ifs, show_progress)
     ranked = rankings(stack, stack.observed - predicted, covariance, columns, options.each)
@@ -263,26 +260,20 @@ def _what_ifs(
 
     Raises
     ------
-    UsageError : an experiment that fits no scenario, or wants a collection measured again that cannot be.
+    UsageError : an experiment that fits no scenario, or compares other things than the campaign does.
     """
 
     def left(item: WhatIf, predicted: Products, seen: Products) -> WhatIfOutcome:
         after = stack if seen is sides[1] else stacked(predicted, seen)
-        if [b.observed.shape for b in after.blocks] != [b.observed.shape for b in stack.blocks]:
-            raise UsageError(
-                f"what-if {item.name!r} compares other things than the campaign does",
-                mend="change what is measured, not which subjects there are",
-            )
+        now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
+        refuse(now != before, "whatif.other", name=item.name)
         spread = covariance if after is stack else covariance - stack.covariance + after.covariance
         residuals = Whitened(after.observed - after.predicted(predicted), spread)
         return WhatIfOutcome(item, residuals, gaps_of(numbers, predicted, seen), alarm_ratios(predicted, seen))
 
     def tried(item: WhatIf) -> WhatIfOutcome:
         scenarios = changed_scenarios(model.scenarios, item)
-        if item.observe and model.observe is None:
-            raise UsageError(f"what-if {item.name!r}: this collection cannot be measured again")
-        seen = model.observe(item.observe) if item.observe and model.observe else sides[1]
-        return left(item, model.assuming(scenarios), seen)
+        return left(item, model.assuming(scenarios), model.observe(item.observe) if item.observe else sides[1])
 
     if not what_ifs:
         return []
@@ -307,8 +298,7 @@ def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scena
         except UsageError as error:
             errors.append(error)
             out.append(scenario)
-    if errors and len(errors) == len(scenarios):
-        raise UsageError(f"what-if {item.name!r} fits no scenario: {errors[0].what}")
+    refuse(errors and len(errors) == len(scenarios), "whatif.nowhere", name=item.name, why=errors and errors[0].what)
     return out
 
 

@@ -13,7 +13,7 @@ import scipy
 
 from hyperval.compare.rows import Array, Interval, difference_row, named, row, scientific, skipped
 from hyperval.compare.spectra import noncentrality
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.metrics import Evidence
 from hyperval.model.intervals import (
     Z95,
@@ -191,8 +191,7 @@ def distance_from_uniform(values: npt.ArrayLike) -> Array:
     """(...) Kolmogorov-Smirnov distance of values (..., n) from the uniform distribution on (0, 1)."""
     u = np.sort(np.asarray(values, dtype=float), axis=-1)
     n = u.shape[-1]
-    if n == 0 or not np.all((u >= 0) & (u <= 1)):
-        raise UsageError("the uniformity test needs values between 0 and 1")
+    refuse(n == 0 or not np.all((u >= 0) & (u <= 1)), "compare.uniform")
     step = np.arange(n + 1) / n
     return np.asarray(np.maximum((step[1:] - u).max(axis=-1), (u - step[:-1]).max(axis=-1)))
 
@@ -235,8 +234,7 @@ def judged_together(
     """
     rng = np.random.default_rng(_SEED)
     counts = {predicted[s].values.shape[0] for s in measured}
-    if len(counts) > 1:
-        raise UsageError("the predicted scores of the subjects do not share their draws of the inputs")
+    refuse(len(counts) > 1, "compare.draws")
     shared = rng.integers(counts.pop(), size=REPLICATES)[:, None]
     values, drawn, wider, strength = [], [], [], []
     for subject, scores in measured.items():
@@ -701,8 +699,7 @@ def equivalent(interval: Interval, margin: float) -> bool:
     That rejects "the difference is at least the margin" on both sides at the 2.5 % level.  No difference
     found is not equivalence: a wide interval fails.  Source: Schuirmann, J. Pharmacokinet. Biopharm. 15, 657, 1987.
     """
-    if not 0.0 < margin < 1.0:
-        raise UsageError(f"equivalence margin {margin:g}", expected="a difference of probability between 0 and 1")
+    refuse(not 0.0 < margin < 1.0, "compare.margin", margin=margin)
     return -margin < interval[0] and interval[1] < margin
 
 
@@ -755,8 +752,7 @@ def compare_roc(
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
-    if predicted.unit != observed.unit:
-        raise UsageError(f"the predicted curve counts by {predicted.unit}, the measured by {observed.unit}")
+    refuse(predicted.unit != observed.unit, "compare.units", predicted=predicted.unit, observed=observed.unit)
     background = observed.n_background
     rare = [x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS]
     for level in pfa or (*ALWAYS, *rare):

@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from hyperval.compare.rows import COMPARISON
 from hyperval.config import Model
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal, refuse
 from hyperval.metrics import Kind, base_name, metric_of, product_words
 from hyperval.model.intervals import Z95, clopper_pearson
 from hyperval.results import Cause, Outcome, Result, Role
@@ -77,38 +77,30 @@ class Gate(Model):
     @model_validator(mode="after")
     def _can_fail(self) -> Gate:
         """Refuse gates without a limit, and limits that no value can break."""
-        given = [name for name in ("at_most", "at_least", "within") if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise ValueError(f"one limit only, got {' and '.join(given)}")
-        if not given and self.fraction_at_least is None:
-            raise ValueError("a limit is missing: at_most, at_least or within")
-        if self.within is not None and not self.within[0] < self.within[1]:
-            raise ValueError(f"within [{self.within[0]:g}, {self.within[1]:g}] holds no range")
-        if self.bands_nm is not None and not self.bands_nm[0] < self.bands_nm[1]:
-            raise ValueError(f"bands_nm [{self.bands_nm[0]:g}, {self.bands_nm[1]:g}] holds no range")
-        if self.chosen_after != bool(self.before):
-            raise ValueError("chosen_after: true and 'before', what it was before, stand together")
         try:
-            known = metric_of(self.metric)
+            self._refuse_slips()
         except UsageError as error:
             raise ValueError(" ".join(str(error).split())) from error
-        low, high = known.low, known.high
-        floor, ceiling = self.limits
-        if floor <= low and ceiling >= high:
-            raise ValueError(
-                f"{self.metric} lies between {low:g} and {high:g}: {self.limit_text} can never fail"
-                if math.isfinite(low)
-                else f"{self.limit_text} can never fail"
-            )
+        return self
+
+    def _refuse_slips(self) -> None:
+        given = [name for name in ("at_most", "at_least", "within") if getattr(self, name) is not None]
+        refuse(len(given) > 1, "gate.limits", names=" and ".join(given))
+        refuse(not given and self.fraction_at_least is None, "gate.none")
+        for name in ("within", "bands_nm"):
+            ends = getattr(self, name)
+            refuse(ends is not None and not ends[0] < ends[1], "gate.empty", name=name, ends=ends)
+        refuse(self.chosen_after != bool(self.before), "gate.before")
+        known, limit, (floor, ceiling) = metric_of(self.metric), self.limit_text, self.limits
+        if floor <= known.low and ceiling >= known.high:
+            bounded = "gate.all" if math.isfinite(known.low) else "gate.ever"
+            raise refusal(bounded, metric=self.metric, low=known.low, high=known.high, limit=limit)
         # A ratio to the collected value may be larger than 1, but a limit of 100 % or more is a slip of the pen.
         relative = (known.agreement == 0.0 and "difference_ratio" in known.name) or known.name == "bias_ratio"
-        if relative and max(abs(x) for x in (floor, ceiling) if math.isfinite(x)) >= 1.0:
-            raise ValueError(f"{self.limit_text} on a ratio is 100 % or more: write 5 % as 0.05")
-        if known.name.startswith("chi2_reduced") and _CHI2_SLIP <= ceiling < math.inf:
-            raise ValueError(f"{self.limit_text} on a reduced chi-square accepts anything: expected about 1")
-        if known.kind is Kind.TEST and self.at_least is None:
-            raise ValueError(f"{self.metric} is a p-value: its level is 'at_least'")
-        return self
+        refuse(relative and max(abs(x) for x in self.limits if math.isfinite(x)) >= 1.0, "gate.percent", limit=limit)
+        slip = known.name.startswith("chi2_reduced") and _CHI2_SLIP <= ceiling < math.inf
+        refuse(slip, "gate.reduced", limit=limit)
+        refuse(known.kind is Kind.TEST and self.at_least is None, "gate.level", metric=self.metric)
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hyperval.compare import covariance, detection, spectra
 from hyperval.compare.rows import named, row, scientific, skipped
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.model.intervals import Z95
 from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
 from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, Products, RocCurve, background_of
@@ -115,12 +115,7 @@ def compare_products(
     UsageError : the two sides are not on the same bands.
     """
     axis = observed.axis
-    if not predicted.axis.matches(axis):
-        raise UsageError(
-            f"prediction ({len(predicted.axis)} bands) and observation ({len(axis)} bands) "
-            "are not on the same spectral axis",
-            mend="predict on the axis of the collection",
-        )
+    refuse(not predicted.axis.matches(axis), "compare.axes", predicted=len(predicted.axis), observed=len(axis))
 
     def of(compare: Callable[..., Iterable[Result]], field: str, **options: Any) -> Iterator[Result]:
         """Rows of every key of one field; a key is a subject, or a subject with a method and what it counts."""

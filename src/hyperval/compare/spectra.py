@@ -13,7 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from hyperval.compare.rows import Array, Interval, Mask, row, skipped
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
 from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty
@@ -27,12 +27,10 @@ _SEED = 20180216
 
 def comparable_bands(predicted: SpectralEstimate, collected: SpectralEstimate, axis: SpectralAxis) -> Mask:
     """(B,) True where the band is good and both sides have a value and an uncertainty."""
+    b = len(axis)
     for name, side in (("predicted", predicted), ("observed", collected)):
-        if side.mean.shape != (len(axis),) or side.error_covariance.shape != (len(axis), len(axis)):
-            raise UsageError(
-                f"the {name} spectrum has shape {side.mean.shape} with a covariance {side.error_covariance.shape}",
-                expected=f"the {len(axis)} bands of the axis on both sides",
-            )
+        shapes = side.mean.shape, side.error_covariance.shape
+        refuse(shapes != ((b,), (b, b)), "compare.shape", side=name, shape=shapes[0], covariance=shapes[1], bands=b)
     usable = np.isfinite(predicted.mean) & np.isfinite(collected.mean)
     usable &= np.isfinite(np.diag(predicted.error_covariance)) & np.isfinite(np.diag(collected.error_covariance))
     return usable & axis.good
@@ -119,8 +117,7 @@ def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Effect:
     (0.01, 0.0)
     """
     t, y = np.asarray(years, dtype=float), np.asarray(values, dtype=float)
-    if t.size < FEWEST or np.ptp(t) == 0.0:
-        raise UsageError(f"a drift of {t.size} days", expected=f"{FEWEST} days or more, at different times")
+    refuse(t.size < FEWEST or np.ptp(t) == 0.0, "compare.drift", days=t.size, fewest=FEWEST)
     fit = scipy.stats.linregress(t, y)
     half, slope = float(scipy.stats.t.ppf(0.975, t.size - 2)) * float(fit.stderr), float(fit.slope)
     return Effect(slope, slope - half, slope + half)
@@ -283,8 +280,7 @@ class Whitening:
     def of(self, vector: npt.ArrayLike) -> Array:
         """(K, ...) of a vector (B,) or of vectors in columns; UsageError where a value is not finite."""
         x = np.asarray(vector, dtype=float)
-        if not np.all(np.isfinite(x)):
-            raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
+        refuse(not np.all(np.isfinite(x)), "compare.finite")
         return np.asarray(self.transform @ x)
 
 
@@ -441,8 +437,7 @@ def _unit_directions(covariance: npt.ArrayLike) -> tuple[npt.NDArray[np.bool_], 
     """Bands with a variance, and (bands, K) directions of unit variance and no covariance, the least first."""
     cov = np.asarray(covariance, dtype=float)
     sd = np.sqrt(np.diag(cov))
-    if not np.all(np.isfinite(cov)):
-        raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
+    refuse(not np.all(np.isfinite(cov)), "compare.finite")
     some = np.asarray(sd > 0)
     if not np.any(some):
         return some, np.zeros((0, 0))
