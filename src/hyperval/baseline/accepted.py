@@ -24,20 +24,25 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 import hyperval
 from hyperval.config import Model, load_model
 from hyperval.errors import HypervalError, UsageError, reader
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
-from hyperval.model import Origins, predict
 from hyperval.model.roc import detection_at
 from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, Role
-from hyperval.scenario import builtin_scenarios, load_scenario
 from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
 from hyperval.sensor.specification import Sensor
-from hyperval.sensor_check.suite import FALSE_ALARM, LEVELS, MIDDLE, Engine, summary_regions, sunlit_radiance
+from hyperval.sensor_check.suite import (
+    FALSE_ALARM,
+    LEVELS,
+    MIDDLE,
+    Engine,
+    SensorCheck,
+    summary_regions,
+    sunlit_radiance,
+)
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import write_text
 
@@ -211,7 +216,6 @@ def skipped_reason(rows: Sequence[Result] | ResultTable) -> str | None:
     return reasons[0] if reasons and len(reasons) == len(rows) else None
 
 
-Array = npt.NDArray[np.float64]
 METHOD = "sensor"
 # Lines of the sun (CH, Mg, H alpha) and of oxygen: a response of another width sees them deeper or less deep.
 LINES_NM = (430.0, 517.0, 656.0, 762.0)
@@ -230,8 +234,8 @@ def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Re
     ----------
     engine : stands in for the atmosphere engine
     """
-    axis, noise = sensor.axis, sensor.noise()
-    rows = [*_bands(axis), *_noise(axis, noise), *_scenarios(sensor, engine)]
+    check = SensorCheck(sensor, engine=engine)
+    rows = [*_bands(check.axis), *_noise(check.axis, check.noise), *_scenarios(check)]
     return {key_of(row): row for row in sorted(rows, key=key_of)}
 
 
@@ -280,22 +284,18 @@ def _terms(parts: NoiseBreakdown) -> list[str]:
     return [f.name for f in fields(parts) if np.any(np.abs(getattr(parts, f.name)) > floor)]
 
 
-def _scenarios(sensor: Sensor, engine: Engine | None) -> Iterator[Result]:
-    oxygen = _band_at(sensor.axis, LINES_NM[-1])
-    for name in builtin_scenarios():
-        try:
-            prediction = predict(load_scenario(name), Origins(sensor=sensor, engine=engine, show_progress=False))
-        except HypervalError as error:
-            yield replace(_item("scenario", name, "runs", np.nan), outcome=Outcome.SKIPPED, reason=str(error))
-            continue
-        for (subject, detector, unit), curve in prediction.roc.items():
-            if unit == "pixel":
-                pd = float(detection_at(curve, FALSE_ALARM))
-                yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{FALSE_ALARM:g}", pd)
-        white = prediction.radiance.get("white panel")
-        if white is not None and oxygen is not None:
-            subject = f"{name}, {LINES_NM[-1]:g} nm"
-            yield _item("scenario", subject, "white_panel_radiance", white.mean[oxygen], "uW cm-2 sr-1 nm-1")
+def _scenarios(check: SensorCheck) -> Iterator[Result]:
+    for name, run in check.runs.items():
+        if isinstance(run, HypervalError):
+            yield replace(_item("scenario", name, "runs", np.nan), outcome=Outcome.SKIPPED, reason=str(run))
+    for name, (subject, detector, _), curve in check.curves:
+        pd = float(detection_at(curve, FALSE_ALARM))
+        yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{FALSE_ALARM:g}", pd)
+    oxygen = _band_at(check.axis, LINES_NM[-1])
+    for name, prediction in check.predictions.items():
+        if "white panel" in prediction.radiance and oxygen is not None:
+            subject, level = f"{name}, {LINES_NM[-1]:g} nm", prediction.radiance["white panel"].mean[oxygen]
+            yield _item("scenario", subject, "white_panel_radiance", level, "uW cm-2 sr-1 nm-1")
 
 
 DEFAULT_FOLDER = Path("validation/baselines")

@@ -25,44 +25,26 @@ def record_of(
     log: InputLog,
     scenarios: Sequence[Scenario],
     seed: int | None,
-    configuration: Mapping[str, BaseModel],
-    sides: Sequence[Products],
-) -> dict[str, Any]:
-    """The provenance record of a run: what was read, with which scenarios, seed, configuration and engines."""
-    formulations = sorted({s.formulation for s in scenarios})
-    return provenance(
-        command=command_without_output(),
-        inputs=log.entries(),
-        seed=seed,
-        formulation=", ".join(formulations) or "none",
-        configuration={k: v.model_dump(mode="json", by_alias=True) for k, v in configuration.items()},
-        engines={str(i): dict(side.provenance) for i, side in enumerate(sides)},
-    )
-
-
-def provenance(
-    *,
-    command: Sequence[str],
-    inputs: Sequence[Mapping[str, Any]],
-    seed: int | None,
-    formulation: str,
     configuration: Mapping[str, Any],
-    engines: Mapping[str, Any],
+    sides: Sequence[Products] | Mapping[str, Products],
 ) -> dict[str, Any]:
-    """Collect the provenance record of one run.
+    """The provenance record of a run: what was read, with which scenarios, seed, configuration and engines.
 
-    It holds nothing that differs between two runs of the same inputs on the same machine: no
-    times, no absolute paths, and the command without its output folder.
+    It holds nothing that differs between two runs of the same inputs on the same machine: no times, no absolute
+    paths, and the command without its output folder.
     """
+    formulations = sorted({s.formulation for s in scenarios})
+    models = {k: v.model_dump(mode="json", by_alias=True) for k, v in configuration.items() if isinstance(v, BaseModel)}
+    named = sides.items() if isinstance(sides, Mapping) else enumerate(sides)
     return {
         "hyperval": hyperval.__version__,
         "source_revision": source_revision(),
-        "command": list(command),
-        "configuration": configuration,
-        "formulation": formulation,
+        "command": command_without_output(),
+        "configuration": {**configuration, **models},
+        "formulation": ", ".join(formulations) or "none",
         "seed": seed,
-        "inputs": sorted((dict(i) for i in inputs), key=lambda i: str(i.get("reference"))),
-        "engines": dict(engines),
+        "inputs": log.entries(),
+        "engines": {str(name): dict(side.provenance) for name, side in named},
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
         "linear_algebra": linear_algebra(),

@@ -6,14 +6,14 @@ Figures of a datasheet: response, SNR, noise, saturation, detection, sensitivity
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.campaign.provenance import command_without_output, provenance
+from hyperval.campaign.provenance import record_of
+from hyperval.datasets import InputLog
 from hyperval.figures.print import drawings_of
 from hyperval.figures.spec import (
     SOURCES,
@@ -42,10 +42,11 @@ from hyperval.sensor_check.suite import (
     check_sensor,
     neighbour_ratio,
     numbers,
+    standard_scenario,
     sunlit_radiance,
 )
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis, in_window
-from hyperval.storage import sha256_of, whole_folder
+from hyperval.storage import installed_file, whole_folder
 
 Array = npt.NDArray[np.float64]
 
@@ -386,20 +387,8 @@ def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
 
 
 def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:
-    if name_or_file in library_names():
-        place = resources.files("hyperval.sensor") / "library" / f"{name_or_file}.yaml"
-        with resources.as_file(place) as path:
-            entry = {"reference": f"library: {name_or_file}", "sha256": sha256_of(path)}
-    else:
-        entry = {"reference": Path(name_or_file).name, "sha256": sha256_of(Path(name_or_file))}
-    return provenance(
-        command=command_without_output(),
-        inputs=[entry],
-        seed=None,
-        formulation="corrected",
-        configuration={
-            "sensor": check.sensor.specification.model_dump(mode="json", by_alias=True),
-            "vary": check.vary,
-        },
-        engines={name: dict(prediction.provenance) for name, prediction in check.predictions.items()},
-    )
+    log, is_known = InputLog(), name_or_file in library_names()
+    path = installed_file("hyperval.sensor", "library", f"{name_or_file}.yaml") if is_known else Path(name_or_file)
+    log.add(path, f"library: {name_or_file}" if is_known else path.name)
+    told = {"sensor": check.sensor.specification, "vary": check.vary}
+    return record_of(log, [*map(standard_scenario, check.predictions)], None, told, check.predictions)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 import hyperval
-from hyperval.campaign.provenance import command_without_output, package_versions, provenance
+from hyperval.campaign.provenance import package_versions, record_of
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
@@ -135,17 +135,8 @@ def _write(plan: Plan, table: pd.DataFrame, folder: Path, show_progress: bool | 
     names = write_tables(study, table, folder)
     knees = knees_of(study, table)
     rows = result_rows(plan, table, knees)
-    record = provenance(
-        command=command_without_output(),
-        inputs=plan.log.entries(),
-        seed=study.design.seed,
-        formulation=plan.scenario.formulation,
-        configuration={
-            "study": study.model_dump(mode="json", by_alias=True),
-            "scenario": plan.scenario.model_dump(mode="json", by_alias=True),
-        },
-        engines={"0": dict(prediction.provenance)},
-    )
+    told = {"study": study, "scenario": plan.scenario}
+    record = record_of(plan.log, [plan.scenario], study.design.seed, told, [prediction])
     figures = stated_figures(study, table, knees)
     page = study_page(plan, table, figures, record, names, knees)
     run = Run(rows, record, {"predicted": prediction}, study.title or study.name)
