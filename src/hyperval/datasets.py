@@ -29,7 +29,7 @@ import platformdirs
 from pydantic import model_validator
 
 from hyperval.config import Model, parse_yaml, validate
-from hyperval.errors import InputError, MissingDataError, UsageError
+from hyperval.errors import HypervalError, MissingDataError, refusal, refuse
 from hyperval.paths import checked_store, is_pattern, matching, nearest
 from hyperval.progress import track
 from hyperval.storage import has_digest, scratch_folder, sha256_of, size_of, whole_file
@@ -63,7 +63,7 @@ def download(address: str, target: Path, *, size: int, digest: str, pack: bool =
     pooch.get_logger().setLevel("WARNING")
 
     def attempt(url: str, output: str, _: Any) -> None:
-        _stream(url, output, size)
+        _stream(url, output, size, mend)
         if not has_digest(Path(output), digest):
             raise ValueError("another content")
 
@@ -82,31 +82,20 @@ def download(address: str, target: Path, *, size: int, digest: str, pack: bool =
                 # No time in the header: the same content gives the same bytes.
                 content = published.read_bytes()
                 temporary.write_bytes(gzip.compress(content, mtime=0) if pack else content)
-    except _TooSlow as error:
-        raise InputError(f"cannot be downloaded: {error}", where=address, mend=mend) from error
     except requests.RequestException as error:
-        raise InputError(f"cannot be downloaded: {_reason(error)}", where=address, mend=mend) from error
+        raise refusal("data.download", address, why=_reason(error), mend=mend) from error
     except ValueError as error:
-        raise InputError(
-            "what was downloaded is not the registered file",
-            where=address,
-            expected=f"{size} bytes, {digest}",
-            mend=mend,
-        ) from error
+        raise refusal("data.content", address, size=size, digest=digest, mend=mend) from error
     except OSError as error:
-        raise InputError(f"cannot write: {error.strerror or error}", where=str(target)) from error
+        raise refusal("file.unwritable", target, why=error.strerror or error) from error
     return target
 
 
-class _TooSlow(Exception):
-    """A server that sends so little that it is given up, and not asked again."""
-
-
-def _stream(address: str, output: str, size: int) -> None:
+def _stream(address: str, output: str, size: int, mend: str) -> None:
     """Write the answer to ``output``.
 
     An answer longer than ``size`` bytes is cut off with ValueError, one that comes at less than
-    LEAST_BYTES_PER_S over PATIENCE_S with _TooSlow.
+    LEAST_BYTES_PER_S over PATIENCE_S with InputError, after which the server is not asked again.
     """
     import requests
 
@@ -120,8 +109,9 @@ def _stream(address: str, output: str, size: int) -> None:
             stream.write(chunk)
             passed = monotonic() - since
             if passed > PATIENCE_S:
-                if received - mark < LEAST_BYTES_PER_S * passed:
-                    raise _TooSlow(f"the server sends {(received - mark) / passed:.0f} bytes a second")
+                rate = (received - mark) / passed
+                why = f"the server sends {rate:.0f} bytes a second"
+                refuse(rate < LEAST_BYTES_PER_S, "data.download", address, why=why, mend=mend)
                 since, mark = monotonic(), received
 
 
@@ -239,15 +229,13 @@ def registry() -> Mapping[str, DataSet]:
 
 def dataset(name: str) -> DataSet:
     """The data set of that name; raises UsageError for a name that is not registered."""
-    if name not in registry():
-        raise UsageError(f"no data set {name!r}", expected="one of " + ", ".join(registry()))
+    refuse(name not in registry(), "data.none", name=name, known=", ".join(registry()))
     return registry()[name]
 
 
 def set_data_dir(path: Path) -> None:
     """Look for data below ``path`` first, in this process and those it starts."""
-    if not Path(path).is_dir():
-        raise UsageError("not a directory", where=str(path), expected="a folder that holds the data sets")
+    refuse(not Path(path).is_dir(), "data.folder", path)
     os.environ["HYPERVAL_DATA"] = str(Path(path).resolve())
 
 
@@ -272,8 +260,7 @@ def resolve(reference: str, base: Path | None = None) -> Path:
     MissingDataError : a file of a data set that is not on this machine.
     InputError : no such file.
     """
-    if not reference.strip():
-        raise UsageError("an empty file reference", expected="a path, or data:SET/PATH")
+    refuse(not reference.strip(), "data.empty")
     if reference.startswith(PREFIX):
         return _resolve_data(_data_path(reference))
     # An address is refused before it is joined to the folder and becomes a path that only does not exist.
@@ -332,8 +319,7 @@ def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
     InputError : no connection, another answer, no room to write, or a set that is not public, with who has it.
     """
     entry = dataset(name)
-    if not entry.public:
-        raise InputError(f"the data set {name!r} is not public; it is held by {entry.holder}", mend=how_to_get(entry))
+    refuse(not entry.public, "data.held", name=name, holder=entry.holder, how=how_to_get(entry))
     needed = []
     for file in dataset(name).files:
         path = _find(file.path)
@@ -356,13 +342,9 @@ def check_copy(reference: str, path: Path) -> None:
         raise _another_file(entry[0].name, entry[1], path)
 
 
-def _another_file(name: str, file: DataFile, path: Path) -> InputError:
-    return InputError(
-        f"the local copy of {PREFIX}{file.path} is not the registered file",
-        where=str(path),
-        expected=f"{file.size} bytes{' unpacked' * file.packed}, {file.digest}; it has {size_of(path)} bytes",
-        mend=f"remove it or unset HYPERVAL_DATA, then: hyperval data fetch {name}; name your own data by its path",
-    )
+def _another_file(name: str, file: DataFile, path: Path) -> HypervalError:
+    size = f"{file.size} bytes{' unpacked' * file.packed}"
+    return refusal("data.copy", path, path=file.path, size=size, digest=file.digest, has=size_of(path), name=name)
 
 
 def how_to_get(entry: DataSet) -> str:
@@ -395,7 +377,7 @@ class InputLog:
         """Like :func:`resolve`, and keep a record of the file; InputError where it is not the registered one."""
         if reference.startswith(SIMULATED):
             if self.simulated is None:
-                raise UsageError(f"{reference!r}: this campaign simulates nothing", mend="set collection.simulate")
+                raise refusal("data.simulated", reference=reference)
             return self.add(self.simulated / Path(reference.removeprefix(SIMULATED)).name, reference)
         path = resolve(reference, base or self.base)
         if is_pattern(reference) and not path.is_file():
@@ -440,10 +422,8 @@ def _data_path(reference: str) -> str:
     """The path in a ``data:`` reference, which must stay inside the data directory."""
     text = reference.removeprefix(PREFIX)
     path = PurePosixPath(text)
-    if not text or path.is_absolute() or ".." in path.parts or any(c in text for c in "\\\0:"):
-        raise UsageError(
-            f"the reference {reference!r} leaves the data directory", expected="data:SET/PATH, without '..'"
-        )
+    leaves = not text or path.is_absolute() or ".." in path.parts or any(c in text for c in "\\\0:")
+    refuse(leaves, "data.leaves", reference=reference)
     return path.as_posix()
 
 
@@ -485,14 +465,10 @@ def _owner(path: str) -> str | None:
     return owner[0].name if owner else None
 
 
-def _unknown(path: str, looked: str) -> UsageError:
+def _unknown(path: str, looked: str) -> HypervalError:
     """The error for a file that neither the registry nor this machine knows, with the names nearest to it."""
     folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]
     beside = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]
     close = nearest(path, [*_by_path(), *beside]) or nearest(path.split("/")[0], registry())
-    return UsageError(
-        f"no such file in any registered data set, nor on this machine (looked in {looked})",
-        where=PREFIX + path,
-        expected="perhaps " + ", ".join(PREFIX + name for name in close) if close else None,
-        mend="correct the name, or name a folder that holds the file with --data-dir or HYPERVAL_DATA",
-    )
+    perhaps = f"perhaps {', '.join(PREFIX + name for name in close)}" if close else ""
+    return refusal("data.unknown", PREFIX + path, looked=looked, perhaps=perhaps)

@@ -35,7 +35,7 @@ from typing import Any, NoReturn, Protocol, TypeVar
 import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are counted
 from threadpoolctl import ThreadpoolController
 
-from hyperval.errors import HypervalError, UsageError
+from hyperval.errors import HypervalError, refusal, refuse
 from hyperval.progress import set_listener
 from hyperval.storage import scratch_folder
 
@@ -427,8 +427,7 @@ def worker_count(pieces: int | None = None) -> int:
     UsageError : HYPERVAL_WORKERS is no whole number of 1 or more.
     """
     text = os.environ.get("HYPERVAL_WORKERS", "")
-    if text and (not text.isdigit() or int(text) < 1):
-        raise UsageError(f"HYPERVAL_WORKERS is {text!r}", expected="a whole number of 1 or more")
+    refuse(text and (not text.isdigit() or int(text) < 1), "workers.count", text=text)
     count = int(text) if text else available_cores()
     return max(1, count if pieces is None else min(pieces, count))
 
@@ -499,16 +498,12 @@ def _dask(address: str) -> Iterator[Workers]:
         import dask.config
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise UsageError(
-            "--scheduler needs Dask, which is not installed", mend="install the extra: pip install 'hyperval[dask]'"
-        ) from error
+        raise refusal("workers.dask") from error
     with dask.config.set({"distributed.comm.timeouts.connect": f"{_CONNECT_S:g}s"}):
         try:
             client = Client(address, timeout=f"{_SCHEDULER_S:g}s", set_as_default=False)
         except (OSError, ValueError) as error:
-            raise UsageError(
-                f"no Dask scheduler answers at {address}", expected="an address such as tcp://node:8786"
-            ) from error
+            raise refusal("workers.scheduler", address=address) from error
         with client:
             # Nothing is kept by its arguments, so that equal pieces run each for itself.
             width = max(1, sum(client.ncores().values()))

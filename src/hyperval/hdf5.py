@@ -18,7 +18,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from hyperval.errors import InputError
+from hyperval.errors import refuse
 
 CPU_SECONDS = 3  # of one file; products of hundreds of arrays take hundredths of a second
 ENOUGH_SECONDS = 1.0  # after which the rest of a tree of many thousands is taken on trust
@@ -36,8 +36,7 @@ def check_hdf5(path: Path | str) -> None:
     except OSError:
         return  # the reader has words for it
     reason = _trial(str(path), status.st_mtime_ns, status.st_size)
-    if reason:
-        raise InputError(f"damaged: the HDF5 library {reason}", where=str(path), mend="copy the file again")
+    refuse(reason, "hdf5.damaged", path, reason=reason)
 
 
 @lru_cache(maxsize=256)

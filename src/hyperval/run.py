@@ -50,7 +50,7 @@ import yaml
 
 import hyperval
 import hyperval.products as product_types
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Evidence
 from hyperval.products import (
@@ -190,8 +190,7 @@ def runs_in(folders: Iterable[Path]) -> list[Path]:
     out: list[Path] = []
     for folder in map(Path, folders):
         inside = sorted(path.parent for path in folder.glob(f"*/{PROVENANCE}"))
-        if not inside and not is_run(folder):
-            raise InputError("no results", where=str(folder), mend="name a folder that hyperval validate wrote")
+        refuse(not inside and not is_run(folder), "results.none", folder)
         out += inside or [folder]
     return out
 
@@ -208,16 +207,9 @@ def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) ->
     for run in map(Run.open, runs_in(folders)):
         rows = [r for r in run.table if (r.product, r.subject, r.metric) == (product, subject, metric)]
         rows = [r for r in rows if not math.isnan(r.value)]
-        if rows and len(run.times) != 1:
-            where = str(run.folder)
-            raise UsageError(f"{len(run.times)} times in one run", where=where, expected="scenarios of one time_utc")
+        refuse(rows and len(run.times) != 1, "results.times", run.folder, count=len(run.times))
         days += [(when, rows[0]) for when in run.times if rows]
-    if not days:
-        raise UsageError(
-            f"no run has the row {product}, {subject}, {metric}",
-            expected="names as in results.csv",
-            mend="hyperval drift FOLDER --product P --subject S --metric M",
-        )
+    refuse(not days, "results.row", row=f"{product}, {subject}, {metric}")
     return sorted(days, key=lambda day: day[0])
 
 
@@ -450,8 +442,7 @@ def read_rows(folder: Path) -> Iterator[Result]:
     path = Path(folder) / TABLE
     document = _document_of(path)
     for name in document.get("runs", ()):
-        if not isinstance(name, str) or Path(name).name != name or name.startswith("."):
-            raise InputError(f"{name!r} is no folder beside it", where=str(path))
+        refuse(not isinstance(name, str) or Path(name).name != name or name[:1] == ".", "results.part", path, name=name)
         yield from read_rows(folder / name)
     if "runs" not in document:
         yield from _rows(path, document["columns"], document["rows"])
@@ -461,9 +452,8 @@ def read_rows(folder: Path) -> Iterator[Result]:
 def _document_of(path: Path) -> dict[str, Any]:
     document = _json_head(path) | {"rows": []} if _is_joined(path) else _json(path)
     lists = all(isinstance(document.get(name, []), list) for name in ("runs", "columns", "rows"))
-    if document.get("schema_version") not in _READABLE or not lists or not {"columns", "rows"} <= document.keys():
-        expected = f"results.json of schema version {SCHEMA_VERSION}"
-        raise InputError("not a results table", where=str(path), expected=expected)
+    is_known = document.get("schema_version") in _READABLE and lists and {"columns", "rows"} <= document.keys()
+    refuse(not is_known, "results.table", path, version=SCHEMA_VERSION)
     return document
 
 
@@ -477,7 +467,7 @@ def _row(item: Any, columns: list[Any], words: dict[str, str], where: str) -> Re
     if isinstance(item, list) and len(item) == len(columns):
         item = dict(zip(map(str, columns), item, strict=True))
     if not isinstance(item, dict) or not _KNOWN - _NEW.keys() <= item.keys() <= _KNOWN:
-        raise InputError("not a row of results", where=where, expected="the columns " + ", ".join(sorted(_KNOWN)))
+        raise refusal("results.columns", where, columns=", ".join(sorted(_KNOWN)))
     values: dict[str, Any] = {k: words.setdefault(v, v) if isinstance(v, str) else v for k, v in (_NEW | item).items()}
     try:
         for name in _NUMBERS:
@@ -487,22 +477,20 @@ def _row(item: Any, columns: list[Any], words: dict[str, str], where: str) -> Re
             values[name] = kind(values[name])
         return Result(**values)
     except (TypeError, ValueError, UsageError) as error:
-        raise InputError(f"not a row of results: {error}", where=where) from error
+        raise refusal("results.values", where, why=error) from error
 
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"larger than {MAX_BYTES} bytes", where=str(path))
-        content = json.loads(path.read_bytes())
+        refuse(path.stat().st_size > MAX_BYTES, "results.large", path, most=MAX_BYTES)
+        content: dict[str, Any] = json.loads(path.read_bytes())
     except FileNotFoundError as error:
-        raise InputError("no such file", where=str(path), mend="name a folder of results") from error
+        raise refusal("results.file", path) from error
     except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+        raise refusal("file.unreadable", path, why=error.strerror) from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON: {error}", where=str(path)) from error
-    if not isinstance(content, dict):
-        raise InputError("not a JSON object", where=str(path))
+        raise refusal("results.json", path, why=error) from error
+    refuse(not isinstance(content, dict), "results.object", path)
     return content
 
 
@@ -749,19 +737,15 @@ def _write_group(group: Any, data: Arrays) -> None:
 def _opened(folder: Path) -> Iterator[Any]:
     """The open products.nc of a folder; whatever is wrong with it is an InputError."""
     path = Path(folder) / PRODUCTS
-    if not path.is_file():
-        raise InputError("no such file", where=str(path), expected="products.nc of a finished run")
+    refuse(not path.is_file(), "products.file", path)
     check_hdf5(path)
     try:
         with h5netcdf.File(path, "r") as file:
             yield file
     except KeyError as error:
-        raise InputError(
-            "was not written by this version of hyperval: it lacks what this one writes", where=str(path),
-            expected=f"products.nc of hyperval {hyperval.__version__}", mend="run it again",
-        ) from error  # fmt: skip
+        raise refusal("products.version", path, version=hyperval.__version__) from error
     except (OSError, ValueError, RuntimeError) as error:
-        raise InputError(f"cannot be read: {error}", where=str(path), expected="products.nc of a run") from error
+        raise refusal("products.damaged", path, why=error) from error
 
 
 @reader

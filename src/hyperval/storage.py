@@ -30,7 +30,7 @@ from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from hyperval.errors import HypervalError, InputError, UsageError
+from hyperval.errors import HypervalError, refusal, refuse
 
 try:
     import fcntl
@@ -152,7 +152,7 @@ def sha256_of(path: Path) -> str:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+        raise refusal("file.unreadable", path, why=error.strerror) from error
 
 
 def has_digest(path: Path, digest: str) -> bool:
@@ -272,15 +272,9 @@ def _refuse_foreign(place: Path, kind: FolderKind) -> None:
     foreign = sorted(_names(place) - (listing[1] if listing else set()))
     if foreign:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
-        raise UsageError(
-            f"holds files that no run wrote there: {', '.join(foreign[:3])}{more}",
-            where=str(place),
-            mend="move them, or name a new folder or an empty one",
-        )
+        raise refusal("folder.foreign", place, names=", ".join(foreign[:3]) + more)
     if listing is not None and listing[0] != kind.name:
-        raise UsageError(
-            f"holds {listing[0]}, not {kind.name}", where=str(place), mend="name a new folder, or an empty one"
-        )
+        raise refusal("folder.kind", place, held=listing[0], kind=kind.name)
 
 
 @contextmanager
@@ -288,8 +282,7 @@ def _claimed(place: Path, given: Path) -> Iterator[None]:
     """The folder, made where it is not there, and nobody else's for the block."""
     lock, made, is_done = place / LOCK, False, False
     try:
-        if place.exists() and not place.is_dir():
-            raise UsageError("is a file", where=str(given), expected="a folder for the output")
+        refuse(place.exists() and not place.is_dir(), "folder.file", given)
         made = not place.exists()
         place.mkdir(parents=True, exist_ok=True)
         handle = _claim(lock)
@@ -297,9 +290,7 @@ def _claimed(place: Path, given: Path) -> Iterator[None]:
         who = "it does not say which"
         with suppress(OSError):
             who = lock.read_text("utf-8", "replace")[:200].strip() or who
-        raise UsageError(
-            f"another run writes here ({who})", where=str(given), mend="wait until it ends, or name another folder"
-        ) from error
+        raise refusal("folder.claimed", given, who=who) from error
     except OSError as error:
         raise _no_folder(given, error) from error
     try:
@@ -314,9 +305,9 @@ def _claimed(place: Path, given: Path) -> Iterator[None]:
                 place.rmdir()
 
 
-def _no_folder(path: Path, error: Exception) -> UsageError:
+def _no_folder(path: Path, error: Exception) -> HypervalError:
     why = getattr(error, "strerror", None) or str(error)
-    return UsageError(f"no folder can be made here: {why}", where=str(path)[:300], mend="name another folder")
+    return refusal("folder.none", str(path)[:300], why=why)
 
 
 def _finish(place: Path) -> None:

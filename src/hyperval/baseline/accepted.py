@@ -28,7 +28,7 @@ from pydantic import Field, model_validator
 
 import hyperval
 from hyperval.config import Model, load_model
-from hyperval.errors import HypervalError, UsageError, reader
+from hyperval.errors import HypervalError, reader, refuse
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, Role
@@ -325,10 +325,8 @@ def stored(folder: Path, kind: Kind, name: str) -> Baseline | None:
     if not path.is_file():
         return None
     baseline = load_baseline(path)
-    if (baseline.kind, baseline.name) != (kind, name):
-        raise UsageError(
-            f"is the baseline of {baseline.kind} {baseline.name!r}", where=str(path), expected=f"{kind} {name}"
-        )
+    other = (baseline.kind, baseline.name) != (kind, name)
+    refuse(other, "baseline.other", path, wanted=f"{kind} {name}", of=f"{baseline.kind} {baseline.name!r}")
     return baseline
 
 
@@ -370,7 +368,6 @@ def versions(packages: Mapping[str, str] | None = None, python: str | None = Non
 def today() -> str:
     """The date, of SOURCE_DATE_EPOCH where that is set."""
     text = os.environ.get("SOURCE_DATE_EPOCH", "")
-    if text and not text.isdigit():
-        raise UsageError(f"SOURCE_DATE_EPOCH is {text!r}", expected="seconds since 1970")
+    refuse(text and not text.isdigit(), "baseline.date", text=text)
     now = datetime.fromtimestamp(int(text), UTC) if text else datetime.now(UTC)
     return now.date().isoformat()

@@ -36,7 +36,7 @@ from hyperval.baseline.accepted import (
 from hyperval.campaign import Job, jobs_of, validate
 from hyperval.campaign.provenance import command_without_output, source_revision
 from hyperval.config import FILL_IN
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import refuse
 from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.verdict import accepted_words
@@ -163,8 +163,7 @@ def all_runs(
     UsageError : nothing named, or a finished run that was made with other files or another source.
     InputError : a finished run that is not there.
     """
-    if not campaigns and not sensors:
-        raise UsageError("nothing to run", expected="campaign files, or sensors")
+    refuse(not campaigns and not sensors, "baseline.nothing")
     given = [part for text in sensors for part in text.split(",") if part]
     names = dict.fromkeys(n for part in given for n in (library_names() if part == ALL else (part,)))
     chosen = {name: load_sensor(name) for name in names}
@@ -185,10 +184,9 @@ def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     inner = source / name
     run = Run.open(inner if is_run(inner) else source)
     table = run.table.where(campaign=name)
-    if not len(table):
-        raise InputError(f"holds no run of campaign {name!r}", where=str(source), mend="run it with hyperval validate")
-    if finished and (why := _stale(job, run.provenance)):
-        raise UsageError(f"the run of {name!r} {why}", where=str(run.folder), mend="run hyperval validate again")
+    refuse(not len(table), "baseline.absent", source, name=name)
+    why = _stale(job, run.provenance) if finished else None
+    refuse(why, "baseline.stale", run.folder, name=name, why=why)
     packages = run.provenance.get("packages")
     return RunNumbers(
         "campaign",
@@ -325,7 +323,13 @@ def _write(outcome: Checks, folder: Path) -> None:
             kind="Accepted numbers of",
             sentence=accepted_words(item.rows) if item.is_compared else next(row.reason for row in item.rows),
             table=item.rows,
-            provenance={"command": command_without_output(), **_made_with(item)},
+            provenance={
+                "command": command_without_output(),
+                "versions": dict(item.run.versions),
+                "inputs": [{"reference": item.baseline.name, "sha256": sha256_of(item.baseline)}]
+                if item.baseline.is_file()
+                else [],
+            },
         )
         for item in outcome.checked
     ]
@@ -335,12 +339,6 @@ def _write(outcome: Checks, folder: Path) -> None:
         inner.mkdir(exist_ok=True)
         write_outputs(report, inner)
     write_index(reports, folder, "Accepted numbers")
-
-
-def _made_with(item: Checked) -> dict[str, Any]:
-    path, about = item.baseline, {"licence": None, "citation": None}
-    inputs = [{"reference": path.name, "sha256": sha256_of(path), **about}] if path.is_file() else []
-    return {"versions": dict(item.run.versions), "inputs": inputs}
 
 
 Change = tuple[str, str, Accepted | None, Accepted | None]  # owner, name, before and after: None where there is none
@@ -393,16 +391,10 @@ def accept(
     UsageError : no reason, or a run that ended in an error.
     """
     words = " ".join(reason.split())
-    if not words:
-        raise UsageError("no reason", expected="why the new numbers are right", mend='give it: --reason "..."')
+    refuse(not words, "baseline.reason")
     runs = all_runs(campaigns, sensors, source=source, engine=engine, show_progress=show_progress)
     for run in runs:
-        if run.broken:
-            raise UsageError(
-                f"the run of {run.owner} is no baseline: {run.broken[0]}",
-                expected="a run without errors",
-                mend="mend the code or the campaign",
-            )
+        refuse(run.broken, "baseline.broken", owner=run.owner, why="; ".join(run.broken[:1]))
     done = [run for run in runs if run.skipped is None]
     before = {run.owner: stored(baselines, run.kind, run.name) for run in done}  # all are read before one is written
     written, unchanged, changes = {}, [], list[Change]()

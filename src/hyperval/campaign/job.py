@@ -12,7 +12,7 @@ from hyperval.atmosphere.solar import reference_of
 from hyperval.campaign.schema import Campaign, Outline, campaign_runs, with_words
 from hyperval.config import FILL_IN, Location, Placeholder, load_yaml, placeholders, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, describe, resolve, set_on_request
-from hyperval.errors import HypervalError, UsageError, reader
+from hyperval.errors import HypervalError, UsageError, reader, refuse
 from hyperval.scenario import builtin_scenarios
 
 FILE_KEYS = frozenset({
@@ -115,13 +115,7 @@ class Job:
                 where = f"{self.path}: {one.key}: {error.where or one.text}"
                 raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend)
         lacking = [key for key in ("scenarios", "comparisons") if not (self.content or {}).get(key)]
-        if compares and lacking:
-            raise UsageError(
-                f"the campaign has no {' and no '.join(lacking)}",
-                where=str(self.path),
-                expected="a scenario to predict from, and what is to be compared",
-                mend="hyperval observe needs neither",
-            )
+        refuse(compares and lacking, "campaign.lacking", self.path, keys=" and no ".join(lacking))
         if self.to_fill_in and self.waits is None:
             raise unfilled(list(self.to_fill_in))
 
@@ -193,13 +187,7 @@ def job_of(path: Path) -> Job:
     UsageError : every mistake with its file and line; values that are still to be filled in; a file of several runs.
     """
     job, *more = read_jobs(path)
-    if more:
-        raise UsageError(
-            f"the file holds {len(more) + 1} runs",
-            where=str(path),
-            expected="a campaign of one run",
-            mend="copy it with one entry under 'runs'; hyperval validate takes all of them",
-        )
+    refuse(more, "campaign.several", path, count=len(more) + 1)
     assert job.campaign  # noqa: S101 - read now, for its mistakes
     return job
 
@@ -222,6 +210,6 @@ def jobs_of(*paths: Path, compares: bool = True) -> list[Job]:
     for job in jobs:
         job.check(compares=compares)
     names = [job.outline.name for job in jobs]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise UsageError(f"two campaigns are named {twice[0]!r}")
+    twice = next((name for name in names if names.count(name) > 1), None)
+    refuse(twice, "campaign.twice", name=twice)
     return jobs

@@ -28,7 +28,7 @@ from hyperval.campaign.schema import Outline
 from hyperval.campaign.sides import Collected, collected, doubts, joined
 from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import SIMULATED, InputLog
-from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error
+from hyperval.errors import HypervalError, MissingDataError, internal_error, refuse
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.model import Truth, inputs_of, predict, predictions, read
 from hyperval.observe import Observed
@@ -477,12 +477,7 @@ def observe(
     """
     with whole_folder(output) as folder:
         job, notes = job_of(Path(path)), list[str]()
-        if write_reflectance and job.campaign.collection.empirical_line is None:
-            raise UsageError(
-                "there is no empirical line that would make a reflectance cube",
-                where=str(path),
-                mend="add collection.empirical_line, or leave --write-reflectance out",
-            )
+        refuse(write_reflectance and job.campaign.collection.empirical_line is None, "campaign.line", path)
 
         def cube(observed: Observed) -> None:
             from hyperval.observe import write_reflectance as reflectance_cube

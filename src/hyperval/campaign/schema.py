@@ -22,7 +22,7 @@ from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import Location, Model, load_yaml, validate
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, RadCalNetDay, read_radcalnet
 
@@ -45,17 +45,11 @@ def campaign_runs(data: Any, lines: dict[Location, int], name: str) -> list[tupl
     rest = {key: value for key, value in data.items() if key != "runs"}
     where = f"{name}:{lines.get(('runs',), 1)}"
     good = isinstance(runs, list) and 0 < len(runs) <= MAX_RUNS
-    if not good or not all(isinstance(run, dict) and run for run in runs):
-        raise UsageError("'runs' is no list of runs", where=where, expected="- {run: 0920-1631, start: ...}")
+    refuse(not good or not all(isinstance(run, dict) and run for run in runs), "campaign.runs", where)
     for i, run in enumerate(runs):
-        at = f"{name}:{lines.get(('runs', i), 1)}"
         wrong = [key for key, text in run.items() if not re.fullmatch(r"\w+", key) or not isinstance(text, str)]
-        if wrong or run.keys() != runs[0].keys():
-            raise UsageError(
-                f"the run has {', '.join(wrong) if wrong else 'other words than the first'}",
-                where=at,
-                expected="the same words in every run, each with a text (in quotation marks where it is a number)",
-            )
+        has = ", ".join(wrong) or ("other words than the first" if run.keys() != runs[0].keys() else "")
+        refuse(has, "campaign.words", f"{name}:{lines.get(('runs', i), 1)}", has=has)
     return [(dict(run), with_words(rest, run)) for run in runs]
 
 
@@ -136,15 +130,9 @@ def day_scenarios(source: DayScenarios, scenario: Path, day: Path, words: Mappin
     InputError : a day that is missing, corrupt, not of the surface, or without values.
     """
     rows = read_radcalnet(day)
-    if rows.quantity != SURFACE:
-        raise InputError(
-            "holds reflectance of the top of the atmosphere",
-            where=rows.source,
-            expected="a file that ends in .input",
-        )
+    refuse(rows.quantity != SURFACE, "campaign.day", rows.source)
     times = tuple(source.times) or rows.valid
-    if not times:
-        raise InputError("no half hour has a value", where=rows.source, mend="take a day of better weather")
+    refuse(not times, "campaign.weather", rows.source)
     text, lines = load_yaml(scenario)
     out = []
     for time in times:
@@ -163,8 +151,8 @@ def _words(day: RadCalNetDay, time: str, file: str, model: str, where: Path) -> 
     except UsageError as error:
         raise UsageError(error.what, where=f"{where}: atmosphere.model", expected=error.expected) from None
     pressure = state["pressure_hpa"]
-    if not pressure_at(profile, HIGHEST_KM) < pressure <= pressure_at(profile, 0.0):
-        raise InputError(f"a pressure of {pressure:g} hPa", where=day.source, expected="that of a place on land")
+    is_on_land = pressure_at(profile, HIGHEST_KM) < pressure <= pressure_at(profile, 0.0)
+    refuse(not is_on_land, "campaign.pressure", day.source, pressure=pressure)
     ground = float(scipy.optimize.brentq(lambda z: pressure_at(profile, z) - pressure, 0.0, HIGHEST_KM, xtol=1e-6))
     return {
         **state, "site": day.site, "time": time, "time_utc": f"{day.times[i]:%Y-%m-%dT%H:%M:%SZ}", "file": file,

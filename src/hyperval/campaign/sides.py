@@ -31,7 +31,7 @@ from hyperval.collection import Detection
 from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
 from hyperval.compare.products import SPREAD
 from hyperval.datasets import InputLog
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, one_of, refusal, refuse
 from hyperval.figures.spec import EigenvalueSpectrum, TailCurve
 from hyperval.imagery.acquisition import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
@@ -71,14 +71,10 @@ def with_measured_fractions(scenario: Scenario, place: Place | None) -> Scenario
     if scenario.scene.fractions == "stated":
         return scenario
     if place is None:
-        raise UsageError(
-            f"scenario {scenario.name!r}: scene.fractions is measured, and the campaign has no image",
-            mend="take it out: the stated fractions then hold",
-        )
+        raise refusal("fractions.image", name=scenario.name)
     counts = [int(np.count_nonzero(place.pixels_of(_region_of(c, place)))) for c in scenario.scene.classes]
     total = sum(counts)
-    if total == 0:
-        raise UsageError(f"scenario {scenario.name!r}: no pixel in the regions of its classes")
+    refuse(total == 0, "fractions.none", name=scenario.name)
     classes = [
         c.model_copy(update={"fraction": n / total}) for c, n in zip(scenario.scene.classes, counts, strict=True)
     ]
@@ -90,10 +86,7 @@ def _region_of(surface: BackgroundClass, place: Place) -> str:
     for name in (surface.name, surface.spectrum.measured, spread):
         if name is not None and name in place.regions:
             return name
-    raise UsageError(
-        f"scene.fractions is measured, and class {surface.name!r} has no region",
-        expected="one of " + ", ".join(place.regions) if place.regions else "a region of its name",
-    )
+    raise refusal("fractions.region", name=surface.name, regions=one_of(place.regions, "a region of its name"))
 
 
 def with_fills_of_truth(
@@ -113,12 +106,8 @@ def with_fills_of_truth(
     def fill(stated: Fill | None, subject: str) -> Fill | None:
         if stated is None or stated.truth is None:
             return stated
-        if subject not in known:
-            raise UsageError(
-                f"fill: {{truth: true}} of {subject!r}: the truth does not tell the fills of its pixels",
-                expected="one of " + ", ".join(known) if known else "targets from a finer image or from abundances",
-                mend="name the subject as detection.group does, or state its fill",
-            )
+        there = one_of(known, "targets from a finer image or from abundances")
+        refuse(subject not in known, "fractions.fill", name=subject, there=there)
         return Fill(listed=known[subject])
 
     def with_fill(item: Target) -> Target:

@@ -23,7 +23,7 @@ import yaml
 from hyperval.campaign.sides import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml
-from hyperval.errors import HypervalError, InputError, UsageError
+from hyperval.errors import HypervalError, InputError, UsageError, refusal, refuse
 from hyperval.imagery import Raster, TargetObject, guard, objects, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.products import background_of
@@ -87,9 +87,10 @@ class Draft:
         """A file as the campaign names it: relative to the campaign's own folder."""
         return os.path.relpath(path.resolve(), self.folder.resolve())
 
-    def guess(self, *at: str, because: str) -> None:
-        """Mark the value at a place of the content."""
-        self.guesses[at] = because
+    def guess(self, name: str, /, **words: object) -> None:
+        """Mark the value at a place of the content, as ``draft.yaml`` has both under a name."""
+        about = _templates()["guesses"][name]
+        self.guesses[tuple(about["at"].split("."))] = about["because"].format(**words)
 
     def opened(self, **parts: Any) -> Place:
         """The collection as it stands, with only these parts beside its cube."""
@@ -175,16 +176,14 @@ def _by_wavelength(sources: StarterSources, raster: Raster, draft: Draft, quanti
     """The content of a campaign of an image with wavelengths."""
     collection = draft.collection
     if quantity and sources.quantity is None and raster.description.quantity is None:
-        because = f"{quantity}, by the words of the header or the file name"
-        draft.guess("collection", "cube", "quantity", because=because)
+        draft.guess("quantity", quantity=quantity)
     if quantity == "radiance":
         unit = sources.unit or _stated_unit(raster)
         if unit is not None or raster.description.unit is None:
-            asked = f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
-            collection["cube"]["unit"] = unit or asked
+            collection["cube"]["unit"] = unit or f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
     collection["regions"] = collection["regions"] or [_WHOLE]
     if any(str(value).startswith(FILL_IN) for value in collection["cube"].values()):
-        draft.guess("scenarios", because="left out until it is known what the image holds")
+        draft.guess("no image")
         return
     _scale(raster, draft)
     for entry in collection["regions"] if sources.regions else ():
@@ -201,8 +200,7 @@ def _by_wavelength(sources: StarterSources, raster: Raster, draft: Draft, quanti
     if quantity == "radiance" and len(known) > 1:
         entries = [{"region": panel, "spectrum": matched[panel].source(draft)} for panel in known]
         collection["empirical_line"] = {"panels": entries}
-        because = f"through {', '.join(known)}: regions named as panels, or of flat spectra"
-        draft.guess("collection", "empirical_line", because=because)
+        draft.guess("line", panels=", ".join(known))
     if panels:
         collection["leave_out"] = panels
         collection["snr_regions"] = panels
@@ -212,14 +210,12 @@ def _by_wavelength(sources: StarterSources, raster: Raster, draft: Draft, quanti
         _add_targets(place, materials, spectra, model, draft)
         draft.content["scenarios"] = [model]
         draft.content["comparisons"] = usual_comparisons(draft.content)
-        if not draft.content["comparisons"]:
-            names = ", ".join([*place.regions, *materials])
-            raise UsageError("nothing to compare", expected=f"--spectra: files or records named as {names}")
+        refuse(not draft.content["comparisons"], "starter.nothing", names=", ".join([*place.regions, *materials]))
     except UsageError as error:
         for key in ("scenarios", "comparisons", "detection"):
             draft.content.pop(key, None)
         draft.guesses = {at: why for at, why in draft.guesses.items() if at[0] == "collection"}
-        draft.guess("scenarios", because=f"no prediction: {error.what}; {error.expected}")
+        draft.guess("no prediction", what=error.what, expected=error.expected)
 
 
 def usual_comparisons(content: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -312,7 +308,7 @@ def _records(path: Path) -> list[RecordedSpectrum]:
             out.append(RecordedSpectrum(own or path.stem, path, own, unit, flat))
         return out
     read_records(path)  # the reader's own words for what is wrong
-    raise InputError("no reflectance in any usual unit", where=str(path))
+    raise refusal("starter.unit", path)
 
 
 def _scenario(
@@ -327,11 +323,7 @@ def _scenario(
     ground = [region for region in place.regions if region not in panels and place.pixels_of(region).any()]
     measured = quantity == "reflectance" or "empirical_line" in draft.collection
     classes = [region for region in ground if measured or region in matched]
-    if not classes:
-        raise UsageError(
-            "no region of the ground has a reflectance: the model has nothing to predict from",
-            expected=f"--spectra: files of field spectra named as {', '.join(ground) or 'regions'}, or two panels",
-        )
+    refuse(not classes, "starter.ground", names=", ".join(ground) or "regions")
     pixels = np.array([place.pixels_of(region).sum() for region in classes], float)
     shares = np.round(pixels / pixels.sum(), 4)
     shares[-1] = 1.0 - shares[:-1].sum()
@@ -342,17 +334,13 @@ def _scenario(
             spread = {"measured": region} if measured else {"relative_sd": 0.1}
             surfaces[-1] |= {"spectrum": matched[region].source(draft), "covariance": spread}
     scene: dict[str, Any] = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
-    draft.guess("scenarios", "scene", "classes", because="area fractions as those of the regions' pixels")
+    draft.guess("classes")
     known = [panel for panel in panels if panel in matched]
     if known:
         scene["panels"] = [{"name": panel, "spectrum": matched[panel].source(draft)} for panel in known]
     out: dict[str, Any] = {"schema": 1, "name": draft.content["name"]}
     if quantity == "radiance":
         out |= _flight(sources, place, draft)
-        out["uncertainty"] = {"aot550": 0.05, "water_vapour_g_cm2": 0.5}
-        draft.guess("scenarios", "uncertainty", "aot550", because="of the two guesses of the atmosphere")
-        draft.collection["calibration"] = {"relative": 0.05, "uncorrelated": 0.01}
-        draft.guess("collection", "calibration", because="5 %, common to all bands, and 1 % of each")
     out["scene"] = scene
     out["processing"] = {"detectors": ["cem"], "bands": {"drop_bad": True}}
     if not (quantity == "radiance" and measured):
@@ -362,9 +350,11 @@ def _scenario(
 
 
 def _flight(sources: StarterSources, place: Place, draft: Draft) -> dict[str, Any]:
-    """Atmosphere, sun and sensor."""
-    state = _templates()["flight"]
-    draft.guess("scenarios", "atmosphere", because="aerosol depth 0.1, 1.5 g cm-2 of water and a ground at sea level")
+    """Atmosphere, sun, sensor, and what is known of them."""
+    usual = _templates()["flight"]
+    state, draft.collection["calibration"] = usual["atmosphere"], usual["calibration"]
+    for name in ("atmosphere", "state", "calibration"):
+        draft.guess(name)
     centre = centre_of(place)
     if centre is not None:
         state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
@@ -372,7 +362,8 @@ def _flight(sources: StarterSources, place: Place, draft: Draft) -> dict[str, An
     state |= {key: value for key, value in stated.items() if value}
     sensor = sources.sensor or _library_sensor(place.cube.axis, draft)
     named = sources.sensor is not None and Path(sensor).is_file()
-    return {"atmosphere": state, "sensor": draft.reference(Path(sensor)) if named else sensor}
+    sensor = draft.reference(Path(sensor)) if named else sensor
+    return {"atmosphere": state, "sensor": sensor, "uncertainty": usual["uncertainty"]}
 
 
 def _library_sensor(axis: SpectralAxis, draft: Draft) -> str:
@@ -380,7 +371,7 @@ def _library_sensor(axis: SpectralAxis, draft: Draft) -> str:
     for name in library_names():
         own = load_sensor(name).axis
         if len(own) == len(axis) and np.all(np.abs(own.centre_nm - axis.centre_nm) < own.fwhm_nm):
-            draft.guess("scenarios", "sensor", because=f"{name}, whose bands these are")
+            draft.guess("sensor", name=name)
             return name
     return (
         f"{FILL_IN}: no sensor of the library has these {len(axis)} bands; --sensor names a file (hyperval sensor new)"
@@ -398,13 +389,11 @@ def _add_targets(
     known = {m: match for m in materials if (match := matching_spectrum(m, spectra))}
     if not known and len(materials) == len(spectra) == 1:
         known = {materials[0]: spectra[0]}
-        because = f"{spectra[0].name!r} is the spectrum of {materials[0]!r}: each is the only one"
-        draft.guess("detection", because=because)
+        draft.guess("only one", spectrum=spectra[0].name, material=materials[0])
     if not known:
         return
     if draft.collection["cube"]["quantity"] == "radiance" and "empirical_line" not in draft.collection:
-        because = "no detection: in radiance it needs an empirical line, two panels with a region and a spectrum each"
-        draft.guess("collection", "targets", because=because)
+        draft.guess("no detection")
         return
     members = {material: [t for t in place.targets if t.material == material] for material in known}
     sizes = {material: _sizes(own) for material, own in members.items()}
@@ -428,11 +417,7 @@ def _add_targets(
         else:
             entry["fill"] = _fill(place, own)
         entries.append(entry)
-    because = (
-        "host: the class most seen around a target, or else like what is seen there; fill: by a square of the "
-        "target's size, or of as many pixels; a spread of 3 % from pixel to pixel"
-    )
-    draft.guess("scenarios", "scene", "targets", because=because)
+    draft.guess("targets")
     _spectra_known_to(scenario, list(known), draft)
 
 
@@ -440,7 +425,7 @@ def _spectra_known_to(scenario: dict[str, Any], subjects: Sequence[str], draft: 
     if subjects:
         entries = [{"subject": subject, "relative": 0.05, "correlation_nm": 200} for subject in subjects]
         scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
-        draft.guess("scenarios", "uncertainty", "field_spectra", because="known to 5 % over some 200 nm")
+        draft.guess("field spectra")
 
 
 def _size(target: TargetObject) -> str | None:
@@ -497,13 +482,12 @@ def _by_number(sources: StarterSources, raster: Raster, draft: Draft, quantity: 
     collection = draft.collection
     collection["cube"]["by_number"] = True
     collection["regions"].insert(0, _WHOLE)
-    because = "the file lists no wavelengths: what needs them is left out (collection.bands)"
-    draft.guess("collection", "cube", because=because)
+    draft.guess("no wavelengths")
     detection = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good", "detectors": ["rx"]}
     draft.content["detection"] = detection
     masks = _object_masks(sources, raster)
     if len(masks) < 2:
-        draft.guess("detection", because="anomalies alone: no map of two objects is there (--targets)")
+        draft.guess("anomalies")
         return
     scored, known = masks[::2], np.logical_or.reduce(masks[1::2])
     marked = {"known objects": known} | {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
@@ -521,13 +505,8 @@ def _by_number(sources: StarterSources, raster: Raster, draft: Draft, quantity: 
         usual["scene"]["targets"][0]["covariance"] = {"relative_sd": 0.05}
     model = {"scene": usual["scene"], "processing": usual["processing"]}
     draft.content["scenarios"] = [{"schema": 1, "name": draft.content["name"], **model}]
-    because = (
-        f"{len(scored)} of {len(masks)} touching groups of the map; the others ({pixels} pixels) give the spectrum "
-        "that they are looked for with"
-    )
-    draft.guess("collection", "targets", because=because)
-    because = "each marked pixel is filled; pixels spread as those of the known objects"
-    draft.guess("scenarios", "scene", "targets", because=because)
+    draft.guess("objects", scored=len(scored), count=len(masks), pixels=pixels)
+    draft.guess("objects filled")
     draft.content["comparisons"] = usual_comparisons(draft.content)
 
 
@@ -591,18 +570,19 @@ def _scale(raster: Raster, draft: Draft) -> None:
         tried = {}
         if "reflectance scale factor" in entries and "data gain values" not in entries:
             factor = float(entries["reflectance scale factor"])  # the reader has found it a number
-            because = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
-            tried = {1.0 / factor: because}
+            tried = {
+                1.0 / factor: f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
+            }
     scale = _stated(cube, "scale", list(tried), draft)
     if scale is not None:
-        draft.guess("collection", "cube", "scale", because=tried[scale])
+        draft.guess("scale", why=tried[scale])
 
 
 def _coordinates(entry: dict[str, Any], draft: Draft) -> None:
     """State what the coordinates of a file of regions are, where they are not those that its format has."""
     kind = _stated(entry, "coordinates", ["pixel", "map"], draft, regions=[entry])
     if kind is not None:
-        draft.guess("collection", "regions", because=f"{entry['file']}: {kind} coordinates")
+        draft.guess("coordinates", file=entry["file"], kind=kind)
 
 
 def _stated(entry: dict[str, Any], key: str, values: Sequence[Any], draft: Draft, **parts: Any) -> Any:

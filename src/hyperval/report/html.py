@@ -22,7 +22,7 @@ import jinja2
 from markupsafe import Markup
 
 import hyperval
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.figures.catalogue import first_figures, further_figures
 from hyperval.figures.criteria import WORDS, campaigns_figure, criteria_figure
 from hyperval.figures.detection import many_objects_figure
@@ -478,15 +478,12 @@ def _sections(
 
 
 def _figures(run: RunReport, drawings: Sequence[Drawing], embedded: Mapping[str, str]) -> list[dict[str, Any]]:
-    """What stands under a figure is not said again under the next one that it holds for."""
-    out: list[dict[str, Any]] = []
-    last = ""
-    for drawing in drawings:
-        origin = _under_figure(run, drawing.section)
-        words = "Inputs: those of the figure before." if origin == last else origin
-        out.append({"drawing": drawing, "source": embedded.get(drawing.name), "from": words})
-        last = origin
-    return out
+    """Each with what made it, which is not said again under the next one."""
+    origin, before = _made_from(run), "Inputs: those of the figure before."
+    return [
+        {"drawing": drawing, "source": embedded.get(drawing.name), "from": before if i else origin}
+        for i, drawing in enumerate(drawings)
+    ]
 
 
 def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dict[str, str]:
@@ -510,23 +507,17 @@ def _rank(drawing: Drawing) -> int:
     return len(PICTURES) + drawing.name.startswith("score-map")
 
 
-def _under_figure(run: RunReport, product: str) -> str:
-    """Inputs, their licence, version and seed of a figure, in one line."""
-    inputs = [
-        _input(item)
-        for item in run.provenance.get("inputs", ())
-        if not item.get("products") or product in item["products"]
-    ]
+def _made_from(run: RunReport) -> str:
+    """Inputs, their licence, version and seed, in one line."""
+    inputs = [_input(item) for item in run.provenance.get("inputs", ())]
     words = [i["reference"] + (f" ({i['licence']})" if i["licence"] else "") for i in inputs[:_INPUTS_UNDER_FIGURE]]
     if len(inputs) > _INPUTS_UNDER_FIGURE:
         words.append(f"{len(inputs) - _INPUTS_UNDER_FIGURE} more in the provenance table")
-    parts = [f"Inputs: {'; '.join(words)}" if words else "Inputs: none recorded"]
     cited = list(dict.fromkeys(i["citation"] for i in inputs if i["citation"]))
-    if cited:
-        parts.append("; ".join(cited[:2]) + ("; …" if len(cited) > 2 else ""))
+    parts = [f"Inputs: {'; '.join(words) or 'none recorded'}", "; ".join([*cited[:2], *(["…"] if cited[2:] else [])])]
     parts.append(f"hyperval {hyperval.__version__}")
     parts += [f"{k} {run.provenance[k]}" for k in ("formulation", "seed") if run.provenance.get(k) is not None]
-    return ". ".join(part.rstrip(".") for part in parts) + "."
+    return ". ".join(part.rstrip(".") for part in parts if part) + "."
 
 
 def _input(item: Mapping[str, Any]) -> dict[str, str]:
@@ -573,8 +564,7 @@ def figures_to_folder(run: Path, output: Path, print_as: Print, curves: Curves |
     UsageError : products of which nothing can be drawn.
     """
     drawings = run_drawings(run, print_as, curves)
-    if not drawings:
-        raise UsageError("there is nothing to draw", where=str(run), expected="spectra or ROC curves in products.nc")
+    refuse(not drawings, "results.figures", run)
     with whole_folder(output) as folder:
         for drawing in drawings:
             (folder / drawing.file_name).write_bytes(drawing.content)

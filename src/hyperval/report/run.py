@@ -43,9 +43,8 @@ class RunReport:
     prediction, observation : the two sides, None where a side was not run
     score_maps : "TARGET-DETECTOR" -> map
     quicklook : picture of the scene
-    provenance : ``inputs`` is a list of mappings with the keys reference, sha256, licence, citation and,
-        optionally, products (the products that use it); the other keys (versions, command, seed,
-        formulation, ...) are shown as they are
+    provenance : ``inputs`` is a list of mappings with the keys reference, sha256, licence, citation; the other keys
+        (versions, command, seed, formulation, ...) are shown as they are
     notes : assumptions made, what was left out
     references : literature
     eigenvalues : (subject, quantity) -> eigenvalues of both sides

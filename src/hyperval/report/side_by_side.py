@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.figures.catalogue import first_figures
 from hyperval.figures.spec import Figure
 from hyperval.products import SPECTRA, Products
@@ -37,12 +37,7 @@ def compare_runs(one: Path, other: Path, output: Path) -> int:
     """
     a, b = Run.open(one), Run.open(other)
     pairs = paired(a.table, b.table)
-    if not any(p.a and p.b for p in pairs):
-        raise UsageError(
-            "the two runs compare nothing in common",
-            where=f"{one}, {other}",
-            expected="runs with the same products and subjects",
-        )
+    refuse(not any(p.a and p.b for p in pairs), "results.common", f"{one}, {other}")
     with whole_folder(output) as folder:
         Run(difference_table(pairs)).write(folder, side_by_side_page(a, b, pairs))
     return 0
