@@ -305,11 +305,7 @@ def _some_pixels(place: Place, name: str) -> Array:
     step = -(-count // min(MOST_PIXELS, MOST_FOR_SNR // place.cube.bands))
     lines, samples = px.nth_pixels(region, np.arange(0, count, step))
     del region  # a byte a pixel
-    values, n = np.empty((lines.size, place.cube.bands)), 0
-    for part, _ in place.valid_pixels(lines, samples):
-        values[n : n + len(part)] = part
-        n += len(part)
-    return values[:n]
+    return np.concatenate([part for part, _ in place.valid_pixels(lines, samples)])
 
 
 def _classes(

@@ -38,7 +38,6 @@ from hyperval.collection import (
     FinerTruth,
     NormalizedDifference,
     RegionSource,
-    Ring,
     TargetRasters,
     TargetTruth,
     VectorSource,
@@ -318,24 +317,30 @@ class _Site:
 
     def regions_of(self, source: RegionSource, above: Mapping[str, Region]) -> dict[str, Region]:
         """The regions of one entry of a collection by name; ``above``: those of the entries before it."""
-        name, shape = str(source.name), self.cube.shape
         if source.file is not None:
             return self._of_file(source, self.resolve(source.file))
+        return {str(source.name): self._region(source, above)}
+
+    def _region(self, source: RegionSource, above: Mapping[str, Region]) -> Region:
+        name, shape, made_of = str(source.name), self.cube.shape, source.half or source.ring
+        if made_of is not None and made_of.of not in above:
+            what, known = "half of" if source.half else "a ring around", one_of(above, "a region above it")
+            raise refusal("place.above", "collection.regions", name=name, what=what, of=made_of.of, known=known)
         if source.rectangle is not None:
             line, sample, lines, samples = source.rectangle
-            return {
-                name: imagery.rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), shape)
-            }
-        if source.whole_image:
-            return {name: Region(name, np.broadcast_to(np.True_, shape), "the whole image")}
+            return imagery.rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), shape)
         if source.half is not None:
-            whole = _above(name, "half of", source.half.of, above)
-            return {name: imagery.half_region(name, whole, first=source.half.which == "first")}
-        if source.ring is not None:
-            return {name: self._ring(name, source.ring, _above(name, "a ring around", source.ring.of, above))}
-        assert source.normalized_difference is not None  # noqa: S101 - one of them is given
-        mask = self._normalized_difference(source.normalized_difference)
-        return {name: Region(name, mask, "normalised difference")}
+            return imagery.half_region(name, above[source.half.of], first=source.half.which == "first")
+        if (ring := source.ring) is not None:
+            if ring.outer_m is None:
+                return imagery.ring_region(name, above[ring.of], ring.inner_pixels, float(ring.outer_pixels or 0.0))
+            if self.area_m2 is None:
+                raise refusal("place.metres", f"region {name!r}")
+            sides = imagery.pixel_sides_m(self.cube.transform, self.area_m2)
+            return imagery.ring_region(name, above[ring.of], ring.inner_m, ring.outer_m, sides)
+        if source.normalized_difference is not None:
+            return Region(name, self._normalized_difference(source.normalized_difference), "normalised difference")
+        return Region(name, np.broadcast_to(np.True_, shape), "the whole image")
 
     def _of_file(self, source: RegionSource, path: Path) -> dict[str, Region]:
         if source.classes:
@@ -347,15 +352,6 @@ class _Site:
         if chosen is None:
             raise InputError(f"no region {source.name!r} among {', '.join(new)}", where=str(path))
         return {source.name: replace(chosen, name=source.name)}
-
-    def _ring(self, name: str, ring: Ring, around: Region) -> Region:
-        if ring.outer_m is None:
-            return imagery.ring_region(name, around, ring.inner_pixels, float(ring.outer_pixels or 0.0))
-        if self.area_m2 is None:
-            raise refusal("place.metres", f"region {name!r}")
-        return imagery.ring_region(
-            name, around, ring.inner_m, ring.outer_m, imagery.pixel_sides_m(self.cube.transform, self.area_m2)
-        )
 
     def _normalized_difference(self, rule: NormalizedDifference) -> Mask:
         """Pixels (lines, samples) whose (high - low)/(high + low) lies above and below the limits of ``rule``."""
@@ -426,15 +422,6 @@ class _Site:
             mend = "name a region under one material only"
             raise UsageError(f"two targets are named {double[0]!r}", where="targets.regions", mend=mend)
         return out, remarks
-
-
-def _above(name: str, what: str, of: str, regions: Mapping[str, Region]) -> Region:
-    """The region that another one is made of."""
-    if of not in regions:
-        raise refusal(
-            "place.above", "collection.regions", name=name, what=what, of=of, known=one_of(regions, "a region above it")
-        )
-    return regions[of]
 
 
 def _region_notes(regions: Iterable[Region], by_rule: frozenset[str]) -> list[str]:

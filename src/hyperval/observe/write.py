@@ -75,13 +75,6 @@ def write_reflectance(
     return path, note
 
 
-def quantised(reflectance: npt.ArrayLike) -> Stored:
-    """Stored numbers of reflectances; :data:`NO_DATA` where they are not finite or do not fit."""
-    scaled = np.rint(np.asarray(reflectance, dtype=float) * SCALE)
-    fits = np.abs(scaled) <= 32767  # False for NaN
-    return np.where(fits, scaled, NO_DATA).astype(np.int16)
-
-
 def _blocks(cube: Cube, elm: EmpiricalLine, good: npt.NDArray[np.bool_]) -> Iterator[tuple[range, tuple[Stored, int]]]:
     """Stored numbers (lines, samples, B) of the blocks in order, and how many good values did not fit."""
     step = max(1, _BLOCK_VALUES // (cube.samples * cube.bands))
@@ -89,7 +82,8 @@ def _blocks(cube: Cube, elm: EmpiricalLine, good: npt.NDArray[np.bool_]) -> Iter
         block = cube.read(first, min(step, cube.lines - first))
         with np.errstate(invalid="ignore", over="ignore"):
             block.values[~block.valid] = np.nan
-            stored = quantised(elm.reflectance(block.values))
+            scaled = np.rint(elm.reflectance(block.values) * SCALE)
+            stored = np.where(np.abs(scaled) <= 32767, scaled, NO_DATA).astype(np.int16)  # NaN does not fit
         misfits = int(np.count_nonzero(stored[block.valid][:, good] == NO_DATA))
         yield range(first, first + stored.shape[0]), (stored, misfits)
 

@@ -340,16 +340,14 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     decades = np.log10(n / _LEAST_ALARMS)
     level = 10.0 ** -(np.arange(int(decades * _PER_DECADE), -1, -1) / _PER_DECADE)
     level = level[level <= 0.5]
-    ordered = background.ascending
     # The lowest threshold that lets at most n P of the scores through; equal scores pass together or not at all.
-    threshold = np.unique(ordered[n - 1 - np.floor(n * level + 1e-9).astype(int)])
-    alarms, lower, upper = (x[::-1] for x in background.pfa_limits(threshold[::-1]))
-    struck = np.count_nonzero(background.counts(threshold[::-1]), axis=1)[::-1]
-    known = struck >= 2
-    return ExceedanceCurve(
-        threshold, alarms / n, np.where(known, lower, np.nan), np.where(known, upper, np.nan), n,
-        background.half_image_factor(threshold[::-1])[::-1],
-    )  # fmt: skip
+    falling = np.unique(background.ascending[n - 1 - np.floor(n * level + 1e-9).astype(int)])[::-1]
+    alarms, *limits = background.pfa_limits(falling)
+    known = np.count_nonzero(background.counts(falling), axis=1) >= 2
+    low, high = (np.where(known, limit, np.nan) for limit in limits)
+    columns = (falling, alarms / n, low, high, background.half_image_factor(falling))
+    threshold, probability, lower, upper, half = (column[::-1] for column in columns)
+    return ExceedanceCurve(threshold, probability, lower, upper, n, half)
 
 
 def exceedance_at(curve: ExceedanceCurve, threshold: float, values: Array | None = None) -> float:
