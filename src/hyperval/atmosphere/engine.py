@@ -54,7 +54,7 @@ def atmospheric_terms(
         try:
             return read_table((resolve or Path)(str(state.table))).terms(state)
         except InputError as error:
-            name, expected = str(state.table).rstrip("/"), "a NetCDF file, or the run template of channel files"
-            refuse("a folder" in error.what, "is a folder", name, expected, f"name the template: {name}/NAME.json")
+            name = str(state.table).rstrip("/")
+            refuse("a folder" in error.what, "table.folder", name, name=name)
             raise
     return ENGINES[state.engine](state, cache_folder(cache_dir), show_progress)

@@ -65,26 +65,8 @@ _LEAST_RADIANCE = 1e-28  # in the unit of the file: below the range of its expon
 _SURREF = slice(73, 80)
 
 
-class _Layout(NamedTuple):
-    """How one kind of output is written: cards, a heading that shows where columns end, rows, and an end."""
-
-    what: str
-    heading: str  # how it begins
-    names: list[str]
-    of_names: bool  # whether the heading is of the names, else of a dash for each and one more
-    end: str
-    blank: float | None  # what stands for an empty field; None: there is none, and text may follow the columns
-    rounding: float  # of the total, relative
-    sums: dict[str, list[str]]  # radiances as sums of columns
-
-    def fits(self, words: list[str]) -> bool:
-        """Whether these are the words of a whole heading."""
-        if self.of_names:
-            return words == self.names
-        return len(words) == len(self.names) + 1 and set("".join(words)) == {"-"}
-
-
-_TAPE7, _CHANNELS = (_Layout(**_TABLE[name]) for name in ("tape7", "channels"))
+_Layout = dict[str, Any]  # how one kind of output is written: modtran.yaml says what stands where
+_TAPE7, _CHANNELS = _TABLE["tape7"], _TABLE["channels"]
 
 
 @dataclass(frozen=True)
@@ -102,11 +84,11 @@ class _Table:
 
     def radiances(self, layout: _Layout, converted: Callable[[Array], Array]) -> dict[str, Any]:
         """The radiances of a run, converted; 0 where the file is blank: a term that the run did not compute."""
-        added = {name: sum(np.nan_to_num(self.columns[c]) for c in columns) for name, columns in layout.sums.items()}
+        added = {name: sum(np.nan_to_num(self.columns[c]) for c in columns) for name, columns in layout["sums"].items()}
         total, together = np.asarray(added["radiance"]), np.asarray(sum(added[part] for part in TOTAL_PARTS))
-        wrong = np.abs(total - together) > layout.rounding * np.abs(total) + _LEAST_RADIANCE
-        parts = " + ".join(column for part in TOTAL_PARTS for column in layout.sums[part])
-        told: dict[str, Any] = {"name": layout.sums["radiance"][0], "parts": parts, "rounding": layout.rounding}
+        wrong = np.abs(total - together) > layout["rounding"] * np.abs(total) + _LEAST_RADIANCE
+        parts = " + ".join(column for part in TOTAL_PARTS for column in layout["sums"][part])
+        told: dict[str, Any] = {"name": layout["sums"]["radiance"][0], "parts": parts, "rounding": layout["rounding"]}
         refuse(wrong.any(), "modtran.sum", self.at(wrong), total=total[wrong], sum=together[wrong], **told)
         return {name: converted(np.asarray(values)) for name, values in added.items()}
 
@@ -117,21 +99,21 @@ def _tables(path: Path, layout: _Layout) -> list[_Table]:
     ends, head, rows, heading, number = list[int](), list[str](), list[list[float]](), 0, 0
     for number, line in enumerate([*read_text(path, MAX_BYTES).splitlines(), ""], 1):
         where = f"{path}:{number}"
-        if not ends and not re.match(layout.heading, line):
+        if not ends and not re.match(layout["heading"], line):
             head.append(line)
         elif not ends:
-            names = line.split()
-            refuse(not layout.fits(names), "modtran.columns", where, names=" ".join(names[:6]), wanted=layout.what)
+            other, names = not re.fullmatch(layout["columns"], line.strip()), " ".join(line.split()[:6])
+            refuse(other, "modtran.columns", where, names=names, wanted=layout["what"])
             # A name ends where its column ends, so that the widths of another release show in the heading.
-            ends, heading = [m.end() for m in re.finditer(r"\S+", line)][: len(layout.names)], number
-        elif not re.match(layout.end, line):
-            rows.append(_row(line, ends, where, layout.blank))
+            ends, heading = [m.end() for m in re.finditer(r"\S+", line)][: len(layout["names"])], number
+        elif not re.match(layout["end"], line):
+            rows.append(_row(line, ends, where, layout["blank"]))
         else:
-            refuse(not rows, "modtran.no_rows", f"{path}:{heading}", wanted=layout.what)
-            tables.append(_Table(path, heading, head, dict(zip(layout.names, np.array(rows).T, strict=True))))
+            refuse(not rows, "modtran.no_rows", f"{path}:{heading}", wanted=layout["what"])
+            tables.append(_Table(path, heading, head, dict(zip(layout["names"], np.array(rows).T, strict=True))))
             ends, head, rows = [], [], []
     refuse(ends, "modtran.no_end", f"{path}:{heading}")
-    refuse(not tables, "modtran.no_table", path, wanted=layout.what)
+    refuse(not tables, "modtran.no_table", path, wanted=layout["what"])
     refuse(any(line.strip() for line in head), "modtran.no_case", f"{path}:{number - len(head) + 1}")
     return tables
 
@@ -251,7 +233,7 @@ def _channel_run(table: _Table) -> ModtranRun:
     refuse(wrong.any(), "modtran.width", table.at(wrong), width=width[wrong])
     wrong = number != following
     refuse(wrong.any(), "modtran.channel", table.at(wrong), found=number[wrong], wanted=following[wrong])
-    rounding = _CHANNELS.rounding * np.abs(total) + np.abs(t["radiance per nm"]) * _WIDTH_STEP_NM
+    rounding = _CHANNELS["rounding"] * np.abs(total) + np.abs(t["radiance per nm"]) * _WIDTH_STEP_NM
     wrong = np.abs(product - total) > rounding
     refuse(wrong.any(), "modtran.product", table.at(wrong), total=total[wrong], product=product[wrong])
     # Sensors with overlapping spectrometers list their channels out of order.
