@@ -12,7 +12,7 @@ What a classifier sees of a spectrum: bands, or principal components of the clas
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -239,16 +239,12 @@ def with_distances(error: ClassificationError, laws: Sequence[ClassLaw]) -> Clas
     pairs = [bhattacharyya_distance(a.mean, a.covariance, b.mean, b.covariance) for a, b in combinations(laws, 2)]
     part = 2.0 / len(laws)
     each = [classification_error(distance) for distance in pairs]
-    return ClassificationError(
-        error.error,
-        error.lower,
-        error.upper,
-        error.n,
-        error.effective_n,
-        min(pairs),
-        part * sum(estimate for estimate, _, _ in each),
-        part * max(low for _, low, _ in each),
-        min(part * sum(high for _, _, high in each), 1.0 - 1.0 / len(laws)),
+    return replace(
+        error,
+        distance=min(pairs),
+        approximation=part * sum(estimate for estimate, _, _ in each),
+        bound_lower=part * max(low for _, low, _ in each),
+        bound_upper=min(part * sum(high for _, _, high in each), 1.0 - 1.0 / len(laws)),
     )
 
 

@@ -308,35 +308,24 @@ class Evaluation(Keeps):
 
     Attributes
     ----------
+    scenario, axis, targets : what all truths share: names and processing, the bands as they are labelled
     curves : P_D (U, K) of all truths at the false-alarm probabilities of the curves, once they were asked for
+    problems : truth -> why it has no filter; none where no filter was asked for
     """
 
     def __init__(self, world: World, errors: Mapping[str, Array] | None = None, shift: Array | float = 0.0):
         self.world, self.stated, self.errors = world, world.stated, errors or {}
+        self.scenario, self.axis, self.targets = self.stated.scenario, self.stated.axis, self.stated.targets
         self.shift = np.broadcast_to(shift, (world.size,))
         self.first, self.which = world.distinct()
         self.at = world.rows(self.first)
         self.light = light_of(self.at)
         self.kept: dict[Any, Any] = {}
         self.curves: dict[RocKey, Array] = {}
+        self.problems: dict[int, UsageError] = {}
 
     def __len__(self) -> int:
         return self.world.size
-
-    @property
-    def scenario(self) -> Scenario:
-        """What all truths share: names, processing."""
-        return self.stated.scenario
-
-    @property
-    def axis(self) -> SpectralAxis:
-        """The bands as they are labelled."""
-        return self.stated.axis
-
-    @property
-    def targets(self) -> list[Target]:
-        """The targets of the scene."""
-        return self.stated.targets
 
     # ---- spectra -------------------------------------------------------------------------------------------
 
@@ -399,31 +388,21 @@ class Evaluation(Keeps):
         return self.stated.once(("mixtures", self.bands.tobytes()), lambda: Mixtures(chosen, processing.features))
 
     @cached_property
-    def _designed(self) -> tuple[dict[tuple[str, str], tuple[LinearFilter, Array, Array]], dict[int, UsageError]]:
-        linear = self.stated.linear_detectors
+    def filters(self) -> Mapping[tuple[str, str], tuple[LinearFilter, Array, Array]]:
+        """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
+        linear, shape = self.stated.linear_detectors, (self.first.size, self.bands.size)
         wanted = {(t.name, d): self.looked_for(t.name) for t in self.targets for d in linear}
-        shape, problems = (self.first.size, self.bands.size), dict[int, UsageError]()
         made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
         for v in range(self.first.size):
             try:
                 base = self.mixtures.base(self.view, self.background, self.seen, v)
                 each = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
             except UsageError as error:
-                problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
+                self.problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
                 continue
             for into, one in zip(made.values(), each, strict=True):
                 into.weights[v], into.offset[v] = one
-        return {key: (f, *class_scores(self.background, self.seen, f)) for key, f in made.items()}, problems
-
-    @property
-    def filters(self) -> Mapping[tuple[str, str], tuple[LinearFilter, Array, Array]]:
-        """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
-        return self._designed[0]
-
-    @property
-    def problems(self) -> Mapping[int, UsageError]:
-        """Truth -> why it has no filter; none where no filter was asked for."""
-        return self._designed[1] if "_designed" in vars(self) else {}
+        return {key: (f, *class_scores(self.background, self.seen, f)) for key, f in made.items()}
 
     def looked_for(self, target: str) -> Array:
         """(V or 1, F) what a filter looks for, in the units of the image."""
@@ -444,23 +423,20 @@ class Evaluation(Keeps):
             at.column("sky_view")[:, target], error,
         )  # fmt: skip
 
-    def fill_of(self, u: int, number: int) -> FillDistribution:
-        """Fill of a population in a truth."""
-        fills = self.fills(number)
-        row = u if len(fills.values) > 1 else 0
-        return FillDistribution(fills.values[row], fills.weights[row if len(fills.weights) > 1 else 0])
-
     def fills(self, number: int, objects: bool = False) -> Fills:
         """Fills of the pixels of a population, or of the pixels of its objects."""
         return self.once(("fills", number, objects), lambda: self.world.fills(number, objects))
 
-    def scores(self, population: str, detector: str) -> RocScores:
-        """What the ROC of a target population needs in each truth (3.26-3.29), pixel by pixel."""
-        return self.once(("scores", population, detector), lambda: self._scores(population, detector, False))
+    def fill_of(self, u: int, number: int) -> FillDistribution:
+        """Fill of a population in a truth."""
+        fills = self.fills(number)
+        return FillDistribution(of_truth(fills.values, u), of_truth(fills.weights, u))
 
-    def object_scores(self, population: str, detector: str) -> RocScores:
-        """The same where an object is detected when one of its pixels is."""
-        return self.once(("objects", population, detector), lambda: self._scores(population, detector, True))
+    def scores(self, population: str, detector: str, objects: bool = False) -> RocScores:
+        """What the ROC of a target population needs in each truth (3.26-3.29), pixel by pixel; ``objects``: where an
+        object is detected when one of its pixels is.
+        """
+        return self.once(("scores", population, detector, objects), lambda: self._scores(population, detector, objects))
 
     def _scores(self, population: str, detector: str, objects: bool) -> RocScores:
         number, target, _ = self.population(population)
@@ -469,19 +445,19 @@ class Evaluation(Keeps):
         gain = self.world.of_target("target_gain", target)
         means, sds = response.at(fills.values, gain, rows, self.shift)
         bare = response.means[rows, 0], response.variances(gain, rows)[:, 0]
-        classes, which = self.once(("classes", target, detector), lambda: self._classes(target, detector))
         host = self.host(target, detector, np.arange(len(self)), 1.0 - fills.values, *bare)
-        if fills.shape is None:
-            return RocScores(classes, which, means, sds, np.broadcast_to(fills.weights, means.shape), None, host)
-        each = (means.reshape(len(self), *fills.shape), sds.reshape(len(self), *fills.shape))
-        return RocScores(classes, which, means, sds, np.full(means.shape, np.nan), each, host)
+        weights, each = np.broadcast_to(fills.weights, means.shape), None
+        if fills.shape is not None:
+            shape = len(self), *fills.shape
+            weights, each = np.full(means.shape, np.nan), (means.reshape(shape), sds.reshape(shape))
+        return RocScores(*self.classes(target, detector), means, sds, weights, each, host)
 
     def host(
         self, target: int, detector: str, truths: Index, share: Array, mean: Array, variance: Array
     ) -> Host | None:
         """The host of a target in some truths, as :class:`Host` has it; None: one normal law in all."""
         laws, parts, _ = self.host_laws(target)
-        classes, which = self.once(("classes", target, detector), lambda: self._classes(target, detector))
+        classes, which = self.classes(target, detector)
         scores = classes.rows(which[truths]).of(laws)
         host = Host(share, mean, variance, replace(scores, fraction=np.broadcast_to(parts, scores.mean.shape)))
         return None if host.normal.all() else host
@@ -492,15 +468,18 @@ class Evaluation(Keeps):
         laws = [j for j, law in enumerate(self.stated.laws) if law.owner == owner]
         return np.array(laws), np.array([self.stated.laws[j].weight for j in laws]), self.world.law_dof[:, laws]
 
-    def _classes(self, target: int, detector: str) -> tuple[ClassScores, Index]:
+    def classes(self, target: int, detector: str) -> tuple[ClassScores, Index]:
         """Scores of the background's laws for each different combination of light, classes and tails."""
-        _, means, sds = self.filters[self.targets[target].name, detector]
-        dof, fraction = self.world.law_dof, self.at.law_fraction
-        first, which = distinct([self.which, *(dof.T if len(dof) > 1 else ())], len(self))
-        light = self.which[first]
-        tails = np.broadcast_to(at_rows(dof, first), (first.size, dof.shape[1]))
-        fractions = np.broadcast_to(at_rows(fraction, light), (first.size, fraction.shape[1]))
-        return ClassScores(fractions, means[light], sds[light], tails), which
+
+        def made() -> tuple[ClassScores, Index]:
+            _, means, sds = self.filters[self.targets[target].name, detector]
+            dof, fraction = self.world.law_dof, self.at.law_fraction
+            first, which = distinct([self.which, *(dof.T if len(dof) > 1 else ())], len(self))
+            light = self.which[first]
+            tails, fractions = (wide(at_rows(x, at), first.size) for x, at in ((dof, first), (fraction, light)))
+            return ClassScores(fractions, means[light], sds[light], tails), which
+
+        return self.once(("classes", target, detector), made)
 
     def responses(self, looks_for: int, detector: str, holds: int) -> tuple[Index, Responses]:
         """Which row each truth has (U,), and scores against the fill of pixels that hold a target, by the filter that
@@ -627,8 +606,7 @@ def ace_curves(e: Evaluation, target: int, pfa: Array, units: Sequence[str]) -> 
 def _objects(e: Evaluation, u: int, number: int) -> tuple[tuple[int, ...] | None, Array]:
     """Fills of the pixels of whole objects in one truth, (places, pixels); no shape where a pixel is an object."""
     whole = e.fills(number, True)
-    row = whole.values[u if whole.values.shape[0] > 1 else 0]
-    return whole.shape, row.reshape(whole.shape or (-1, 1))
+    return whole.shape, of_truth(whole.values, u).reshape(whole.shape or (-1, 1))
 
 
 def _ace_truth(
@@ -809,7 +787,7 @@ def linear_curves(
         first, which = scores.distinct() if units == ("pixel",) else 2 * (np.arange(len(e)),)
         pd = {"pixel": scores.rows(first).detection_above(thresholds[first])}
         if "object" in units:
-            objects = e.object_scores(population.name, name)
+            objects = e.scores(population.name, name, True)
             alone = objects.objects is None and objects.means.shape == scores.means.shape
             pd["object"] = pd["pixel"] if alone else objects.detection_above(thresholds[first])
         wanted, of = np.unique(which[at], return_inverse=True)

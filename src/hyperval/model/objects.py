@@ -194,7 +194,7 @@ def _slope(e: Evaluation, u: int, target: int) -> Array:
 def host_laws(e: Evaluation, number: int, point: int) -> Laws:
     """Parts and degrees of freedom of the laws of a target's host in one truth; none: one normal law."""
     _, parts, dof = e.host_laws(number)
-    laws = tuple(zip(parts.tolist(), dof[point if dof.shape[0] > 1 else 0].tolist(), strict=True))
+    laws = tuple(zip(parts.tolist(), of_truth(dof, point).tolist(), strict=True))
     return () if laws == ((1.0, math.inf),) else laws
 
 
@@ -367,7 +367,14 @@ def _greatest_scores(
         host_sd, full_sd = (np.sqrt(np.clip(v, 0.0, None)) for v in (variances[0, 0], np.array(full)[:, 1]))
         sd = numbers.shared_sd(variance, host_sd, full_sd)
     mean = _mean_draws(each[0], np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places)
-    return greatest_scores(mean, sd, host, numbers, more)
+    if more is None or host is None:
+        return ObjectScores((mean + sd[numbers.places] * numbers.host).max(axis=2))
+    flat, places, laws = sd.reshape(1, -1), numbers.places, []
+    for part in host.parts(np.zeros(flat.shape), flat):
+        laws.append([a.reshape(sd.shape) for a in (part.mean, np.sqrt(part.tailed), np.sqrt(part.normal))])
+    which = 0 if numbers.law is None else numbers.law
+    away, tailed, normal = (np.array(a)[which, places[..., None], range(sd.shape[1])] for a in zip(*laws, strict=True))
+    return ObjectScores((mean + away + tailed * numbers.host + normal * more).max(axis=2))
 
 
 def _mean_draws(mean: Array, parts: Array, by: Array, places: Index) -> Array:
@@ -380,26 +387,6 @@ def _mean_draws(mean: Array, parts: Array, by: Array, places: Index) -> Array:
         some = parts[places[rows]]  # (s, R, n, F)
         out[rows] += np.matmul(some.reshape(len(some), -1, some.shape[-1]), by[rows, :, None]).reshape(some.shape[:-1])
     return out
-
-
-def greatest_scores(mean: Array, sd: Array, host: Host | None, numbers: Numbers, more: Array | None) -> ObjectScores:
-    """Draws (S, R) of the greatest score over the pixels of an object, from their moments (S, R, n) and (L, n).
-
-    ``host`` : with its share in the L n pixels; None: one normal law
-    """
-    if more is None or host is None:
-        return ObjectScores((mean + sd[numbers.places] * numbers.host).max(axis=2))
-    flat, places = sd.reshape(1, -1), numbers.places
-    by_law = [
-        [a.reshape(sd.shape) for a in (part.mean, np.sqrt(part.tailed), np.sqrt(part.normal))]
-        for part in host.parts(np.zeros(flat.shape), flat)
-    ]
-    if numbers.law is None:
-        away, own, left = (a[places] for a in by_law[0])
-    else:
-        at = numbers.law, places[..., None], np.arange(sd.shape[1])
-        away, own, left = (np.array(a)[at] for a in zip(*by_law, strict=True))
-    return ObjectScores((mean + away + own * numbers.host + left * more).max(axis=2))
 
 
 def _change(e: Evaluation, u: int, looks_for: int, detector: str, holds: int, drawn: InputDraws) -> Array:

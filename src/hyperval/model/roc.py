@@ -38,6 +38,7 @@ Array = npt.NDArray[np.float64]
 SMALLEST_SD = 1e-12
 _LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
 _STEPS = 80
+_FAR = 1e7  # standard deviations: beyond it even a t law of two degrees of freedom has less than 1e-14
 _TOGETHER = 16_384  # numbers of one array on the way to thresholds: they stay in the processor's cache
 # A step from nearer than this to the logarithm wanted is of third order: it ends within 1e-14 of it.
 _NEAR, _STRAIGHT = 1e-5, 1e-4
@@ -387,40 +388,28 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
     >>> round(float(detection_at(curve, float(ndtr(-2.0)))), 9)
     0.5
     """
-    grid, known = (
-        np.asarray(curve.pfa, dtype=float),
-        np.asarray(curve.pd if values is None else values, dtype=float),
-    )
-    at = np.asarray(pfa, dtype=float)
+    grid, at = np.asarray(curve.pfa, dtype=float), np.asarray(pfa, dtype=float)
+    known = np.asarray(curve.pd if values is None else values, dtype=float)
     if not grid.size:
         return np.full(at.shape, np.nan)
-    upper = np.clip(np.searchsorted(grid, at, side="left"), 1, max(grid.size - 1, 1))
-    upper = np.minimum(upper, grid.size - 1)
+    upper = np.minimum(np.clip(np.searchsorted(grid, at, side="left"), 1, None), grid.size - 1)
     lower = np.maximum(upper - 1, 0)
-    inside = (at >= grid[0] * (1.0 - _SAME)) & (at <= grid[-1] * (1.0 + _SAME))
-    pd, between = np.full(at.shape, np.nan), inside
-    for index in (lower, upper):  # of equal points the last, which declares the most
-        same = np.abs(grid[index] - at) <= _SAME * at
-        pd, between = np.where(same & inside, known[index], pd), between & ~same
-    if between.any():
-        pd = np.where(between, _between(at, (grid[lower], grid[upper]), (known[lower], known[upper])), pd)
-    return np.asarray(pd)
 
+    def share(scale: Callable[[Array], Array]) -> Array:
+        """Where ``at`` lies between two points on a scale, 0 to 1."""
+        low = scale(grid[lower])
+        return np.clip((scale(at) - low) / (scale(grid[upper]) - low), 0.0, 1.0)
 
-def _between(at: Array, pfa: tuple[Array, Array], known: tuple[Array, Array]) -> Array:
-    """P_D between two points of a curve."""
-    low, high = known
     with np.errstate(divide="ignore", invalid="ignore"):
-        straight = low + _share(np.log, at, *pfa) * (high - low)
-        share = _share(ndtri, at, *pfa)
-        bent = ndtr((1.0 - share) * ndtri(low) + share * ndtri(high))
-    ends = np.stack([*known, *pfa])
-    return np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
-
-
-def _share(scale: Callable[[Array], Array], at: Array, low: Array, high: Array) -> Array:
-    """Where ``at`` lies between two points on a scale, 0 to 1."""
-    return np.clip((scale(at) - scale(low)) / (scale(high) - scale(low)), 0.0, 1.0)
+        low, high, part = known[lower], known[upper], share(ndtri)
+        bent = ndtr((1.0 - part) * ndtri(low) + part * ndtri(high))
+        straight = low + share(np.log) * (high - low)
+    ends = np.stack([low, high, grid[lower], grid[upper]])
+    pd = np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
+    for index in (lower, upper):  # at points of the curve; of equal ones the last, which declares the most
+        pd = np.where(np.abs(grid[index] - at) <= _SAME * at, known[index], pd)
+    inside = (at >= grid[0] * (1.0 - _SAME)) & (at <= grid[-1] * (1.0 + _SAME))
+    return np.asarray(np.where(inside, pd, np.nan))
 
 
 def log10_false_alarm_at(curve: RocCurve, pd: float) -> float:
@@ -563,27 +552,14 @@ class RocScores:
 
     def log10_false_alarm(self, pd: Array) -> Array:
         """log10 P_FA (n,) at which P_D is ``pd`` (n,), pixels (3.31 solved for the threshold)."""
-        sds = np.maximum(self.sds, SMALLEST_SD)
-        x = self.means - sds * ndtri(pd)[:, None]
-        low, high = x.min(axis=1), x.max(axis=1)
-        if self.host is not None:
-            low, high = self._bracket(pd)
-        for _ in range(60 if x.shape[1] > 1 or self.host is not None else 0):
+        reach = _FAR * np.maximum(self.sds, SMALLEST_SD)
+        low, high = (self.means - reach).min(axis=1), (self.means + reach).max(axis=1)
+        for _ in range(_STEPS):
             middle = 0.5 * (low + high)
-            above = detection_probability(middle[:, None], self.means, sds, self.weights, self.host)[:, 0] > pd
+            above = detection_probability(middle[:, None], self.means, self.sds, self.weights, self.host)[:, 0] > pd
             low, high = np.where(above, middle, low), np.where(above, high, middle)
         log_pfa, _ = log_false_alarm(0.5 * (low + high), self.classes.rows(self.which))
         return np.asarray(np.minimum(log_pfa / np.log(10.0), 0.0))
-
-    def _bracket(self, pd: Array) -> tuple[Array, Array]:
-        """Thresholds (n,) on either side of that of ``pd``: where a sum is far out, so is one of its two parts."""
-        assert self.host is not None  # noqa: S101 - asked by the caller
-        rare, ends = 0.5 * np.minimum(pd, 1.0 - pd), []
-        for part in self.host.parts(self.means, self.sds):
-            tail = np.where(np.isinf(part.dof), -ndtri(rare), -stdtrit(np.minimum(part.dof, 1e9), rare))
-            reach = np.sqrt(part.tailed) * tail[:, None] - np.sqrt(part.normal) * ndtri(rare)[:, None]
-            ends += [part.mean - reach, part.mean + reach]
-        return np.min(ends, axis=(0, 2)), np.max(ends, axis=(0, 2))
 
     def auc(self) -> Array:
         """Area under the ROC (n,): the probability that a target pixel outscores a background pixel.

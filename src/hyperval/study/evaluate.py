@@ -84,7 +84,7 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     if detector in NUMERICAL_DETECTORS:
         return _of_curves(e, detector, output, pfa)
     objects = output.kind == "pd" and output.by == "object"
-    scores = (e.object_scores if objects else e.scores)(output.subject, detector)
+    scores = e.scores(output.subject, detector, objects)
     if output.kind == "pd":
         at = np.array([[output.pfa]]) if pfa is None else np.asarray(pfa, float)[:, None]
         return np.asarray(scores.detection(at)[:, 0])
