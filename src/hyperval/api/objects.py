@@ -114,74 +114,6 @@ class SidesPlot:
         return sides
 
 
-@dataclass(frozen=True)
-class ResultsPlot:
-    """Rows of results."""
-
-    frame: pd.DataFrame
-
-    def __call__(self, ax: Axes | None = None) -> Axes:
-        """Value, interval and limits of each row that has limits, forty at most, one above the other."""
-        limits = self.frame[["limit_low", "limit_high"]].notna().any(axis=1)
-        rows = self.frame[limits & self.frame["value"].notna()].head(_MOST)
-        y = np.arange(float(len(rows)))
-        values = {"x": rows["value"].to_numpy(), "low": rows["lower"].to_numpy(), "high": rows["upper"].to_numpy()}
-        marks = [Mark("dots", {"y": y, **values}, "value", SOURCES[0], marker="circle", along="x")]
-        marks += [
-            Mark("dots", {"x": rows[side].to_numpy(), "y": y}, "limit", SOURCES[5], marker="tick", along="x")
-            for side in ("limit_low", "limit_high")
-        ]
-        labels = rows[["subject", "method", "metric"]].astype(str).agg(" ".join, axis=1)
-        part = Part(row_names(labels.to_list(), 80), tuple(marks))
-        return _drawn(Panels(Axis("value, 95 % interval, limits"), (part,)), ax, 1.0 + 0.25 * max(len(rows), 4))
-
-
-@dataclass(frozen=True)
-class TablePlot:
-    """Columns over the points of a study."""
-
-    table: xr.Dataset
-
-    def __call__(self, x: str | None = None, y: str | None = None, ax: Axes | None = None) -> Axes:
-        """One column against another; by default the last against the first.
-
-        Raises
-        ------
-        UsageError : no such column.
-        """
-        names = [str(n) for n in self.table.data_vars]
-        x, y = x or names[0], y or names[-1]
-        if x not in names or y not in names:
-            raise UsageError(f"no column {x if x not in names else y!r}", expected="one of " + ", ".join(names))
-        values, across = self.table[x].to_numpy(), Axis(_label(self.table[x]))
-        if values.dtype.kind not in "fiu":
-            kinds = list(dict.fromkeys(values.tolist()))
-            values = np.array([kinds.index(v) for v in values.tolist()])
-            across = Axis(across.label, "names", tuple(map(str, kinds)))
-        columns = {"x": values, "y": self.table[y].to_numpy()}
-        return _drawn(
-            single(across, _label(self.table[y]), [Mark("dots", columns, "", SOURCES[0], marker="circle")]), ax
-        )
-
-
-@dataclass(frozen=True)
-class ImagePlot:
-    """A cube as a picture."""
-
-    data: xr.Dataset
-
-    def __call__(self, ax: Axes | None = None) -> Axes:
-        """The bands nearest to 660, 550 and 470 nm, each stretched from its 2nd to its 98th percentile."""
-        nm = self.data["wavelength"].to_numpy()
-        bands = [int(np.abs(nm - w).argmin()) for w in _RGB_NM]
-        values = self.data["radiance"].to_numpy()[:, :, bands]
-        low, high = np.nanpercentile(values, (2.0, 98.0), axis=(0, 1))
-        ax = _axes(ax)
-        ax.imshow(np.clip((values - low) / np.maximum(high - low, 1e-12), 0.0, 1.0))
-        ax.set(xlabel="sample", ylabel="line")
-        return ax
-
-
 def _label(column: xr.DataArray) -> str:
     words, unit = column.attrs.get("long_name", column.name), column.attrs.get("units", "")
     return f"{words} [{unit}]" if unit and unit != "1" else str(words)
@@ -273,10 +205,21 @@ class Results(_Shown, ResultTable):
         """The columns as variables over the rows."""
         return xr.Dataset.from_dataframe(self.frame().rename_axis("row"))
 
-    @property
-    def plot(self) -> ResultsPlot:
-        """``plot()`` draws the rows that were judged, with their intervals and limits."""
-        return ResultsPlot(self.frame())
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Value, interval and limits of each row that has limits, forty at most, one above the other."""
+        frame = self.frame()
+        limits = frame[["limit_low", "limit_high"]].notna().any(axis=1)
+        rows = frame[limits & frame["value"].notna()].head(_MOST)
+        y = np.arange(float(len(rows)))
+        values = {"x": rows["value"].to_numpy(), "low": rows["lower"].to_numpy(), "high": rows["upper"].to_numpy()}
+        marks = [Mark("dots", {"y": y, **values}, "value", SOURCES[0], marker="circle", along="x")]
+        marks += [
+            Mark("dots", {"x": rows[side].to_numpy(), "y": y}, "limit", SOURCES[5], marker="tick", along="x")
+            for side in ("limit_low", "limit_high")
+        ]
+        labels = rows[["subject", "method", "metric"]].astype(str).agg(" ".join, axis=1)
+        part = Part(row_names(labels.to_list(), 80), tuple(marks))
+        return _drawn(Panels(Axis("value, 95 % interval, limits"), (part,)), ax, 1.0 + 0.25 * max(len(rows), 4))
 
 
 @dataclass(frozen=True, repr=False)
@@ -440,10 +383,26 @@ class Study(_Shown):
         """The columns as variables over the points."""
         return self.table
 
-    @property
-    def plot(self) -> TablePlot:
-        """``plot(x, y)`` draws one column against another; by default the last against the first."""
-        return TablePlot(self.table)
+    def plot(self, x: str | None = None, y: str | None = None, ax: Axes | None = None) -> Axes:
+        """One column against another; by default the last against the first.
+
+        Raises
+        ------
+        UsageError : no such column.
+        """
+        names = [str(n) for n in self.table.data_vars]
+        x, y = x or names[0], y or names[-1]
+        if x not in names or y not in names:
+            raise UsageError(f"no column {x if x not in names else y!r}", expected="one of " + ", ".join(names))
+        values, across = self.table[x].to_numpy(), Axis(_label(self.table[x]))
+        if values.dtype.kind not in "fiu":
+            kinds = list(dict.fromkeys(values.tolist()))
+            values = np.array([kinds.index(v) for v in values.tolist()])
+            across = Axis(across.label, "names", tuple(map(str, kinds)))
+        columns = {"x": values, "y": self.table[y].to_numpy()}
+        return _drawn(
+            single(across, _label(self.table[y]), [Mark("dots", columns, "", SOURCES[0], marker="circle")]), ax
+        )
 
 
 class Collection(SimulatedCollection):
@@ -465,10 +424,17 @@ class Collection(SimulatedCollection):
         """The list of targets."""
         return pd.read_csv(self.targets)
 
-    @property
-    def plot(self) -> ImagePlot:
-        """``plot()`` shows the cube near 660, 550 and 470 nm."""
-        return ImagePlot(self.to_xarray())
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """The bands nearest to 660, 550 and 470 nm, each stretched from its 2nd to its 98th percentile."""
+        data = self.to_xarray()
+        nm = data["wavelength"].to_numpy()
+        bands = [int(np.abs(nm - w).argmin()) for w in _RGB_NM]
+        values = data["radiance"].to_numpy()[:, :, bands]
+        low, high = np.nanpercentile(values, (2.0, 98.0), axis=(0, 1))
+        ax = _axes(ax)
+        ax.imshow(np.clip((values - low) / np.maximum(high - low, 1e-12), 0.0, 1.0))
+        ax.set(xlabel="sample", ylabel="line")
+        return ax
 
 
 @dataclass(frozen=True, repr=False)
