@@ -13,7 +13,7 @@ import threading
 import warnings
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -71,7 +71,8 @@ class Store:
 
     def __init__(self, path: Path, opener: Callable[..., Any], *arguments: Any) -> None:
         self.path, self.opener, self.arguments = path, opener, arguments
-        self.lock = threading.Lock()
+        self.lock, self.unpacking = threading.Lock(), threading.Lock()
+        self.held = threading.local()  # the lines that each thread read last
         self._opened: Any = None
         self._users = 0
 
@@ -132,15 +133,26 @@ def hdf5(path: Path) -> h5py.File:
         raise refusal("array.hdf5", path, why=error) from error
 
 
-def _labelled(path: Path, engine: str | None, group: str | None) -> xr.Dataset:
-    """A group of a file as an engine of xarray opens it; packed values are unpacked by the CF conventions."""
+def _tree(path: Path, engine: str | None) -> xr.DataTree:
+    """The groups of a file as an engine of xarray opens it; packed values are unpacked by the CF conventions.
+
+    Times are left alone, and HDF5 files may name no dimensions.
+    """
     import xarray as xr
 
+    if path.is_file():  # whatever the engine, HDF5 is read by the one library
+        check_hdf5(path)
+    options: dict[str, Any] = {"engine": engine, "cache": False, "decode_times": False}
+    options |= {"phony_dims": "sort"} if engine == "h5netcdf" else {}
     try:
         with _two_fills():
-            return xr.open_dataset(path, group=group, **_options(engine))
+            try:
+                return xr.open_datatree(path, **options)
+            except (NotImplementedError, TypeError, ValueError):  # an engine without groups
+                return xr.DataTree(xr.open_dataset(path, **options))
     except Exception as error:  # each engine has errors of its own
-        raise refusal("array.engine", path, why=error) from error
+        known = ", ".join(sorted(xr.backends.list_engines()))
+        raise refusal("array.no_engine", path, why=str(error).split("\n", 1)[0], known=known) from error
 
 
 def _matrix(path: Path, name: str, kind: str) -> dict[str, Numbers]:
@@ -171,12 +183,6 @@ def _two_fills() -> AbstractContextManager[Any]:
     import xarray as xr
 
     return warnings.catch_warnings(action="ignore", category=xr.SerializationWarning)
-
-
-def _options(engine: str | None) -> dict[str, Any]:
-    """An engine of xarray with options that leave times alone and let HDF5 files be read that name no dimensions."""
-    plain: dict[str, Any] = {"engine": engine, "cache": False, "decode_times": False}
-    return plain | {"phony_dims": "sort"} if engine == "h5netcdf" else plain
 
 
 def _page_array(shape: tuple[int, ...], dtype: np.dtype) -> Numbers:
@@ -252,23 +258,16 @@ class ArrayRaster(Raster):
 
     store: Store = field(kw_only=True)
     pieces: tuple[Piece, ...] = field(kw_only=True)
-    _held: threading.local = field(default_factory=threading.local, repr=False)  # what this thread read last
-    _unpacking: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     kind = "arrays of a file"
     in_blocks = True
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Without the lines that were read last."""
-        about = self.description, self.position, self.other_files
-        return array_raster, (self.path, self.store, self.pieces, *about)
 
     @contextmanager
     def kept_open(self) -> Iterator[object]:
         """Inside, the file is opened once for all reads; the lines that this thread holds are given back after."""
         with self.store.kept_open() as opened:
             yield opened
-        self._held.slab = None
+        self.store.held.slab = None
 
     def _read(self, first: int, count: int, buffer: Numbers | None) -> Numbers:
         """Consecutive lines, of those that this thread holds or that take their place.
@@ -277,15 +276,16 @@ class ArrayRaster(Raster):
         next call of the same thread: in memory where they fit into ``SLAB_BYTES``, else unpacked into a file, so
         that no block is unpacked twice and few are in memory.  Lines far from those before are read alone.
         """
-        held = getattr(self._held, "slab", None)
+        here = self.store.held
+        held = getattr(here, "slab", None)
         if held is None or first < held[0] or first + count > held[0] + held[1]:
-            self._held.slab = held = None  # the memory of the one before is given back first
+            here.slab = held = None  # the memory of the one before is given back first
             block = max(1, *(self._block(piece)["l"] for piece in self.pieces))
             lines = count
-            if first == 0 or 0 <= first - getattr(self._held, "end", -block) <= block:  # one after the other
+            if first == 0 or 0 <= first - getattr(here, "end", -block) <= block:  # one after the other
                 lines = max(count, min((first // block + 1) * block - first, self.lines - first))
-            self._held.slab = held = self._slab(first, count, lines)
-        self._held.end = first + count
+            here.slab = held = self._slab(first, count, lines)
+        here.end = first + count
         return held[2](first - held[0], count)
 
     def _slab(self, first: int, count: int, lines: int) -> tuple[int, int, Callable[[int, int], Numbers]]:
@@ -293,17 +293,10 @@ class ArrayRaster(Raster):
         size = self.samples * self.bands * self.dtype.itemsize
         fit = max(count, SLAB_BYTES // size)
         if fit < lines <= UNPACKED_BYTES // size:
-            try:
+            with suppress(OSError):  # no room for the file: each block is unpacked several times, only slower
                 return first, lines, self._unpacked(first, lines)
-            except OSError:
-                pass  # no room for the file: each block is unpacked several times, which only takes longer
         lines = min(lines, fit)
-        parts = [self._values(piece, self._lines(first, lines)) for piece in self.pieces[:1]]
-        values = parts[0]
-        if len(self.pieces) > 1:
-            values = np.empty((self.bands, lines, self.samples), self.dtype)
-            for at, piece in self._places():
-                values[at : at + piece.size("b")] = self._values(piece, self._lines(first, lines))
+        values = self._box(slice(0, self.bands), slice(first, first + lines), slice(0, self.samples))
         return first, lines, lambda start, count: values[:, start : start + count]
 
     def _unpacked(self, first: int, lines: int) -> Callable[[int, int], Numbers]:
@@ -318,41 +311,28 @@ class ArrayRaster(Raster):
             return out.transpose(1, 0, 2)
 
         weakref.finalize(read, file.close)
-        for at, piece in self._places():
-            for bands in self._some_bands(piece):
-                with self._unpacking:  # one thread at a time reads a file of arrays: no other holds what it is to read
-                    values = self._values(piece, self._lines(first, lines) | {"b": bands})
-                    for line in range(lines):
-                        file.seek((line * self.bands + at + bands.start) * row)
-                        file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
-                    del values
+        for bands in self._band_blocks():
+            with self.store.unpacking:  # one thread at a time reads a file of arrays: no other holds what it reads
+                values = self._box(bands, slice(first, first + lines), slice(0, self.samples))
+                for line in range(lines):
+                    file.seek((line * self.bands + bands.start) * row)
+                    file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
+                del values
         return read
 
     def read_some_bands(self, first: int, count: int, bands: Sequence[int]) -> Numbers:
         """(n, count, samples) values of consecutive lines in a few bands, which alone are read."""
-        out = np.empty((len(bands), count, self.samples), self.dtype)
+        part = slice(first, first + count), slice(0, self.samples)
         with self.kept_open():
-            for at, piece in self._places():
-                for i, band in enumerate(bands):
-                    if at <= band < at + piece.size("b"):
-                        alone = {"b": slice(band - at, band - at + 1)}
-                        out[i] = self._values(piece, self._lines(first, count) | alone)[0]
-        return out
+            return np.concatenate([self._box(slice(band, band + 1), *part) for band in bands])
 
-    def _window(self, lines: slice, samples: slice) -> Iterator[tuple[int, Numbers]]:
-        for at, piece in self._places():
-            for bands in self._some_bands(piece):
-                yield at + bands.start, self._values(piece, {"l": lines, "s": samples, "b": bands})
-
-    def _lines(self, first: int, count: int) -> dict[str, slice]:
-        return {"l": slice(first, first + count), "s": slice(0, self.samples)}
-
-    def _places(self) -> Iterator[tuple[int, Piece]]:
-        """Each piece and the number of its first band."""
+    def _band_blocks(self) -> Iterator[slice]:
+        """The bands, those of one block of a piece together."""
         at = 0
         for piece in self.pieces:
-            yield at, piece
-            at += piece.size("b")
+            step, end = self._block(piece)["b"], at + piece.size("b")
+            yield from (slice(start, min(start + step, end)) for start in range(at, end, step))
+            at = end
 
     def _block(self, piece: Piece) -> dict[str, int]:
         """Size of the blocks that a piece is stored in along each axis; a line where it is not stored in blocks."""
@@ -361,15 +341,17 @@ class ArrayRaster(Raster):
             return {"l": 1, "s": self.samples, "b": piece.size("b")}
         return {axis: chunks[piece.axes.index(axis)] if axis in piece.axes else 1 for axis in AXES}
 
-    def _some_bands(self, piece: Piece) -> Iterator[slice]:
-        """The bands of a piece, those of one block together."""
-        step = self._block(piece)["b"]
-        for start in range(0, piece.size("b"), step):
-            yield slice(start, min(start + step, piece.size("b")))
+    def _box(self, bands: slice, lines: slice, samples: slice) -> Numbers:
+        parts, at = [], 0
+        for piece in self.pieces:
+            own = slice(max(bands.start - at, 0), min(bands.stop - at, piece.size("b")))
+            if own.start < own.stop:
+                parts.append(self._values(piece, {"b": own, "l": lines, "s": samples}))
+            at += piece.size("b")
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> Numbers:
-        """(bands, lines, samples) of a part of a piece, all of its bands where none are named."""
-        ranges = {"b": slice(0, piece.size("b")), **ranges}
+        """(bands, lines, samples) of a part of a piece."""
         selection = tuple(ranges[axis] for axis in piece.axes)
         order = [piece.axes.index(axis) for axis in AXES if axis in piece.axes]
         size = [ranges[axis].stop - ranges[axis].start for axis in AXES]
@@ -439,8 +421,9 @@ def open_labelled(path: Path, variable: str | None = None, engine: str | None = 
     InputError : no installed engine opens it, or no array has three axes and wavelengths.
     UsageError : several arrays could be meant, or ``variable`` is none of them.
     """
-    chosen = _chosen(_groups(path, engine), variable, path)
-    return _labelled_raster(chosen, Store(path, _labelled, engine, None if chosen.group == "/" else chosen.group))
+    store = Store(path, _tree, engine)
+    with store.kept_open() as tree:
+        return _labelled_raster(_chosen([(n.path, n.to_dataset()) for n in tree.subtree], variable, path), store)
 
 
 def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None) -> ArrayRaster:
@@ -458,27 +441,7 @@ def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None
     with _two_fills():
         data = xr.decode_cf(array, decode_times=False)
     chosen = _chosen([("/", data)], variable, path)
-    return _labelled_raster(chosen, Store(path, at_hand, str(chosen.array.name), chosen.array.variable))
-
-
-def _groups(path: Path, engine: str | None) -> list[tuple[str, xr.Dataset]]:
-    """The groups of a file, their arrays not yet read."""
-    import xarray as xr
-
-    if path.is_file():  # whatever the engine, HDF5 is read by the one library
-        check_hdf5(path)
-    try:
-        with _two_fills():
-            try:
-                tree = xr.open_datatree(path, **_options(engine))
-            except (NotImplementedError, TypeError, ValueError):  # an engine without groups
-                with xr.open_dataset(path, **_options(engine)) as data:
-                    return [("/", data)]
-        with tree:
-            return [(node.path, node.to_dataset()) for node in tree.subtree]
-    except Exception as error:  # each engine has errors of its own
-        known = ", ".join(sorted(xr.backends.list_engines()))
-        raise refusal("array.no_engine", path, why=str(error).split("\n", 1)[0], known=known) from error
+    return _labelled_raster(chosen, Store(path, at_hand, chosen.path, chosen.array.variable))
 
 
 def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
@@ -534,7 +497,7 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     array, data, wave = chosen.array, chosen.data, chosen.wave
     assert wave is not None  # noqa: S101 - chosen by it
     axes = _axes(array, str(wave.dims[0]))
-    piece = Piece((Term(str(array.name)),), axes, array.shape, array.dtype.newbyteorder("="))
+    piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = _quantity(_stated_unit(array), str(array.name))
     good, centre = _beside(data, wave, _GOOD), np.asarray(wave.values, float)
     about = Description(

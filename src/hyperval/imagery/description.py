@@ -7,7 +7,7 @@ wavelengths, which unit and which scale an image has, and which of its pixels ho
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -500,8 +500,8 @@ class Raster:
             for here in self._together(rows, cols):
                 top, left = int(rows[here].min()), int(cols[here].min())
                 window = slice(top, int(rows[here].max()) + 1), slice(left, int(cols[here].max()) + 1)
-                for first, values in self._window(*window):
-                    out[here, first : first + len(values)] = values[:, rows[here] - top, cols[here] - left].T
+                for bands in self._band_blocks():
+                    out[here, bands] = self._box(bands, *window)[:, rows[here] - top, cols[here] - left].T
         return out
 
     def _together(self, rows: Index, cols: Index) -> Sequence[Index]:
@@ -514,11 +514,15 @@ class Raster:
         edges = np.flatnonzero((np.diff(run) != 0) | (np.diff(part) != 0)) + 1
         return [part for part in np.split(order, edges) if part.size]
 
-    def _window(self, lines: slice, samples: slice) -> Iterator[tuple[int, npt.NDArray[Any]]]:
-        """The number of a first band, and (n, lines, samples) of it and the next ones in a window."""
-        raise NotImplementedError
+    def _band_blocks(self) -> Iterable[slice]:
+        """The bands that are best read together."""
+        return (slice(0, self.bands),)
 
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
+        return self._box(slice(0, self.bands), slice(first, first + count), slice(0, self.samples))
+
+    def _box(self, bands: slice, lines: slice, samples: slice) -> npt.NDArray[Any]:
+        """(bands, lines, samples) stored numbers of a part of the image."""
         raise NotImplementedError
 
 

@@ -24,7 +24,6 @@ from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.description import (
     MAX_READ_BYTES,
     Description,
-    Index,
     ListedBands,
     Raster,
     Scale,
@@ -52,26 +51,17 @@ class TiffRaster(Raster):
 
     @cached_property
     def _pixels(self) -> npt.NDArray[Any] | None:
-        """(lines, samples, bands) all stored numbers of a small image: every call costs some time for every band."""
+        """(bands, lines, samples) all stored numbers of a small image: every call costs some time for every band."""
         if self.lines * self.samples * self.bands * self.dtype.itemsize > MAX_READ_BYTES:
             return None
         with _opened(self.path) as dataset:
-            return np.ascontiguousarray(dataset.read().transpose(1, 2, 0))
+            return np.asarray(dataset.read())
 
-    def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
+    def _box(self, bands: slice, lines: slice, samples: slice) -> npt.NDArray[Any]:
         if self._pixels is not None:
-            return np.array(self._pixels[first : first + count].transpose(2, 0, 1), order="C")
+            return self._pixels[bands, lines, samples]
         with _opened(self.path) as dataset:
-            return np.asarray(dataset.read(window=Window(0, first, self.samples, count)))
-
-    def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
-        """(n, bands) stored numbers of single pixels."""
-        return super().read_pixels(rows, cols) if self._pixels is None else np.asarray(self._pixels[rows, cols])
-
-    def _window(self, lines: slice, samples: slice) -> Iterator[tuple[int, npt.NDArray[Any]]]:
-        size = samples.stop - samples.start, lines.stop - lines.start
-        with _opened(self.path) as dataset:
-            yield 0, dataset.read(window=Window(samples.start, lines.start, *size))
+            return np.asarray(dataset.read(dataset.indexes[bands], window=Window.from_slices(lines, samples)))
 
 
 @reader
