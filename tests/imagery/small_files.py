@@ -173,7 +173,7 @@ def written(folder: Path, kind: str) -> tuple[Path, dict]:
         extra = {"classes": "2", "class names": "{\n Unclassified, grass [Green] 20 points}"}
         return write_cube(path, expected().astype("u1")[:, :, None], data_type=1, interleave="bsq", extra=extra), {}
     elif end == "tif":
-        return write_raster(path, expected()[None].astype("u1") * 7, transform=TRANSFORM), {"names": {7: "grass"}}
+        return write_raster(folder / "grass.tif", expected()[None].astype("u1") * 7, transform=TRANSFORM), {}
     else:
         text = roi_ascii(expected(), *COLUMNS[system])
     data = text if isinstance(text, bytes) else text.encode()

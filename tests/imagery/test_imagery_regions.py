@@ -88,15 +88,6 @@ def test_holes_and_united_features(tmp_path):
     assert np.array_equal(read_regions(tmp_path / "h.geojson", SHAPE, coordinates="pixel")["a"].mask, mask)
 
 
-def test_names_select_and_rename(tmp_path):
-    path = tmp_path / "two.csv"
-    path.write_text("region,line,sample\na,1,1\nb,2,2\n")
-    assert list(read_regions(path, SHAPE, names=["b"])) == ["b"]
-    assert list(read_regions(path, SHAPE, names={"a": "grass"})) == ["grass"]
-    with pytest.raises(UsageError, match="same name"):
-        read_regions(path, SHAPE, names={"a": "x", "b": "x"})
-
-
 @pytest.mark.parametrize("case", table("refused")["regions"], ids=str)
 def test_regions_that_are_refused(tmp_path, case):
     options = {"coordinates": "pixel"} | case.get("options", {})
@@ -182,19 +173,6 @@ def test_holes_are_those_of_another_package():
         empty = ndimage.binary_fill_holes(mask) & ~mask  # holes of 4 neighbours
         assert holes(mask) == (ndimage.label(empty)[1], int(empty.sum()))
     assert holes(np.zeros((3, 3), bool)) == holes(np.ones((3, 3), bool)) == (0, 0)
-
-
-def test_what_lies_beside_a_file_must_lie_in_the_root(tmp_path):
-    inside = tmp_path / "root"
-    inside.mkdir()
-    write_cube(inside / "classes.img", np.ones((*SHAPE, 1), "u1"), data_type=1)
-    write_vector(inside / "s.shp", [polygon_wkb(on_map(SQUARE))], fields={"name": ["grass"]})
-    for name, beside in (("classes.img", "classes.hdr"), ("s.shp", "s.dbf")):
-        (inside / beside).rename(tmp_path / beside)
-        (inside / beside).symlink_to(tmp_path / beside)
-        with pytest.raises(UsageError, match="outside the data root"):
-            read_regions(inside / name, SHAPE, root=inside, **PLACED)
-    assert read_regions(inside / "classes.img", SHAPE, root=tmp_path)["classes"].n == SHAPE[0] * SHAPE[1]
 
 
 @pytest.mark.parametrize("fill", [255.0, -9999.0, np.nan])

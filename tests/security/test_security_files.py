@@ -53,7 +53,7 @@ MORE: dict[str, dict[str, Any]] = {
     "open_cube": {"quantity": "other"},
     "open_lookup_table": {"shape": (2, 2)},
     "open_matrix": {"kind": "MATLAB 5"},
-    "open_tiff": {"header": None, "root": None},
+    "open_tiff": {"header": None},
     "read_band_table": {"table": BandTableFile(path="b.txt", wavelength_unit="nm")},
     "read_targets": {"shape": (2, 2)},
     "read_regions": {"cube_shape": (2, 2)},

@@ -296,7 +296,6 @@ def open_raster(
     path: Path | str,
     *,
     header: Path | str | None = None,
-    root: Path | None = None,
     variable: str | None = None,
     engine: str | None = None,
 ) -> Raster:
@@ -314,19 +313,19 @@ def open_raster(
     """
     data = Path(path)
     if data.suffix.lower() == ".zarr":
-        return open_labelled(checked_folder(data, root=root, what="Zarr store"), variable, engine)
-    data = checked_file(path, root=root, what="image file")
+        return open_labelled(checked_folder(data, what="Zarr store"), variable, engine)
+    data = checked_file(path, what="image file")
     if engine is not None:
         return open_labelled(data, variable, engine)
     ending = data.suffix.lower()
     if header is None and ending == ".hdr":
-        header, data = data, checked_file(_data_beside(data), root=root, what="image file")
+        header, data = data, checked_file(_data_beside(data), what="image file")
     elif header is None and ending == ".xml":
-        data = checked_file(image_of(data, variable), root=root, what="GeoTIFF")
+        data = checked_file(image_of(data, variable), what="GeoTIFF")
     refuse(data.suffix.lower() == ".hdr", "image.is_header", data)
     kind = kind_of(data)
     if kind == _TIFF:
-        return open_tiff(data, header, root)
+        return open_tiff(data, header)
     if header is None and kind == _NETCDF3:
         return open_labelled(data, variable, "scipy")
     if header is None and kind == _HDF5:
@@ -335,7 +334,7 @@ def open_raster(
         return product if product is not None else open_labelled(data, variable, "h5netcdf")
     beside = Path(header) if header is not None else header_beside(data)
     if beside is not None:
-        return open_envi(data, beside, root)
+        return open_envi(data, beside)
     if kind in MATRICES.values():
         return open_matrix(data, str(kind), variable)
     if kind is not None:
@@ -364,15 +363,15 @@ def _data_beside(header: Path) -> Path:
     return found[0]
 
 
-def raster_of_size(path: Path, shape: tuple[int, int], root: Path | None = None, variable: str | None = None) -> Raster:
+def raster_of_size(path: Path, shape: tuple[int, int], variable: str | None = None) -> Raster:
     """Open a raster of a cube's size (lines, samples); InputError for one of another.
 
     ``variable`` : which map of a MATLAB or NumPy file, where it holds several
     """
-    path = checked_file(path, root=root, what="image file")
+    path = checked_file(path, what="image file")
     kind = kind_of(path)
     matrix = kind in MATRICES.values() and header_beside(path) is None
-    raster = open_matrix(path, str(kind), variable, shape) if matrix else open_raster(path, root=root)
+    raster = open_matrix(path, str(kind), variable, shape) if matrix else open_raster(path)
     refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
     return raster
 
@@ -386,7 +385,6 @@ def open_cube(
     scale: float | None = None,
     wavelength_unit: str | None = None,
     header: Path | str | None = None,
-    root: Path | None = None,
     axis: Bands = None,
     sort_bands: bool = False,
     check_values: bool = True,
@@ -403,7 +401,6 @@ def open_cube(
     scale : multiplies the stored values and replaces the header's scale factors; None takes those
     wavelength_unit : nm or um, where the header states none
     header : the ENVI header, when it does not lie beside the data
-    root : folder that all files must lie in
     axis : the bands, for a file that lists no wavelengths; "numbers" counts them
     sort_bands : sort bands whose wavelengths do not increase; ``stored_band`` records the permutation
     check_values : look at some lines for a scale that was not stated
@@ -420,7 +417,7 @@ def open_cube(
 
         image = raster_of(image, variable)
     if not isinstance(image, Raster):
-        image = open_raster(image, header=header, root=root, variable=variable, engine=engine)
+        image = open_raster(image, header=header, variable=variable, engine=engine)
     raster: Raster = image
     about, where = raster.description, str(raster.path)
     if axis is not None:

@@ -55,19 +55,19 @@ def polygon_mask(
     ------
     InputError : fewer than three vertices, not finite, or a vertex outside the image.
     """
-    rings = [_ring(r, where) for r in (exterior, *holes)]
-    for ring in rings:
+    drawing = RegionDrawing(shape)
+    drawing.add_polygon([exterior, *holes], where)
+    for ring in drawing.polygons[0]:
         if not inside_image(ring, shape):
             raise outside_error(ring, shape, where)
-    return _burned([rings], shape, touched=touched)
+    return _burned(drawing.polygons, shape, touched=touched)
 
 
 def _burned(polygons: Sequence[Rings], shape: tuple[int, int], *, touched: bool = False) -> Mask:
     """(lines, samples) mask of polygons."""
     if not polygons:
         return np.zeros(shape, bool)
-    closed = [[np.vstack([ring, ring[:1]]).tolist() for ring in rings] for rings in polygons]
-    drawn = [({"type": "Polygon", "coordinates": rings}, 1) for rings in closed]
+    drawn = [{"type": "Polygon", "coordinates": [ring.tolist() for ring in rings]} for rings in polygons]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         mask = rasterize(drawn, out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
@@ -186,14 +186,12 @@ def _points(points: Any, where: str) -> Array:
 
 
 def _ring(ring: npt.ArrayLike, where: str) -> Array:
-    """(n, 2) vertices of a ring, the closing one left out."""
+    """(n, 2) vertices of a ring, the last as the first."""
     refuse(np.shape(ring)[:1] > (MAX_VERTICES,), "region.vertices", where, count=f"more than {MAX_VERTICES}")
     xy = _points(ring, where)
-    if len(xy) > 1 and np.array_equal(xy[0], xy[-1]):
-        xy = xy[:-1]
-    if len(np.unique(xy, axis=0)) < 3:
-        raise refusal("region.vertices", where, count=f"{len(np.unique(xy, axis=0))} different")
-    return xy
+    different = len(np.unique(xy, axis=0))
+    refuse(different < 3, "region.vertices", where, count=f"{different} different")
+    return xy if np.array_equal(xy[0], xy[-1]) else np.vstack([xy, xy[:1]])
 
 
 def inside_image(xy: Array, shape: tuple[int, int]) -> bool:
@@ -215,16 +213,16 @@ class RegionDrawing:
     Attributes
     ----------
     shape : (lines, samples) of the image
+    marked : mask of pixels that are named by their numbers, None without
     polygons : with their holes, in pixel coordinates
     points : (n, 2) single points
-    pixels : lines and samples of pixels named by their numbers
     stated_pixels : number of pixels as the file states it, None when it does not
     """
 
     shape: tuple[int, int]
+    marked: Mask | None = None
     polygons: list[Rings] = field(default_factory=list)
     points: list[Array] = field(default_factory=list)
-    pixels: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]] = field(default_factory=list)
     stated_pixels: int | None = None
 
     def add(self, geometry: dict[str, Any], place: Placing, where: str) -> None:
@@ -267,7 +265,8 @@ class RegionDrawing:
         if out.size:
             counts = {"outside": out.size, "count": r.size, "line": r[out[0]], "sample": c[out[0]]}
             raise refusal("region.pixels", where, last=(self.shape[0] - 1, self.shape[1] - 1), **counts)
-        self.pixels.append((r, c))
+        self.marked = np.zeros(self.shape, bool) if self.marked is None else self.marked
+        self.marked[r, c] = True
 
     def drawn(self, where: str, *, touched: bool = False) -> tuple[Mask, tuple[str, ...]]:
         """(lines, samples) mask of the pixels whose centres the region holds, and what is to be said of it.
@@ -281,8 +280,8 @@ class RegionDrawing:
         points = np.concatenate([np.empty((0, 2)), *self.points])
         inside = np.array([inside_image(p, self.shape) for p in points], dtype=bool)
         mask = _burned(self.polygons, self.shape) | point_mask(points[inside], self.shape, where=where)
-        for rows, cols in self.pixels:
-            mask[rows, cols] = True
+        if self.marked is not None:
+            mask |= self.marked
         left = [rings[0] for rings in self.polygons if not all(inside_image(r, self.shape) for r in rings)]
         if (left or not inside.all()) and not mask.any():
             raise outside_error(np.vstack([*left, points]), self.shape, where)

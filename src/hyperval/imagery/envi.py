@@ -202,18 +202,18 @@ class EnviRaster(Raster):
         return np.array(values.transpose(order)[rows, cols])
 
 
-def open_envi(data: Path, header: Path, root: Path | None = None) -> EnviRaster:
+def open_envi(data: Path, header: Path) -> EnviRaster:
     """Open an ENVI data file with its header, and the file of gains that may lie beside it.
 
     Raises
     ------
     InputError : a header that is not understood, or a data file of another size than it says.
     """
-    parsed = read_header(checked_file(header, root=root, what="ENVI header"))
+    parsed = read_header(checked_file(header, what="ENVI header"))
     _check_size(data, parsed)
     scaled = {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
     gains = None if scaled or parsed.dtype.kind == "f" else _gain_file_beside(data)
-    others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, root=root, what="gain file"))
+    others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(entries=parsed.extras, notes=parsed.notes, header=parsed, gains=gains)
     size = parsed.lines, parsed.samples, parsed.bands
     return EnviRaster(data, size, parsed.dtype, about, other_files=others, header=parsed)

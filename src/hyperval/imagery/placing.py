@@ -173,14 +173,12 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loo
 
 def divided(ring: Array, where: str) -> Array:
     """A ring (n, 2) in cells of the table with vertices at most 4 cells apart on every side."""
-    if len(ring) > 1 and np.array_equal(ring[0], ring[-1]):
-        ring = ring[:-1]
-    ahead = np.roll(ring, -1, axis=0)
-    length = np.hypot(*(ahead - ring).T)
-    refuse(not np.all(np.isfinite(length)) or length.sum() / _SIDE_CELLS > MAX_VERTICES, "place.large", where)
-    parts = np.maximum(1, np.ceil(length / _SIDE_CELLS)).astype(int)
-    share = np.concatenate([np.arange(p) / p for p in parts])
-    return np.asarray(np.repeat(ring, parts, axis=0) + share[:, None] * np.repeat(ahead - ring, parts, axis=0))
+    import shapely
+
+    closed = np.vstack([ring, ring[:1]])
+    length = np.hypot(*np.diff(closed, axis=0).T).sum()
+    refuse(not length / _SIDE_CELLS <= MAX_VERTICES, "place.large", where)
+    return np.asarray(shapely.get_coordinates(shapely.segmentize(shapely.LineString(closed), _SIDE_CELLS)))
 
 
 def _plane(x: Array, y: Array, values: Array) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.envi_header import parse_header
-from hyperval.errors import InputError, package_table, reader, refusal, refuse
+from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.imagery.arrays import (
     MAX_CHUNK_BYTES,
     ArrayRaster,
@@ -113,18 +113,19 @@ class ProductTree:
 
     def number(self, reference: Reference) -> float:
         """A number; InputError when the file has none there, or not a finite one."""
-        found = self._floats(reference) if isinstance(reference, str) else np.array([float(reference)])
+        found = self.floats(reference) if isinstance(reference, str) else np.array([float(reference)])
         refuse(not np.isfinite(found[:1]).any(), "product.number", self.path, reference=reference)
         return float(found[0])
 
     def numbers(self, reference: str, count: int, what: str) -> Array:
         """(count,) numbers; InputError when the file does not have as many."""
-        out = self._floats(reference)
+        out = self.floats(reference)
         if out.size != count:
             raise refusal("product.numbers", self.path, size=out.size, what=what, reference=reference, count=count)
         return out
 
-    def _floats(self, reference: str) -> Array:
+    def floats(self, reference: str | None) -> Array:
+        """The numbers of a small array or an attribute, none where the file has others or nothing."""
         value = self.raw(reference)
         try:
             return np.zeros(0) if value is None else np.asarray(value, dtype=float).ravel()
@@ -193,23 +194,20 @@ def table_in(raster: Raster) -> ArrayRaster | None:
         return None
     with raster.store.kept_open() as file:
         tree = _tree(file, raster.path)
-        cells, places = (tree.layout.lookup_table or (), tree.layout.location or ()) if tree is not None else ((), ())
-        if tree is not None and cells and all(isinstance(tree.item(name), h5py.Dataset) for name in cells):
-            columns, on_map = [tree.image(name, axes=2) for name in cells], True
-        elif (
-            tree is not None
-            and places
-            and all(getattr(tree.item(name), "shape", None) == raster.size[:2] for name in places)
-        ):
-            columns, on_map = [tree.item(name) for name in places], False
-        else:
+        if tree is None:
             return None
-        dtype = np.dtype(np.int32 if on_map else np.float64)
-        pieces = tuple(Piece((Term(c.name.strip("/")),), "ls", c.shape, dtype) for c in columns)
-        position = _position(tree, pieces[0])[:2] if on_map else (None, None)
-        fill = _stated(columns[0].attrs, *_FILLS) if on_map else None
-    about = Description(ignore_value=fill)
-    return array_raster(raster.path, Store(raster.path, hdf5), pieces, about, position)
+        for key in ("lookup_table", "location"):
+            names, on_map = getattr(tree.layout, key) or (), key == "lookup_table"
+            columns = [column for name in names if isinstance(column := tree.item(name), h5py.Dataset)]
+            if len(columns) != 2 or not (on_map or columns[0].shape == columns[1].shape == raster.size[:2]):
+                continue
+            columns = [tree.image(name, axes=2) for name in names]
+            dtype = np.dtype(np.int32 if on_map else np.float64)
+            pieces = tuple(Piece((Term(c.name.strip("/")),), "ls", c.shape, dtype) for c in columns)
+            position = _position(tree, pieces[0])[:2] if on_map else (None, None)
+            about = Description(ignore_value=_stated(columns[0].attrs, *_FILLS) if on_map else None)
+            return array_raster(raster.path, Store(raster.path, hdf5), pieces, about, position)
+    return None
 
 
 def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore: float | None) -> Piece:
@@ -234,11 +232,8 @@ def _description(
     parts = [_columns(tree, a, i, p.size("b")) for a, i, p in zip(layout.arrays, images, pieces, strict=True)]
     wavelength, width, flags, gain, offset = np.concatenate(parts, axis=1)
     good = flags != 0
-    for reference in layout.bad_ranges_nm or ():
-        low_high = tree.raw(reference)
-        if low_high is not None and np.size(low_high) == 2:
-            low, high = np.sort(np.asarray(low_high, float))
-            good &= ~((wavelength >= low) & (wavelength <= high))
+    for low, high in (np.sort(ends) for r in layout.bad_ranges_nm or () if (ends := tree.floats(r)).size == 2):
+        good &= ~((wavelength >= low) & (wavelength <= high))
     sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
     entries = {key: text for key, reference in (layout.entries or {}).items() if (text := tree.text(reference))}
     unit, unit_notes = _unit(layout, images)
@@ -297,10 +292,7 @@ def _unit(layout: ProductLayout, images: list[h5py.Dataset]) -> tuple[str, tuple
 def _ignore(tree: ProductTree, image: h5py.Dataset) -> float | None:
     own, ignore = _stated(image.attrs, *_FILLS), tree.layout.ignore
     if isinstance(ignore, str):
-        try:
-            return tree.number(ignore)
-        except InputError:
-            return own
+        return next(iter(tree.floats(ignore).tolist()), own)
     return ignore if own is None else own
 
 
@@ -318,13 +310,11 @@ def _position(tree: ProductTree, piece: Piece) -> Position:
         return _from_corners(tree, lines, samples, crs)
     # The corner points of HDF-EOS5's StructMetadata are the outer edges of the corner pixels.
     number = r"\s*([-+0-9.eE]+)\s*"
-    corners = [
-        re.search(rf"{name}\s*=\s*\({number},{number}\)", tree.text(layout.struct_metadata) or "")
-        for name in ("UpperLeftPointMtrs", "LowerRightMtrs")
-    ]
-    if corners[0] is None or corners[1] is None:
+    corner = rf"(?:UpperLeftPointMtrs|LowerRightMtrs)\s*=\s*\({number},{number}\)"
+    corners = re.findall(corner, tree.text(layout.struct_metadata) or "")
+    if len(corners) != 2:
         return None, crs, ()
-    west, north, east, south = (float(text) for corner in corners if corner is not None for text in corner.groups())
+    (west, north), (east, south) = np.array(corners, float).tolist()
     return Affine((east - west) / samples, 0.0, west, 0.0, (south - north) / lines, north), crs, ()
 
 
@@ -355,14 +345,9 @@ def _crs(tree: ProductTree) -> CRS | None:
 
 def _sun(tree: ProductTree) -> float | None:
     """The zenith angle of the sun [degrees] that a product states for the whole image; None without."""
-    reference = tree.layout.sun_zenith
-    found = None if reference is None else tree.item(reference)
-    try:
-        if isinstance(found, h5py.Dataset) and found.ndim == 2:
-            return median_angle(_some_lines(found))
-        return median_angle(np.array([float(tree.text(reference) or "nan")]))
-    except (ValueError, OSError):
-        return None
+    found = None if tree.layout.sun_zenith is None else tree.item(tree.layout.sun_zenith)
+    is_image = isinstance(found, h5py.Dataset) and found.ndim == 2
+    return median_angle(_some_lines(found) if is_image else tree.floats(tree.layout.sun_zenith))
 
 
 def median_angle(angles: Array) -> float | None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +15,7 @@ from scipy import ndimage
 from skimage.measure import label
 
 from hyperval.errors import reader, refusal, refuse
-from hyperval.imagery.drawing import WARNING, ImageGrid, Position, RegionDrawing
+from hyperval.imagery.drawing import WARNING, ImageGrid, Position
 from hyperval.imagery.regions_files import drawings_of
 from hyperval.paths import checked_file
 
@@ -65,11 +64,9 @@ def read_regions(
     *,
     transform: Position = None,
     crs: CRS | None = None,
-    names: Mapping[str | int, str] | Sequence[str] | None = None,
     coordinates: str | None = None,
     patterns: Sequence[str] = (),
     touched: bool = False,
-    root: Path | None = None,
     name_field: str | None = None,
 ) -> dict[str, Region]:
     """Read the regions of a file, whatever its format.
@@ -83,47 +80,27 @@ def read_regions(
     cube_shape : (lines, samples) of the cube that the regions belong to
     transform, crs : position of the cube, for regions in map coordinates: an affine transform, or a geographic
         lookup table
-    names : the regions to read: a list of names in the file, or a mapping from name (or value of a
-        class raster) in the file to the name wanted; None reads all
     coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON (which is "lonlat" otherwise), and
         for a GeoPackage or Shapefile without a coordinate system
     patterns : where names of the file match one of them (* and ? stand for any characters), only those are read;
         a region that is not wanted may then lie outside the image
     touched : take every pixel that a polygon touches, for targets smaller than a pixel
-    root : folder that the file must lie in
     name_field : attribute of a vector file that names the regions
 
     Raises
     ------
     InputError : missing, unreadable, empty, wholly outside the image, or made for an image of another size.
-    UsageError : unknown format, unknown names, or ``coordinates`` not stated.
+    UsageError : unknown format, or ``coordinates`` not stated.
     """
-    path = checked_file(path, root=root, what="region file")
-    by_value = isinstance(names, Mapping) and any(isinstance(key, int) for key in names)
-    grid = ImageGrid(cube_shape, transform, crs, coordinates, name_field)
-    drawn = drawings_of(path, grid, by_value=by_value, root=root)
-    named = _named(drawn, names, path)
-    named = {n: made for n, made in named.items() if any(n == p or fnmatchcase(n, p) for p in patterns)} or named
+    path = checked_file(path, what="region file")
+    drawn = drawings_of(path, ImageGrid(cube_shape, transform, crs, coordinates, name_field))
+    refuse(not drawn, "region.none", path)
+    wanted = {n: made for n, made in drawn.items() if any(n == p or fnmatchcase(n, p) for p in patterns)} or drawn
     out = {}
-    for name, made in named.items():
-        drawing = isinstance(made, RegionDrawing)
-        mask, notes = made.drawn(f"{path}: region {name!r}", touched=touched) if drawing else (made, ())
+    for name, drawing in wanted.items():
+        mask, notes = drawing.drawn(f"{path}: region {name!r}", touched=touched)
         out[name] = Region(name, mask, str(path), notes)
     return out
-
-
-def _named(
-    drawn: Mapping[Any, Mask | RegionDrawing], names: Mapping[str | int, str] | Sequence[str] | None, where: Path
-) -> dict[str, Any]:
-    """What is drawn under the names that are wanted."""
-    refuse(not drawn, "region.none", where)
-    if names is None:
-        return {str(key): made for key, made in drawn.items()}
-    wanted: dict[Any, str] = dict(names) if isinstance(names, Mapping) else {name: name for name in names}
-    missing = ", ".join(repr(key) for key in wanted if key not in drawn)
-    refuse(missing, "region.missing", where, missing=missing, known=", ".join(str(key) for key in drawn))
-    refuse(len(set(wanted.values())) < len(wanted), "region.same_name", where)
-    return {wanted[key]: drawn[key] for key in wanted}
 
 
 def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int], shape: tuple[int, int]) -> Region:

@@ -10,7 +10,7 @@ import json
 import re
 import struct
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,13 +24,13 @@ from hyperval.errors import refusal, refuse
 from hyperval.imagery.arrays import MATRICES
 from hyperval.imagery.cube import raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
-from hyperval.imagery.drawing import ImageGrid, RegionDrawing, named_crs
+from hyperval.imagery.drawing import ImageGrid, Placing, RegionDrawing, named_crs
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Drawings = dict[str, RegionDrawing]
+Feature = tuple[Any, Mapping[str, Any], str]  # geometry as GeoJSON has it, attributes, name where none of them gives it
 MAX_XML_BYTES = 8 << 20
 MAX_BINARY_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
@@ -222,39 +222,34 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
     return _pixel_drawings(pixels, shape, path)
 
 
-def raster_masks(
-    path: Path, shape: tuple[int, int], *, by_value: bool = False, root: Path | None = None, variable: str | None = None
-) -> dict[str | int, Mask]:
-    """Masks of the classes of a raster of one band, or of the bands of a raster of several.
+def raster_drawings(path: Path, shape: tuple[int, int], variable: str | None = None) -> Drawings:
+    """Drawings of the classes of a raster of one band, or of the bands of a raster of several.
 
-    One band: a class for every whole number but 0 and the ignore value, under the class name of the
-    header, else under the file's name (a single class) or ``name-value``; under the number itself with
-    ``by_value``.  Several bands: a mask of what is not 0, nor NaN, nor the ignore value, under the band name.
+    One band: a class for every whole number but 0 and the ignore value, under the class name of the header, else under
+    the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
+    under the band name.
     """
-    raster = raster_of_size(path, shape, root, variable)
-    stored, about = raster.read_lines(0, raster.lines), raster.description
+    raster = raster_of_size(path, shape, variable)
+    stored, about = raster.read_bands(0, raster.lines), raster.description
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
         names = about.band_names
-        if not names or len(set(names)) != len(names):
+        if len(set(names)) != raster.bands:
             names = tuple(f"band-{i + 1}" for i in range(raster.bands))
-        return {name: (stored[:, :, i] != 0) & valid[:, :, i] for i, name in enumerate(names)}
-    classes = stored[:, :, 0]
-    values = np.unique(classes[valid[:, :, 0]])
+        return {name: RegionDrawing(shape, (stored[i] != 0) & valid[i]) for i, name in enumerate(names)}
+    values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
     numbers = [int(v) for v in values if v != 0]
-    if by_value:
-        return {value: classes == value for value in numbers}
     listed = [name.strip() for name in about.entries.get("class names", "").split(",")]
-    out: dict[str | int, Mask] = {}
+    out: Drawings = {}
     for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
         name = listed[value] if 0 < value < len(listed) else ""
         name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
         name = name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}")
         refuse(name in out, "region.two_classes", path, name=name)
-        out[name] = classes == value
+        out[name] = RegionDrawing(shape, stored[0] == value)
     return out
 
 
@@ -284,18 +279,13 @@ def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
             raise refusal("geojson.degrees", where, x=xy[0, 0], y=xy[0, 1])
         return placed(xy, where, ring)
 
-    drawings: Drawings = {}
+    features = []
     for number, feature in enumerate(items, start=1):
         geometry = _within(feature, "geometry") if _within(feature, "type") == "Feature" else feature
-        if not isinstance(geometry, dict):
-            raise refusal("region.no_geometry", f"{path}: feature {number}")
-        properties, own = _within(feature, "properties"), _within(feature, "id")
+        own, known = _within(feature, "id"), _within(feature, "properties")
         fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
-        known = properties if isinstance(properties, dict) else {}
-        name = _feature_name(known, grid.name_field, fallback, f"{path}: feature {number}")
-        drawing = drawings.setdefault(name, RegionDrawing(grid.shape))
-        drawing.add(geometry, place, f"{path}: feature {number} ({name})")
-    return drawings
+        features.append((geometry, known if isinstance(known, dict) else {}, fallback))
+    return _united({}, features, place, grid, f"{path}: ")
 
 
 def _within(data: Any, *keys: str) -> Any:
@@ -305,20 +295,25 @@ def _within(data: Any, *keys: str) -> Any:
     return data
 
 
-def _feature_name(properties: Mapping[str, Any], name_field: str | None, fallback: str, where: str) -> str:
-    """Name of a feature: that of its attribute, else the fallback.
+def _united(drawings: Drawings, features: Iterable[Feature], place: Placing, grid: ImageGrid, where: str) -> Drawings:
+    """Drawings with features added to those of their names: of the attribute that names them, else their own.
 
     Raises
     ------
-    UsageError : the attribute that is to name it is not there.
+    UsageError : the attribute that is to name them is not there.
     """
-    lower = {str(key).lower(): value for key, value in properties.items()}
-    columns = REGION_COLUMNS if name_field is None else (name_field.lower(),)
-    named = next((lower[c] for c in columns if lower.get(c) is not None), None)
-    if name_field is not None and named is None:
-        raise refusal("region.property", where, name=name_field, known=", ".join(properties) or "none")
-    text = "" if named is None or named != named else str(named).strip()
-    return text or fallback
+    columns = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
+    for number, (geometry, known, fallback) in enumerate(features, start=1):
+        at = f"{where}feature {number}"
+        if not isinstance(geometry, dict):
+            raise refusal("region.no_geometry", at)
+        lower = {str(key).lower(): value for key, value in known.items()}
+        if grid.name_field is not None and columns[0] not in lower:
+            raise refusal("region.property", at, name=grid.name_field, known=", ".join(known) or "none")
+        named = next((lower[c] for c in columns if lower.get(c) is not None), None)
+        name = ("" if named is None or named != named else str(named).strip()) or fallback
+        drawings.setdefault(name, RegionDrawing(grid.shape)).add(geometry, place, f"{at} ({name})")
+    return drawings
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -343,7 +338,7 @@ def is_kml(head: bytes) -> bool:
     return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
 
 
-def vector_drawings(path: Path, grid: ImageGrid, root: Path | None = None) -> Drawings:
+def vector_drawings(path: Path, grid: ImageGrid) -> Drawings:
     """Drawings by name of the polygons and points of every layer; features of one name are united.
 
     A name comes from the attribute ``name_field``, or else from ``region``, ``name``, ``class`` or ``class_name``;
@@ -361,7 +356,7 @@ def vector_drawings(path: Path, grid: ImageGrid, root: Path | None = None) -> Dr
         from pyogrio.errors import DataLayerError, DataSourceError
     except ImportError:
         raise refusal("vector.package", path) from None
-    _check_files(path, root)
+    _check_files(path)
     drawings: Drawings = {}
     try:
         with warnings.catch_warnings():
@@ -398,17 +393,15 @@ def _layer_drawings(
     if not {f.lower() for f in fields} & set(wanted) and (grid.name_field or (len(shapes) > 1 and texts)):
         what = f"no attribute {grid.name_field!r}" if grid.name_field else "no attribute that names the regions"
         raise refusal("vector.attribute", where, what=what, known=", ".join(fields) or "none")
-    place = grid.placing(own, where)
-    column = next((f for w in wanted for f in fields if f.lower() == w), None)
+    features = []
     for i, wkb in enumerate(shapes):
-        fallback = layer if len(shapes) == 1 else f"{layer}-{i + 1}"
-        known = {"name": fields[column][i]} if column is not None else {}
-        name = _feature_name(known, None, fallback, where)
-        at = f"{where}, feature {i + 1} ({name})"
-        drawings.setdefault(name, RegionDrawing(grid.shape)).add(_wkb_geometry(wkb, at), place, at)
+        known = {name: values[i] for name, values in fields.items()}
+        own_name = layer if len(shapes) == 1 else f"{layer}-{i + 1}"
+        features.append((_wkb_geometry(wkb, f"{where}, feature {i + 1}"), known, own_name))
+    _united(drawings, features, grid.placing(own, where), grid, f"{where}, ")
 
 
-def _check_files(path: Path, root: Path | None) -> None:
+def _check_files(path: Path) -> None:
     files = [path]
     if is_kml(head_of(path)) and re.search(rb"<!\s*(DOCTYPE|ENTITY)", path.read_bytes()[:MAX_BYTES], re.IGNORECASE):
         raise refusal("vector.entity", path)
@@ -416,7 +409,7 @@ def _check_files(path: Path, root: Path | None) -> None:
         parts = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
         for end in (".dbf", ".shx"):
             refuse(end not in parts, "vector.part", path, end=end)
-        files += [checked_file(parts[end], root=root, what="region file") for end in _SIDECARS if end in parts]
+        files += [checked_file(parts[end], what="region file") for end in _SIDECARS if end in parts]
     refuse(sum(f.stat().st_size for f in files) > MAX_BYTES, "vector.large", path, mib=MAX_BYTES >> 20)
 
 
@@ -436,12 +429,8 @@ def _wkb_geometry(wkb: bytes | None, where: str) -> dict[str, Any]:
     return dict(shapely.geometry.mapping(geometry))
 
 
-def drawings_of(
-    path: Path, grid: ImageGrid, *, by_value: bool = False, root: Path | None = None
-) -> Mapping[Any, RegionDrawing | Mask]:
+def drawings_of(path: Path, grid: ImageGrid) -> Drawings:
     """What a file of regions draws, by name; the format is known from its content.
-
-    ``by_value`` : the classes of a raster by their value in place of their name
 
     Raises
     ------
@@ -450,7 +439,7 @@ def drawings_of(
     head, shape = head_of(path), grid.shape
     stripped, ending = head.lstrip(b"\xef\xbb\xbf \t\r\n"), path.suffix.lower()
     if ending in TIFF_SUFFIXES or head[:4] in TIFF_MARKS:
-        return raster_masks(path, shape, by_value=by_value, root=root)
+        return raster_drawings(path, shape)
     if stripped.startswith(b"<") and not is_kml(head):
         return xml_drawings(path, grid)
     if b"ENVI Output of ROIs" in head[:200]:
@@ -458,11 +447,11 @@ def drawings_of(
     if head.startswith(b"JoeB"):
         return binary_drawings(path, shape)
     if head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a" or is_kml(head):
-        return vector_drawings(path, grid, root)
+        return vector_drawings(path, grid)
     if stripped.startswith(b"{"):
         return geojson_drawings(path, grid)
     if ending == ".hdr" or head.startswith(tuple(MATRICES)) or header_beside(path) is not None:
-        return raster_masks(path, shape, by_value=by_value, root=root, variable=grid.name_field)
+        return raster_drawings(path, shape, grid.name_field)
     if ending in (".csv", ".txt"):
         return csv_drawings(path, shape)
     raise refusal("region.format", path)

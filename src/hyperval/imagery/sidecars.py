@@ -24,9 +24,7 @@ NO_MAP = "in scanner geometry: a map position of the file is a fit to its corner
 _UNRECTIFIED = "one detector in scanner geometry: the other sees a place some lines apart, as a cube of its own"
 
 
-def described_beside(
-    image: Path, bands: int, nodata: float | None = None, root: Path | None = None
-) -> tuple[Description, Path] | None:
+def described_beside(image: Path, bands: int, nodata: float | None = None) -> tuple[Description, Path] | None:
     """What the metadata beside a GeoTIFF of ``bands`` bands say of it, and their file; None where there are none.
 
     ``nodata`` : as the GeoTIFF itself states it, where the metadata do not.
@@ -40,11 +38,11 @@ def described_beside(
         for name in (sidecar.metadata, sidecar.metadata.lower(), sidecar.metadata.upper()) if at >= 0 else ():
             path = image.with_name(image.name[:at] + name)
             if path.is_file():
-                made = _from_xml(sidecar, checked_file(path, root=root, what="metadata file"), image, bands)
+                made = _from_xml(sidecar, checked_file(path, what="metadata file"), image, bands)
                 if made is not None:
                     fill = sidecar.fill if nodata is None else nodata
                     return (replace(made, ignore_value=fill) if made.ignore_value is None else made), path
-    for path, item, asset in _stac_assets(image, root):
+    for path, item, asset in _stac_assets(image):
         described = _from_asset(item, asset, bands)
         if described is not None:
             return (replace(described, ignore_value=nodata) if described.ignore_value is None else described), path
@@ -141,7 +139,7 @@ def _number(text: str | None, what: str, path: Path) -> float:
     return number
 
 
-def _stac_assets(image: Path, root: Path | None) -> Iterator[tuple[Path, dict[str, Any], dict[str, Any]]]:
+def _stac_assets(image: Path) -> Iterator[tuple[Path, dict[str, Any], dict[str, Any]]]:
     """Items of STAC beside an image whose assets name it: the file, the item, the asset."""
     own = image.with_suffix(".json")
     others = sorted(image.parent.glob("*.json"))[:MAX_ITEMS]
@@ -149,7 +147,7 @@ def _stac_assets(image: Path, root: Path | None) -> Iterator[tuple[Path, dict[st
         if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
             continue
         try:
-            item = json.loads(checked_file(path, root=root, what="STAC item").read_text("utf-8"))
+            item = json.loads(checked_file(path, what="STAC item").read_text("utf-8"))
         except (ValueError, RecursionError):
             continue
         assets = item.get("assets") if isinstance(item, dict) and "stac_version" in item else None

@@ -65,7 +65,7 @@ class TiffRaster(Raster):
 
 
 @reader
-def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffRaster:
+def open_tiff(path: Path, header: Path | str | None) -> TiffRaster:
     """Open a GeoTIFF with the header or the metadata that lie beside it.
 
     Raises
@@ -81,13 +81,13 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
         raster = TiffRaster(path, size, dtype, about, (transform, dataset.crs))
     sidecar = Path(header) if header is not None else header_beside(path)
     if sidecar is None:
-        described = described_beside(path, raster.bands, about.ignore_value, root)
+        described = described_beside(path, raster.bands, about.ignore_value)
         if described is None:
             return raster
         found, metadata = described
         place = (None, None) if NO_MAP in found.notes else raster.position
         return replace(raster, position=place, description=found, other_files=(metadata,))
-    parsed = read_header(checked_file(sidecar, root=root, what="ENVI header"), sidecar=True)
+    parsed = read_header(checked_file(sidecar, what="ENVI header"), sidecar=True)
     if size != (parsed.lines, parsed.samples, parsed.bands):
         raise refusal("tiff.size", parsed.path, size=size, stated=(parsed.lines, parsed.samples, parsed.bands))
     place = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)

@@ -114,7 +114,6 @@ def read_targets(
     *,
     transform: Position = None,
     pixel_size_m: float | None = None,
-    root: Path | None = None,
 ) -> list[TargetObject]:
     """Targets of a CSV list.
 
@@ -136,7 +135,7 @@ def read_targets(
     ------
     InputError : missing columns, numbers that are none, targets outside the image.
     """
-    path = checked_file(path, root=root, what="target list")
+    path = checked_file(path, what="target list")
     fields, rows = read_table(path, {"name", "material", "shape", *_NUMERIC})
     place = next((p for p in _PLACES if p[0] in fields and p[1] in fields), None)
     if place is None or "material" not in fields:

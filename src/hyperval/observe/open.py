@@ -386,15 +386,12 @@ class _Site:
         return self._drawn(truth)
 
     def _of_rasters(self, rasters: TargetRasters) -> list[TargetObject]:
-        cube, drawn = self.cube, VectorSource()
-        masks, sizes = {}, np.zeros(cube.shape, np.int64)
+        shape, masks = self.cube.shape, {}
         for material, reference in rasters.materials.items():
-            found = self.read(self.resolve(reference), drawn, ())
-            masks[material] = np.any([np.zeros(cube.shape, bool), *(region.mask for region in found.values())], axis=0)
-        wanted: dict[str | int, str] = {value: str(value) for value in rasters.side_m}
-        for name, region in self.read(self.resolve(rasters.size_classes), drawn, (), names=wanted).items():
-            sizes[region.mask] = int(name)
-        return imagery.intersected_objects(masks, sizes, rasters.side_m)
+            found = self.read(self.resolve(reference), VectorSource(), ())
+            masks[material] = np.any([np.zeros(shape, bool), *(region.mask for region in found.values())], axis=0)
+        sizes = imagery.raster_of_size(self.resolve(rasters.size_classes), shape).read_bands(0, shape[0])
+        return imagery.intersected_objects(masks, sizes.reshape(-1, shape[1]), rasters.side_m)  # of one band
 
     def _drawn(self, truth: TargetTruth) -> tuple[list[TargetObject], list[str]]:
         """Objects drawn as regions: every pixel that a polygon touches, as targets may be smaller than a pixel."""
