@@ -19,7 +19,7 @@ from rasterio.crs import CRS
 from hyperval.envi_header import header_beside
 from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.arrays import MATRICES, check_own_values, open_labelled, open_matrix
-from hyperval.imagery.description import Bands, Raster, Scale, equals, given_bands, usable_pixels
+from hyperval.imagery.description import Bands, Raster, Scale, equals, given_bands, some_lines, usable_pixels
 from hyperval.imagery.envi import open_envi, pixel_area_m2
 from hyperval.imagery.products import open_product
 from hyperval.imagery.sidecars import image_of
@@ -273,8 +273,7 @@ class Cube:
         if self.quantity not in PLAUSIBLE:
             return
         limit, how = PLAUSIBLE[self.quantity]
-        lines = np.unique(np.linspace(0, self.lines - 1, _CHECKED_LINES).astype(int))
-        cols = np.linspace(0, self.samples - 1, min(self.samples, _CHECKED_SAMPLES)).astype(int)
+        lines, cols = some_lines(self.lines, _CHECKED_LINES), some_lines(self.samples, _CHECKED_SAMPLES)
         some = [self.spectra((np.full(cols.size, line), cols))[:, self.axis.good].ravel() for line in lines]
         high = float(np.percentile(np.concatenate(some), 95)) if any(part.size for part in some) else 0.0
         if high > limit:
@@ -283,11 +282,9 @@ class Cube:
 
 
 _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
-_MARKS = (
-    dict.fromkeys(TIFF_MARKS, _TIFF)
-    | MATRICES
-    | {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3, b"\x0e\x03\x13\x01": "HDF4"}
-)
+_OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which nothing here reads
+_HIERARCHIES = {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
+_MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | MATRICES | _HIERARCHIES | _OTHERS
 _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
 
 

@@ -526,6 +526,11 @@ class Raster:
         raise NotImplementedError
 
 
+def some_lines(lines: int, count: int) -> Index:
+    """Numbers of at most so many lines, spread evenly over an image."""
+    return np.unique(np.linspace(0, lines - 1, count).astype(int))
+
+
 def crs_of_wkt(wkt: str | None) -> CRS | None:
     """The system of a WKT, ESRI's among them; None where there is none that is understood."""
     try:

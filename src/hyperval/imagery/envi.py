@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -144,17 +144,11 @@ class EnviRaster(Raster):
 
     kind = "ENVI image"
 
-    header: EnviHeader = field(kw_only=True)
-
-    @cached_property
-    def transform(self) -> Affine | None:
-        """Pixel (sample, line) to map coordinates, from ``map info``."""
-        return transform_of(self.header)
-
-    @cached_property
-    def crs(self) -> CRS | None:
-        """Coordinate reference system, from the header."""
-        return crs_of(self.header)
+    @property
+    def header(self) -> EnviHeader:
+        """The header that describes the file."""
+        assert self.description.header is not None  # noqa: S101 - it is opened by one
+        return self.description.header
 
     @cached_property
     def _file(self) -> Store:
@@ -215,8 +209,8 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     gains = None if scaled or parsed.dtype.kind == "f" else _gain_file_beside(data)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(entries=parsed.extras, notes=parsed.notes, header=parsed, gains=gains)
-    size = parsed.lines, parsed.samples, parsed.bands
-    return EnviRaster(data, size, parsed.dtype, about, other_files=others, header=parsed)
+    size, position = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
+    return EnviRaster(data, size, parsed.dtype, about, position, others)
 
 
 def _gain_file_beside(image: Path) -> Path | None:

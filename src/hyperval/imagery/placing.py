@@ -25,12 +25,13 @@ from rasterio.crs import CRS
 
 from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
-from hyperval.imagery.description import Raster
+from hyperval.imagery.description import Raster, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import SAMPLED_LINES, SUN_ZENITH, median_angle, sun_of_observation, table_in
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 # Cells around a place whose raw pixels are fitted: 7 x 7 average out the rounding to whole pixels.
 RADIUS = 3
@@ -89,7 +90,7 @@ class LookupTable:
     def _areas(self) -> Iterator[float | None]:
         """Ground areas of raw pixels [m2]: a cell's over the determinant of the fit."""
         cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
-        for line in _some_lines(self.raster.lines, _AREA_LINES) if cell is not None else ():
+        for line in some_lines(self.raster.lines, _AREA_LINES) if cell is not None else ():
             cols = np.flatnonzero(self._read(int(line), 1)[0][0])
             for col in cols[np.linspace(0, cols.size - 1, min(_AREA_LINES, cols.size)).astype(int)]:
                 fit = self._raw_at(np.array([col + 0.5, line + 0.5]))
@@ -114,11 +115,10 @@ class LookupTable:
             return None
         s, ln = (v[:, left : column + RADIUS + 1] for v in self._read(top, count))
         for used in (s > 0, s != 0):
-            at_row, at_col = np.nonzero(used)
-            if at_row.size >= _FEWEST and np.ptp(at_row) > 0 and np.ptp(at_col) > 0:
-                raw = np.column_stack([np.abs(s[used]), np.abs(ln[used])]) - 0.5  # the centre of pixel 1 is at 0.5
-                place, change = _plane(at_col + left + 0.5 - cell[0], at_row + top + 0.5 - cell[1], raw)
-                return place, abs(float(np.linalg.det(change)))
+            # The centre of raw pixel 1 is at 0.5.
+            fit = _plane(np.abs(s) - 0.5, np.abs(ln) - 0.5, used, (left + 0.5 - cell[0], top + 0.5 - cell[1]))
+            if fit is not None:
+                return fit[0], abs(float(np.linalg.det(fit[1])))
         return None
 
     @property
@@ -181,10 +181,18 @@ def divided(ring: Array, where: str) -> Array:
     return np.asarray(shapely.get_coordinates(shapely.segmentize(shapely.LineString(closed), _SIDE_CELLS)))
 
 
-def _plane(x: Array, y: Array, values: Array) -> tuple[Array, Array]:
-    """Values (2,) at x = y = 0 and their change (2, 2) with x and y, by the plane nearest to (n, 2) values."""
-    fit = np.asarray(np.linalg.lstsq(np.column_stack([np.ones(x.size), x, y]), values, rcond=None)[0], np.float64)
-    return fit[0], fit[1:].T
+def _plane(x: Array, y: Array, used: Mask, corner: tuple[float, float]) -> tuple[Array, Array] | None:
+    """(x, y) in the middle and their change (2, 2) along columns and rows, by the plane through the used cells.
+
+    ``corner`` : column and row of the first cell from the middle.  None where the cells are too few.
+    """
+    rows, columns = np.nonzero(used)
+    if rows.size < _FEWEST or not np.ptp(rows) or not np.ptp(columns):
+        return None
+    values: Array = np.column_stack([x[used], y[used]])
+    cells = np.column_stack([np.ones(rows.size), columns + corner[0], rows + corner[1]])
+    fit = np.linalg.lstsq(cells, values - values[0], rcond=None)[0]  # small numbers keep their digits
+    return np.asarray(fit[0] + values[0]), np.asarray(fit[1:].T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +205,7 @@ class LocationTable(LookupTable):
 
     def _areas(self) -> Iterator[float | None]:
         """Ground areas of pixels [m2] over places along the image."""
-        lines, samples = (_some_lines(n, _AREA_LINES) for n in self.shape)
+        lines, samples = (some_lines(n, _AREA_LINES) for n in self.shape)
         for line, sample in product(lines, samples) if self.crs is not None else ():
             fit = self._fit(int(line), int(sample))
             yield None if fit is None else abs(np.linalg.det(fit[1])) * math.prod(self._metres(fit[0][1]))
@@ -267,20 +275,14 @@ class LocationTable(LookupTable):
         top, left = max(0, line - RADIUS), max(0, sample - RADIUS)
         x, y = self._xy(top, min(self.shape[0], line + RADIUS + 1) - top)
         x, y = (v[:, left : sample + RADIUS + 1] for v in (x, y))
-        good = self._valid(x, y)
-        rows, cols = np.nonzero(good)
-        if rows.size < 3 or np.ptp(rows) == 0 or np.ptp(cols) == 0:
-            return None
-        origin: Array = np.array([x[good][0], y[good][0]])  # small numbers keep their digits
-        wanted = np.column_stack([x[good], y[good]]) - origin
-        place, change = _plane((cols + left - sample).astype(float), (rows + top - line).astype(float), wanted)
-        return (place + origin, change) if abs(np.linalg.det(change)) > 0 else None
+        fit = _plane(x, y, self._valid(x, y), (left - sample, top - line))
+        return fit if fit is not None and np.linalg.det(fit[1]) else None
 
     def _xy(self, first: int, count: int) -> tuple[Array, Array]:
         stored = self.raster.read_bands(first, count).astype(float)
         return stored[0], stored[1]
 
-    def _valid(self, x: Array, y: Array) -> npt.NDArray[np.bool_]:
+    def _valid(self, x: Array, y: Array) -> Mask:
         """Where the coordinates are numbers and no fill."""
         good = np.isfinite(x) & np.isfinite(y) & (x > -9990.0) & ((x != 0) | (y != 0))
         if self.crs is not None and self.crs.is_geographic:
@@ -308,16 +310,12 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     """
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     table = LocationTable(raster, Affine.identity(), None, shape)
-    rows = [table._xy(int(line), 1) for line in _some_lines(shape[0], SAMPLED_LINES)]
+    rows = [table._xy(int(line), 1) for line in some_lines(shape[0], SAMPLED_LINES)]
     x, y = (np.concatenate([row[i].ravel() for row in rows]) for i in (0, 1))
     good = table._valid(x, y)
     refuse(not good.any(), "place.none", raster.path)
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
     return LocationTable(raster, Affine.identity(), CRS.from_epsg(4326) if degrees else raster.crs, shape)
-
-
-def _some_lines(lines: int, count: int) -> npt.NDArray[np.intp]:
-    return np.unique(np.linspace(0, lines - 1, count).astype(int))
 
 
 _TREES = (".nc", ".nc4", ".h5", ".hdf5", ".he5")
@@ -398,5 +396,5 @@ def _sun_in_bands(path: Path, shape: tuple[int, int]) -> Array | None:
     bands = [i for i, name in enumerate(angles.description.band_names) if SUN_ZENITH.search(name)]
     if len(bands) != 1 or angles.size[:2] != shape:
         return None
-    lines = [angles.read_bands(int(line), 1)[bands[0]].ravel() for line in _some_lines(angles.lines, SAMPLED_LINES)]
+    lines = [angles.read_bands(int(line), 1)[bands[0]].ravel() for line in some_lines(angles.lines, SAMPLED_LINES)]
     return np.concatenate(lines).astype(float)

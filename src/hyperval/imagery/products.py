@@ -40,6 +40,7 @@ from hyperval.imagery.description import (
     crs_of_wkt,
     gdal_transform,
     is_radiance,
+    some_lines,
 )
 from hyperval.imagery.envi import crs_of, transform_of
 from hyperval.units import radiance_to_internal
@@ -80,20 +81,14 @@ class ProductTree:
     def item(self, reference: str) -> Any:
         """The array, group or attribute of a reference, None when there is none.
 
-        "*" is the only group of its level; links into other files are none.
+        "*" is the only group of the file, of which :func:`check_own_values` has made sure that no part lies elsewhere.
         """
         name, at, attribute = reference.partition("@")
-        found: Any = self.file
-        for part in name.split("/") if name else ():
-            if not isinstance(found, h5py.Group):
-                return None
-            if part == "*":
-                groups = [key for key in found if isinstance(found.get(key, getlink=True), h5py.HardLink)]
-                part = groups[0] if len(groups) == 1 else ""
-            if part not in found or isinstance(found.get(part, getlink=True), h5py.ExternalLink):
-                return None
-            found = found[part]
-        return found.attrs.get(attribute) if at else found
+        if name.startswith("*"):
+            groups = [key for key, found in self.file.items() if isinstance(found, h5py.Group)]
+            name = name.replace("*", groups[0] if len(groups) == 1 else "", 1)
+        found = self.file.get(name) if name else self.file
+        return found.attrs.get(attribute) if at and found is not None else found
 
     def raw(self, reference: str | None) -> Any:
         """The content of a small array or an attribute, None when the file has none."""
@@ -347,7 +342,7 @@ def _sun(tree: ProductTree) -> float | None:
     """The zenith angle of the sun [degrees] that a product states for the whole image; None without."""
     found = None if tree.layout.sun_zenith is None else tree.item(tree.layout.sun_zenith)
     is_image = isinstance(found, h5py.Dataset) and found.ndim == 2
-    return median_angle(_some_lines(found) if is_image else tree.floats(tree.layout.sun_zenith))
+    return median_angle(_angles(found) if is_image else tree.floats(tree.layout.sun_zenith))
 
 
 def median_angle(angles: Array) -> float | None:
@@ -375,11 +370,11 @@ def sun_of_observation(path: Path, shape: tuple[int, int]) -> Array | None:
             bands = [i for i, word in enumerate(words) if SUN_ZENITH.search(word)]
             size = shape if layout.names is None else (*shape, len(words))
             if getattr(array, "shape", None) == size and len(bands) == len(size) - 2:
-                return _some_lines(array, *bands)
+                return _angles(array, *bands)
     return None
 
 
-def _some_lines(array: h5py.Dataset, band: int | None = None) -> Array:
-    lines = np.unique(np.linspace(0, array.shape[0] - 1, SAMPLED_LINES).astype(int))
+def _angles(array: h5py.Dataset, band: int | None = None) -> Array:
+    lines = some_lines(array.shape[0], SAMPLED_LINES)
     rows = [array[int(line)] if band is None else array[int(line), :, band] for line in lines]
     return np.concatenate([np.asarray(row, dtype=np.float64).ravel() for row in rows])

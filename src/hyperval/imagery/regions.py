@@ -136,18 +136,23 @@ def ring_region(
 
     ``pixel`` : distance between lines and between samples, in the unit of the other two
     """
-    lines, samples = (np.flatnonzero(region.mask.any(axis=axis)) for axis in (1, 0))
     mask = np.zeros(region.mask.shape, bool)
-    if lines.size:
-        margin = [int(min(outer / step, max(mask.shape))) + 1 for step in pixel]
-        part = np.s_[
-            max(lines[0] - margin[0], 0) : lines[-1] + 1 + margin[0],
-            max(samples[0] - margin[1], 0) : samples[-1] + 1 + margin[1],
-        ]
-        distance = ndimage.distance_transform_edt(~region.mask[part], sampling=pixel)
-        mask[part] = (distance > inner) & (distance <= outer)
+    above, beside = (int(min(outer / step, max(mask.shape))) + 1 for step in pixel)
+    part = window_of(region.mask, (above, beside))
+    distance = ndimage.distance_transform_edt(~region.mask[part], sampling=pixel)
+    mask[part] = (distance > inner) & (distance <= outer)
     refuse(not mask.any(), "region.ring", f"region {name!r}", of=region.name)
     return Region(name, mask, f"ring around {region.name}")
+
+
+def window_of(mask: Mask, margin: tuple[int, int] = (0, 0)) -> tuple[slice, slice]:
+    """Lines and samples of the window of a mask that holds all that is True in it, and a margin."""
+    lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    above, beside = margin
+    return (
+        slice(max(int(lines[0]) - above, 0), int(lines[-1]) + above + 1),
+        slice(max(int(samples[0]) - beside, 0), int(samples[-1]) + beside + 1),
+    )
 
 
 def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:
@@ -160,8 +165,7 @@ def holes(mask: Mask) -> tuple[int, int]:
     """Number of holes in a mask, and their pixels: groups (of 4 neighbours) that it encloses."""
     if not mask.any():
         return 0, 0
-    lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    part = mask[lines[0] : lines[-1] + 1, samples[0] : samples[-1] + 1]
+    part = mask[window_of(mask)]
     if part.all():
         return 0, 0
     labels, count = label(~np.pad(part, 1), connectivity=1, return_num=True)
@@ -189,8 +193,6 @@ def guard(mask: Mask, radius_pixels: float) -> Mask:
     refuse(not radius_pixels >= 0, "region.guard", radius=radius_pixels)
     if not mask.any():
         return mask.copy()
-    out, reach = np.zeros(mask.shape, bool), int(radius_pixels)
-    lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    near = tuple(slice(max(int(at[0]) - reach, 0), int(at[-1]) + reach + 1) for at in (lines, samples))
+    out, near = np.zeros(mask.shape, bool), window_of(mask, (int(radius_pixels),) * 2)
     out[near] = ndimage.distance_transform_edt(~mask[near]) <= radius_pixels  # of all pixels: 16 bytes for each
     return out

@@ -14,7 +14,7 @@ import numpy as np
 
 from hyperval.errors import refusal, refuse
 from hyperval.imagery.description import Description, ListedBands, Scale, is_radiance
-from hyperval.imagery.products import ProductLayout, layouts
+from hyperval.imagery.products import ProductLayout, layouts, median_angle
 from hyperval.paths import checked_file, read_xml
 
 MAX_XML_BYTES = 64 << 20
@@ -33,20 +33,23 @@ def described_beside(image: Path, bands: int, nodata: float | None = None) -> tu
     ------
     InputError : metadata that are too large, not understood, or of another number of bands.
     """
+    for made, path, fill in _descriptions(image, bands):
+        stated = (value for value in (made.ignore_value, nodata, fill) if value is not None)
+        return replace(made, ignore_value=next(stated, None)), path
+    return None
+
+
+def _descriptions(image: Path, bands: int) -> Iterator[tuple[Description, Path, float | None]]:
+    """What each file beside an image says of it, and the no-data value that its layout has."""
     for sidecar in layouts().sidecars:
         at = image.name.upper().find(sidecar.image.upper())
         for name in (sidecar.metadata, sidecar.metadata.lower(), sidecar.metadata.upper()) if at >= 0 else ():
             path = image.with_name(image.name[:at] + name)
-            if path.is_file():
-                made = _from_xml(sidecar, checked_file(path, what="metadata file"), image, bands)
-                if made is not None:
-                    fill = sidecar.fill if nodata is None else nodata
-                    return (replace(made, ignore_value=fill) if made.ignore_value is None else made), path
+            if path.is_file() and (made := _from_xml(sidecar, checked_file(path), image, bands)) is not None:
+                yield made, path, sidecar.fill
     for path, item, asset in _stac_assets(image):
-        described = _from_asset(item, asset, bands)
-        if described is not None:
-            return (replace(described, ignore_value=nodata) if described.ignore_value is None else described), path
-    return None
+        if (made := _from_asset(item, asset, bands)) is not None:
+            yield made, path, None
 
 
 def image_of(metadata: Path, detector: str | None = None) -> Path:
@@ -121,11 +124,8 @@ def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> De
 
 def _angle(root: ElementTree.Element, tag: str | None) -> float | None:
     """An angle between 0 and 180 degrees; None where there is none."""
-    try:
-        angle = float((root.findtext(tag) if tag else None) or "nan")
-    except ValueError:
-        return None
-    return angle if 0.0 <= angle <= 180.0 else None
+    text = root.findtext(tag) if tag else None
+    return median_angle(np.array(re.findall(r"^\s*[-+]?[0-9]+[.]?[0-9]*", text or ""), dtype=float))
 
 
 def _number(text: str | None, what: str, path: Path) -> float:

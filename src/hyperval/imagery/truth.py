@@ -15,7 +15,7 @@ from affine import Affine
 from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, outside_error, point_mask, polygon_mask
 from hyperval.imagery.placing import LookupTable
-from hyperval.imagery.regions import Region, guard, patches
+from hyperval.imagery.regions import Region, guard, patches, window_of
 from hyperval.paths import checked_file, read_table
 
 Array = npt.NDArray[np.float64]
@@ -100,11 +100,10 @@ def all_pixels(targets: Sequence[TargetObject], shape: tuple[int, int]) -> Mask:
 
 def cut_out(mask: Mask) -> Placed:
     """The window of a mask (lines, samples) that holds all that is True in it; one pixel where nothing is."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if rows.size == 0:
+    if not mask.any():
         return (0, 0), np.zeros((1, 1), bool)
-    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    return (int(rows[0]), int(columns[0])), mask[window].copy()
+    window = window_of(mask)
+    return (window[0].start, window[1].start), mask[window].copy()
 
 
 @reader

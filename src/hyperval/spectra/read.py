@@ -25,7 +25,7 @@ _TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])
 # Beginnings of files that are known and not read.
 _NOT_READ = {
     b"##TITLE": "JCAMP-DX", b"PE UV": "a PerkinElmer file", b"PE IR": "a PerkinElmer file",
-    b"PEPE": "a PerkinElmer file", b"PK\x03\x04": "a spreadsheet or zip file",
+    b"PEPE": "a PerkinElmer file", b"PK\x03\x04": "a spreadsheet, .npz or zip file",
     b"\xd0\xcf\x11\xe0": "an old spreadsheet", b"MATLAB": "a MATLAB file", b"\x93NUMPY": "a NumPy file",
     b"{": "JSON", b"<": "XML",
 }  # fmt: skip
