@@ -64,7 +64,7 @@ def test_weights_of_neighbours_are_fills_of_a_plank_as_large_as_a_pixel(fwhm):
     weights = pixel_weights(fwhm)
     assert weights.sum() == pytest.approx(1.0, abs=1e-12)
     assert np.array_equal(weights, weights[::-1])
-    fill = square_footprint(0.5, 0.5, 1.0, 0.0, fwhm).fill
+    _, _, fill = square_footprint(0.5, 0.5, 1.0, 0.0, fwhm)
     assert fill.sum() == pytest.approx(1.0, rel=1e-5)  # a plank's fills add up to its area
     down = fill.sum(axis=1)
     reach = min(down.size, weights.size) // 2
@@ -83,10 +83,9 @@ def test_the_model_and_the_simulation_find_the_same_fills():
         # A heading runs clockwise with lines counted downwards; the model's second axis points up.
         model = pixel_fills(geometry, [[dx, -dy]], [heading])[0][::-1]
         half = model.shape[0] // 2
-        found = square_footprint(20.5 + dy, 20.5 + dx, side, heading, fwhm)
+        line, sample, fill = square_footprint(20.5 + dy, 20.5 + dx, side, heading, fwhm)
         here = np.zeros((41, 41))
-        lines, samples = found.fill.shape
-        here[found.first_line :, found.first_sample :][:lines, :samples] = found.fill
+        here[line : line + fill.shape[0], sample : sample + fill.shape[1]] = fill
         window = here[20 - half : 21 + half, 20 - half : 21 + half]
         assert np.max(np.abs(window - model)) < 3e-4  # the cells' error on a fill up to 1
         assert model.max() > 0.02

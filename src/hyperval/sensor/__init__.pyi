@@ -4,7 +4,6 @@ from .noise import (
     ELECTRONS_PER_UNIT,
     NoiseBreakdown,
     NoiseModel,
-    RecordedNoise,
     aperture_throughput,
     bit_error_variance,
     calibration_variance,
@@ -47,7 +46,7 @@ from .specification import (
 
 __all__ = [
     "ELECTRONS_PER_UNIT", "Arm", "Bands", "Blur", "NoiseBreakdown", "NoiseModel", "PublishedSnr", "Quantity",
-    "RecordedNoise", "ReferenceScene", "Sensor", "SensorChanges", "SensorOperation", "SensorSpecification",
+    "ReferenceScene", "Sensor", "SensorChanges", "SensorOperation", "SensorSpecification",
     "SpectralShift", "Throughput", "aperture_throughput", "averaged_noise", "binned_axis", "binned_noise",
     "bit_error_variance", "calibration_variance", "changed_noise", "detector_radiance_variance",
     "detector_variance", "electrons_per_radiance", "f_number_throughput", "library_names", "load_sensor",

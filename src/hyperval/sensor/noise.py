@@ -9,7 +9,7 @@ Nyquist is 0.5.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -237,6 +237,9 @@ class NoiseModel:
     readings : readings averaged per number before it is used (co-adds, binning): they divide every variance
         but that of the calibration, and those of the digital word where they are averaged before recording
     digital_readings, calibration_readings : the same for the digital word and for C_R
+    gain, offset, factor : scalar or (B,).  Radiances are as recorded, L' = gain L + offset, and factor is on the noise
+        standard deviation [1].  The detector knows only L: the variance of L' is (gain factor)^2 times the variance
+        (3.16)-(3.19) at L = (L' - offset) / gain.
     """
 
     electrons_per_radiance: Array
@@ -253,10 +256,16 @@ class NoiseModel:
     readings: float = 1.0
     digital_readings: float = 1.0
     calibration_readings: float = 1.0
+    gain: float | Array = 1.0
+    offset: float | Array = 0.0
+    factor: float | Array = 1.0
+
+    def _true(self, radiance: npt.ArrayLike) -> Array:
+        return np.asarray((np.asarray(radiance, dtype=float) - self.offset) / self.gain)
 
     def breakdown(self, radiance: npt.ArrayLike) -> NoiseBreakdown:
         """The terms of (3.16)-(3.19) at ``radiance`` (..., B), apart from each other."""
-        level = np.asarray(radiance, dtype=float)
+        level, scale = self._true(radiance), (np.asarray(self.gain) * self.factor) ** 2
         g, gd2 = self.electrons_per_radiance, self.detector_gain**2
         zero = np.zeros(np.broadcast_shapes(level.shape, g.shape))
         shot = zero + gd2 * shot_variance(level, g) / g**2  # (3.13)
@@ -270,17 +279,18 @@ class NoiseModel:
                 bit_error_variance(self.lsb_electrons, self.bits, self.bit_error_rate, self.bit_error_per) / g**2
             )  # (3.19)
         return NoiseBreakdown(
-            shot / self.readings,
-            fixed / self.readings,
-            quantisation / self.digital_readings,
-            bit_errors / self.digital_readings,
-            zero + calibration_variance(level, self.calibration_percent) / self.calibration_readings,  # (3.17)
-            fit / self.readings,
+            scale * (shot / self.readings),
+            scale * (fixed / self.readings),
+            scale * (quantisation / self.digital_readings),
+            scale * (bit_errors / self.digital_readings),
+            scale
+            * (zero + calibration_variance(level, self.calibration_percent) / self.calibration_readings),  # (3.17)
+            scale * (fit / self.readings),
         )
 
     def variance(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
         """Noise variance (..., B) [radiance^2] at ``radiance`` (..., B): the sum of (3.16)-(3.19)."""
-        level = np.asarray(radiance, dtype=float)
+        level = self._true(radiance)
         if self.measured is not None:
             total = self.detector_gain**2 * measured_noise_variance(level, *self.measured) / self.readings
         else:
@@ -293,7 +303,7 @@ class NoiseModel:
             )
         if calibration:
             total = total + calibration_variance(level, self.calibration_percent) / self.calibration_readings
-        return np.asarray(total)
+        return np.asarray((np.asarray(self.gain) * self.factor) ** 2 * total)
 
     def snr(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
         """SNR (..., B) (3.20); with the calibration error it cannot exceed 100 / C_R."""
@@ -301,49 +311,13 @@ class NoiseModel:
 
     def full_scale_fraction(self, radiance: npt.ArrayLike) -> Array:
         """Signal (..., B) as a part of full scale [1]; above 1 the band saturates; NaN where that is not known."""
-        level = np.asarray(radiance, dtype=float)
+        level = self._true(radiance)
         return np.full_like(level, np.nan) if self.full_scale is None else np.asarray(level / self.full_scale)
 
 
 def signal_to_noise(radiance: npt.ArrayLike, variance: npt.ArrayLike) -> Array:
     """L over the root of all noise variances, in one unit (3.20) [1]."""
     return np.asarray(np.asarray(radiance, dtype=float) / np.sqrt(np.asarray(variance, dtype=float)))
-
-
-@dataclass(frozen=True)
-class RecordedNoise(NoiseModel):
-    """Noise in the units of a recorded radiance L' = gain L + offset, as a function of L'.
-
-    The detector knows only L: the variance of L' is (gain factor)^2 times the variance (3.16)-(3.19) at
-    L = (L' - offset) / gain.
-
-    Attributes
-    ----------
-    gain, offset : scalar or (B,) of the recorded radiance [1], [uW cm-2 sr-1 nm-1]
-    factor : scalar or (B,) on the noise standard deviation [1]
-    """
-
-    gain: float | Array = 1.0
-    offset: float | Array = 0.0
-    factor: float | Array = 1.0
-
-    def breakdown(self, radiance: npt.ArrayLike) -> NoiseBreakdown:
-        """The terms of (3.16)-(3.19) at the recorded radiance (..., B)."""
-        terms = super().breakdown(self._true(radiance))
-        scale = (np.asarray(self.gain) * self.factor) ** 2
-        return NoiseBreakdown(**{f.name: scale * getattr(terms, f.name) for f in fields(terms)})
-
-    def variance(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
-        """Variance (..., B) of the recorded radiance (..., B) (3.16)-(3.19)."""
-        inner = super().variance(self._true(radiance), calibration=calibration)
-        return np.asarray((np.asarray(self.gain) * self.factor) ** 2 * inner)
-
-    def full_scale_fraction(self, radiance: npt.ArrayLike) -> Array:
-        """True signal (..., B) as a part of full scale [1] at the recorded radiance (..., B)."""
-        return super().full_scale_fraction(self._true(radiance))
-
-    def _true(self, radiance: npt.ArrayLike) -> Array:
-        return np.asarray((np.asarray(radiance, dtype=float) - self.offset) / self.gain)
 
 
 def recorded_noise(
@@ -357,10 +331,7 @@ def recorded_noise(
     """The noise of a recorded radiance; ``signal_factor`` is on the electrons per radiance (3.13)."""
     if np.any(np.asarray(signal_factor) != 1.0):
         noise = with_signal(noise, np.asarray(signal_factor, dtype=float))
-    if all(np.all(np.asarray(x) == y) for x, y in ((gain, 1.0), (offset, 0.0), (factor, 1.0))):
-        return noise
-    inner = {f.name: getattr(noise, f.name) for f in fields(NoiseModel)}
-    return RecordedNoise(**inner, gain=gain, offset=offset, factor=factor)
+    return replace(noise, gain=gain, offset=offset, factor=factor)
 
 
 def with_signal(noise: NoiseModel, factor: float | Array) -> NoiseModel:

@@ -29,7 +29,7 @@ from hyperval.progress import track
 from hyperval.sensor import NoiseModel
 from hyperval.simulate import schema
 from hyperval.simulate.inputs import SimulationInputs, load_inputs
-from hyperval.simulate.layout import GroundLayout, Mask, lay_out, regions, touched
+from hyperval.simulate.layout import GroundLayout, Mask, lay_out, regions
 from hyperval.simulate.schema import SceneFile, load_scene
 from hyperval.simulate.surface import SurfaceRenderer
 from hyperval.spectra.axis import SpectralAxis
@@ -196,12 +196,11 @@ def write_targets(path: Path, scene: SceneFile, ground: GroundLayout) -> None:
     rows = []
     for plank in ground.planks:
         group, side = plank.group, plank.side_pixels * scene.gsd_m
-        lines, samples, fill = touched(plank)
-        best = int(np.argmax(fill))
+        best = int(np.argmax(plank.fills))
         rows.append((
             plank.name, group.name, group.material, group.host, group.fill, round(side, 6), round(side**2, 6),
             round(plank.centre_line, 4), round(plank.centre_sample, 4), group.phase, round(plank.heading_deg, 3),
-            int(lines[best]), int(samples[best]), round(float(fill[best]), 6), int(fill.size),
+            int(plank.lines[best]), int(plank.samples[best]), round(float(plank.fills[best]), 6), int(plank.fills.size),
         ))  # fmt: skip
     write_text(path, pd.DataFrame(rows, columns=TARGET_COLUMNS).to_csv(index=False, lineterminator="\n"))
 

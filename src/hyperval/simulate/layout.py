@@ -47,21 +47,6 @@ def pixel_weights(psf_fwhm_pixels: float, cells: int = SUPERSAMPLING) -> Array:
     return np.asarray(0.5 * (weights + weights[::-1]))
 
 
-@dataclass(frozen=True)
-class Footprint:
-    """The fills of the pixels around one plank.
-
-    Attributes
-    ----------
-    first_line, first_sample : pixel of ``fill[0, 0]``
-    fill : (n, m) share of each pixel's signal that comes from the plank
-    """
-
-    first_line: int
-    first_sample: int
-    fill: Array
-
-
 def _fine_response(first: int, count: int, psf_fwhm_pixels: float, cells: int) -> Array:
     """(count, count * cells) response of each pixel of a run to the fine cells of the same run."""
     response, _ = _line_spread(psf_fwhm_pixels, cells)
@@ -87,8 +72,8 @@ def square_footprint(
     heading_deg: float,
     psf_fwhm_pixels: float,
     cells: int = SUPERSAMPLING,
-) -> Footprint:
-    """Fills of all pixels that see a square plank.
+) -> tuple[int, int, Array]:
+    """Line and sample of the first pixel that sees a square plank, and the fills of those from there on (n, m).
 
     Parameters
     ----------
@@ -115,12 +100,12 @@ def square_footprint(
     cover *= (side_pixels * cells) ** 2 / max(float(cover.sum()), 1e-300)
     vertical = _fine_response(first_line, lines, psf_fwhm_pixels, cells)
     across = _fine_response(first_sample, samples, psf_fwhm_pixels, cells)
-    return Footprint(first_line, first_sample, vertical @ cover @ across.T)
+    return first_line, first_sample, vertical @ cover @ across.T
 
 
 def centred_fill(side_pixels: float, psf_fwhm_pixels: float, cells: int = SUPERSAMPLING) -> float:
     """Largest fill of an unturned square plank whose centre is a pixel's centre."""
-    return float(square_footprint(0.5, 0.5, side_pixels, 0.0, psf_fwhm_pixels, cells).fill.max())
+    return float(square_footprint(0.5, 0.5, side_pixels, 0.0, psf_fwhm_pixels, cells)[2].max())
 
 
 def side_for_fill(fill: float, psf_fwhm_pixels: float, cells: int = SUPERSAMPLING) -> float:
@@ -140,7 +125,10 @@ SMALLEST_FILL = 1e-4  # a plank that gives less of a pixel's signal is left out 
 
 @dataclass(frozen=True)
 class Plank:
-    """One target object; positions in continuous pixel coordinates, side in pixels."""
+    """One target object; positions in continuous pixel coordinates, side in pixels.
+
+    ``lines``, ``samples``, ``fills`` : of the pixels that see it
+    """
 
     name: str
     group: TargetGroup
@@ -148,7 +136,9 @@ class Plank:
     centre_sample: float
     side_pixels: float
     heading_deg: float
-    footprint: Footprint
+    lines: npt.NDArray[np.intp]
+    samples: npt.NDArray[np.intp]
+    fills: Array
 
 
 @dataclass(frozen=True)
@@ -194,7 +184,12 @@ def lay_out(scene: SceneFile) -> GroundLayout:
     planks = tuple(plank for number, group in enumerate(scene.targets) for plank in _place(scene, number, group))
     fill = np.zeros(class_map.shape, np.float32)
     for plank in planks:
-        _add_fill(plank, surfaces.index(plank.group.host), class_map, fill)
+        at, host = (plank.lines, plank.samples), surfaces.index(plank.group.host)
+        inside = np.all([(own >= 0) & (own < size) for own, size in zip(at, fill.shape, strict=True)])
+        if not inside or np.any(class_map[at] != host):
+            where = {"centre_line": plank.centre_line, "centre_sample": plank.centre_sample}
+            raise refusal("scene.host", name=plank.name, host=plank.group.host, **where)
+        fill[at] += plank.fills.astype(np.float32)
     if fill.size and float(fill.max()) > 1.0 + 1e-5:
         raise UsageError("planks of different groups overlap", where=scene.name, mend="move their areas apart")
     return GroundLayout(surfaces, class_map, on_panel, planks, fill)
@@ -216,62 +211,34 @@ def _place(scene: SceneFile, number: int, group: TargetGroup) -> list[Plank]:
         shift = rng.uniform(-0.5, 0.5, 2) if group.phase == "random" else np.zeros(2)
         heading = float(rng.uniform(0.0, 90.0)) if group.heading_deg == "random" else group.heading_deg
         y, x = row + 0.5 + shift[0], column + 0.5 + shift[1]
-        footprint = square_footprint(y, x, side, heading, psf)
-        planks.append(Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, footprint))
+        first_line, first_sample, fill = square_footprint(y, x, side, heading, psf)
+        lines, samples = np.nonzero(fill >= SMALLEST_FILL)
+        pixels = lines + first_line, samples + first_sample, fill[lines, samples]
+        planks.append(Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, *pixels))
     return planks
 
 
-def touched(plank: Plank) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.float64]]:
-    """Lines, samples and fills of the pixels that see a plank."""
-    fill = plank.footprint.fill
-    rows, columns = np.nonzero(fill >= SMALLEST_FILL)
-    return rows + plank.footprint.first_line, columns + plank.footprint.first_sample, fill[rows, columns]
-
-
-def _add_fill(plank: Plank, host: int, class_map: npt.NDArray[np.uint8], total: npt.NDArray[np.float32]) -> None:
-    lines, samples, fill = touched(plank)
-    inside = (lines >= 0) & (samples >= 0) & (lines < total.shape[0]) & (samples < total.shape[1])
-    if not inside.all() or np.any(class_map[lines, samples] != host):
-        raise refusal(
-            "scene.host",
-            name=plank.name,
-            centre_line=plank.centre_line,
-            centre_sample=plank.centre_sample,
-            host=plank.group.host,
-        )
-    total[lines, samples] += fill.astype(np.float32)
-
-
-def class_region(ground: GroundLayout, surface: str, border_pixels: int, guard_pixels: int) -> Mask:
-    """Pixels of a class away from its borders, from the panels and from every plank."""
-    own = (ground.class_map == ground.surfaces.index(surface)) & ~ground.on_panel
-    mask: Mask = own
-    if border_pixels:
-        square = np.ones((2 * border_pixels + 1,) * 2, bool)
-        mask = ndimage.binary_erosion(own, square, border_value=1)
-    seen = ground.fill > 0.0
-    centres = np.zeros(seen.shape, bool)
-    for plank in ground.planks:
-        centres[int(plank.centre_line), int(plank.centre_sample)] = True
-    guard = ndimage.binary_dilation(centres, np.ones((2 * guard_pixels + 1,) * 2, bool))
-    return np.asarray(mask & ~seen & ~guard)
-
-
 def regions(scene: SceneFile, ground: GroundLayout) -> dict[str, Mask]:
-    """The regions of interest by name: panel interiors first, then the classes.
+    """The regions of interest by name: panel interiors first, then classes away from borders, panels and planks.
 
     Raises
     ------
     UsageError : a region that holds no pixel.
     """
-    masks: dict[str, Mask] = {}
+    masks, guard = dict[str, Mask](), scene.target_guard_pixels
+    centres = np.zeros(ground.class_map.shape, bool)
+    for plank in ground.planks:
+        centres[int(plank.centre_line), int(plank.centre_sample)] = True
+    clear = (ground.fill == 0.0) & ~ndimage.binary_dilation(centres, np.ones((2 * guard + 1,) * 2, bool))
     for panel in scene.panels:
         mask = np.zeros(ground.class_map.shape, bool)
         b = panel.border_pixels
         mask[panel.lines[0] + b : panel.lines[1] - b, panel.samples[0] + b : panel.samples[1] - b] = True
         masks[panel.name] = mask
     for region in scene.regions:
-        masks[region.name] = class_region(ground, region.surface, region.border_pixels, scene.target_guard_pixels)
+        own = (ground.class_map == ground.surfaces.index(region.surface)) & ~ground.on_panel
+        square = np.ones((2 * region.border_pixels + 1,) * 2, bool)
+        masks[region.name] = ndimage.binary_erosion(own, square, border_value=1) & clear
     for name, mask in masks.items():
         if not mask.any():
             raise UsageError(f"the region {name!r} holds no pixel", where=scene.name, mend="lower its border_pixels")

@@ -11,7 +11,7 @@ from scipy import ndimage, special
 
 from hyperval.data import ClassStatistics
 from hyperval.simulate import schema
-from hyperval.simulate.layout import SMALLEST_FILL, GroundLayout, pixel_weights, touched
+from hyperval.simulate.layout import SMALLEST_FILL, GroundLayout, pixel_weights
 from hyperval.simulate.schema import Admixture, SceneFile
 
 Field = npt.NDArray[np.float32]
@@ -149,11 +149,11 @@ class SurfaceRenderer:
             drawn.append(sampler(classes[group.material]).draw(group.count, rng))
         self.target_spectra = np.concatenate(drawn)
         # Of every pixel that sees a plank its line, sample, number of the plank and fill.
-        each, none = [touched(plank) for plank in ground.planks], np.zeros(0, np.intp)
-        self._lines = np.concatenate([none, *(lines for lines, _, _ in each)])
-        self._samples = np.concatenate([none, *(samples for _, samples, _ in each)])
-        self._numbers = np.repeat(np.arange(len(each)), [fills.size for _, _, fills in each])
-        self._fills = np.concatenate([none, *(fills for _, _, fills in each)]).astype(np.float32)
+        planks, none = ground.planks, np.zeros(0, np.intp)
+        self._lines = np.concatenate([none, *(plank.lines for plank in planks)])
+        self._samples = np.concatenate([none, *(plank.samples for plank in planks)])
+        self._numbers = np.repeat(np.arange(len(planks)), [plank.fills.size for plank in planks])
+        self._fills = np.concatenate([none, *(plank.fills for plank in planks)]).astype(np.float32)
 
     def shares(self, line: int) -> Array:
         """(classes, samples) share of each surface in the pixels of one line, planks apart."""
