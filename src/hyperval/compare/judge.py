@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from hyperval.compare.rows import COMPARISON
 from hyperval.config import Model
-from hyperval.errors import UsageError, refusal, refuse
+from hyperval.errors import UsageError, refuse
 from hyperval.metrics import Kind, base_name, metric_of, product_words
 from hyperval.model.intervals import Z95, clopper_pearson
 from hyperval.results import Cause, Outcome, Result, Role
@@ -92,9 +92,9 @@ class Gate(Model):
             refuse(ends is not None and not ends[0] < ends[1], "gate.empty", name=name, ends=ends)
         refuse(self.chosen_after != bool(self.before), "gate.before")
         known, limit, (floor, ceiling) = metric_of(self.metric), self.limit_text, self.limits
-        if floor <= known.low and ceiling >= known.high:
-            bounded = "gate.all" if math.isfinite(known.low) else "gate.ever"
-            raise refusal(bounded, metric=self.metric, low=known.low, high=known.high, limit=limit)
+        whole, bounded = floor <= known.low and ceiling >= known.high, math.isfinite(known.low)
+        ends = (known.low, known.high)
+        refuse(whole, "gate.all" if bounded else "gate.ever", metric=self.metric, ends=ends, limit=limit)
         # A ratio to the collected value may be larger than 1, but a limit of 100 % or more is a slip of the pen.
         relative = (known.agreement == 0.0 and "difference_ratio" in known.name) or known.name == "bias_ratio"
         refuse(relative and max(abs(x) for x in self.limits if math.isfinite(x)) >= 1.0, "gate.percent", limit=limit)
