@@ -56,7 +56,6 @@ def test_links_are_shared_and_those_that_lead_nowhere_replaced(tmp_path):
     (folder / "libgfortran.so.5").symlink_to(tmp_path / "gone")
     assert sixs._linked(library, tmp_path) == folder
     assert (folder / "libgfortran.so.5").resolve() == library.resolve()
-    assert [p.name for p in folder.parent.iterdir()] == [folder.name]
     assert not list(folder.glob(".*"))  # nothing temporary stays behind
 
 

@@ -23,7 +23,6 @@ def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
     path = day_file(tmp_path)
     day = spectra.read_radcalnet(path)
     assert (day.site, day.latitude_deg, day.longitude_deg, day.altitude_m) == ("XXXX01", 40.5, -109.5, 1270.0)
-    assert day.quantity == "reflectance"
     assert day.times == (datetime(2020, 2, 29, 3, 30, tzinfo=UTC), datetime(2020, 2, 29, 4, 0, tzinfo=UTC))
     assert day.wavelength_nm.tolist() == [400.0, 410.0, 420.0]
     np.testing.assert_array_equal(day.values, [[0.10, np.nan, 0.12], [0.20, 0.21, 0.22]])
@@ -41,6 +40,8 @@ def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
         spectra.read_spectrum(day_file(tmp_path, name="day.output"), record="03:30")
     with pytest.raises(UsageError, match=r"\.input \(surface\)"):
         spectra.read_radcalnet(day_file(tmp_path, name="day.txt"))
+    sunlit = day_file(tmp_path, RADCALNET.replace("Type:", "Zen:\t64\t59\nAzi:\t46\t41\nType:"), "day.txt")
+    assert spectra.read_radcalnet(sunlit).quantity == day.quantity.replace("ref", "top-of-atmosphere ref")
 
 
 @pytest.mark.parametrize("case", yaml.safe_load(Path(__file__).with_name("days.yaml").read_text("utf-8")))
