@@ -18,7 +18,7 @@ from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_val
 from hyperval.model.detection import FILL_NODES, class_scores, noise_of, target_pixels, target_scores
 from hyperval.model.stated import SurfaceStatistics
 from hyperval.scenario import Scenario
-from hyperval.sensor import NoiseModel
+from hyperval.sensor import NoiseModel, Sensor
 from hyperval.spectra import SpectralAxis
 
 B = 4
@@ -66,8 +66,8 @@ def both(**more: np.ndarray) -> World:
     """The two truths."""
     measured = {n: ClassStatistics(n, AXIS, s.mean, s.covariance, 40) for n, s in SURFACES.items()}
     sensor = SimpleNamespace(
-        axis=AXIS, noise=lambda axis, operation: NOISE[0], true_axis=lambda axis, operation: axis,
-        specification=SimpleNamespace(psf=None),
+        axis=AXIS, noise=lambda *a: NOISE[0], true_axis=lambda axis, *a: axis, notes=lambda *a: [],
+        specification=SimpleNamespace(psf=None), operated_noise=lambda *a: Sensor.operated_noise(sensor, *a),
     )  # fmt: skip
     origins = Origins(
         AXIS, measured, engine=lambda state: replace(TERMS[int(state.aot550 > 0)], fwhm_nm=AXIS.fwhm_nm), sensor=sensor
