@@ -25,10 +25,13 @@ class Errors(NamedTuple):
     ----------
     rows : (K, B) change by one standard uncertainty along each direction
     dof : degrees of freedom behind them, where they were estimated from samples
+    size, unit : standard uncertainty of the input behind them, in its own unit; NaN where it has no single one
     """
 
     rows: Array
     dof: float = np.inf
+    size: float = np.nan
+    unit: str = ""
 
     @property
     def covariance(self) -> Array:

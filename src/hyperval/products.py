@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import Errors
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -66,6 +67,7 @@ class SpectralEstimate:
         side shares with it; None where that holds all
     rounding : (B,) variance that storing whole steps adds to that from pixel to pixel: step^2/12; 0 without
     calibration : (B, B) part of ``error_covariance`` that all spectra of the collection share; None without
+    errors : of a prediction, by source: a direction of one source is the same draw in all of its spectra
     """
 
     mean: Array
@@ -78,6 +80,7 @@ class SpectralEstimate:
     stated: Array | None = field(default=None, compare=False, repr=False)
     rounding: Array | float = field(default=0.0, compare=False, repr=False)
     calibration: Array | None = field(default=None, compare=False, repr=False)
+    errors: Mapping[str, Errors] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def standard_uncertainty(self) -> Array:

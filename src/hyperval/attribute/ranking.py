@@ -223,8 +223,9 @@ def _moves(part: Array, whole: Array) -> bool:
 
 def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Explanation]:
     found = [explanation(data, g, candidate, MOST_UNITS) for candidate, g in columns.items()]
-    # Of inputs that explain the same, rounding shall not say which comes first.
-    return sorted(found, key=lambda r: (-float(f"{r.gain:.6g}"), r.candidate.name))
+    # One that would have to move farther than it can is no first reason.  Of inputs that explain the same, rounding
+    # shall not say which comes first.
+    return sorted(found, key=lambda r: (r.limited, -float(f"{r.gain:.6g}"), r.candidate.name))
 
 
 def budget_covariance(columns: Mapping[Candidate, Array], size: int) -> Array:

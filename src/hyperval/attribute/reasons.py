@@ -30,6 +30,10 @@ from hyperval.settings import with_settings
 ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
 MOST_TOGETHER = 6
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
+# A gain and an offset of the calibration that change smoothly over wavelength: a piece at each knot.
+SMOOTH = {"smooth gain of the sensor": False, "smooth offset of the sensor": True}
+SMOOTH_PART = 0.03
+KNOTS_NM = np.array([400, 430, 460, 500, 550, 600, 650, 700, 800, 900, 1000, 1200, 1400, 1650, 2000, 2250, 2500], float)
 SINGLE_BANDS = 0.01
 FACTOR = 2.0  # a ratio of false alarms within it is good
 _EVERYTHING = "every input"
@@ -108,6 +112,9 @@ def attribute(
         ends[candidate] = pairs[0][0][1], pairs[0][1][1]
     if (bands := SINGLE_BANDS * stack.single_bands()).size:
         columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
+    for name, alike in SMOOTH.items():
+        if np.any(pieces := SMOOTH_PART * stack.pieces(observed.axis.centre_nm, KNOTS_NM, alike=alike)):
+            columns[Candidate(name, "sensor", f"{100 * SMOOTH_PART:g} % in smooth pieces", False)] = pieces
     predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
     budget = budget_covariance(columns, predicted.size)
     covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)

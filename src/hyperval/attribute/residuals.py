@@ -162,6 +162,22 @@ class Stack:
                 out[rows, np.searchsorted(used, block.bands)] = block.observed
         return out
 
+    def pieces(self, centre_nm: Array, knots_nm: Array, *, alike: bool) -> Array:
+        """(n, K) radiance by smooth pieces over wavelength: column k is 1 at a knot and falls to 0 at its neighbours,
+        times what each subject shows (a gain) or, ``alike``, what all of them show on average in a band (an offset).
+        """
+        spectra = [(b, at, b.bands) for b, at in self.placed() if b.product == "radiance" and b.bands is not None]
+        out = np.zeros((sum(b.observed.size for b in self.blocks), len(knots_nm)))
+        sums, counts = np.zeros(centre_nm.size), np.zeros(centre_nm.size)
+        for block, _, bands in spectra:
+            sums[bands] += block.observed
+            counts[bands] += 1.0
+        for block, at, bands in spectra:
+            level = sums[bands] / counts[bands] if alike else block.observed
+            hats = [np.interp(centre_nm[bands], knots_nm, one) for one in np.eye(len(knots_nm))]
+            out[at] = np.transpose(hats) * level[:, None]
+        return out
+
     def common_bands(self) -> tuple[Indices, Array]:
         """Entries (m,) of spectra in bands that two and more subjects show, and columns (m, K) of those bands.
 

@@ -34,7 +34,7 @@ from hyperval.statistics_library import builtin_class
 
 FILE, VALUE, COMPARISON, NAME = "file", "value", "comparison", "name"
 PRESENT, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
-NEVER_MET = "can never be met"
+NEVER_MET, INCONCLUSIVE = "can never be met", "inconclusive"
 Find = Callable[[str], Path]
 
 
@@ -145,19 +145,27 @@ def _items(job: Job) -> list[Item]:
     scenarios = [] if job.to_fill_in else _scenarios(job)
     if not any(item.lacking for item in items):
         items += _mistakes(job, scenarios)
-    return items if any(item.lacking for item in items) else [*items, *_never_met(job)]
+    return items if any(item.lacking for item in items) else [*items, *_undecided(job)]
 
 
-def _never_met(job: Job) -> list[Item]:
-    """Criteria whose intervals, as far as they are known beforehand, are wider than their ranges."""
+def _undecided(job: Job) -> list[Item]:
+    """Criteria that what is known beforehand does not decide, those wider than their ranges among them."""
     campaign = job.campaign
     if campaign.collection.cube is not None or not campaign.scenarios or not any(g.gate for g in campaign.comparisons):
         return []
-    from hyperval.campaign.run import never_met_by
+    from hyperval.campaign.run import undecided_by
     from hyperval.results import row_name
 
-    found = [(f"{row.product} {row_name(row)}", f"it takes {better}") for row, better in never_met_by(job)]
-    return [Item("", COMPARISON, NEVER_MET, *words) for words in found]
+    return [
+        Item(
+            "",
+            COMPARISON,
+            NEVER_MET if row.never_met else INCONCLUSIVE,
+            f"{row.product} {row_name(row)}",
+            f"it takes {words}",
+        )
+        for row, words in undecided_by(job)
+    ]
 
 
 def _file(reference: Reference, job: Job) -> list[Item]:

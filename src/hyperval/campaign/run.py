@@ -106,10 +106,12 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
 
         prediction = predicted_side(side, predicted)
         rows = outcomes(side, prediction)
-        never = never_met(rows, prediction, observed.observation)
+        deciding = undecided(rows, prediction, observed.observation)
+        told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
+        rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         rows += reasons(side, prediction, show_progress=show_progress)
         eigenvalues, tails = spread_curves(prediction, observed.observation)
-        more = {"kind": "Campaign", "never_met": never, "eigenvalues": eigenvalues, "tails": tails}
+        more = {"kind": "Campaign", "deciding": deciding, "eigenvalues": eigenvalues, "tails": tails}
     else:
         from hyperval.compare.products import product_rows
 
@@ -185,20 +187,22 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     return judged(rows, side.campaign.comparisons)
 
 
-def never_met(rows: Iterable[Result], prediction: Products, observation: Products) -> list[tuple[Result, str]]:
-    """The criteria that can never be met, each with what would have to be known better for it."""
-    from hyperval.compare.spectra import would_take
+def undecided(rows: Iterable[Result], prediction: Products, observation: Products) -> list[tuple[Result, str]]:
+    """The inconclusive criteria, each with what would have to be known better, or counted, to decide it."""
+    from hyperval.compare.joint import would_decide
 
-    return [(row, would_take(row, prediction, observation)) for row in rows if row.never_met]
+    found = [(row, would_decide(row, prediction, observation)) for row in rows
+             if row.gates and row.outcome is Outcome.UNDECIDED]  # fmt: skip
+    return [(row, words) for row, words in found if words]
 
 
-def never_met_by(job: Job) -> list[tuple[Result, str]]:
+def undecided_by(job: Job) -> list[tuple[Result, str]]:
     """Those of a campaign whose collection takes no time to look at."""
     from hyperval.campaign.sides import predicted_side
 
     with collected(job, show_progress=False) as side:
         prediction = predicted_side(side, [predict(s, side.origins(s, False)) for s in side.scenarios])
-        return never_met(outcomes(side, prediction), prediction, side.observed.observation)
+        return undecided(outcomes(side, prediction), prediction, side.observed.observation)
 
 
 def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bool | None = None) -> list[Result]:

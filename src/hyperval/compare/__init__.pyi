@@ -19,6 +19,7 @@ from .detection import (
     probability_integral_transform,
     transforms_of_draws,
 )
+from .joint import compare_jointly, would_decide
 from .judge import (
     Gate,
     against_range,
@@ -66,6 +67,7 @@ __all__ = [
     "compare_covariance",
     "compare_distribution",
     "compare_exceedance",
+    "compare_jointly",
     "compare_object_scores",
     "compare_products",
     "compare_roc",
@@ -101,5 +103,6 @@ __all__ = [
     "tail_probability",
     "transforms_of_draws",
     "whitening",
+    "would_decide",
     "z_scores",
 ]

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hyperval.compare import covariance, detection, spectra
+from hyperval.compare import covariance, detection, joint, spectra
 from hyperval.compare.rows import named, row, scientific, skipped
 from hyperval.errors import refuse
 from hyperval.model.intervals import Z95
@@ -134,6 +134,7 @@ def compare_products(
     rows: list[Result] = []
     for product in SPECTRA:
         rows += of(spectra.compare_spectra, product, product=product, axis=axis)
+    rows += named(joint.compare_jointly(predicted, observed), "radiance", joint.ALL_SUBJECTS, method)
     for quantity in SPREAD:
         for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
             spread = covariance.compare_covariance(predicted, observed, subject, quantity)

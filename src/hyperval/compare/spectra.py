@@ -14,10 +14,9 @@ import scipy
 
 from hyperval.compare.rows import Array, Interval, Mask, row, skipped
 from hyperval.errors import refuse
-from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
 from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty
-from hyperval.products import EstimatedPart, Products, SpectralEstimate
+from hyperval.products import EstimatedPart, SpectralEstimate
 from hyperval.results import Cause, Effect, Result
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
 
@@ -549,32 +548,6 @@ def leading_source(predicted: SpectralEstimate, observed: SpectralEstimate, band
     """
     name, share = next(iter(_shares(predicted, observed, bands)), ("", 0.0))
     return f"{100.0 * share:.0f} % of the variance: {name}" if share > 0.5 else ""
-
-
-def would_take(row: Result, predicted: Products, observed: Products) -> str:
-    """What would have to be known better, and how well, for a criterion that can never be met; in words.
-
-    Of a level of a spectrum the least number of sources, the largest first, that make the interval as narrow as its
-    range when they alone are known so many times better.  The variance of each side over the bands is shared out
-    among its sources by their budget.
-    """
-    times, metric = row.shortfall, metric_of(row.metric)
-    if metric.kind is Kind.TEST:
-        return f"all that is stated known {times:.2g} times better, to detect {metric.departure or 'what it is for'}"
-    if not math.isfinite(times):
-        return f"more than {row.n} rows"
-    left, right = (getattr(side, row.product, {}).get(row.subject) for side in (predicted, observed))
-    if not isinstance(left, SpectralEstimate) or not isinstance(right, SpectralEstimate):
-        return f"an interval {times:.2g} times narrower"
-    parts = regions(observed.axis)
-    bands = parts.get(row.metric.rpartition("_")[2], parts["windows"]) & comparable_bands(left, right, observed.axis)
-    shares = _shares(left, right, bands)
-    for count in range(1, len(shares) + 1):
-        share = sum(part for _, part in shares[:count])
-        if (rest := 1.0 / times**2 - (1.0 - share)) > share / _BETTER**2:
-            names = " and ".join(name for name, _ in shares[:count])
-            return f"{names} known {math.sqrt(share / rest):.2g} times better ({share:.0%} of the variance)"
-    return f"every source known {times:.2g} times better"
 
 
 def _shares(left: SpectralEstimate, right: SpectralEstimate, bands: Mask) -> list[tuple[str, float]]:

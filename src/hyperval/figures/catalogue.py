@@ -10,9 +10,11 @@ import numpy as np
 
 from hyperval.figures import detection, spectra
 from hyperval.figures.spec import (
+    DIFFERENCE,
     MET,
     NOT_MET,
     SIDES,
+    WAVELENGTH,
     Axis,
     ColourScale,
     EigenvalueSpectrum,
@@ -23,6 +25,7 @@ from hyperval.figures.spec import (
     left_out,
     of_rows,
     row_names,
+    single,
 )
 from hyperval.results import Result, ResultTable
 
@@ -80,12 +83,13 @@ def reason_figures(table: ResultTable) -> list[Figure]:
     """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
     gains = [r for r in table.where(product="attribution") if r.metric == "likelihood_gain"]
     whole = sorted((r for r in gains if r.subject == _ALL), key=lambda r: -r.value)
-    single = [r for r in gains if r.subject != _ALL]
+    others = [r for r in gains if r.subject != _ALL]
     moves = [r for r in table.where(product="sensitivity") if r.metric.endswith("_change")]
     outcomes = [r for r in table.where(product="what-if") if r.metric == "reduced_chi_square"]
     made = (
         _inputs(whole[:_MOST_INPUTS], table) if whole else None,
-        _by_subject(single) if single else None,
+        _gain(table),
+        _by_subject(others) if others else None,
         _effects(moves) if moves else None,
         _what_ifs(outcomes) if outcomes else None,
     )
@@ -115,6 +119,22 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     title = "Which input, were it less well known, would explain the differences"
     y = row_names(names, _LONGEST)
     return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
+
+
+def _gain(table: ResultTable) -> Figure | None:
+    """The gain of the sensor that would explain the radiance of all subjects, over wavelength."""
+    every = [r for r in table.where(product="radiance") if r.metric.startswith("sensor_gain@")]
+    if not every:
+        return None
+    columns = {"x": np.array([float(r.metric.partition("@")[2]) for r in every])}
+    columns |= dict(zip(("y", "low", "high"), np.array([(r.value, r.lower, r.upper) for r in every]).T, strict=True))
+    mark = Mark("line", columns, "gain, 95 % interval", DIFFERENCE, marker="circle")
+    far = max(every, key=lambda r: abs(r.value - 1.0))
+    title = "The gain of the sensor that would explain the radiance of all subjects"
+    alt = f"{title}, farthest from 1: {far.value:.2f} ({far.lower:.2f} to {far.upper:.2f}) at "
+    alt += f"{far.metric.partition('@')[2]} nm."
+    view = single(Axis(WAVELENGTH), "measured / predicted radiance", [mark], level=1.0)
+    return Figure("sensor-gain", "attribution", title, alt, (view,))
 
 
 def _by_subject(rows: Sequence[Result]) -> Figure | None:

@@ -133,7 +133,9 @@ def row_label(row: Result, *, several: bool = False) -> str:
     """Subject, and where in the spectrum or on the curve."""
     subject = {"*": "all subjects", "all objects": ""}.get(row.subject, row.subject).replace("_", " ")
     base, _, at = row.metric.partition("@")
-    region = f"P_FA {at}" if at.startswith("1e") else at.replace("-", " ")
+    ends = at.split("-")
+    nm = len(ends) == 2 and all(end.isdecimal() for end in ends)
+    region = f"P_FA {at}" if at.startswith("1e") else f"{'–'.join(ends)} nm" if nm else " ".join(ends)
     region = region or _REGIONS.get(base.rsplit("_", 1)[-1], "")
     return ", ".join(word for word in (subject, region, _words(row) if several else "") if word) or _words(row)
 

@@ -192,6 +192,7 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     the rest held.
     """
     out: dict[tuple[str, str], dict[str, list[Array]]] = {}
+    scales: dict[str, tuple[float, str]] = {}
     for item in inputs:
         if find(world.stated, item.path).field in _SEEN_BY_NO_SPECTRUM:
             continue
@@ -206,8 +207,15 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 if of_spectrum and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
                 name = "field spectrum" if of_spectrum else item.name
+                scales[f"{name} {key[1]}" if of_spectrum else name] = item.scale
                 out.setdefault(key, {}).setdefault(name, []).append(np.nan_to_num(rows))
-    return {key: {name: Errors(np.concatenate(r)) for name, r in each.items()} for key, each in out.items()}
+    return {
+        key: {
+            name: Errors(np.concatenate(r), np.inf, *scales.get(name, scales.get(f"{name} {key[1]}", (np.nan, ""))))
+            for name, r in each.items()
+        }
+        for key, each in out.items()
+    }
 
 
 def half_differences(world: World, size: int) -> dict[tuple[str, str], Array]:
@@ -250,8 +258,10 @@ def spectral_products(e: Evaluation, u: int, errors: SpectralErrors) -> dict[str
             for key in (name, without_calibration_error(name)):
                 if (product, key) in means:
                     pixel, shapes = spreads.get(product, (None, {}))
-                    total, budget = combined(errors.get((product, key), {}), shapes, bands)
-                    out[product][key] = SpectralEstimate(means[product, key], total, pixel, None, budget)
+                    own = errors.get((product, key), {})
+                    total, budget = combined(own, shapes, bands)
+                    estimate = SpectralEstimate(means[product, key], total, pixel, None, budget)
+                    out[product][key] = replace(estimate, errors={} if product == "snr" else own)
         if light.radiant and light.noise is not None:
             if light.noise.full_scale is not None:
                 out["full_scale"][name] = light.noise.full_scale_fraction(level)

@@ -116,6 +116,7 @@ Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]
 
 
 Source = Literal["stated", "usual"]
+_UNITS = {"_g_cm2": "g cm-2", "_atm_cm": "atm cm", "_km": "km", "_deg": "degrees"}  # by the end of a path
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +158,16 @@ class UncertainInput:
         """The surface whose mean it is; empty for anything else."""
         parts = path_parts(self.path)
         return parts[1] if parts[0] == "surfaces" and parts[2] == "mean" else ""
+
+    @property
+    def scale(self) -> tuple[float, str]:
+        """Standard uncertainty and its unit: per cent of what stands there where that is a spectrum or a factor."""
+        sd = np.sqrt((self.rows**2).sum(axis=0))
+        if self.path.startswith("atmosphere."):
+            unit = next((words for end, words in _UNITS.items() if self.path.endswith(end)), "")
+            return float(sd[0]), unit
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(np.nanmedian(100.0 * sd / np.abs(self.nominal))), "%"
 
     @property
     def of_light(self) -> bool:

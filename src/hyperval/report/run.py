@@ -50,7 +50,7 @@ class RunReport:
     eigenvalues : (subject, quantity) -> eigenvalues of both sides
     tails : subject -> tails of both sides
     chosen_after : (what, as it was before) of each range that was chosen after its data were seen
-    never_met : criteria that can never be met, and what would have to be known better for it
+    deciding : inconclusive criteria, and what would decide each
     power : which standard errors the campaign would detect, None where that was not worked out
     remedy : how to get the collection of a run that was skipped for lack of it
     kind : what the page is: "Campaign" for both sides compared, else what it shows
@@ -72,7 +72,7 @@ class RunReport:
     eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum] = field(default_factory=dict)
     tails: Mapping[str, TailCurve] = field(default_factory=dict)
     chosen_after: Sequence[tuple[str, str]] = ()
-    never_met: Sequence[tuple[Result, str]] = ()
+    deciding: Sequence[tuple[Result, str]] = ()
     power: PowerWords | None = None
     kind: str = "Campaign"
     sentence: str = ""
