@@ -110,8 +110,9 @@ def _stream(address: str, output: str, size: int, mend: str) -> None:
             passed = monotonic() - since
             if passed > PATIENCE_S:
                 rate = (received - mark) / passed
-                why = f"the server sends {rate:.0f} bytes a second"
-                refuse(rate < LEAST_BYTES_PER_S, "data.download", address, why=why, mend=mend)
+                if rate < LEAST_BYTES_PER_S:
+                    why = f"the server sends {rate:.0f} bytes a second"
+                    raise refusal("data.download", address, why=why, mend=mend)
                 since, mark = monotonic(), received
 
 

@@ -41,7 +41,7 @@ from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
-from xml.sax.saxutils import quoteattr
+from xml.etree import ElementTree
 
 import h5netcdf
 import h5py
@@ -276,10 +276,15 @@ def write_table(table: Iterable[Result], folder: Path) -> None:
     write_text(folder / JUNIT, junit_xml(rows))
 
 
-def write_joined(folder: Path, names: Sequence[str], page: str, parts: Path | None = None) -> None:
+def write_joined(
+    folder: Path, names: Sequence[str], planned: Iterable[Result], page: str, parts: Path | None = None
+) -> None:
     """Write the page and the tables of several runs, whose folders come into ``folder`` under these names.
 
-    ``parts`` : where they stand until then; default: there
+    Parameters
+    ----------
+    planned : at least their planned rows
+    parts : where they stand until then; default: there
     """
     parts = parts or folder
     for name in (CSV, "summary.csv"):
@@ -294,7 +299,7 @@ def write_joined(folder: Path, names: Sequence[str], page: str, parts: Path | No
     is_small = sum(counts.values()) <= MOST_JOINED
     rows = chain.from_iterable(read_rows(parts / name) for name in names) if is_small else []
     write_text(folder / TABLE, _document(rows, counts, {"runs": list(names)}))
-    write_text(folder / JUNIT, _joined_junit([(parts / name / JUNIT).read_text("utf-8") for name in names]))
+    write_text(folder / JUNIT, junit_xml(planned))
     write_text(folder / PAGE, page)
 
 
@@ -310,15 +315,6 @@ def _json_head(path: Path) -> dict[str, Any]:
     with open(path, encoding="utf-8") as stream:
         text = "".join(takewhile(lambda line: line != ' "rows": [\n', stream)).rstrip()
     return dict(json.loads(text.removesuffix(",") + "}" if text.endswith(",") else text))
-
-
-def _joined_junit(texts: Iterable[str]) -> str:
-    totals: Counter[str] = Counter()
-    suites = []
-    for _, head, body in (text.split("\n", 2) for text in texts):
-        totals.update({key: int(number) for key, number in re.findall(r' (\w+)="(\d+)"', head)})
-        suites.append(body.removesuffix("</testsuites>\n"))
-    return _junit("".join(suites), [totals[k] for k in ("tests", "failures", "errors", "skipped")])
 
 
 def results_csv(rows: Iterable[Result]) -> str:
@@ -358,35 +354,27 @@ def junit_xml(rows: Iterable[Result]) -> str:
         suites.setdefault(row.campaign, [])
         if row.gates or row.outcome is Outcome.ERROR:
             suites[row.campaign].append(row)
-    text = ""
-    for campaign, suite in suites.items():
-        text += f" <testsuite name={_attribute(campaign)} {_totals(_tally(suite))}>\n"
-        text += "".join(f"{_test_case(row)}\n" for row in suite) + " </testsuite>\n"
-    return _junit(text, _tally(list(chain.from_iterable(suites.values()))))
+    root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(chain.from_iterable(suites.values()))})
+    for campaign, own in suites.items():
+        suite = ElementTree.SubElement(root, "testsuite", {"name": _in_xml(campaign), **_tally(own)})
+        for row in own:
+            names = {"classname": _in_xml(f"{row.campaign}.{row.product}"), "name": _in_xml(row_name(row))}
+            case = ElementTree.SubElement(suite, "testcase", names)
+            if element := _ELEMENTS.get(row.outcome):
+                undecided = f"undecided: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
+                ElementTree.SubElement(case, element, message=_in_xml(undecided + _why(row)))
+    ElementTree.indent(root, " ")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
 
 
-def _junit(suites: str, totals: Sequence[int]) -> str:
-    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
-    return f'{head}<testsuites name="hyperval" {_totals(totals)}>\n{suites}</testsuites>\n'
+def _tally(rows: Iterable[Result]) -> dict[str, str]:
+    count = Counter(_ELEMENTS.get(row.outcome, "") for row in rows)
+    parts = {"tests": count.total(), **{f"{name}s": count[name] for name in ("failure", "error")}}
+    return {name: str(number) for name, number in {**parts, "skipped": count["skipped"]}.items()}
 
 
-def _tally(rows: Sequence[Result]) -> list[int]:
-    count = Counter(_ELEMENTS.get(row.outcome) for row in rows)
-    return [len(rows), *(count[element] for element in ("failure", "error", "skipped"))]
-
-
-def _totals(numbers: Sequence[int]) -> str:
-    return 'tests="{}" failures="{}" errors="{}" skipped="{}"'.format(*numbers)
-
-
-def _test_case(row: Result) -> str:
-    head = f"  <testcase classname={_attribute(f'{row.campaign}.{row.product}')} name={_attribute(row_name(row))}"
-    element = _ELEMENTS.get(row.outcome)
-    if element is None:
-        return head + "/>"
-    undecided = f"undecided: {row.cause}" if row.outcome is Outcome.UNDECIDED else ""
-    words = "; ".join(part for part in (undecided, _why(row)) if part)
-    return f"{head}><{element} message={_attribute(words)}/></testcase>"
+def _in_xml(text: str) -> str:
+    return _NOT_XML.sub("\ufffd", text)
 
 
 def _why(row: Result) -> str:
@@ -395,10 +383,6 @@ def _why(row: Result) -> str:
     limits = " and ".join(f"{words} {end:.6g}" for words, end in ends if not math.isnan(end))
     numbers = f"{row.metric} = {row.value:.6g} {row.unit}" + (f", accepted {limits}" if limits else "")
     return f"{row.reason} ({numbers})" if row.reason and math.isfinite(row.value) else row.reason or numbers
-
-
-def _attribute(text: str) -> str:
-    return quoteattr(_NOT_XML.sub("\ufffd", text), {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
 
 
 def json_value(value: Any) -> Any:

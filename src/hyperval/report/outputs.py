@@ -32,4 +32,5 @@ def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validatio
     from hyperval.report.html import index_page
 
     folders = file_stems(run.campaign for run in runs)
-    write_joined(Path(folder), list(folders.values()), index_page(runs, folders, title), parts)
+    rows = (row for run in runs for row in run.table)
+    write_joined(Path(folder), list(folders.values()), rows, index_page(runs, folders, title), parts)
