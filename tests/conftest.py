@@ -24,6 +24,13 @@ def own_atmosphere(monkeypatch):
 
 
 @pytest.fixture
+def no_data(tmp_path, monkeypatch):
+    """A machine without data: HYPERVAL_DATA is the test's own folder."""
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
 def figures():
     """Reports of the small campaign with figures, charts and arrays: for a test that asks for this alone."""
 

@@ -24,9 +24,7 @@ from hyperval.units import wavelength_to_nm
 
 
 @pytest.fixture(autouse=True)
-def places(tmp_path, monkeypatch):
-    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
-    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
+def places(no_data, monkeypatch):
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "100")
 

@@ -2,10 +2,7 @@
 
 import gzip
 import hashlib
-import os
 import re
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -289,18 +286,6 @@ def test_eight_processes_that_fetch_the_same_files_all_get_them(server, places, 
     monkeypatch.undo()
     assert files_below(places[1]) == ["toy/a.txt", "toy/b.chn.gz"]
     assert gzip.decompress((places[1] / "toy/b.chn.gz").read_bytes()) == b"packed" * 100
-
-
-def test_what_a_killed_fetch_left_is_removed(server, places):
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    left = put(places[1], f"toy/.hyperval-fetch-{ended.pid}-abcdefgh/published").parent
-    live = put(places[1], f"toy/.hyperval-fetch-{os.getpid()}-abcdefgh/published").parent
-    for folder in (left, live):
-        os.utime(folder, (0, 0))
-    datasets.fetch("toy")
-    assert not left.exists()
-    assert live.exists()
 
 
 def test_a_server_that_sends_next_to_nothing_is_given_up(server, places, monkeypatch):

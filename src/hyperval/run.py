@@ -750,12 +750,8 @@ def read_pair(folder: Path) -> tuple[PredictedProducts | None, ObservedProducts 
     return _pair(read_products(folder))
 
 
-def _pair(sides: Mapping[str, Products]) -> tuple[PredictedProducts | None, ObservedProducts | None]:
-    predicted, observed = (sides.get(name) for name in SIDES)
-    return (
-        predicted if isinstance(predicted, PredictedProducts) else None,
-        observed if isinstance(observed, ObservedProducts) else None,
-    )
+def _pair(sides: Mapping[str, Any]) -> tuple[PredictedProducts | None, ObservedProducts | None]:
+    return sides.get("predicted"), sides.get("observed")
 
 
 @reader

@@ -162,9 +162,7 @@ def has_digest(path: Path, digest: str) -> bool:
         return sha256_of(path) == value
     whole = hashlib.sha1(b"blob %d\0" % path.stat().st_size, usedforsecurity=False)
     with open(path, "rb") as stream:
-        while part := stream.read(1 << 20):
-            whole.update(part)
-    return whole.hexdigest() == value
+        return hashlib.file_digest(stream, lambda: whole).hexdigest() == value
 
 
 def size_of(path: Path) -> int:

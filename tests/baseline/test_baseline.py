@@ -302,9 +302,7 @@ def test_a_finished_run_of_other_files_or_another_source_is_refused(small, finis
     assert "made by commit aaaa" in capsys.readouterr().err
 
 
-def test_lacking_data_are_skipped(small, place, tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path / "empty"))
-    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
+def test_lacking_data_are_skipped(small, place, no_data, capsys):
     small.data["collection"]["cube"] = {
         "path": "data:hysu/published/full/DLR_HySU_HS_full.tif", "quantity": "reflectance",
     }  # fmt: skip
@@ -315,9 +313,8 @@ def test_lacking_data_are_skipped(small, place, tmp_path, monkeypatch, capsys):
     assert cli.run(["baseline", "accept", path, "--reason", "First"]) == 5
 
 
-def test_a_finished_run_of_a_campaign_that_waits_for_its_collection_is_read(tmp_path, monkeypatch, capsys):
+def test_a_finished_run_of_a_campaign_that_waits_for_its_collection_is_read(tmp_path, no_data, capsys):
     """Its values are still to be filled in, and its file holds several runs."""
-    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
     template = str(Path(__file__).parents[2] / "campaigns" / "radcalnet-sensor" / "campaign.yaml")
     assert cli.run(["-q", "validate", template, "-o", str(tmp_path / "out")]) == 5
     assert cli.run(["check", template, "--from", str(tmp_path / "out")]) == 5

@@ -22,12 +22,11 @@ CAMPAIGN, SCENARIO = data_of("lines"), data_of("lines_scenario")
 
 
 @pytest.fixture
-def places(tmp_path, monkeypatch) -> Path:
+def places(tmp_path, no_data, monkeypatch) -> Path:
     """A campaign folder with an empty data folder; returns the campaign file."""
     (tmp_path / "data").mkdir()
     monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path / "data"))
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # starting processes takes longer than these tests
-    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
     return written(tmp_path, CAMPAIGN, SCENARIO)
 
 
@@ -157,10 +156,8 @@ def test_a_collection_of_others_waits_until_a_file_of_it_is_there(places, tmp_pa
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_a_mistyped_name_is_a_mistake_and_not_a_missing_set(small, tmp_path, monkeypatch, held):
+def test_a_mistyped_name_is_a_mistake_and_not_a_missing_set(small, tmp_path, no_data, held):
     """Whether the data are at hand or not: what the registry cannot know is refused before anything runs."""
-    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
-    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
     if held:
         (tmp_path / "hysu/published/svc").mkdir(parents=True)
         (tmp_path / "hysu/published/svc/DLR_HySU_SVC.lib").write_bytes(b"x")

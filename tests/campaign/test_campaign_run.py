@@ -34,12 +34,6 @@ def data_only(small: SmallCampaign) -> SmallCampaign:
     return small
 
 
-@pytest.fixture
-def no_data(tmp_path, monkeypatch):
-    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
-    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
-
-
 def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(figures, small, tmp_path):
     path = small.write()
     first, second = tmp_path / "first", tmp_path / "elsewhere" / "second"

@@ -281,9 +281,12 @@ def test_campaigns_without_their_collection_are_folded_by_what_gets_it():
 
 
 def test_an_index_joins_campaigns_and_sets_computed_and_simulated_references_apart(run, tmp_path):
-    failed = ResultTable([dataclasses.replace(row("t", product="roc"), campaign="second <b>")])
+    failed = row("t", product="roc")
     second, network = (
-        report.RunReport(n, n, "", False, failed, computed=n == "network") for n in ("second <b>", "network")
+        report.RunReport(
+            n, n, "", False, ResultTable([dataclasses.replace(failed, campaign=n)]), computed=n == "network"
+        )
+        for n in ("second <b>", "network")
     )
     runs = {"invented": run, "second_b_": second, "network": network}
     for name, one in runs.items():

@@ -32,12 +32,6 @@ _VERBS = (
 )
 
 
-def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
-    """What the criteria conclude together, and a few sentences: what is met, what is not, what is inconclusive."""
-    screen = first_screen(list(rows))
-    return screen.outcome, screen.words
-
-
 @dataclass(frozen=True)
 class FirstScreen:
     """What a page, a line of an index and the terminal say of a run.

@@ -43,7 +43,7 @@ from hyperval.products import (
     SpectralEstimate,
     background_of,
 )
-from hyperval.report.verdict import verdict
+from hyperval.report import first_screen
 from hyperval.run import file_stems, read_pair, read_rows
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
@@ -324,8 +324,9 @@ def _verdicts(results: Path) -> dict[str, Any]:
     rows = list(read_rows(results))
     planned = [row for row in rows if row.planned]
     counts = Counter(str(row.outcome) for row in planned)
-    tone, words = verdict(rows) if planned else ("none", "One side alone: nothing is compared.")
-    return {"tone": str(tone), "verdict": words, "counts": dict(counts), "rows": len(rows)}
+    screen = first_screen(rows)
+    words = screen.words if planned else "One side alone: nothing is compared."
+    return {"tone": str(screen.outcome), "verdict": words, "counts": dict(counts), "rows": len(rows)}
 
 
 TASKS: Mapping[str, Callable[..., Any]] = {
