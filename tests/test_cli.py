@@ -18,7 +18,6 @@ from hyperval.errors import EngineError, InputError, MissingDataError, UsageErro
 from hyperval.progress import step, track, watch_lines, working
 from hyperval.results import Outcome, Result, Role
 from hyperval.run import results_json
-from hyperval.units import wavelength_to_nm
 
 # The command line: exit codes, streams, and that each command calls its function.
 
@@ -94,12 +93,6 @@ def test_each_error_has_its_exit_code_and_no_traceback(calls, capsys, error, cod
     assert out == ""
     assert err.startswith("hyperval: ")
     assert "Traceback" not in err
-
-
-def test_message_says_what_where_and_how_to_mend(calls, capsys):
-    calls["result"] = MissingDataError("not on this machine", where="data:x/y", mend="hyperval data fetch x")
-    cli.run(["observe", "c.yaml", "-o", "out"])
-    assert capsys.readouterr().err == ("hyperval: data:x/y: not on this machine\n  to mend it: hyperval data fetch x\n")
 
 
 def test_a_full_disk_is_called_so_without_a_log(calls, capsys, tmp_path, monkeypatch):
@@ -280,18 +273,10 @@ def test_a_name_too_long_for_a_file_is_a_mistake_of_the_user(tmp_path, capsys, m
 # Words for internal errors.
 
 
-@pytest.mark.parametrize(
-    ("fails", "words"),
-    [
-        (lambda: wavelength_to_nm(None), "AttributeError: 'NoneType' object has no attribute 'strip' (at hyperval/un"),
-        (lambda: json.loads("{"), "(at decoder.py:"),  # in another package the innermost place
-    ],
-)
-def test_an_internal_error_says_where_it_arose(fails, words):
-    with pytest.raises((AttributeError, json.JSONDecodeError)) as caught:
-        fails()
-    assert internal_error(caught.value).startswith("internal error: ")
-    assert words in internal_error(caught.value)
+def test_an_internal_error_says_where_it_arose_in_another_package_too():
+    with pytest.raises(json.JSONDecodeError) as caught:
+        json.loads("{")
+    assert re.match(r"internal error: JSONDecodeError: .*\(at decoder\.py:", internal_error(caught.value), re.DOTALL)
 
 
 # Progress says which campaign and step it belongs to, and nothing where nobody watches.
