@@ -208,16 +208,12 @@ class FileCheck(NamedTuple):
     place: Path | None
 
 
-class _Sets(Model):
-    sets: dict[str, DataSet]
-
-
 @cache
 def registry() -> Mapping[str, DataSet]:
     """Every registered data set by name."""
     folder = resources.files("hyperval") / "registry"
-    data, lines = parse_yaml((folder / "sets.yaml").read_text("utf-8"), "sets.yaml")
-    entries = validate(_Sets, {"sets": data}, {("sets", *at): line for at, line in lines.items()}, "sets.yaml").sets
+    data = parse_yaml((folder / "sets.yaml").read_text("utf-8"), "sets.yaml")[0]
+    entries = {name: validate(DataSet, about, {}, f"sets.yaml: {name}") for name, about in data.items()}
     files: dict[str, list[DataFile]] = {name: [] for name in entries}
     for row in csv.DictReader((folder / "files.csv").read_text("utf-8").splitlines()):
         entry = entries[row["set"]]
@@ -447,23 +443,17 @@ def _resolve_data(path: str) -> Path:
     if path_here is not None:
         return path_here
     looked = ", ".join(str(root) for root in _roots())
-    owner, holder = _owner(path), set_on_request(PREFIX + path)
+    of = fnmatchcase if is_pattern(path) else str.__eq__
+    owner = next((owner for known, (owner, _) in _by_path().items() if of(known, path)), None)
+    holder = set_on_request(PREFIX + path)
     if owner:
-        mend = f"hyperval data fetch {owner}"
+        mend = f"hyperval data fetch {owner.name}"
     elif holder:
         mend = f"the collection is not public, it is held by {holder.holder}: {how_to_get(holder)}"
     else:
         raise _unknown(path, looked)
     # Reports say what is missing, and not which folders a machine has: that is for whoever runs it.
     raise MissingDataError("not on this machine", where=PREFIX + path, expected=f"it below {looked}", mend=mend)
-
-
-def _owner(path: str) -> str | None:
-    """The public set that holds a file, or a file that matches a pattern."""
-    owner = _by_path().get(path)
-    if owner is None and is_pattern(path):
-        owner = next((v for known, v in _by_path().items() if fnmatchcase(known, path)), None)
-    return owner[0].name if owner else None
 
 
 def _unknown(path: str, looked: str) -> HypervalError:
