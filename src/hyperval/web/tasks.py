@@ -322,10 +322,9 @@ def _write(path: Path, content: Any) -> None:
 
 def _verdicts(results: Path) -> dict[str, Any]:
     rows = list(read_rows(results))
-    planned = [row for row in rows if row.planned]
-    counts = Counter(str(row.outcome) for row in planned)
+    counts = Counter(str(row.outcome) for row in rows if row.planned)
     screen = first_screen(rows)
-    words = screen.words if planned else "One side alone: nothing is compared."
+    words = screen.words if counts else "One side alone: nothing is compared."
     return {"tone": str(screen.outcome), "verdict": words, "counts": dict(counts), "rows": len(rows)}
 
 
