@@ -372,7 +372,6 @@ def array_raster(
     pieces: tuple[Piece, ...],
     description: Description = Description(),  # noqa: B008 - cannot be changed
     position: tuple[Affine | None, CRS | None] = (None, None),
-    other_files: tuple[Path, ...] = (),
 ) -> ArrayRaster:
     """The image of some arrays of one size.
 
@@ -383,7 +382,7 @@ def array_raster(
     if len({(p.size("l"), p.size("s")) for p in pieces}) > 1:
         raise refusal("array.sizes", path, shapes=", ".join(str(p.shape) for p in pieces))
     size = pieces[0].size("l"), pieces[0].size("s"), sum(piece.size("b") for piece in pieces)
-    about = path, size, np.result_type(*(piece.dtype for piece in pieces)), description, position, other_files
+    about = path, size, np.result_type(*(piece.dtype for piece in pieces)), description, *position
     return ArrayRaster(*about, store=store, pieces=pieces)
 
 

@@ -428,7 +428,8 @@ class Raster:
     size : (lines, samples, bands)
     dtype : of a stored number
     description : what the files say
-    position : transform from continuous (sample, line) to map coordinates, and their system; None where unknown
+    transform : from continuous (sample, line) to map coordinates, None without
+    crs : coordinate reference system of these, None when unknown
     other_files : files beside it that were read
     """
 
@@ -436,7 +437,8 @@ class Raster:
     size: tuple[int, int, int]
     dtype: np.dtype
     description: Description = Description()
-    position: tuple[Affine | None, CRS | None] = (None, None)
+    transform: Affine | None = None
+    crs: CRS | None = None
     other_files: tuple[Path, ...] = ()
 
     kind = "image"
@@ -456,16 +458,6 @@ class Raster:
     def bands(self) -> int:
         """Number of bands."""
         return self.size[2]
-
-    @property
-    def transform(self) -> Affine | None:
-        """Affine transform from continuous (sample, line) to map coordinates, None without one."""
-        return self.position[0]
-
-    @property
-    def crs(self) -> CRS | None:
-        """Coordinate reference system, None when unknown."""
-        return self.position[1]
 
     @property
     def source_files(self) -> tuple[Path, ...]:

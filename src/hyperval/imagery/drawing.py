@@ -179,7 +179,7 @@ def _points(points: Any, where: str) -> Array:
     """(n, 2) coordinates of a list of positions, of which the height is left aside."""
     try:
         xy = np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
-    except (TypeError, ValueError, IndexError):
+    except (TypeError, ValueError, IndexError, OverflowError):
         raise refusal("region.no_pairs", where) from None
     refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
     return xy

@@ -209,8 +209,8 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     gains = None if scaled or parsed.dtype.kind == "f" else _gain_file_beside(data)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(entries=parsed.extras, notes=parsed.notes, header=parsed, gains=gains)
-    size, position = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
-    return EnviRaster(data, size, parsed.dtype, about, position, others)
+    size = parsed.lines, parsed.samples, parsed.bands
+    return EnviRaster(data, size, parsed.dtype, about, transform_of(parsed), crs_of(parsed), others)
 
 
 def _gain_file_beside(image: Path) -> Path | None:

@@ -36,7 +36,6 @@ MAX_BINARY_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
 MAX_CLASSES = 1000
-_MAX_DIGITS = 300  # more are no float
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
 REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
@@ -260,7 +259,7 @@ def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
     has it.
     """
     try:
-        data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse, parse_int=_whole_number)
+        data = json.loads(read_text(path), object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
         raise refusal("geojson.text", path, why=error) from error
     kind = data.get("type") if isinstance(data, dict) else None
@@ -321,16 +320,6 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(out) < len(pairs):
         raise ValueError("a key stands twice in one object")
     return out
-
-
-def _whole_number(text: str) -> int:
-    if len(text) > _MAX_DIGITS:
-        raise ValueError(f"a number of {len(text)} digits")
-    return int(text)
-
-
-def _refuse(text: str) -> Any:
-    raise ValueError(f"{text} is no JSON number")
 
 
 def is_kml(head: bytes) -> bool:

@@ -78,21 +78,21 @@ def open_tiff(path: Path, header: Path | str | None) -> TiffRaster:
         scale = Scale(np.array(dataset.scales), np.array(dataset.offsets), "scale and offset tags of the GeoTIFF")
         about = Description(bands=_bands_in_tags(dataset, path), scale=scale, ignore_value=dataset.nodata)
         size = dataset.height, dataset.width, dataset.count
-        raster = TiffRaster(path, size, dtype, about, (transform, dataset.crs))
+        raster = TiffRaster(path, size, dtype, about, transform, dataset.crs)
     sidecar = Path(header) if header is not None else header_beside(path)
     if sidecar is None:
         described = described_beside(path, raster.bands, about.ignore_value)
         if described is None:
             return raster
         found, metadata = described
-        place = (None, None) if NO_MAP in found.notes else raster.position
-        return replace(raster, position=place, description=found, other_files=(metadata,))
+        raster = replace(raster, description=found, other_files=(metadata,))
+        return replace(raster, transform=None, crs=None) if NO_MAP in found.notes else raster
     parsed = read_header(checked_file(sidecar, what="ENVI header"), sidecar=True)
     if size != (parsed.lines, parsed.samples, parsed.bands):
         raise refusal("tiff.size", parsed.path, size=size, stated=(parsed.lines, parsed.samples, parsed.bands))
-    place = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
+    transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
     about = replace(about, header=parsed, entries=parsed.extras, notes=parsed.notes)
-    return replace(raster, description=about, position=place, other_files=(parsed.path,))
+    return replace(raster, description=about, transform=transform, crs=crs, other_files=(parsed.path,))
 
 
 def _checked_type(dataset: Any, path: Path) -> np.dtype:
