@@ -128,14 +128,13 @@ def test_scratch_of_killed_processes_goes_with_the_next(tmp_path, monkeypatch):
             os.kill(os.getpid(), signal.SIGKILL)
     """
     assert ended(script) == -9
-    (left,) = tmp_path.iterdir()
-    other = tmp_path / f"hyperval-trial-{os.getpid()}-abcdefgh"
-    other.mkdir()
-    os.utime(other, (0, 0))
+    assert len(left_over(tmp_path)) == 1
     with scratch_folder("trial") as folder:
-        assert {p.name for p in tmp_path.iterdir()} == {folder.name, other.name}
-    assert not left.exists()
-    assert list(tmp_path.iterdir()) == [other]
+        assert list(tmp_path.iterdir()) == [folder]
+        os.utime(folder, (0, 0))
+        with scratch_folder("trial"):
+            assert folder.exists()  # of a process that runs
+    assert list(tmp_path.iterdir()) == []
 
 
 # Output folders: replaced whole, by one run at a time, nothing of the user's lost, wherever a run ends.
@@ -215,15 +214,6 @@ def test_what_the_user_put_there_is_refused_and_stays(tmp_path):
     assert not (other / storage.LOCK).exists()
 
 
-def test_a_link_is_followed_and_stays(tmp_path):
-    real = tmp_path / "disk" / "report"
-    run(real, old_csv="1")
-    (tmp_path / "out").symlink_to("disk/report")
-    run(tmp_path / "out", new_csv="2")
-    assert (tmp_path / "out").is_symlink()
-    assert set(files(real)) == {"results.json", "new.csv"}
-
-
 @pytest.mark.parametrize("first", [True, False])
 def test_a_failure_keeps_what_was_there(tmp_path, first):
     if not first:
@@ -274,14 +264,16 @@ def test_two_runs_into_one_folder(tmp_path):
     assert set(files(path)) == {"results.json", "second.csv"}
 
 
-def test_the_working_directory_keeps_its_place(tmp_path, monkeypatch):
-    path = tmp_path / "report"
+def test_the_working_directory_keeps_its_place_and_a_link_is_followed_and_stays(tmp_path, monkeypatch):
+    path, link = tmp_path / "disk" / "report", tmp_path / "out"
     run(path, old_csv="1")
     inode = path.stat().st_ino
     monkeypatch.chdir(path)
-    run(Path(), new_csv="2")
-    assert path.stat().st_ino == inode
-    assert set(files(Path())) == {"results.json", "new.csv"}
+    link.symlink_to("disk/report")
+    for place, name in ((Path(), "new"), (link, "newer")):
+        run(place, **{f"{name}_csv": "2"})
+        assert (path.stat().st_ino, link.is_symlink()) == (inode, True)
+        assert set(files(Path())) == {"results.json", f"{name}.csv"}
     assert storage.partial_folder(Path()) == path / storage.PARTIAL
 
 
