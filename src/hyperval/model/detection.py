@@ -425,7 +425,9 @@ class Evaluation(Keeps):
 
     def fills(self, number: int, objects: bool = False) -> Fills:
         """Fills of the pixels of a population, or of the pixels of its objects."""
-        return self.once(("fills", number, objects), lambda: self.world.fills(number, objects))
+        if not objects:
+            return self.world.pixel_fills[number]
+        return self.once(("fills", number), lambda: self.world.fills(number, True))
 
     def fill_of(self, u: int, number: int) -> FillDistribution:
         """Fill of a population in a truth."""
@@ -442,7 +444,7 @@ class Evaluation(Keeps):
         number, target, _ = self.population(population)
         fills = self.fills(number, objects)
         rows, response = self.responses(target, detector, target)
-        gain = self.world.of_target("target_gain", target)
+        gain = np.broadcast_to(self.world.column("target_gain")[:, target], len(self))
         means, sds = response.at(fills.values, gain, rows, self.shift)
         bare = response.means[rows, 0], response.variances(gain, rows)[:, 0]
         host = self.host(target, detector, np.arange(len(self)), 1.0 - fills.values, *bare)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import lru_cache, partial
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -86,8 +86,6 @@ def combined(
     errors: Mapping[str, Errors], covariances: Mapping[str, Array], bands: int
 ) -> tuple[Array, dict[str, Array]]:
     """Error covariance (B, B) and budget from independent sources, some of them as covariances (B, B)."""
-    if not errors and not covariances:
-        return _nothing(bands), {}
     every = {source: known(c) for source, c in covariances.items()}
     budget = {s: e.budget for s, e in errors.items()} | {s: np.sqrt(np.diag(c)) for s, c in every.items()}
     total = np.zeros((bands, bands))
@@ -99,14 +97,6 @@ def combined(
 def known(covariance: Array) -> Array:
     """The matrix with 0 where nothing is known; unchanged, and not copied, where all is."""
     return covariance if np.isfinite(np.sum(covariance)) else np.nan_to_num(covariance)
-
-
-@lru_cache(maxsize=8)
-def _nothing(bands: int) -> Array:
-    """Zeros (B, B) that all estimates without an error share; not to be written to."""
-    zero = np.zeros((bands, bands))
-    zero.setflags(write=False)
-    return zero
 
 
 def reflectances(world: World, light: Light) -> dict[str, tuple[Array, Array]]:
@@ -135,7 +125,7 @@ def reflectances(world: World, light: Light) -> dict[str, tuple[Array, Array]]:
             )
             out[population.name] = one, under
             continue
-        fills = world.fills(number)
+        fills = world.pixel_fills[number]
         mean_fill = (fills.weights * fills.values).sum(axis=1)[:, None]
         one, under = (target_pixel_reflectance(mean_fill, x, host) for x in full[target.name])
         out[population.name] = one, under
@@ -176,7 +166,7 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
         if light.radiant:
             out["radiance", name] = level[:, 0]
             white = light.terms.diffuser_radiance
-            if e.scenario.is_of_space and white is not None:
+            if e.stated.of_space and white is not None:
                 out["toa_reflectance", name] = toa_reflectance(level, white)[:, 0]
             if light.noise is not None and name in pure:
                 for key, with_c in ((name, True), (without_calibration_error(name), False)):
@@ -201,7 +191,12 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
         for start in range(0, len(item.rows), _DIRECTIONS):
             some = range(start, min(start + _DIRECTIONS, len(item.rows)))
             there = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])
-            for key, rows in half_differences(there, len(some)).items():
+            whole: dict[tuple[str, str], Array] = {}
+            for index, part in settled(there):
+                for key, values in mean_spectra(Evaluation(part)).items():
+                    whole.setdefault(key, np.empty((there.size, values.shape[1])))[index] = values
+            for key, values in whole.items():
+                rows = 0.5 * (values[: len(some)] - values[len(some) :])
                 if item.kind == "engine" and key[0] == "reflectance":  # the empirical line takes it off
                     continue
                 if of_spectrum and not np.nanmax(np.abs(rows), initial=0.0) > least:
@@ -218,42 +213,29 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     }
 
 
-def half_differences(world: World, size: int) -> dict[tuple[str, str], Array]:
-    """(product, subject) -> (K, B) half of what the first K truths have more than the last K."""
-    whole: dict[tuple[str, str], Array] = {}
-    for index, part in settled(world):
-        for key, values in mean_spectra(Evaluation(part)).items():
-            whole.setdefault(key, np.empty((2 * size, values.shape[1])))[index] = values
-    return {key: 0.5 * (values[:size] - values[size:]) for key, values in whole.items()}
-
-
 def spectral_products(e: Evaluation, u: int, errors: SpectralErrors) -> dict[str, Any]:
     """All spectra of one truth with their errors: product, by its name in ``Prediction``, -> subject -> what it is."""
     world, v = e.world.rows(np.array([u])), int(e.which[u])
-    names = ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")
-    out: dict[str, Any] = {name: {} for name in names}
-    light, one, bands = e.light.row(v), e.light.rows(np.array([v])), len(e.axis)
+    out: dict[str, Any] = {p: {} for p in ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")}
+    one, bands, populations = e.light.rows(np.array([v])), len(e.axis), [p.name for _, _, p in e.stated.populations]
     means = {key: of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
     each = e.once("reflectances", lambda: reflectances(e.world, e.light.rows(e.which)))
-    around = Background.of(e.at, np.arange(bands)).covariance(v)
-    mixed = {p.name: number for number, (_, _, p) in enumerate(e.stated.populations)}
+    pixels = {
+        name: _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
+        for name in each
+    }
+    light, around = e.light.row(v), Background.of(e.at, np.arange(bands)).covariance(v)
     # One piece of memory for all: new pages for each matrix take longer than the numbers in it.
     *room, scratch = np.empty((1 + 2 * len(each), bands, bands))
     for number, (name, (rho, met)) in enumerate(each.items()):
         rho, met = (of_truth(x, u)[0] for x in (rho, met))
-        of_radiance, of_reflectance = room[2 * number : 2 * number + 2]
-        others: Mapping[str, Array] = {}
-        if name in mixed:
-            covariance, gain, others = _mixed(world, one, mixed[name])
-        else:
-            covariance, gain = _of_surface(world, name)
+        covariance, gain, others = pixels[name]
         level, line = light.level(rho), light.library_line
-        seen = light.pixel_covariance(level, met, covariance, around, gain, of_radiance, scratch)
-        errors_seen = {source: light.through(c) for source, c in others.items()}
-        spreads: dict[str, tuple[Array | None, Mapping[str, Array]]] = {"radiance": (known(seen), errors_seen)}
-        if ("reflectance", name) in means:
-            errors_seen = {source: retrieved_covariance(line, c) for source, c in errors_seen.items()}
-            spreads["reflectance"] = known(retrieved_covariance(line, seen, of_reflectance)), errors_seen
+        seen = light.pixel_covariance(level, met, covariance, around, gain, room[2 * number], scratch)
+        retrieved = retrieved_covariance(line, seen, room[2 * number + 1])
+        through = {source: light.through(c) for source, c in others.items()}
+        back = {source: retrieved_covariance(line, c) for source, c in through.items()}
+        spreads = {"radiance": (known(seen), through), "reflectance": (known(retrieved), back)}
         for product in ("radiance", "toa_reflectance", "snr", "reflectance"):
             for key in (name, without_calibration_error(name)):
                 if (product, key) in means:
@@ -265,7 +247,7 @@ def spectral_products(e: Evaluation, u: int, errors: SpectralErrors) -> dict[str
         if light.radiant and light.noise is not None:
             if light.noise.full_scale is not None:
                 out["full_scale"][name] = light.noise.full_scale_fraction(level)
-            if name not in mixed:
+            if name not in populations:
                 out["noise"][name] = asdict(light.noise.breakdown(level))
     return out
 
@@ -444,8 +426,8 @@ def _predictions(
             for u, number in enumerate(index.tolist()):
                 detection = detections[u]
                 if objects and detection.roc:
-                    draws = None if objects is True else objects
-                    detection = replace(detection, object_scores=object_scores(e, np.array([u]), draws))
+                    scores = object_scores(e, np.array([u]), None if objects is True else objects)
+                    detection = replace(detection, object_scores=scores)
                 out[number] = _joined(e, u, of_spectra, detection)
         yield from (out[number] for number in range(len(some)))
 

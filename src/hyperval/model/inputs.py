@@ -240,14 +240,6 @@ def spectral_input(
     return number_input(world, name, kind, path, 0.0, words=form_in_words(form), rows=rows)
 
 
-def surface_at(world: World, name: str) -> SurfaceStatistics:
-    """A surface as it is in the first truth of a world."""
-    number, surface = world.surface(name), world.stated.surfaces[name]
-    stretch = world.stretch[0, number]
-    covariance = surface.covariance if np.all(stretch == 1.0) else surface.covariance * np.outer(stretch, stretch)
-    return replace(surface, mean=world.mean[0, number], covariance=covariance)
-
-
 TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
 ENGINE, ENGINE_LINES, ENGINE_PATH = (
     "radiative-transfer engine", "engine's fine structure", "engine's path radiance"
@@ -312,13 +304,13 @@ def spectrum_inputs(world: World) -> list[UncertainInput]:
         subject = item.subject
         number[subject] = number.get(subject, 0) + 1
         name = field_spectrum_of(subject) + ("" if number[subject] == 1 else f" ({number[subject]})")
-        sd = spectrum_error_sd(item, surface_at(world, subject), world.stated.axis)
+        surface = replace(world.stated.surfaces[subject], mean=world.mean[0, world.surface(subject)])
+        sd = spectrum_error_sd(item, surface, world.stated.axis)
         inputs.append(spectral_input(world, name, "surface", f"surfaces.[{subject}].mean", sd, item))
     for subject, surface in world.stated.surfaces.items():
         if subject not in number and surface.mean_error is not None:
             rows = covariance_directions(np.nan_to_num(surface.mean_error))
-            words = "as between replicate spectra"
-            path = f"surfaces.[{subject}].mean"
+            words, path = "as between replicate spectra", f"surfaces.[{subject}].mean"
             inputs.append(number_input(world, field_spectrum_of(subject), "surface", path, 0.0, words=words, rows=rows))
     return inputs
 

@@ -46,9 +46,9 @@ from hyperval.scenario import (
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import Sensor, binned_axis, library_names, library_sensor, load_sensor
 from hyperval.settings import with_settings
-from hyperval.spectra import FieldSpectrum, read_records
+from hyperval.spectra import FieldSpectrum, read_records, read_spectrum
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
-from hyperval.statistics_library import builtin_class
+from hyperval.statistics_library import builtin_class, on_bands, read_statistics_library
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -80,8 +80,6 @@ class SurfaceStatistics:
     covariance : (B, B), zero where nothing is known of the spread
     standard_deviation : (B,) that a spectrum's file carries, None without
     components : the clusters that the pixels of a class fall into, None where they are one law
-    fine_texture : part of a target's covariance whose texture is finer than its part of a pixel, and averages out
-        over it [1]
     sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
     n : samples behind it
     mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
@@ -97,7 +95,6 @@ class SurfaceStatistics:
     mean_error: Array | None = None
     sampled_deviation: tuple[Array, Array] | None = None
     components: Components | None = None
-    fine_texture: float = 0.0
 
 
 def replicate_statistics(
@@ -313,16 +310,12 @@ class Sources:
         )  # fmt: skip
 
     def _library(self, file: str, record: str | int | None) -> ClassStatistics:
-        from hyperval.statistics_library import on_bands, read_statistics_library
-
         asked = (self.resolve(file), record)
         if asked not in self.read:
             self.read[asked] = read_statistics_library(asked[0], None if record is None else str(record))
         return on_bands(self.read[asked], self.axis)
 
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
-        from hyperval.spectra import read_spectrum
-
         path, axis = self.resolve(str(source.file)), self.axis
         how = {k: getattr(source, k) for k in ("record", "wavelength_unit", "reflectance_unit")}
         key = (path, *how.values())
@@ -513,14 +506,15 @@ def plain(value: Any) -> Any:
 
 def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
     """First of the n rows of each different combination of the columns, and which (n,) of these each row has."""
-
-    def bits(column: Values) -> list[Any]:
+    bits: list[list[Any]] = []
+    for column in columns:
         if column.dtype == object:
-            return [repr(v) for v in column]
-        alone = column.ndim == 1
-        return column.astype(float).view(np.int64).tolist() if alone else [row.tobytes() for row in column]
-
-    keys = list(zip(*map(bits, columns), strict=True)) or [()] * n
+            bits.append([repr(v) for v in column])
+        elif column.ndim == 1:
+            bits.append(column.astype(float).view(np.int64).tolist())
+        else:
+            bits.append([row.tobytes() for row in column])
+    keys = list(zip(*bits, strict=True)) or [()] * n
     order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     which = np.array([order[key] for key in keys], dtype=int)
     return np.unique(which, return_index=True)[1], which
@@ -739,6 +733,7 @@ class Stated(Keeps):
     columns : field of the world -> (1, items) as stated
     laws : what the scores of the classes are distributed as: a class each, or the components of a mixture
     linear_detectors : whose score is linear in the pixel
+    of_space : whether it is looked at from above the atmosphere
     """
 
     scenario: Scenario
@@ -771,7 +766,7 @@ class Stated(Keeps):
             "beam": [light.beam for light in lights],
             "sky_view": [light.sky_view for light in lights],
             "spread": [1.0] * len(self.surfaces),
-            "fine_texture": [s.fine_texture for s in self.surfaces.values()],
+            "fine_texture": [0.0] * len(self.surfaces),
         }
         self.columns = {name: np.array([values], dtype=float) for name, values in of.items()}
         self.laws = [law for m, c in enumerate(scene.classes) for law in _laws(m, c, self.surfaces[c.name])]
@@ -779,6 +774,7 @@ class Stated(Keeps):
             (t, k, p) for t, target in enumerate(scene.targets) for k, p in enumerate(target.populations)
         ]
         self.linear_detectors = self.scenario.processing.linear_detectors
+        self.of_space = self.scenario.is_of_space
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "kept": {}}

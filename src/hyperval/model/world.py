@@ -332,7 +332,16 @@ class World:
 
     def made(self) -> World:
         """Itself, with what follows from all that was moved; what contradicts itself is refused."""
-        for name in ("fraction", "law_fraction", "law_dof", "kappa", "stretch", "surroundings", "sensor_noise"):
+        for name in (
+            "fraction",
+            "law_fraction",
+            "law_dof",
+            "kappa",
+            "stretch",
+            "surroundings",
+            "sensor_noise",
+            "pixel_fills",
+        ):
             getattr(self, name)
         return self
 
@@ -459,7 +468,8 @@ class World:
     @cached_property
     def surroundings(self) -> tuple[AtmosphericTerms, Array]:
         """Terms of (3.7) at the bands, (U or 1, 1, B) each, and (U or 1, M, B) means of the classes, gaps filled."""
-        moved, means = {p: v for p, _, v in self.fields("atmosphere")}, self.mean[:, : len(self.stated.classes)]
+        moved = {p: v for p, _, v in self.fields("atmosphere")}
+        means = self.mean[:, [self.surface(name) for name in self.stated.classes]]
         return self.stated.atmosphere(moved, self.size), np.apply_along_axis(without_gaps, -1, means)
 
     @cached_property
@@ -534,6 +544,11 @@ class World:
             whole = target.fill if subjects else fills[0]
             out.append(target.model_copy(update={"fill": whole, "subjects": subjects}))
         return out
+
+    @cached_property
+    def pixel_fills(self) -> list[Fills]:
+        """Fills of the pixels of each population (f of 3.10) in each truth."""
+        return [self.fills(number) for number in range(len(self.stated.populations))]
 
     def fills(self, number: int, objects: bool = False) -> Fills:
         """Fills of the pixels of a population (f of 3.10) in each truth, or of the pixels of its objects.
