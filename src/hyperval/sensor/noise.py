@@ -261,7 +261,9 @@ class NoiseModel:
     factor: float | Array = 1.0
 
     def _true(self, radiance: npt.ArrayLike) -> Array:
-        return np.asarray((np.asarray(radiance, dtype=float) - self.offset) / self.gain)
+        level = np.asarray(radiance, dtype=float)
+        # Large arrays are not divided by 1.
+        return level if np.all(self.gain == 1.0) and np.all(self.offset == 0.0) else (level - self.offset) / self.gain
 
     def breakdown(self, radiance: npt.ArrayLike) -> NoiseBreakdown:
         """The terms of (3.16)-(3.19) at ``radiance`` (..., B), apart from each other."""
@@ -303,7 +305,8 @@ class NoiseModel:
             )
         if calibration:
             total = total + calibration_variance(level, self.calibration_percent) / self.calibration_readings
-        return np.asarray((np.asarray(self.gain) * self.factor) ** 2 * total)
+        scale = (np.asarray(self.gain) * self.factor) ** 2
+        return np.asarray(total if np.all(scale == 1.0) else scale * total)
 
     def snr(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
         """SNR (..., B) (3.20); with the calibration error it cannot exceed 100 / C_R."""
@@ -329,9 +332,7 @@ def recorded_noise(
     signal_factor: float | Array = 1.0,
 ) -> NoiseModel:
     """The noise of a recorded radiance; ``signal_factor`` is on the electrons per radiance (3.13)."""
-    if np.any(np.asarray(signal_factor) != 1.0):
-        noise = with_signal(noise, np.asarray(signal_factor, dtype=float))
-    return replace(noise, gain=gain, offset=offset, factor=factor)
+    return replace(with_signal(noise, np.asarray(signal_factor, dtype=float)), gain=gain, offset=offset, factor=factor)
 
 
 def with_signal(noise: NoiseModel, factor: float | Array) -> NoiseModel:

@@ -117,10 +117,9 @@ class Admixture(Model):
 
 
 class HeavyTails(Model):
-    """Pixels of a class drawn from a multivariate t of the same mean and covariance."""
+    """Pixels of every class that covers ground drawn from a multivariate t of the same mean and covariance."""
 
     dof: float = Field(gt=2.0, le=1000.0)
-    surfaces: list[str] | None = Field(default=None, description="None: every class that covers ground")
 
 
 class Texture(Model):
@@ -214,7 +213,6 @@ class SceneFile(Model):
                 raise ValueError(f"two {kind} carry the same name")
         hosts = [g.host for g in self.targets] + [r.surface for r in self.regions]
         hosts += [a.host for a in self.broken.admixtures]
-        hosts += (self.broken.heavy_tails and self.broken.heavy_tails.surfaces) or []
         for name in hosts:
             if name not in surfaces:
                 raise ValueError(f"the class {name!r} covers no area; the layout has {', '.join(sorted(surfaces))}")

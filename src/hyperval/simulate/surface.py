@@ -136,8 +136,7 @@ class SurfaceRenderer:
         self._names = covering
         open_ground = {a.surface for a in scene.layout}
         self._samplers = [
-            sampler(classes[name], tails.dof if tails and name in (tails.surfaces or open_ground) else None)
-            for name in covering
+            sampler(classes[name], tails.dof if tails and name in open_ground else None) for name in covering
         ]
         self.bands = int(self._samplers[0].mean.size)
         self._texture = texture_factor(scene)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -119,6 +120,11 @@ class Input(Moving):
         if self.values is not None and not plain and not all(isinstance(v, int | float) for v in self.values):
             raise ValueError("factor and offset go with numbers")
         return self
+
+    @property
+    def size(self) -> int:
+        """Number of its listed values; 1 where random."""
+        return len(self.values) if self.values else self.grid.count if self.grid else 1
 
     @property
     def listed(self) -> npt.NDArray[Any] | None:
@@ -322,6 +328,13 @@ class StudyFile(Model):
         return [*self.inputs, *self.required]
 
     @property
+    def count(self) -> int:
+        """Number of points of the design."""
+        if self.design.kind == "one-at-a-time":
+            return 1 + sum(i.size for i in self.inputs)
+        return math.prod(i.size for i in self.inputs) * (self.design.count if any(i.random for i in self.inputs) else 1)
+
+    @property
     def folder(self) -> Path | None:
         """Folder of the study file; the scenario's file is relative to it."""
         return self._folder
@@ -338,11 +351,6 @@ def load_study(path: Path) -> StudyFile:
     """
     study = load_model(StudyFile, path)
     study._folder = Path(path).resolve().parent
-    count = 1
-    for item in study.inputs:
-        count *= len(item.values) if item.values else item.grid.count if item.grid else 1
-    if any(i.random for i in study.inputs):
-        count *= study.design.count
-    if study.design.kind == "grid" and count > MOST_POINTS:
-        raise UsageError(f"{count:,} points", where=str(path), expected=f"at most {MOST_POINTS:,}")
+    if study.count > MOST_POINTS:
+        raise UsageError(f"{study.count:,} points", where=str(path), expected=f"at most {MOST_POINTS:,}")
     return study

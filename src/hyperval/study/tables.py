@@ -51,18 +51,14 @@ class StudyPoints:
         self.study = study
         self.listed = {i.name: values for i in study.inputs if (values := i.listed) is not None}
         self.random = {i.name: i.random for i in study.inputs if i.random is not None}
-        self._each = int(np.prod([len(values) for values in self.listed.values()], dtype=np.int64))
-        self._alone = study.design.kind == "one-at-a-time"
 
     def __len__(self) -> int:
-        if self._alone:
-            return 1 + sum(map(len, self.listed.values()))
-        return self._each * (self.study.design.count if self.random else 1)
+        return self.study.count
 
     def stretch(self, start: int, stop: int) -> Mapping[str, Column]:
         """Input name -> its values at the points from ``start`` to before ``stop``."""
         number, columns, first = np.arange(start, stop), dict[str, Column](), 1
-        if self._alone:
+        if self.study.design.kind == "one-at-a-time":
             for name, values in self.listed.items():
                 own = (number >= first) & (number < first + len(values))
                 columns[name] = np.full(number.size, None, dtype=object)
@@ -70,7 +66,7 @@ class StudyPoints:
                 first += len(values)
             return columns
         if self.random:
-            draw, number = np.divmod(number, self._each)
+            draw, number = np.divmod(number, len(self) // self.study.design.count)
             u = _sobol(len(self.random), self.study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
             columns = {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(self.random.items())}
         for name, values in reversed(self.listed.items()):

@@ -128,15 +128,11 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
 
 
 def _of_size(study: StudyFile, limits: Limits) -> Iterator[FieldMistake]:
-    points, states = 1, 1
+    states = 1
     for item in study.inputs:
-        own = len(item.values) if item.values else item.grid.count if item.grid else 1
-        points *= own
         if any(m.path.startswith("atmosphere.") for m in item.targets):
-            states *= own if item.random is None else 7
-    if any(item.random for item in study.inputs):
-        points *= study.design.count
-    points *= 1 + sum(q.scan + 40 for q in study.required) // 4
+            states *= item.size if item.random is None else 7
+    points = study.count * (1 + sum(q.scan + 40 for q in study.required) // 4)
     if points > limits.points:
         yield FieldMistake("inputs", f"{points:,} evaluations; this server takes at most {limits.points:,}")
     if states > _MOST_STATES:
