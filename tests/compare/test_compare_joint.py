@@ -34,16 +34,12 @@ def rows_of(sides):
 
 
 def test_errors_that_all_share_stay_and_own_ones_average_out():
-    half = {
-        n: (r.upper - r.lower) / 2 / 1.959964
-        for n, r in {
-            "own": rows_of(both(shared=0, calibration=0, noise=0))["joint_difference_ratio@450-700"],
-            "shared": rows_of(both(own=0, calibration=0, noise=0, shared=0.03))["joint_difference_ratio@450-700"],
-        }.items()
-    }
     tilt = SMOOTH[1, (AXIS.centre_nm >= 450) & in_window(AXIS.centre_nm)].mean()
-    assert half["own"] == pytest.approx(0.04 * np.hypot(1, tilt) / np.sqrt(3), rel=1e-6)
-    assert half["shared"] == pytest.approx(0.03 * np.hypot(1, tilt), rel=1e-6)
+    none = {"shared": 0, "own": 0, "calibration": 0, "noise": 0}
+    for source, averaged in {"own": 3, "shared": 1}.items():
+        level = rows_of(both(**none | {source: 0.04}))["joint_difference_ratio@450-700"]
+        u = 0.04 * np.hypot(1, tilt) / np.sqrt(averaged)
+        assert (level.upper - level.value) / 1.959964 == pytest.approx(u, rel=1e-6)
     assert rows_of(both())["joint_difference_ratio@450-700"].value == pytest.approx(0.1, abs=1e-12)
     assert rows_of(both())["p_value_between@450-700"].value == pytest.approx(1.0)
 

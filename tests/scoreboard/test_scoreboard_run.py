@@ -151,15 +151,11 @@ class Halves:  # learns the mean of the targets, and never scores a pixel that i
 def bad(*given):
     raise UsageError("no such thing here")
 
-held = {}
-def cem(image, target):
-    return image @ held["weights"]
-
-def keep(target, mean, covariance, undesired):  # the filter of the background, handed to a function of the image
+def keep(target, mean, covariance, undesired):  # the filter of the background as a function of the image
     from hyperval.model import design_filter
     from hyperval.pixels import PixelDetector
-    held["weights"] = design_filter("cem", target, mean, covariance).weights
-    return PixelDetector(np.eye(mean.size), np.zeros(mean.size), image=lambda image, scene: cem(image, target))
+    weights = design_filter("cem", target, mean, covariance).weights
+    return PixelDetector(np.eye(mean.size), np.zeros(mean.size), image=lambda image, scene: image @ weights)
 
 register_detector("bad", bad)
 register_detector("mine", keep)
