@@ -110,9 +110,10 @@ def test_what_cannot_run_is_skipped_with_the_reason(small, tmp_path, no_drawing)
 
 
 def test_a_function_an_estimator_and_a_map_made_elsewhere_have_rows_and_what_is_refused_takes_none_with_it(
-    small, tmp_path, no_drawing
+    small, tmp_path, no_drawing, monkeypatch
 ):
     (tmp_path / "own.py").write_text(OF_ALL_KINDS)
+    monkeypatch.setattr("hyperval.pixels.statistics.BLOCK_PIXELS", 300)  # many blocks, as a long image has
     path = small.write()
     np.save(
         tmp_path / "small.npy", np.random.default_rng(0).normal(size=(scene_data()["lines"], scene_data()["samples"]))
@@ -130,6 +131,15 @@ def test_a_function_an_estimator_and_a_map_made_elsewhere_have_rows_and_what_is_
     low, high = (float(every["large-planks", "cem/pixel", f"auc_{side}_tau"]["value"]) for side in "fd")
     assert 0 < low < high < 1
     assert ("large-planks", "cem/pixel", "predicted_auc") in every
+    compared = [key for key in every if key[1].startswith("of-the-image/") and key[2] in ("auc", "pd@1e-2")]
+    assert len(compared) >= 6
+    for subject, method, metric in compared:
+        same = every[subject, method.replace("of-the-image", "cem"), metric]["value"]
+        assert float(every[subject, method, metric]["value"]) == pytest.approx(float(same), abs=1e-9), (method, subject)
+    monkeypatch.setattr("hyperval.pixels.detect.MOST_VALUES", 1000)
+    assert run(path, "--extend", tmp_path / "own.py", "-o", tmp_path / "too-large") == 0
+    refused = {r["method"]: r["reason"] for r in rows_of(tmp_path / "too-large") if r["outcome"] == "skipped"}
+    assert "see the image at once" in refused["of-the-image/object"]
 
 
 OF_ALL_KINDS = """
@@ -157,44 +167,20 @@ def keep(target, mean, covariance, undesired):  # the filter of the background a
     weights = design_filter("cem", target, mean, covariance).weights
     return PixelDetector(np.eye(mean.size), np.zeros(mean.size), image=lambda image, scene: image @ weights)
 
-register_detector("bad", bad)
-register_detector("mine", keep)
-register_scores("short", lambda image, target: image[:5, :, 0])
-register_estimator("halves", Halves())
-"""
-
-OF_THE_IMAGE = """
-import numpy as np
-from hyperval.pixels import register_detector
-from hyperval.model import design_filter
-from hyperval.pixels import PixelDetector
-
-def make(target, mean, covariance, undesired):
+def of_the_image(target, mean, covariance, undesired):
+    from hyperval.model import design_filter
+    from hyperval.pixels import PixelDetector
     one = design_filter("cem", target, mean, covariance)
     def combine(y, _):
         return (y[0] - y[0].mean()) / y[0].std()  # keeps the order, where it is of the whole image
     return PixelDetector(one.weights[None], np.array([-one.offset]), combine)
 
-register_detector("of-the-image", make)
+register_detector("bad", bad)
+register_detector("mine", keep)
+register_detector("of-the-image", of_the_image)
+register_scores("short", lambda image, target: image[:5, :, 0])
+register_estimator("halves", Halves())
 """
-
-
-def test_a_detector_that_takes_statistics_of_the_image_sees_all_of_it(small, tmp_path, no_drawing, monkeypatch):
-    (tmp_path / "own.py").write_text(OF_THE_IMAGE)
-    monkeypatch.setattr("hyperval.pixels.statistics.BLOCK_PIXELS", 300)  # many blocks, as a long image has
-    path = small.write()
-    assert run(path, "--extend", tmp_path / "own.py", "-o", tmp_path / "out") == 0
-    rows = {(r["method"], r["subject"], r["metric"]): r["value"] for r in rows_of(tmp_path / "out")}
-    compared = [key for key in rows if key[0].startswith("of-the-image/") and key[2] in ("auc", "pd@1e-2")]
-    assert len(compared) >= 6
-    for method, subject, metric in compared:
-        same = rows[method.replace("of-the-image", "cem"), subject, metric]
-        assert float(rows[method, subject, metric]) == pytest.approx(float(same), abs=1e-9), (method, subject)
-    monkeypatch.setattr("hyperval.pixels.detect.MOST_VALUES", 1000)
-    assert run(path, "--extend", tmp_path / "own.py", "-o", tmp_path / "too-large") == 0
-    refused = {r["method"]: r["reason"] for r in rows_of(tmp_path / "too-large") if r["outcome"] == "skipped"}
-    assert "see the image at once" in refused["of-the-image/object"]
-    assert "by_pixel=True" in refused["of-the-image/object"]
 
 
 def test_a_broken_campaign_is_an_error_row_beside_the_others(make_small, tmp_path, no_drawing):
