@@ -36,6 +36,7 @@ MAX_BINARY_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
 MAX_CLASSES = 1000
+_MAX_DIGITS = 300  # more are no float
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
 REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
@@ -259,7 +260,7 @@ def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
     has it.
     """
     try:
-        data = json.loads(read_text(path), object_pairs_hook=_once)
+        data = json.loads(read_text(path), object_pairs_hook=_once, parse_int=_whole_number)
     except (ValueError, RecursionError) as error:
         raise refusal("geojson.text", path, why=error) from error
     kind = data.get("type") if isinstance(data, dict) else None
@@ -285,6 +286,12 @@ def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
         fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
         features.append((geometry, known if isinstance(known, dict) else {}, fallback))
     return _united({}, features, place, grid, f"{path}: ")
+
+
+def _whole_number(text: str) -> int:
+    if len(text) > _MAX_DIGITS:
+        raise ValueError(f"a number of {len(text)} digits")
+    return int(text)
 
 
 def _within(data: Any, *keys: str) -> Any:
