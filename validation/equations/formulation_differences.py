@@ -1,4 +1,4 @@
-"""How far the printed equations are from the corrected ones: the tables of docs/model.md.
+"""How far the printed equations are from the corrected ones: the tables of README.md.
 
 Run ``python validation/equations/formulation_differences.py`` to print them; a test compares.
 """
