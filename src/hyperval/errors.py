@@ -79,15 +79,10 @@ def package_table(name: str) -> dict[str, Any]:
     return found
 
 
-def refuse(
-    wrong: object, what: str, where: object = None, expected: str | None = None, mend: str | None = None,
-    kind: type[HypervalError] = InputError, **values: object,
-) -> None:  # fmt: skip
-    """Raise where something is wrong: the error of a name in ``refusals.yaml``, else ``kind`` in these words."""
-    if wrong and what in package_table("refusals.yaml"):
-        raise refusal(what, where, **values)
+def refuse(wrong: object, name: str, where: object = None, /, **values: object) -> None:
+    """Raise the error of a name in ``refusals.yaml`` where something is wrong."""
     if wrong:
-        raise kind(what, where=None if where is None else str(where), expected=expected, mend=mend)
+        raise refusal(name, where, **values)
 
 
 def one_of(names: Iterable[str], otherwise: str = "a name") -> str:

@@ -2,8 +2,8 @@
 
 The relative difference of subject s in a region, d(s), is what all share, x, and errors.  An error of the model's
 inputs or of the calibration is the same draw for every subject; of the field readings and the noise each has its
-own.  With C their covariance x is the generalised least-squares mean, and (d - x)^T C^-1 (d - x) tells whether the
-subjects differ by more than their own errors say.
+own.  With C their covariance x is the mean of least variance with weights from 0 to 1; (d - y)^T C^-1 (d - y) about
+the generalised mean y tells whether the subjects differ by more than their own errors say.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ PIECES_NM = tuple((a, a + 30) for a in range(400, 1000, 30)) + tuple((a, a + 100
 OWN = "field spectrum"  # each subject's own draw
 CALIBRATION, REST = "calibration", "noise and the rest"
 _FEWEST_BANDS = 3
+FLOOR = 1e-4  # of the radiance: what interpolation and rounding of the model leave between subjects
 _LEAST_LEFT = 0.1  # hardly anybody knows an input ten times better
 
 
@@ -58,13 +59,19 @@ class JointDifference:
 
     @property
     def weights(self) -> Array:
-        """(S,) of the generalised mean, sum 1."""
-        solved = np.linalg.solve(self.covariance, np.ones(len(self.subjects)))
-        return np.asarray(solved / solved.sum())
+        """(S,) of the mean of least variance whose weights are no less than 0, sum 1.
+
+        Without that bound subjects whose errors are nearly the same are extrapolated from, to far outside of them all
+        where anything that no source states makes them differ.
+        """
+        rows = np.linalg.cholesky(self.covariance).T
+        heavy = 1e4 * float(np.abs(rows).max())
+        found = scipy.optimize.nnls(np.vstack([rows, heavy * np.ones(len(rows))]), np.eye(len(rows) + 1)[-1])[0]
+        return np.asarray(found / found.sum())
 
     @property
     def value(self) -> float:
-        """The generalised least-squares mean."""
+        """The mean of least variance, which lies between the subjects' own differences."""
         return float(self.weights @ self.difference)
 
     @property
@@ -74,8 +81,9 @@ class JointDifference:
 
     @property
     def between(self) -> tuple[float, int]:
-        """Chi-square of what the subjects differ by, with its degrees of freedom."""
-        left = self.difference - self.value
+        """Chi-square of what the subjects differ by about their generalised mean, with its degrees of freedom."""
+        solved = np.linalg.solve(self.covariance, np.ones(len(self.subjects)))
+        left = self.difference - solved @ self.difference / solved.sum()
         return float(left @ np.linalg.solve(self.covariance, left)), left.size - 1
 
 
@@ -122,17 +130,21 @@ def joint_difference(
         weights.append(of_predicted)
         difference[i] = float(of_predicted[at] @ (p.mean - m.mean)[at])
         for source, errors in p.errors.items():
-            directions, scales[source] = np.nan_to_num(errors.rows) @ of_predicted, (errors.size, errors.unit)
+            directions = np.nan_to_num(errors.rows) @ of_predicted
+            scales[source] = (errors.size, errors.unit)
             if source == OWN:
                 add(OWN, i, float(directions @ directions))
             else:
                 shared.setdefault(source, {})[i] = directions
         measured.append((of_measured, m))
+    if len(pairs) > 1:
+        scales[OWN] = (math.nan, "")  # field spectra of several subjects have no one uncertainty
     sources = {name: _same_draw(rows, len(pairs)) for name, rows in shared.items()}
     if any(m.calibration is not None for _, m in measured):
         sources[CALIBRATION] = _calibration(measured)
     for i, (p, m) in enumerate(pairs.values()):
         of_predicted, of_measured = weights[i], measured[i][0]
+        add(REST, i, (FLOOR * float(of_measured @ np.nan_to_num(m.mean))) ** 2)
         add(REST, i, _variance(p.error_covariance, of_predicted) - sum(
             float(np.sum((np.nan_to_num(e.rows) @ of_predicted) ** 2)) for e in p.errors.values()
         ))  # fmt: skip
@@ -142,7 +154,6 @@ def joint_difference(
         for name, part in (parts or {REST: 1.0}).items():
             add(name, i, left * part / whole if whole > 0.0 else left / len(parts or [0]))
     sources |= {name: np.diag(values) for name, values in own.items()}
-    sources[REST] = sources.get(REST, np.zeros((len(pairs), len(pairs)))) + 1e-16 * np.eye(len(pairs))
     return JointDifference(tuple(pairs), difference, sources, scales)
 
 
@@ -218,7 +229,7 @@ def would_decide(item: Result, predicted: Products, observed: Products) -> str:
         return ""
     wanted = min(abs(item.value - end) for end in ends) / half  # of the half width that is there
     if wanted <= 0.0:
-        return "cannot be decided: the value stands at the end of its range"
+        return "another collection: the value stands at the end of its range"
     if joint is None:
         more = f"{item.n} counted would have to be {math.ceil(item.n / wanted**2)}; or " if item.n else ""
         return f"{more}an interval {1.0 / wanted:.2g} times narrower"
@@ -268,14 +279,9 @@ def deciding(
         words = []
         for name in names:
             size, unit = scales.get(name, (math.nan, ""))
-            part = left(names)
-            unit = f" {unit}".rstrip()
-            to = (
-                f"to {part * size:.2g}{unit} (now {size:.2g})"
-                if math.isfinite(size)
-                else f"{1 / part:.2g} times better"
-            )
-            words.append(f"{name} known {to}")
+            part, unit = left(names), f" {unit}".rstrip()
+            to = f"to {part * size:.2g}{unit} (now {size:.2g})"
+            words.append(f"{name} known " + (to if math.isfinite(size) else f"{1 / part:.2g} times better"))
         return " and ".join(words)
 
     out = [known([name]) for name in largest if left([name]) > _LEAST_LEFT][:3]
@@ -285,4 +291,4 @@ def deciding(
     own = budget.get(OWN, 0.0) ** 2 + budget.get(REST, 0.0) ** 2
     if subjects > 1 and wanted**2 * total > total - own:
         out.append(f"{math.ceil(subjects * own / (wanted**2 * total - (total - own)))} subjects in place of {subjects}")
-    return " or ".join(out) or "cannot be decided with this collection: every source would have to be known better"
+    return " or ".join(out) or "more than this collection can give: every source would have to be known better"

@@ -128,7 +128,7 @@ def _gain(table: ResultTable) -> Figure | None:
         return None
     columns = {"x": np.array([float(r.metric.partition("@")[2]) for r in every])}
     columns |= dict(zip(("y", "low", "high"), np.array([(r.value, r.lower, r.upper) for r in every]).T, strict=True))
-    mark = Mark("line", columns, "gain, 95 % interval", DIFFERENCE, marker="circle")
+    mark = Mark("dots", columns, "gain, 95 % interval", DIFFERENCE, marker="circle")
     far = max(every, key=lambda r: abs(r.value - 1.0))
     title = "The gain of the sensor that would explain the radiance of all subjects"
     alt = f"{title}, farthest from 1: {far.value:.2f} ({far.lower:.2f} to {far.upper:.2f}) at "

@@ -337,7 +337,7 @@ def score_cube(
     for _ in stream(cube, segment, used, must, watch):
         pass
     for name, values in kept.items():
-        with _of_added(detectors[name].added):
+        with _of_added(detectors[name].added or name):
             maps[name] = _of_whole(detectors[name], values, scenes.get(name))
     return maps
 

@@ -141,13 +141,14 @@ def _score_maps(entry: Entry) -> Iterator[None]:
 
         return PixelDetector(np.zeros((1, mean.size)), np.zeros(1), image=image)
 
+    before = dict(detect.ADDED_DETECTORS)
     try:
         for name, file in entry.scores.items():
             register_detector(name, partial(made, file))
         yield
     finally:
-        for name in entry.scores:
-            detect.ADDED_DETECTORS.pop(name, None)
+        detect.ADDED_DETECTORS.clear()
+        detect.ADDED_DETECTORS.update(before)
 
 
 def _run(entry: Entry, job: Job, show_progress: bool | None) -> Benchmarked:
