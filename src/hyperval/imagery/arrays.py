@@ -207,7 +207,7 @@ def check_own_values(path: Path) -> None:
         ):
             foreign.append(name)
 
-    with Store(path, hdf5).kept_open() as file:
+    with Store(path, hdf5).kept_open() as file, _readable(path, "HDF5"):
         file.visititems_links(visit)
         file.visititems(visit)
     if foreign:
