@@ -190,7 +190,7 @@ _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that dr
 # Of a run, beside each other, before everything else, embedded whatever happens.
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
-_MOST_OPEN_FIGURES = 2  # of spectra and curves; the others are folded in their sections
+_MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
 _MOST_ROWS = 60  # rows of one section that nothing was planned for
@@ -242,8 +242,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     sides = (run.prediction, run.observation)
     spectra = _worst_first(first_figures(sides, run.table), rows)
     many = many_objects_figure(run.score_maps, sides)
-    charts, further = spectra[:_MOST_OPEN_FIGURES], spectra[_MOST_OPEN_FIGURES:]
-    charts += [many] if many is not None else []
+    shown_first = [*spectra, *([many] if many is not None else [])]
+    charts, further = shown_first[:_MOST_OPEN_FIGURES], shown_first[_MOST_OPEN_FIGURES:]
     plots = further_figures(sides, run.table, run.eigenvalues, run.tails, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
