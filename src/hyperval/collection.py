@@ -70,7 +70,9 @@ class RadCalNetSource(Model):
     path: str = Field(description="daily file that ends in .output")
     subject: str = Field("{site} {time}", description="name of a half hour; {site}, {time} are those of the file")
     times: list[str] = Field(default_factory=list, description="half hours, such as 04:00; empty: all with values")
-    fwhm_nm: float = Field(10.0, gt=0, le=100, description="width of the bands, which the file does not state")
+    fwhm_nm: float | None = Field(
+        None, gt=0, le=100, description="width of the bands; None: as the oxygen band at 760 nm shows it"
+    )
     correlation_nm: float | None = Field(
         None, gt=0, description="correlation length of the stated uncertainty; None: fully correlated"
     )

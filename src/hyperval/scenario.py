@@ -165,11 +165,13 @@ class FineStructure(SpectralForm):
 class EngineUncertainty(SpectralForm):
     """How far the radiative-transfer engine itself may be off, as a part of the ground-reflected radiance.
 
-    u = relative + per_optical_depth * (-ln T_gas): absorption bands are worse than windows.
+    u = relative + per_optical_depth * (-ln T_gas) + per_aerosol_depth * tau: absorption bands are worse than windows,
+    and haze, of optical depth tau at 550 nm above the ground, worse than clear air.
     """
 
     relative: float = Field(ge=0, lt=1)
     per_optical_depth: float = Field(0.0, ge=0, lt=10)
+    per_aerosol_depth: float = Field(0.0, ge=0, lt=10)
     path_relative: float = Field(0.0, ge=0, lt=1, description="of the path radiance")
     fine_structure: FineStructure | None = Field(
         None, description="besides: the error that changes from band to band, with a form of its own"

@@ -23,25 +23,25 @@ def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
     path = day_file(tmp_path)
     day = spectra.read_radcalnet(path)
     assert (day.site, day.latitude_deg, day.longitude_deg, day.altitude_m) == ("XXXX01", 40.5, -109.5, 1270.0)
-    assert day.times == (datetime(2020, 2, 29, 3, 30, tzinfo=UTC), datetime(2020, 2, 29, 4, 0, tzinfo=UTC))
-    assert day.wavelength_nm.tolist() == [400.0, 410.0, 420.0]
+    times = (datetime(2020, 2, 29, 3, 30, tzinfo=UTC), datetime(2020, 2, 29, 4, 0, tzinfo=UTC))
+    assert (day.times, day.wavelength_nm.tolist()) == (times, [400.0, 410.0, 420.0])
     np.testing.assert_array_equal(day.values, [[0.10, np.nan, 0.12], [0.20, 0.21, 0.22]])
     np.testing.assert_array_equal(day.uncertainty, [[0.01, np.nan, 0.02], [0.02, 0.03, 0.02]])
     assert day.valid == ("03:30",)  # the Angstrom exponent of the other is no value
     at = day.at("03:30")
     assert (at["pressure_hpa"], at["ozone_atm_cm"], at["u_aot550"]) == (900.0, 0.28, 0.1)
-    for clock, words in (("04:00", "04:00 holds no value"), ("05:00", "05:00 is none of the file")):
+    for words in ("04:00 holds no value", "05:00 is none of the file"):
         with pytest.raises(UsageError, match=words):
-            day.at(clock)
-    (found,) = spectra.read_records(path)
-    assert (found.name, found.wavelength_nm.tolist()) == ("03:30", [400.0, 420.0])
-    assert found.standard_deviation.tolist() == [0.01, 0.02]
+            day.at(words[:5])
+    found = {at.name: (at.wavelength_nm.tolist(), at.standard_deviation.tolist()) for at in spectra.read_records(path)}
+    assert found == {"03:30": ([400.0, 420.0], [0.01, 0.02])}
     with pytest.raises(InputError, match=r"holds top-of-atmosphere reflectance, not reflectance"):
         spectra.read_spectrum(day_file(tmp_path, name="day.output"), record="03:30")
     with pytest.raises(UsageError, match=r"\.input \(surface\)"):
         spectra.read_radcalnet(day_file(tmp_path, name="day.txt"))
-    sunlit = day_file(tmp_path, RADCALNET.replace("Type:", "Zen:\t64\t59\nAzi:\t46\t41\nType:"), "day.txt")
-    assert spectra.read_radcalnet(sunlit).quantity == day.quantity.replace("ref", "top-of-atmosphere ref")
+    later = RADCALNET.replace("Type:", "Zen:\t64\t59\nAzi:\t46\t41\n\nType:").replace("20\t0.02", "20\t9.02")
+    top = spectra.read_radcalnet(day_file(tmp_path, later, "day.txt"))
+    assert (top.quantity, np.isfinite(top.values[:, -1]).tolist()) == ("top-of-atmosphere reflectance", [False, True])
 
 
 @pytest.mark.parametrize("case", yaml.safe_load(Path(__file__).with_name("days.yaml").read_text("utf-8")))

@@ -339,10 +339,13 @@ def _of_light(world: World, shapes: bool) -> list[UncertainInput]:
     ]
     if u.engine is None or not shapes:
         return inputs
-    for name, part in ((ENGINE, u.engine), (ENGINE_LINES, u.engine.fine_structure)):
-        if part is None or not (part.relative > 0 or part.per_optical_depth > 0):
+    haze = u.engine.per_aerosol_depth
+    if haze > 0:
+        haze *= world.stated.scenario.atmosphere.aerosol_optical_depth
+    for name, part, more in ((ENGINE, u.engine, haze), (ENGINE_LINES, u.engine.fine_structure, 0.0)):
+        if part is None or not (part.relative + more > 0 or part.per_optical_depth > 0):
             continue
-        sd = np.full(len(world.stated.axis), part.relative)
+        sd = np.full(len(world.stated.axis), part.relative + more)
         if part.per_optical_depth > 0:  # greater where gases absorb
             gas = world.stated.atmosphere({}, 1).gas_transmittance[0, 0]
             sd = sd - part.per_optical_depth * np.log(np.clip(gas, 1e-6, 1.0))

@@ -434,7 +434,12 @@ def observe_radcalnet(source: RadCalNetSource, resolve: Resolve) -> ObservedProd
     rows = [day.column(time) for time in times]
     bands = np.isfinite(day.values[rows]).any(axis=0)
     nm = day.wavelength_nm[bands]
-    axis = SpectralAxis(nm, np.full(nm.size, source.fwhm_nm))
+    fwhm, how = source.fwhm_nm, "as stated"
+    if fwhm is None:
+        fwhm, how = px.oxygen_band_width(nm, np.nanmean(day.values[rows][:, bands], axis=0)), "by the oxygen A band"
+    if not np.isfinite(fwhm):
+        fwhm, how = float(np.diff(nm).min()), "as wide as their step"
+    axis = SpectralAxis(nm, np.full(nm.size, fwhm))
     out = {}
     for time, row in zip(times, rows, strict=True):
         stated = np.nan_to_num(day.uncertainty[row, bands])
@@ -443,7 +448,7 @@ def observe_radcalnet(source: RadCalNetSource, resolve: Resolve) -> ObservedProd
             errors[NETWORK] = np.outer(stated, stated) * correlation(axis, source.correlation_nm)
         estimate = spectral_estimate(day.values[row, bands], errors)
         out[source.subject.format(site=day.site, time=time)] = replace(estimate, stated=stated)
-    notes = [f"bands are taken as {source.fwhm_nm:g} nm wide: the network's file does not state their width"]
+    notes = [f"bands are taken as {fwhm:g} nm wide ({how}): the network's file does not state their width"]
     if source.shared_inputs:
         notes.append("both sides start from the same surface and state: their errors are not in the difference")
     return ObservedProducts(axis=axis, toa_reflectance=out, notes=tuple(notes), provenance={"quantity": TOP})

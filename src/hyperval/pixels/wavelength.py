@@ -105,6 +105,27 @@ def oxygen_residual(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike, fw
     return Shift(OXYGEN_RESIDUAL, float(p[0]), float(np.hypot(_SHAPE, widened * np.sqrt(covariance[0, 0]))))
 
 
+def oxygen_band_width(wavelength_nm: npt.ArrayLike, spectrum: npt.ArrayLike) -> float:
+    """FWHM [nm] of Gaussian bands through which a spectrum (B,) shows the oxygen A band, a whole one; NaN without it.
+
+    Least squares over 740 to 790 nm: what stands beside the band as a parabola, how much is absorbed, and the width.
+
+    Examples
+    --------
+    >>> w = np.arange(400.0, 1000.0, 10.0)
+    >>> oxygen_band_width(w, 0.3 - oxygen_absorption(w, np.full(w.size, 12.0)))
+    12.0
+    """
+    w, y = np.asarray(wavelength_nm, dtype=float), np.asarray(spectrum, dtype=float)
+    use = (w >= 740.0) & (w <= 790.0) & np.isfinite(y)
+    beside = np.vander((w[use] - 765.0) / 25.0, 3)
+    if use.sum() < beside.shape[1] + LEAST_BANDS:
+        return float("nan")
+    tried = np.arange(1.0, 41.0)
+    rests = [_rest(np.column_stack([beside, oxygen_absorption(w[use], f)]), y[use]) for f in tried]
+    return float(tried[np.argmin(rests)]) if min(rests) < 0.1 * _rest(beside, y[use]) else float("nan")
+
+
 def _log_transmitted(absorbed: Array) -> Array:
     return np.asarray(np.log1p(-np.minimum(absorbed, 0.99)))
 

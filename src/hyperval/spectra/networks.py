@@ -3,7 +3,8 @@
 A file is tab-separated text: the site, one column a half hour, the state, reflectance every 10 nm, and after an
 empty line the standard uncertainties of all of it in the same columns.  ``.input`` holds what was measured on the
 ground, ``.output`` what the network computed for the top of the atmosphere, seen from nadir; the text of the two
-does not tell them apart, but that the latter may list the place of the sun.  9996 and above: no value.
+does not tell them apart, but that the latter may list the place of the sun.  9996 and above: no value.  In strong
+absorption bands later versions add 9 to the uncertainty: the network does not vouch for it, nor is the value taken.
 
 Surface reflectance of HYPERNETS (L2A): a sequence of views, its errors by kind with their correlation.
 
@@ -110,6 +111,7 @@ def _without_rounding(stored: Array) -> Array:
 
 
 NO_VALUE = 9996.0  # and above, up to 9999: night, bad weather, outside the instrument's range, other causes
+MARKED = 9.0  # of an uncertainty: more than any is
 STATE = {
     "P": "pressure_hpa", "T": "temperature_k", "WV": "water_vapour_g_cm2", "O3": "ozone_dobson",
     "AOD": "aot550", "Ang": "angstrom_exponent",
@@ -232,6 +234,7 @@ def day_of(text: str, path: Path) -> RadCalNetDay:
     (nm, values), (u_nm, uncertainty) = (_spectra(part, count, str(path)) for part in parts)
     state, doubt = ({name: part[f"{key}:"].numbers(count) for key, name in STATE.items()} for part in parts)
     refuse(not np.array_equal(nm, u_nm), "radcalnet.unlike", path)
+    values, uncertainty = (np.where(uncertainty >= MARKED, np.nan, x) for x in (values, uncertainty))
     refuse(any(np.nanmin(u, initial=0.0) < 0 for u in (uncertainty, *doubt.values())), "network.negative", path)
     wrong = np.isfinite(values) & ~((values > -0.1) & (values < 2.0))
     refuse(wrong.any(), "radcalnet.values", path, count=wrong.sum(), some=values[wrong][:1], least=NO_VALUE)
