@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+
 import hyperval
 
 # The examples print nothing of the machine that they ran on, and leave no progress bars behind.
@@ -24,9 +26,11 @@ html_theme = "furo"
 html_title = f"hyperval {release}"
 html_copy_source = False
 html_show_copyright = False
-html_static_path: list[str] = []
+html_static_path = ["static"]
+html_css_files = ["dark.css"]
 
 myst_heading_anchors = 4
+myst_enable_extensions = ["html_image"]
 # Files of the repository that are named by the documents and are not documents themselves.
 suppress_warnings = ["myst.xref_missing", "myst.header", "config.cache"]
 # The notebook is kept without outputs, and runs here.
@@ -68,13 +72,25 @@ def errors_as_list(app: Any, what: str, name: str, obj: Any, options: Any, lines
 
 
 def write_reference(app: Any) -> None:
-    """The pages that are made from the code: every key of every file, every metric."""
-    for page in ("files", "metrics"):
+    """The pages that are made from the code: every command, key and metric."""
+    for page in ("commands", "files", "metrics"):
         script = Path(app.srcdir).parent / "scripts" / f"{page}_page.py"
         subprocess.run([sys.executable, str(script), "--write"], check=True)  # noqa: S603
 
 
+def add_dark_twins(app: Any, tree: nodes.document) -> None:
+    """A picture NAME.png with NAME-dark.png beside it is shown on light screens, its twin on dark ones."""
+    for image in list(tree.findall(nodes.image)):
+        twin = image["uri"].removesuffix(".png") + "-dark.png"
+        if (Path(app.srcdir) / app.env.docname / ".." / twin).resolve().is_file():
+            dark = image.deepcopy()
+            dark["uri"] = twin
+            dark["classes"], image["classes"] = [*image["classes"], "only-dark"], [*image["classes"], "only-light"]
+            image.parent.insert(image.parent.index(image) + 1, dark)
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    app.connect("doctree-read", add_dark_twins, priority=400)
     app.connect("builder-inited", write_reference)
     app.connect("autodoc-process-docstring", errors_as_list, priority=400)

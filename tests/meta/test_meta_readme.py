@@ -19,7 +19,7 @@ from hyperval.scenario import Scenario
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text("utf-8")
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "campaigns").rglob("*.md")])
-MADE = {"reference/files.md", "reference/metrics.md"}  # by the documentation, from the code
+MADE = {"reference/commands.md", "reference/files.md", "reference/metrics.md"}  # by the documentation, from the code
 REGRESSION = (ROOT / "docs" / "regression.md").read_text("utf-8")
 EXAMPLES: list[Any] = [
     yaml.safe_load(text) for text in re.findall(r"^```yaml\n(.*?)^```", REGRESSION, re.MULTILINE | re.DOTALL)
