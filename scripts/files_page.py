@@ -1,4 +1,4 @@
-"""Write docs/reference/files.md: every key of the files that are read, from the models that read them.
+"""Write docs/reference/files.md: every key of the files that are read, from their published schemas.
 
 python scripts/files_page.py            print it
 python scripts/files_page.py --write    write it, as the documentation does when it is built
@@ -6,34 +6,24 @@ python scripts/files_page.py --write    write it, as the documentation does when
 
 from __future__ import annotations
 
+import json
 import sys
-import types
-import typing
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from annotated_types import Ge, Gt, Le, Lt
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
-
-from hyperval.campaign import Campaign
-from hyperval.scenario import Scenario
-from hyperval.sensor import SensorSpecification
-from hyperval.simulate.schema import SceneFile
-from hyperval.study import StudyFile
-
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "files.md"
-FILES: tuple[tuple[str, type[BaseModel], str], ...] = (
-    ("Campaign", Campaign, "`hyperval validate`, `hyperval observe`"),
-    ("Scenario", Scenario, "`hyperval predict`, and `scenarios` of a campaign"),
-    ("Scene", SceneFile, "`hyperval simulate`, and `simulate` of a collection"),
-    ("Study", StudyFile, "`hyperval study`"),
-    ("Sensor", SensorSpecification, "`sensor` of a scenario or scene"),
-)
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "reference" / "files.md"
+FILES = {
+    "campaign": "`hyperval validate`, `hyperval observe`",
+    "scenario": "`hyperval predict`, and `scenarios` of a campaign",
+    "scene": "`hyperval simulate`, and `simulate` of a collection",
+    "study": "`hyperval study`",
+    "sensor": "`sensor` of a scenario or scene",
+}
 HEAD = """# The files, key by key
 
-Made by `scripts/files_page.py` from the models that read the files, when the documentation is built.
+Made by `scripts/files_page.py` when the documentation is built, from the schemas that `hyperval schema` prints.
 Files are YAML 1.2 with plain scalars only: no anchors, no tags, no second key of the same name. Unknown keys are
 errors with file and line. A file reference is relative to the file that holds it; `data:SET/PATH` is a file of the
 data directory (`HYPERVAL_DATA`, else the user's cache); in a campaign that simulates, `simulated:NAME` is a file of
@@ -42,93 +32,91 @@ the simulated collection. Complete examples: [campaigns/](../../campaigns),
 """
 
 
-def type_text(annotation: Any) -> str:
+NAMES = {"string": "text", "boolean": "true or false", "integer": "whole number", "object": "anything"}
+LIMITS = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+
+
+def members(field: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What may stand in a field, nothing left out."""
+    return [m for m in field.get("anyOf", field.get("oneOf", [field])) if m.get("type") != "null"]
+
+
+def type_text(field: Mapping[str, Any]) -> str:
     """A type in words: the names of models, the values of a choice, lists and mappings."""
-    origin, parts = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin is typing.Annotated:
-        return type_text(parts[0])
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(type_text(p) for p in parts if p is not type(None))
-    if origin is typing.Literal:
-        return ", ".join(f"`{p}`" for p in parts)
-    if origin in (list, tuple) and parts:
-        inner = [type_text(p) for p in parts if p is not Ellipsis]
-        if origin is tuple and Ellipsis not in parts:
-            return "[" + ", ".join(inner) + "]"
-        return f"list of {inner[0]}"
-    if origin is dict:
-        return f"mapping of {type_text(parts[0])} to {type_text(parts[1])}"
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
-    names = {str: "text", float: "number", int: "whole number", bool: "true or false", object: "anything"}
-    return names.get(annotation, getattr(annotation, "__name__", str(annotation)))
+    if "$ref" in field:
+        name = field["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    if "anyOf" in field or "oneOf" in field:
+        return " or ".join(dict.fromkeys(map(type_text, members(field))))
+    if "enum" in field or "const" in field:
+        return ", ".join(f"`{value}`" for value in field.get("enum", [field.get("const")]))
+    if "prefixItems" in field:
+        return "[" + ", ".join(map(type_text, field["prefixItems"])) + "]"
+    if "items" in field:
+        return f"list of {type_text(field['items'])}"
+    if isinstance(field.get("additionalProperties"), dict):
+        return f"mapping of text to {type_text(field['additionalProperties'])}"
+    kind = field.get("type", "object")
+    return NAMES.get(kind, kind) if isinstance(kind, str) else NAMES.get(kind[0], kind[0])
 
 
-def limits_text(info: FieldInfo) -> str:
+def limits_text(field: Mapping[str, Any]) -> str:
     """The numeric limits of a field."""
-    words = {Ge: "at least", Gt: "above", Le: "at most", Lt: "below"}
-    found = [
-        f"{text} {getattr(item, kind.__name__.lower()):g}"
-        for item in info.metadata
-        for kind, text in words.items()
-        if isinstance(item, kind)
-    ]
-    return ", ".join(found)
+    stated = dict.fromkeys(f"{text} {m[key]:g}" for m in members(field) for key, text in LIMITS.items() if key in m)
+    return ", ".join(stated)
 
 
-def default_text(info: FieldInfo) -> str:
+def default_text(field: Mapping[str, Any], is_required: bool) -> str:
     """The default as it would be written, or that there is none."""
-    if info.is_required():
-        return "required"
-    value = info.default
-    if info.default_factory is not None:
-        value = info.default_factory()  # type: ignore[call-arg]
-    if value is None or value is PydanticUndefined:
-        return ""
-    if isinstance(value, BaseModel):
+    value = field.get("default")
+    if is_required or value is None:
+        return "required" if is_required else ""
+    if isinstance(value, dict):
         return "its own defaults"
-    if isinstance(value, list | dict | tuple) and not value:
-        return "none"
-    return f"`{value}`".replace("True", "true").replace("False", "false")
+    return "none" if value == [] else f"`{value}`".replace("True", "true").replace("False", "false")
 
 
-def models_of(model: type[BaseModel], seen: list[type[BaseModel]]) -> list[type[BaseModel]]:
+def references(part: Any) -> Iterator[str]:
+    """The names of the models that a part of a schema refers to."""
+    if isinstance(part, dict):
+        yield from (part["$ref"].rpartition("/")[2],) if "$ref" in part else ()
+        for inner in part.values():
+            yield from references(inner)
+    elif isinstance(part, list):
+        for inner in part:
+            yield from references(inner)
+
+
+def models_of(name: str, schemas: Mapping[str, Any], seen: dict[str, Any]) -> dict[str, Any]:
     """A model and the models it holds, each once, outermost first."""
-    if model in seen:
-        return seen
-    seen.append(model)
-
-    def inside(annotation: Any) -> list[type[BaseModel]]:
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            return [annotation]
-        return [m for part in typing.get_args(annotation) for m in inside(part)]
-
-    for info in model.model_fields.values():
-        for inner in inside(info.annotation):
-            models_of(inner, seen)
+    if name not in seen:
+        seen[name] = schemas[name]
+        for inner in references({k: v for k, v in schemas[name].items() if k != "$defs"}):
+            models_of(inner, schemas, seen)
     return seen
 
 
-def section(model: type[BaseModel], level: str) -> str:
+def section(name: str, schema: Mapping[str, Any]) -> str:
     """Heading, what it is, and a table of its keys."""
-    words = " ".join((model.__doc__ or "").split("Attributes")[0].split())
+    words = " ".join(schema.get("description", "").split("Attributes")[0].split())
     rows = ["| key | value | default | meaning |", "| --- | --- | --- | --- |"]
-    for name, info in model.model_fields.items():
-        meaning = "; ".join(t for t in (info.description or "", limits_text(info)) if t).replace("|", "\\|")
-        key = info.alias or name
-        rows.append(f"| `{key}` | {type_text(info.annotation)} | {default_text(info)} | {meaning} |")
-    return f"{level} {model.__name__}\n\n{words}\n\n" + "\n".join(rows) + "\n"
+    for key, field in schema.get("properties", {}).items():
+        meaning = "; ".join(t for t in (field["description"], limits_text(field)) if t).replace("|", "\\|")
+        default = default_text(field, key in schema.get("required", ()))
+        rows.append(f"| `{key}` | {type_text(field)} | {default} | {meaning} |")
+    return f"### {name}\n\n{words}\n\n" + "\n".join(rows) + "\n"
 
 
 def page() -> str:
     """The whole page."""
     parts = [HEAD]
-    done: list[type[BaseModel]] = []
-    for title, model, used in FILES:
-        parts.append(f"## {title} file\n\nRead by {used}.\n")
-        mine = [m for m in models_of(model, []) if m not in done]
-        done += mine
-        parts += [section(m, "###") for m in mine]
+    done: set[str] = set()
+    for kind, used in FILES.items():
+        schema = json.loads((ROOT / "src" / "hyperval" / "schemas" / f"{kind}.json").read_text("utf-8"))
+        parts.append(f"## {kind.capitalize()} file\n\nRead by {used}.\n")
+        own = models_of(schema["title"], {**schema["$defs"], schema["title"]: schema}, {})
+        parts += [section(name, part) for name, part in own.items() if name not in done]
+        done |= own.keys()
     return "\n".join(parts)
 
 

@@ -13,7 +13,6 @@ import pytest
 
 import hyperval
 from hyperval import cli
-from hyperval.cli import note
 from hyperval.errors import EngineError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.progress import step, track, watch_lines, working
 from hyperval.results import Outcome, Result, Role
@@ -43,33 +42,9 @@ def calls(monkeypatch) -> dict[str, object]:
 
         return function
 
-    for door, names in {
-        "campaign": ["predict_to_folder", "observe", "validate"],
-        "simulate": ["simulate_to_folder"],
-    }.items():
-        for name in names:
-            monkeypatch.setattr(f"hyperval.{door}.{name}", stand_in(name))
+    for name in ("predict_to_folder", "observe", "validate"):
+        monkeypatch.setattr(f"hyperval.campaign.{name}", stand_in(name))
     return record
-
-
-@pytest.mark.parametrize(
-    ("arguments", "function", "first"),
-    [
-        (["validate", "a.yaml", "b.yaml"], "validate", [Path("a.yaml"), Path("b.yaml")]),
-        (["observe", "a.yaml"], "observe", Path("a.yaml")),
-        (["predict", "panels"], "predict_to_folder", "panels"),
-        (["simulate", "scene.yaml"], "simulate_to_folder", Path("scene.yaml")),
-    ],
-)
-@pytest.mark.parametrize("option", ["-o", "--output"])
-def test_each_command_calls_its_function(calls, arguments, function, first, option):
-    assert cli.run([*arguments, option, "out"]) == 0
-    own = {
-        "observe": {"write_reflectance": None},
-        "validate": {"scheduler": None, "strict": False, "again": False, "tell": note},
-    }
-    asked = {"show_progress": False} | own.get(function, {})
-    assert calls[function] == ((first, Path("out")), asked)
 
 
 @pytest.mark.parametrize(

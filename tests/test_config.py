@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hyperval import config
 from hyperval.errors import InputError, UsageError
-from hyperval.scenario import builtin_scenarios, load_scenario
+from hyperval.scenario import load_scenario
 from hyperval.settings import with_settings
 
 # Strict YAML: every way in which a plain YAML reader changes or hides what somebody wrote.
@@ -33,19 +33,10 @@ def value_of(text: str) -> object:
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("1e-3", 1e-3),
-        ("5e2", 500.0),
-        ("-1.5E+3", -1500.0),
-        ("2.", 2.0),
-        (".5", 0.5),
-        ("-7", -7),
-        ("true", True),
-        ("FALSE", False),
-        ("null", None),
-        ("~", None),
-        ("", None),
+        ("1e-3", 1e-3), ("5e2", 500.0), ("-1.5E+3", -1500.0), ("2.", 2.0), (".5", 0.5), ("-7", -7), ("true", True),
+        ("FALSE", False), ("null", None), ("~", None), ("", None),
     ],
-)
+)  # fmt: skip
 def test_core_scalars_have_their_type(text, value):
     found = value_of(text)
     assert found == value
@@ -157,11 +148,6 @@ def test_of_many_mistakes_the_first_are_listed():
 
 
 # Scenario files by name and path, and their entries by dotted path; what is refused in one is in tests/model.
-
-
-@pytest.mark.parametrize("name", builtin_scenarios())
-def test_builtin_scenarios_load_by_name(name):
-    assert load_scenario(name).name == name
 
 
 def test_unknown_name_and_missing_file(tmp_path):

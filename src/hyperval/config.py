@@ -16,6 +16,7 @@ from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.storage import installed_file, write_text
 from hyperval.units import radiance_to_internal, wavelength_to_nm
 
 MAX_BYTES = 1 << 20
@@ -38,10 +39,38 @@ GONE = {
 }
 
 
+# The unit that the end of a number's name says; longer ends first.
+_UNITS = {
+    "_g_cm2": "g cm-2", "_atm_cm": "atm cm", "_percent": "%", "_pixels": "pixels", "cm2_sr": "cm2 sr", "_mrad": "mrad",
+    "_deg": "deg", "_km": "km", "_nm": "nm", "_um": "um", "_au": "au", "_m": "m",
+}  # fmt: skip
+_BRACKETS = re.compile(r" ?\[([^\]\[]{1,24})\]")
+
+
+def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Give each field of a JSON schema its name in words, its unit, which its description has in brackets, its default.
+
+    A default that is made anew for each file is none of pydantic's.
+    """
+    made = {info.alias or name: info.get_default(call_default_factory=True, validated_data={})
+            for name, info in model.model_fields.items() if info.default_factory is not None}  # fmt: skip
+    for name, field in schema.get("properties", {}).items():
+        if made.get(name):
+            field["default"] = made[name]
+        ending = next((end for end in _UNITS if name.endswith(end)), "")
+        words = str(field.get("description", ""))
+        stated = _BRACKETS.search(words)
+        field["title"] = (name.removesuffix(ending) or name).replace("_", " ")
+        if unit := stated[1] if stated else _UNITS.get(ending):
+            field["unit"] = unit
+        if stated:
+            field["description"] = _BRACKETS.sub("", words).strip()
+
+
 class Model(BaseModel):
     """Base of every configuration model: unknown keys, NaN and infinity are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_told)
 
 
 def _unit_known_to(factor: Callable[[str], float]) -> AfterValidator:
@@ -271,6 +300,29 @@ def _spelled(pattern: str) -> str:
     }
     patterns = re.findall(r"\[([^\]]*)\]\*\$$", pattern)
     return f"a name of {allowed[patterns[0]]}" if patterns and patterns[0] in allowed else ""
+
+
+# What editors that know the language server of YAML read of a file's first line.
+SCHEMA_LINE = "# yaml-language-server: $schema="
+
+
+def schema_text(kind: str) -> str:
+    """The JSON Schema of a kind of file, by which editors complete, explain and mark errors."""
+    return installed_file("hyperval", "schemas", f"{kind}.json").read_text("utf-8")
+
+
+def unwritten(path: Path) -> Path:
+    """The path of a draft; UsageError where something stands there."""
+    if path.exists():
+        raise UsageError("is there already", where=str(path), mend="name another place with --output (-o)")
+    return path
+
+
+def write_draft(path: Path, kind: str, text: str) -> None:
+    """Write the draft of a file and, beside it, the schema that its first line names: a path that holds anywhere."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path.with_name(f"{kind}.schema.json"), schema_text(kind))
+    write_text(path, f"{SCHEMA_LINE}{kind}.schema.json\n{text}")
 
 
 @reader

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import yaml
 from affine import Affine
+from jsonschema import Draft202012Validator
 from rasterio.crs import CRS
 
 from hyperval import cli
 from hyperval.campaign import WRONG, dry_run, job_of, summary
-from hyperval.config import FILL_IN
+from hyperval.config import FILL_IN, SCHEMA_LINE
 from hyperval.imagery import write_cube
 from hyperval.sensor import load_sensor
 from hyperval.spectra import SpectralAxis
@@ -53,6 +54,8 @@ def test_a_radiance_collection_becomes_a_campaign_that_a_dry_run_calls_ready(sma
     assert scene.targets[0].host == "court"
     # Pixel coordinates fail as longitudes first; every guess is an assumption of the report and stands in the file.
     text = (folder / "campaign.yaml").read_text()
+    schema = json.loads((folder / text.partition("\n")[0].removeprefix(SCHEMA_LINE)).read_text())
+    assert list(Draft202012Validator(schema).iter_errors(yaml.safe_load(text))) == []
     told = [a.removeprefix("guess: ") for a in campaign.assumptions]
     assert "collection.regions: ../collection/regions.geojson: pixel coordinates" in told
     assert len(told) == len(re.findall(r"^ *# guess: ", text, re.MULTILINE)) >= 8
@@ -173,6 +176,9 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys):
     assert cli.run(["init", "--cube", str(cube), "-o", str(draft)]) == 0
     (asked,) = (i for i in dry_run([draft / "campaign.yaml"]) if i.lacking)
     assert (asked.state, re.search("--[a-z]+", asked.detail)[0]) == ("to fill in", "--unit")
+    told = capsys.readouterr().err  # all of it at once
+    assert "then also needed: --spectra, --time, --altitude-km, --sensor" in told
+    assert "to fill in: collection.cube.unit: of the radiance" in told
     assert cli.run(["init", "--cube", str(cube), "--unit", UNIT, "-o", str(folder)]) == 0
     assert "--spectra" in (folder / "campaign.yaml").read_text()
     before = (folder / "campaign.yaml").read_bytes()  # what is there is not replaced

@@ -1,8 +1,7 @@
 """Every command, section and key that a message of the program or a page names is there."""
 
 import ast
-import importlib
-import pkgutil
+import json
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -14,9 +13,7 @@ import yaml
 from parsed import parsed
 from typer.main import get_command
 
-import hyperval
 from hyperval.cli import app
-from hyperval.config import Model
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted(p for p in (ROOT / "src/hyperval").rglob("*") if p.suffix in (".py", ".j2", ".yaml", ".html"))
@@ -67,18 +64,10 @@ def test_sections_that_are_named_are_there():
 
 
 def keys() -> set[str]:
-    """Every key that a file of the program may have."""
-    for module in pkgutil.walk_packages(hyperval.__path__, "hyperval."):
-        if not module.name.endswith("__main__"):
-            importlib.import_module(module.name)
-
-    def below(model: type[Model]) -> Iterator[str]:
-        for name, info in model.model_fields.items():
-            yield info.alias or name
-        for inner in model.__subclasses__():
-            yield from below(inner)
-
-    return set(below(Model))
+    """Every key that a file of a user may have."""
+    schemas = [json.loads(path.read_text("utf-8")) for path in (ROOT / "src/hyperval/schemas").glob("*.json")]
+    parts = [part for schema in schemas for part in (schema, *schema["$defs"].values())]
+    return {key for part in parts for key in part.get("properties", ())}
 
 
 # The words of errors that stand apart from the code.

@@ -183,7 +183,10 @@ def _by_wavelength(sources: StarterSources, raster: Raster, draft: Draft, quanti
             collection["cube"]["unit"] = unit or f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
     collection["regions"] = collection["regions"] or [_WHOLE]
     if any(str(value).startswith(FILL_IN) for value in collection["cube"].values()):
-        draft.guess("no image")
+        flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
+        wanted = {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
+        further = ", ".join(option for name, option in wanted.items() if not getattr(sources, name))
+        draft.guess("no image", further=further or "nothing")
         return
     _scale(raster, draft)
     for entry in collection["regions"] if sources.regions else ():

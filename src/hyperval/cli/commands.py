@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import os
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -263,7 +262,6 @@ def drift(
 ) -> int:
     """Print a row for each day of finished runs, and the change in a year with its interval."""
     from hyperval.compare import judge, spectra
-    from hyperval.errors import UsageError
     from hyperval.results import Outcome
     from hyperval.run import SECONDS_PER_YEAR, days_of
 
@@ -288,37 +286,21 @@ def drift(
     return {Outcome.AGREES: 0, Outcome.DISAGREES: 1}.get(outcome, 5)
 
 
-class FigureFormat(StrEnum):
-    """Formats of a figure."""
-
-    PDF = "pdf"
-    SVG = "svg"
-    PNG = "png"
-
-
-class Style(StrEnum):
-    """Looks of a figure."""
-
-    HOUSE = "house"
-    JOURNAL = "journal"
-
-
 @app.command()
 def figures(
     run: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
     output: Output,
-    kind: Annotated[FigureFormat, typer.Option("--format", help="Format of the files.")] = FigureFormat.PDF,
+    kind: Annotated[Literal["pdf", "svg", "png"], typer.Option("--format", help="Format of the files.")] = "pdf",
     style: Annotated[
-        Style, typer.Option("--style", help="journal: two columns wide, in its letters, untitled.")
-    ] = Style.HOUSE,
+        Literal["house", "journal"], typer.Option(help="journal: two columns wide, in its letters, untitled.")
+    ] = "house",
 ) -> int:
     """Draw the figures of a finished run for print, from its folder."""
     from hyperval.campaign import spread_curves
     from hyperval.figures.print import Print
     from hyperval.report.html import figures_to_folder
 
-    print_as = Print(kind.value, style is Style.JOURNAL)
-    return finished(figures_to_folder(run, output, print_as, spread_curves), output)
+    return finished(figures_to_folder(run, output, Print(kind, style == "journal"), spread_curves), output)
 
 
 @app.command()
@@ -375,21 +357,37 @@ def init(
     import re
 
     from hyperval.campaign import StarterSources, starter_campaign
-    from hyperval.storage import write_text
+    from hyperval.config import parse_yaml, placeholders, unwritten, write_draft
 
-    path = output / "campaign.yaml"
-    if path.exists():
-        raise UsageError("is there already", where=str(path), mend="name another folder with --output (-o)")
+    path = unwritten(output / "campaign.yaml")
     own = name or re.sub(r"[^a-z0-9]+", "-", output.resolve().name.lower()).strip("-") or "campaign"
     given = cube, regions or (), targets, spectra or (), header, quantity, unit
     sources = StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key)
     text, guesses = starter_campaign(sources, output, own)
-    output.mkdir(parents=True, exist_ok=True)
-    write_text(path, text)
+    write_draft(path, "campaign", text)
     for guess in guesses:
         note(f"guess: {guess}")
-    to_fill = text.count("FILL_IN:")
-    note(f"{path}: {f'{to_fill} values to fill in, then' if to_fill else 'now'}: hyperval validate --dry-run {path}")
+    asked = placeholders(*parse_yaml(text), str(path))
+    for one in asked:
+        note(f"to fill in: {one.key}: {one.what}")
+    note(f"{path}: {f'{len(asked)} values to fill in, then' if asked else 'now'}: hyperval validate --dry-run {path}")
+    return 0
+
+
+@app.command()
+def schema(
+    kind: Annotated[Literal["campaign", "scenario", "scene", "study", "sensor"], typer.Argument(help="Kind of file.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="The file to write.")] = None,
+) -> int:
+    """Print the JSON Schema of a kind of file, by which editors complete, explain and mark errors."""
+    from hyperval.config import schema_text
+    from hyperval.storage import write_text
+
+    if output is None:
+        print(schema_text(kind), end="")
+    else:
+        write_text(output, schema_text(kind))
+        note(f"{output}: the first line '# yaml-language-server: $schema={output}' of a file names it")
     return 0
 
 
@@ -627,14 +625,11 @@ def sensor_new(
     arms: Annotated[str, typer.Option(help="Its spectrometers, with commas between.")] = "VNIR",
 ) -> int:
     """Write a sensor file to be filled in from a data sheet."""
+    from hyperval.config import unwritten, write_draft
     from hyperval.sensor.specification import new_sensor_file
-    from hyperval.storage import write_text
 
-    path = output if output is not None else Path(f"{name}.yaml")
-    text = new_sensor_file(name, [arm.strip() for arm in arms.split(",")])
-    if path.exists():
-        raise UsageError("is there already", where=str(path), mend="name another file with --output (-o)")
-    write_text(path, text)
+    path = unwritten(output or Path(f"{name}.yaml"))
+    write_draft(path, "sensor", new_sensor_file(name, [arm.strip() for arm in arms.split(",")]))
     note(f"{path}: replace every FILL_IN, then: hyperval sensor check {path}")
     return 0
 

@@ -18,13 +18,6 @@ from pydantic import BaseModel
 from hyperval.config import parse_yaml
 from hyperval.errors import UsageError
 
-_UNIT = re.compile(r"\[([^\]\[]{1,24})\]")
-_UNITS = {
-    "_deg": "deg", "_km": "km", "_nm": "nm", "_m": "m", "_percent": "%", "_au": "au", "_g_cm2": "g cm-2",
-    "_atm_cm": "atm cm", "_pixels": "pixels",
-}  # fmt: skip
-_ENDINGS = tuple(sorted(_UNITS, key=len, reverse=True))
-
 
 def kind_of(schema: Mapping[str, Any]) -> str:
     """The kind of field that a schema asks for."""
@@ -76,21 +69,6 @@ def limits_of(schema: Mapping[str, Any]) -> str:
 def summary_of(schema: Mapping[str, Any]) -> str:
     """The first paragraph of a description."""
     return str(schema.get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
-
-
-def unit_of(hint: str, path: str) -> str:
-    """The unit that a hint states in brackets, or that the name of a number ends with."""
-    return next(iter(_UNIT.findall(hint)), _UNITS.get(ending_of(path), ""))
-
-
-def without_unit(hint: str) -> str:
-    """A hint without the brackets of its unit."""
-    return _UNIT.sub("", hint).replace(" ,", ",").replace(" ;", ";").strip()
-
-
-def ending_of(name: str) -> str:
-    """The end of a name that states a unit; empty where there is none."""
-    return next((end for end in _ENDINGS if name.endswith(end)), "")
 
 
 MOST_ROWS = 40
@@ -252,9 +230,7 @@ class Form:
 
     def _node(self, schema: Mapping[str, Any], path: str, value: Any, begun: Any, is_needed: bool) -> Node:
         members = self._members(schema)
-        name = path.rsplit(".", 1)[-1]
-        ending = ending_of(name)
-        title = name[: len(name) - len(ending)].replace("_", " ")
+        title = schema["title"]
         hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
         kinds = [kind_of(m) for m in members]
         if "group" in kinds and len(members) > 1:
@@ -305,7 +281,6 @@ class Form:
         known = self._choices(path)
         if known and kind in ("text", "yaml"):
             kind, choices = ("choice" if kind == "text" else "several"), known
-        unit = unit_of(hint, path)
         limits = next((words for m in members if (words := limits_of(m))), "")
         default = schema.get("default")
         shown = "" if default is None or isinstance(default, dict) else text_of(default)
@@ -321,8 +296,8 @@ class Form:
             kind,
             path,
             title,
-            without_unit(hint),
-            unit,
+            hint,
+            schema.get("unit", ""),
             limits,
             shown,
             value,
