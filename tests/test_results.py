@@ -36,13 +36,12 @@ def test_frame_has_the_columns_of_the_contract():
         "campaign", "product", "subject", "method", "band_nm", "metric", "value", "unit", "lower", "upper", "n",
         "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason",
         "effect", "effect_unit", "effect_lower", "effect_upper", "accepted_low", "accepted_high", "detectable_low",
-        "detectable_high", "ideal", "p_value", "set_after",
+        "detectable_high", "ideal", "p_value", "set_after", "subjects_seen",
     ]  # fmt: skip
     frame = ResultTable([row(value=0.1, n=3), row()]).frame()
     assert list(frame.columns) == list(COLUMNS) == contract
     assert frame["n"].isna().tolist() == [False, True]  # what is missing stays missing
-    assert math.isnan(frame["value"][1])
-    assert frame["outcome"].tolist() == ["none", "none"]
+    assert (math.isnan(frame["value"][1]), frame["outcome"].tolist()) == (True, ["none", "none"])
 
 
 def test_a_metric_that_the_table_does_not_have_cannot_be_put_in_a_row():

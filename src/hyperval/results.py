@@ -32,6 +32,9 @@ WORST_FIRST = (
 )  # fmt: skip
 
 
+EVERY = ("*", "all subjects", "all objects")  # subjects of rows about all of them
+
+
 class Role(StrEnum):
     """Whether a row decides, or informs."""
 
@@ -109,7 +112,9 @@ class Result:
     the field (:attr:`hyperval.metrics.Metric.effect`): the size of what it is about with its 95 % interval, the range
     accepted for it, the sizes to either side that would have disagreed with 80 % probability, and the size where both
     sides are equal; NaN where a metric has no such size.  ``p_value`` is that of a test; ``set_after`` tells a range
-    that was chosen after its own data were seen; ``about`` is what the effect of a test is made of, and no column.
+    that was chosen after its own data were seen, ``subjects_seen`` whether budget and settings were "fitted" on the
+    subject or it is "unseen" ("" where the campaign does not say); ``about`` is what the effect of a test is made of,
+    and no column.
 
     Raises
     ------
@@ -146,6 +151,7 @@ class Result:
     ideal: float = math.nan
     p_value: float = math.nan
     set_after: bool = False
+    subjects_seen: str = ""
     about: Effect | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -203,7 +209,7 @@ COLUMNS = (
     "campaign", "product", "subject", "method", "band_nm", "metric", "value", "unit", "lower", "upper", "n",
     "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason", "effect", "effect_unit",
     "effect_lower", "effect_upper", "accepted_low", "accepted_high", "detectable_low", "detectable_high", "ideal",
-    "p_value", "set_after",
+    "p_value", "set_after", "subjects_seen",
 )  # fmt: skip
 _WORDS = ("role", "evidence", "outcome", "cause")
 

@@ -262,8 +262,9 @@ _READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of t
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
 _NUMBERS = tuple(f.name for f in fields(Result) if f.type == "float")
 _KNOWN = set(COLUMNS)
-# What the third version had not: a row tells its effect.
-_NEW: dict[str, Any] = dict.fromkeys(COLUMNS[COLUMNS.index("effect") :]) | {"effect_unit": "", "set_after": False}
+# What the third version had not: a row tells its effect; the first of the fourth had no subjects_seen.
+_NEW: dict[str, Any] = dict.fromkeys(COLUMNS[COLUMNS.index("effect") :])
+_NEW |= {"effect_unit": "", "set_after": False, "subjects_seen": ""}
 _TYPES = {"role": Role, "evidence": Evidence, "outcome": Outcome, "cause": Cause}
 
 

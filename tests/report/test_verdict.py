@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from hyperval import cli
+from hyperval.compare import told_apart
+from hyperval.errors import UsageError
 from hyperval.figures import campaigns_figure, criteria_figure
 from hyperval.metrics import Evidence, plain_words
 from hyperval.report import first_screen, interval_text, last_line, limits_text, number_text, value_text
@@ -59,6 +61,17 @@ def test_checks_of_the_pipeline_are_counted_apart_and_are_no_agreement_of_the_mo
     assert words([row(A)] * 12 + checks) == f"Met. 12 acceptance criteria are met ({WHAT}: grass). {counted}"
 
 
+def test_subjects_that_nothing_was_fitted_on_stand_apart():
+    rows = [row(A), row(D, "lawn"), row(U, "all subjects")]
+    for names, told in {
+        "*": "grass, lawn; unseen: none yet",
+        "gr*": f"grass; unseen: 1 not met ({WHAT}: lawn)",
+    }.items():
+        assert f"Budget and settings were fitted on {told}." in first_screen(told_apart(rows, [names])).asides
+    with pytest.raises(UsageError, match="no row is of subject 'lot'"):
+        told_apart(rows, ["lawn", "lot"])
+
+
 def test_what_disagrees_fails_and_was_skipped_is_named_and_many_are_counted():
     assert words([row(D, "lawn"), row(E, "turf"), row(U, "lot"), row(A)]) == (
         f"Not met. 1 acceptance criterion is not met ({WHAT}: lawn), 1 ended in an error ({WHAT}: turf), "
@@ -78,24 +91,17 @@ def test_what_disagrees_fails_and_was_skipped_is_named_and_many_are_counted():
     assert last_line([informing()]) == "acceptance criteria: none"
 
 
-@pytest.mark.parametrize(
-    ("value", "spread", "text"),
-    [
-        (0.123456, math.nan, "0.1235"), (12345.678, math.nan, "12346"), (3.0, math.nan, "3"), (0.123456, 0.01, "0.123"),
-        (-0.5, 0.2, "−0.50"), (1.2e-7, math.nan, "1.2e−07"), (math.nan, math.nan, "–"), (math.inf, math.nan, "∞"),
-        (0.0, math.nan, "0"),
-    ],
-)  # fmt: skip
-def test_numbers_have_sensible_digits(value, spread, text):
-    assert number_text(value, spread) == text
-
-
-def test_values_intervals_and_limits_in_words():
+def test_numbers_values_intervals_and_limits_in_words():
+    nan, told = math.nan, "at most a sixth more planks"
+    for value, spread, text in (
+        (0.123456, nan, "0.1235"), (12345.678, nan, "12346"), (3.0, nan, "3"), (0.123456, 0.01, "0.123"),
+        (0.0, nan, "0"), (-0.5, 0.2, "−0.50"), (1.2e-7, nan, "1.2e−07"), (nan, nan, "–"), (math.inf, nan, "∞"),
+    ):  # fmt: skip
+        assert number_text(value, spread) == text
     area = Result("c", "abundance", "t", "CEM", "area", 8.21234, "m2", lower=7.1, upper=9.4)
     assert (value_text(area), interval_text(area)) == ("8.2 m2", "7.1 to 9.4")
     for value, text in ((0.0, "< 1e−300"), (0.18472, "0.18"), (3.219e-7, "3.2e−07"), (0.99979, "> 0.999")):
         assert value_text(Result("c", "radiance", "panel", "6S", "p_value_full", value)) == text
-    nan, told = math.nan, "at most a sixth more planks"
     for low, high, text in ((nan, 0.06, "≤ 0.06"), (0.01, nan, "≥ 0.01"), (-0.1, 0.1, "−0.1 to 0.1"), (nan, nan, "")):
         assert limits_text(row(A, limit_low=low, limit_high=high, reason=told)) == text
 

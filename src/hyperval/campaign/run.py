@@ -175,7 +175,7 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     ----------
     prediction : of :func:`hyperval.campaign.sides.predicted_side`
     """
-    from hyperval.compare import compare_products, judged
+    from hyperval.compare import compare_products, judged, told_apart
 
     engines = {s.atmosphere.engine for s in side.scenarios if s.atmosphere}
     rows = compare_products(
@@ -184,7 +184,7 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
         method="+".join(sorted(engines)) or "statistics",
         equivalence_margin=side.campaign.equivalence_margin,
     )
-    return judged(rows, side.campaign.comparisons)
+    return told_apart(judged(rows, side.campaign.comparisons), side.campaign.fitted_on)
 
 
 def undecided(rows: Iterable[Result], prediction: Products, observation: Products) -> list[tuple[Result, str]]:

@@ -185,6 +185,10 @@ class Outline(Model):
         default_factory=list,
         description="choices made after the data were seen, save those of comparisons, which say so themselves",
     )
+    fitted_on: list[str] = Field(
+        default_factory=list,
+        description="subjects that budget and settings were chosen on, names or patterns; others are told apart",
+    )
     comparisons: list[Gate] = Field(default_factory=list, description="what validate judges; observe alone needs none")
 
     @property

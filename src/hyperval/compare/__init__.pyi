@@ -28,6 +28,7 @@ from .judge import (
     judged,
     outcome_of,
     tail_probability,
+    told_apart,
 )
 from .products import compare_products, product_rows
 from .rows import COMPARISON, difference_interval, named, row, scientific, skipped
@@ -101,6 +102,7 @@ __all__ = [
     "skipped",
     "spectral_angle_degrees",
     "tail_probability",
+    "told_apart",
     "transforms_of_draws",
     "whitening",
     "would_decide",

@@ -22,7 +22,7 @@ from hyperval.config import Model
 from hyperval.errors import UsageError, refuse
 from hyperval.metrics import Kind, base_name, metric_of, product_words
 from hyperval.model.intervals import Z95, clopper_pearson
-from hyperval.results import Cause, Outcome, Result, Role
+from hyperval.results import EVERY, Cause, Outcome, Result, Role
 
 _CHI2_SLIP = 100.0
 
@@ -180,6 +180,29 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
         out += _unmet(rows, {row.subject for row in covered}, gate)
         out += _pooled(covered, gate)
     return shared_levels(out)
+
+
+def told_apart(rows: Sequence[Result], fitted_on: Sequence[str]) -> list[Result]:
+    """The rows with whether budget and settings were fitted on their subjects: names, or patterns with * and ?.
+
+    What is about several subjects is unseen where all of them are.
+
+    Raises
+    ------
+    UsageError : a name that no row has.
+    """
+    subjects = dict.fromkeys(row.subject for row in rows)
+    for name in fitted_on:
+        unknown = not any(fnmatchcase(subject, name) for subject in subjects)
+        refuse(unknown, "gate.fitted", name=name, known=", ".join(list(subjects)[:_NAMED]))
+
+    def fitted(subject: str) -> bool:
+        return subject in EVERY or any(
+            fnmatchcase(s, name) for name in fitted_on for s in (subject, *subject.split(", "))
+        )
+
+    seen = {subject: "fitted" if fitted(subject) else "unseen" for subject in subjects}
+    return [replace(row, subjects_seen=seen[row.subject]) for row in rows] if fitted_on else list(rows)
 
 
 def against_range(lower: float, upper: float, low: float, high: float) -> Outcome:

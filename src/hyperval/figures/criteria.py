@@ -137,7 +137,8 @@ def row_label(row: Result, *, several: bool = False) -> str:
     nm = len(ends) == 2 and all(end.isdecimal() for end in ends)
     region = f"P_FA {at}" if at.startswith("1e") else f"{'–'.join(ends)} nm" if nm else " ".join(ends)
     region = region or _REGIONS.get(base.rsplit("_", 1)[-1], "")
-    return ", ".join(word for word in (subject, region, _words(row) if several else "") if word) or _words(row)
+    unseen = "unseen" * (row.subjects_seen == "unseen")
+    return ", ".join(word for word in (subject, unseen, region, _words(row) if several else "") if word) or _words(row)
 
 
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from hyperval.figures.criteria import WORDS, criteria_of, effect_text, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import WORST_FIRST, Cause, Outcome, Result
+from hyperval.results import EVERY, WORST_FIRST, Cause, Outcome, Result
 
 _MOST_NAMED = 9
 _MOST_KINDS = 5
@@ -84,7 +84,7 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
     first = told[0] if told else None
     outcome, head, opening = status(gates)
-    asides = [power, _never_met(model), _which_to_believe(rows)]
+    asides = [power, _never_met(model), _which_to_believe(rows), _unseen(model)]
     asides += [f"Checks of the processing alone: {outcome_words(checks)}."] if checks else []
     kinds = dict.fromkeys(row.product for row in told if row.gates)
     products = [_product(kind, [row for row in model if row.product == kind]) for kind in kinds]
@@ -205,6 +205,17 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
     if not criteria and any(row.planned for row in rows):
         steps.append("State acceptance criteria, if this campaign is to pass or fail.")
     return steps or ["Nothing: keep these numbers as accepted."]
+
+
+def _unseen(gates: Sequence[Result]) -> str:
+    """ "Budget and settings were fitted on lawn, turf; unseen: none yet." """
+    known = {kind: [row for row in gates if row.subjects_seen == kind] for kind in ("fitted", "unseen")}
+    if not any(known.values()):
+        return ""
+    names = list(dict.fromkeys(row.subject for row in known["fitted"] if row.subject not in EVERY))
+    names = [*names[:_MOST_NAMED], f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else names
+    unseen = f"{outcome_words(known['unseen'])} ({_named(known['unseen'])})" if known["unseen"] else "none yet"
+    return f"Budget and settings were fitted on {', '.join(names) or 'others'}; unseen: {unseen}."
 
 
 def _never_met(gates: Sequence[Result]) -> str:
