@@ -101,7 +101,8 @@ def section(name: str, schema: Mapping[str, Any]) -> str:
     words = " ".join(schema.get("description", "").split("Attributes")[0].split())
     rows = ["| key | value | default | meaning |", "| --- | --- | --- | --- |"]
     for key, field in schema.get("properties", {}).items():
-        meaning = "; ".join(t for t in (field["description"], limits_text(field)) if t).replace("|", "\\|")
+        words = (field["title"], field["description"], limits_text(field))
+        meaning = "; ".join(text for text in dict.fromkeys(words) if text).replace("|", "\\|")
         default = default_text(field, key in schema.get("required", ()))
         rows.append(f"| `{key}` | {type_text(field)} | {default} | {meaning} |")
     return f"### {name}\n\n{words}\n\n" + "\n".join(rows) + "\n"

@@ -48,19 +48,20 @@ _BRACKETS = re.compile(r" ?\[([^\]\[]{1,24})\]")
 
 
 def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
-    """Give each field of a JSON schema its name in words, its unit, which its description has in brackets, its default.
+    """Give each field of a JSON schema its title, its unit and its default.
 
-    A default that is made anew for each file is none of pydantic's.
+    The unit stands in brackets in the description.  A default that is made anew for each file is none of pydantic's.
     """
-    made = {info.alias or name: info.get_default(call_default_factory=True, validated_data={})
-            for name, info in model.model_fields.items() if info.default_factory is not None}  # fmt: skip
+    fields = {info.alias or name: info for name, info in model.model_fields.items()}
     for name, field in schema.get("properties", {}).items():
-        if made.get(name):
-            field["default"] = made[name]
+        info = fields[name]
+        made = info.default_factory is not None and info.get_default(call_default_factory=True, validated_data={})
+        if made:
+            field["default"] = made
         ending = next((end for end in _UNITS if name.endswith(end)), "")
         words = str(field.get("description", ""))
         stated = _BRACKETS.search(words)
-        field["title"] = (name.removesuffix(ending) or name).replace("_", " ")
+        field["title"] = info.title or (name.removesuffix(ending) or name).replace("_", " ")
         if unit := stated[1] if stated else _UNITS.get(ending):
             field["unit"] = unit
         if stated:

@@ -65,9 +65,9 @@ class Replicates(Model):
 class SpectrumSource(Model):
     """A reflectance spectrum: built in, constant, from a file, or measured on the imagery."""
 
-    builtin: str | None = Field(None, description="name of a built-in surface")
-    constant: float | None = Field(None, ge=0, le=1.5, description="the same reflectance in every band [1]")
-    file: str | None = Field(None, description="field spectrum or library file")
+    builtin: str | None = Field(None, title="built-in surface")
+    constant: float | None = Field(None, title="constant reflectance", ge=0, le=1.5, description="in every band [1]")
+    file: str | None = Field(None, title="spectrum file", description="field spectrum or library file")
     replicates: Replicates | None = Field(
         None, description="field spectra of one surface: their mean, covariance and standard error"
     )
@@ -77,7 +77,7 @@ class SpectrumSource(Model):
         None, description="which spectrum of a file of several: name, number from 0, or mean of all"
     )
     gaps: Literal["refused", "allowed"] = Field(
-        "refused", description="usable bands beyond the ends of the spectrum; where allowed they are left out"
+        "refused", title="bands beyond its ends", description="usable ones; where allowed they are left out"
     )
     wavelength_unit: str | None = Field(None, description="stated when the file does not say")
     reflectance_unit: str | None = Field(None, description="stated when the file does not say: fraction, percent")
@@ -97,12 +97,14 @@ class SpectrumSource(Model):
 class CovarianceSource(Model):
     """Spread from pixel to pixel: built in, measured, none, or a relative one with a correlation length."""
 
-    builtin: str | None = None
+    builtin: str | None = Field(None, title="built-in surface")
     replicates: Replicates | None = Field(None, description="field spectra of one surface")
     library: str | None = Field(None, description="statistics library (NetCDF)")
     record: str | None = Field(None, description="with library: name of the class")
     measured: str | None = None
-    relative_sd: float | None = Field(None, ge=0, description="standard deviation as a part of the mean [1]; 0: none")
+    relative_sd: float | None = Field(
+        None, title="relative standard deviation", ge=0, description="as a part of the mean [1]; 0: none"
+    )
     correlation_nm: float | None = Field(None, gt=0, description="with relative_sd; None: fully correlated")
     band_sd: float = Field(0.0, ge=0, description="with relative_sd: independent part of each band [1]")
 
@@ -232,7 +234,7 @@ class Uncertainty(Model):
     )
     collected_reflectance: CollectedReflectance | None = None
 
-    aot550: Spread | None = Field(None, description="absolute")
+    aot550: Spread | None = Field(None, title="aerosol optical depth", description="absolute")
     angstrom_exponent: Spread | None = Field(None, description="absolute")
     aerosol_share_below: Spread | None = Field(None, description="absolute")
     meteorological_range_km: Spread | None = Field(None, description="absolute [km], in place of aot550")
@@ -319,10 +321,10 @@ class Surface(Model):
 class BackgroundClass(Surface):
     """A class that covers a part of the scene."""
 
-    fraction: Fraction = Field(description="area fraction f_m; the fractions of all classes sum to 1")
-    gain: float = Field(1.0, ge=0, description="g_B: factor on the covariance")
+    fraction: Fraction = Field(title="area fraction", description="f_m; the fractions of all classes sum to 1")
+    gain: float = Field(1.0, title="factor on the covariance", ge=0, description="g_B")
     tail_dof: Annotated[float, Field(gt=2)] | Literal["measured"] | None = Field(
-        None, description="multivariate t with this many degrees of freedom, or as fitted to the measured region"
+        None, title="degrees of freedom of the tails", description="of a multivariate t, or as the measured region has"
     )
     mixture: Annotated[int, Field(ge=1, le=MOST_COMPONENTS)] | Literal["auto"] | None = Field(
         None,
@@ -345,11 +347,13 @@ class Geometry(Model):
     length_m: float | None = Field(None, gt=0)
     width_m: float | None = Field(None, gt=0)
     heading_deg: float | Literal["random"] = Field(0.0, description="of the length, from the direction of the lines")
-    gsd_m: float = Field(gt=0, description="ground side of a pixel")
+    gsd_m: float = Field(title="ground sampling distance", gt=0, description="ground side of a pixel")
     psf_fwhm_pixels: BlurWidth | tuple[BlurWidth, BlurWidth] | None = Field(
-        None, description="Gaussian blur besides the square aperture, or (along, across); None: the sensor's, or 0"
+        None,
+        title="PSF width (FWHM)",
+        description="besides the square aperture, or (along, across); None: the sensor's",
     )
-    phase: Literal["random", "centred"] = Field("random", description="where in its pixel the target's centre lies")
+    phase: Literal["random", "centred"] = Field("random", title="position in the pixel")
     pixels: Literal["best", "ranked", "touched"] = Field(
         "best",
         description="the fullest pixel of an object alone; its n fullest, as a truth that counts so many has; or "
@@ -370,9 +374,9 @@ class Geometry(Model):
 class Fill(Model):
     """Part of a pixel that the target fills: fixed, by moments, or from geometry."""
 
-    fixed: Fraction | None = Field(None, description="the same in every pixel")
-    mean: Fraction | None = Field(None, description="with sd: a beta distribution")
-    sd: float | None = Field(None, gt=0, lt=0.5)
+    fixed: Fraction | None = Field(None, title="fill fraction", description="the same in every pixel")
+    mean: Fraction | None = Field(None, title="mean fill fraction", description="with sd: a beta distribution")
+    sd: float | None = Field(None, title="standard deviation of the fill fraction", gt=0, lt=0.5)
     geometry: Geometry | None = None
     truth: Literal[True] | None = Field(
         None, description="true: those of the collection's truth, which a finer image or abundances tell by pixel"
@@ -404,20 +408,20 @@ class TargetSubject(Model):
 class Illumination(Model):
     """Light on a target in shade, as parts of that on open ground; the host beside it stays in the open."""
 
-    beam: Fraction = Field(1.0, description="part of the sun's beam that reaches the target")
-    sky_view: Fraction = Field(1.0, description="part of the sky's light that reaches it")
+    beam: Fraction = Field(1.0, title="direct beam", description="part of it that reaches the target")
+    sky_view: Fraction = Field(1.0, title="sky view factor", description="part of the sky's light that reaches it")
 
 
 class Target(Surface):
     """A target material on its host class, in one or several fills."""
 
-    host: str = Field(description="background class that fills the rest of the pixel")
-    gain: float = Field(1.0, ge=0, description="g_T: factor on the covariance")
+    host: str = Field(title="host class", description="background that fills the rest of the pixel")
+    gain: float = Field(1.0, title="factor on the covariance", ge=0, description="g_T")
     fill: Fill | None = Field(None, description="short for one subject with the target's own name")
-    subjects: list[TargetSubject] = Field(default_factory=list)
+    subjects: list[TargetSubject] = Field(default_factory=list, title="fill populations")
     illumination: Illumination | None = None
     filter_spectrum: SpectrumSource | None = Field(
-        None, description="what the detector looks for, when it is not the target's own spectrum"
+        None, title="spectrum sought", description="by the detector, when it is not the target's own"
     )
 
     @model_validator(mode="after")
@@ -436,10 +440,11 @@ class Adjacency(Model):
     """The surroundings seen through scattering."""
 
     effective_neighbours: float | None = Field(
-        1000.0, ge=1, description="N_eff; kappa = 1/N_eff of (3.11); null: the neighbourhood does not vary"
+        1000.0, title="effective number of neighbours", ge=1, description="N_eff = 1/kappa of (3.11); null: no variance"
     )
     spectrum: SpectrumSource | None = Field(
         None,
+        title="spectrum of the surroundings",
         description="reflectance of the surroundings, such as that of the image around a site (measured: REGION); "
         "null: the average of the classes (3.8)",
     )
@@ -448,9 +453,9 @@ class Adjacency(Model):
 class Scene(Model):
     """What lies on the ground."""
 
-    classes: list[BackgroundClass] = Field(min_length=1)
-    panels: list[Surface] = Field(default_factory=list, description="subjects of no area")
-    sites: list[Surface] = Field(default_factory=list, description="subjects of no area")
+    classes: list[BackgroundClass] = Field(title="backgrounds", min_length=1)
+    panels: list[Surface] = Field(default_factory=list, description="predicted, without a share of the scene's area")
+    sites: list[Surface] = Field(default_factory=list, description="predicted, without a share of the scene's area")
     targets: list[Target] = Field(default_factory=list)
     adjacency: Adjacency = Adjacency()
     fractions: Literal["stated", "measured"] = Field(
@@ -497,8 +502,8 @@ class DarkestPixel(Model):
 class Features(Model):
     """Linear features in place of bands (Psi of 3.21), from the statistics that the filter is built on."""
 
-    pca: int | None = Field(None, ge=1, le=5000, description="principal components kept")
-    mnf: int | None = Field(None, ge=1, le=5000, description="minimum-noise-fraction components kept")
+    pca: int | None = Field(None, title="principal components", ge=1, le=5000)
+    mnf: int | None = Field(None, title="minimum-noise-fraction components", ge=1, le=5000)
 
     @model_validator(mode="after")
     def _check(self) -> Features:
@@ -519,19 +524,19 @@ class BandChoice(Model):
 class FalseAlarmGrid(Model):
     """False-alarm probabilities of the ROC."""
 
-    lowest: float = Field(1e-9, gt=0, le=0.1)
-    per_decade: int = Field(20, ge=1, le=200)
+    lowest: float = Field(1e-9, title="lowest P_FA", gt=0, le=0.1)
+    per_decade: int = Field(20, title="points a decade", ge=1, le=200)
 
 
 class Processing(Model):
     """From radiance to detection."""
 
-    elm: ElmPanels | DarkestPixel | Literal["none"] = ElmPanels()
+    elm: ElmPanels | DarkestPixel | Literal["none"] = Field(ElmPanels(), title="empirical line")
     detectors: list[str] = Field(default_factory=lambda: ["cem"])
     bands: BandChoice = BandChoice()
     features: Features | None = None
     samples: int = Field(
-        4000, ge=100, le=200_000, description="random pixels per class for detectors that have no closed form (ace)"
+        4000, title="random pixels", ge=100, le=200_000, description="per class, for detectors of no closed form (ace)"
     )
     seed: int = Field(0, ge=0, description="of those pixels")
     filter_classes: list[str] = Field(

@@ -75,18 +75,18 @@ def test_no_background_is_caught_and_the_sum_is_shown(page):
     assert page.locator("output.changed").inner_text() == "1 changed"
     assert page.locator("summary .changed:visible").all_inner_texts() == ["1 changed", "1 changed"]
     page.get_by_role("button", name="Run", exact=True).first.click()
-    assert "sum to 0.9, not 1" in page.locator("#mistakes").inner_text()
+    assert "sum to 0.9, not 1" in page.locator(".mistake").inner_text()
     page.locator("[name='atmosphere.water_vapour_g_cm2']").fill("99")
     page.get_by_role("button", name="Run", exact=True).first.click()
     field = page.locator("[name='atmosphere.water_vapour_g_cm2']")
     page.locator("details", has=field).last.evaluate("e => { e.open = false; }")
-    page.locator("#mistakes a", has_text="water_vapour").click()
+    page.locator("#mistakes a", has_text="water vapour column").click()
     assert field.evaluate("e => e === document.activeElement && e.checkVisibility()")
     field.fill("2")
     for name in ("asphalt", "grass", "soil"):
         page.get_by_role("button", name=f"Remove {name}", exact=True).click()
     page.get_by_role("button", name="Run", exact=True).first.click()
-    assert "no background is chosen" in page.locator("#mistakes").inner_text()
+    assert "no background is chosen" in page.locator(".mistake").inner_text()
 
 
 def test_classes_are_toggled(page):

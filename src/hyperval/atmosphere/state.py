@@ -268,6 +268,7 @@ class AtmosphericState(Model):
 
     engine: Literal["sixs", "modtran", "table", "emulator"] = Field(
         "sixs",
+        title="radiative-transfer engine",
         description="sixs: the embedded solver; modtran: the user's own, named by HYPERVAL_MODTRAN; "
         "table: computed before; emulator: fitted to runs of sixs, at once, for studies at nadir over rural haze",
     )
@@ -276,44 +277,45 @@ class AtmosphericState(Model):
         description="with engine: table, its NetCDF file, or the run template (.json) of a folder of MODTRAN "
         "channel files",
     )
-    model: AtmosphereModel = Field("midlatitude-summer", description="standard atmosphere")
+    model: AtmosphereModel = Field("midlatitude-summer", title="standard atmosphere", description="profile of the air")
     water_vapour_g_cm2: float | None = _number(
-        "water column above the ground [g cm-2], 0.01-10; null: the model's own", ge=0.01, le=10.0
+        "above the ground [g cm-2]; null: the standard atmosphere's", title="water vapour column", ge=0.01, le=10.0
     )
     ozone_atm_cm: float | None = _number(
-        "ozone column above the ground [atm cm], 0.01-1; null: the model's own", ge=0.01, le=1.0
+        "above the ground [atm cm]; null: the standard atmosphere's", title="ozone column", ge=0.01, le=1.0
     )
     aerosol: Literal["none", "rural", "continental", "maritime", "urban", "desert"] | AerosolMix = Field(
-        "rural", description="aerosol type, or the volume shares of a mix"
+        "rural", title="aerosol", description="type, or the volume shares of a mix"
     )
-    aot550: float | None = _number("vertical aerosol optical depth at 550 nm above the ground [1], 0-5", ge=0.0, le=5.0)
+    aot550: float | None = _number("vertical, above the ground [1]", title="aerosol optical depth", ge=0.0, le=5.0)
     angstrom_exponent: float | None = _number(
         "optical depth goes from aot550 as wavelength to the power of minus this; null: as the type of "
-        "aerosol has it, whose absorption and phase function stay (engine sixs)", ge=-1.0, le=3.0,
+        "aerosol has it, whose absorption and phase function stay (engine sixs)",
+        title="Angstrom exponent", ge=-1.0, le=3.0,
     )  # fmt: skip
     aerosol_share_below: float | None = _number(
-        "share of the aerosol's depth between ground and an airborne sensor, 0-1; null: by the LOWTRAN "
-        "vertical profile (engine sixs)", gt=0.0, le=1.0,
+        "share of its optical depth between ground and an airborne sensor; null: by the LOWTRAN "
+        "vertical profile (engine sixs)", title="aerosol below the sensor", gt=0.0, le=1.0,
     )  # fmt: skip
     meteorological_range_km: float | None = _number(
-        "meteorological range at the ground [km], 2-300, by the LOWTRAN rule", ge=SHORTEST_KM, le=LONGEST_KM
+        "at the ground [km], by the LOWTRAN rule", title="meteorological range", ge=SHORTEST_KM, le=LONGEST_KM
     )
-    ground_altitude_km: float = Field(0.0, ge=0.0, le=5.0, description="ground above sea level [km], 0-5")
+    ground_altitude_km: float = Field(0.0, title="ground altitude", ge=0.0, le=5.0, description="above sea level [km]")
     sensor_altitude_km: float = Field(
-        ge=0.0, le=100_000.0, description="sensor above sea level [km]; 100 and more is space"
+        title="sensor altitude", ge=0.0, le=100_000.0, description="above sea level [km]; 100 and more is space"
     )
-    solar_zenith_deg: float | None = _number("solar zenith angle [deg], 0 to less than 85", ge=0.0)
-    solar_azimuth_deg: float | None = _number("azimuth of the sun, east of north [deg]", ge=-360.0, le=360.0)
+    solar_zenith_deg: float | None = _number("less than 85 [deg]", title="solar zenith angle", ge=0.0)
+    solar_azimuth_deg: float | None = _number("east of north [deg]", title="solar azimuth", ge=-360.0, le=360.0)
     day_of_year: int | None = _number("day of year, for the Earth-Sun distance", ge=1, le=366)
-    earth_sun_distance_au: float | None = _number("Earth-Sun distance [au], 0.98-1.02", ge=0.98, le=1.02)
-    latitude_deg: float | None = _number("latitude, north positive [deg]", ge=-90.0, le=90.0)
-    longitude_deg: float | None = _number("longitude, east positive [deg]", ge=-180.0, le=180.0)
-    time_utc: str | None = Field(None, description="time of collection, ISO 8601, UTC unless it has an offset")
+    earth_sun_distance_au: float | None = _number("[au]", title="Earth-Sun distance", ge=0.98, le=1.02)
+    latitude_deg: float | None = _number("north positive [deg]", ge=-90.0, le=90.0)
+    longitude_deg: float | None = _number("east positive [deg]", ge=-180.0, le=180.0)
+    time_utc: str | None = Field(None, title="time", description="of collection, ISO 8601, UTC unless it has an offset")
     view_zenith_deg: float = Field(
-        0.0, ge=0.0, le=70.0, description="zenith angle of the sensor seen from the ground [deg], 0-70; 0 is nadir"
+        0.0, title="view zenith angle", ge=0.0, le=70.0, description="as seen from the ground [deg]; 0: nadir"
     )
     view_azimuth_deg: float = Field(
-        0.0, ge=-360.0, le=360.0, description="azimuth of the sensor seen from the ground, east of north [deg]"
+        0.0, title="view azimuth", ge=-360.0, le=360.0, description="as seen from the ground, east of north [deg]"
     )
     solar_spectrum: Literal["tsis-1", "astm-g173", "kurucz"] = Field(
         "tsis-1", description="extraterrestrial solar spectrum"

@@ -1,15 +1,13 @@
-"""Forms from a schema: each field with its unit, limits, default and hint; and the data of a filled form.
+"""Forms from a schema: each field with its title, unit, limits, default and hint; and the data of a filled form.
 
 The JSON schema of a model is walked; nothing here knows what a scenario is.  A field that is left blank is left
 out, so that the default of the schema stands.
-
-What a JSON schema says of one field: its kind, unit and limits; and how values are written in it.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,80 +16,26 @@ from pydantic import BaseModel
 from hyperval.config import parse_yaml
 from hyperval.errors import UsageError
 
-
-def kind_of(schema: Mapping[str, Any]) -> str:
-    """The kind of field that a schema asks for."""
-    kind = schema.get("type")
-    if "enum" in schema or "const" in schema:
-        return "choice"
-    if kind == "object":
-        return "group" if "properties" in schema else "yaml"
-    if kind == "array":
-        items = schema.get("items", {})
-        return "rows" if "$ref" in items else "yaml"
-    return {"number": "number", "integer": "integer", "boolean": "flag"}.get(str(kind), "text")
-
-
-def one_kind(kinds: list[str]) -> str:
-    """One kind of field for several kinds of values."""
-    if len(set(kinds)) == 1:
-        return {"integer": "number"}.get(kinds[0], kinds[0])
-    return "yaml" if set(kinds) & {"yaml", "rows"} else "text"
-
-
-def text_of(value: Any) -> str:
-    """A value as it stands in its field."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(text_of, value)) + "]"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{k}: {text_of(v)}" for k, v in value.items()) + "}"
-    return str(value)
-
-
-def limits_of(schema: Mapping[str, Any]) -> str:
-    """The limits of a number, in words."""
-    low, high = schema.get("minimum"), schema.get("maximum")
-    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
-    if low is not None and high is not None:
-        return f"{low:g} to {high:g}"
-    words = [
-        f"{word} {value:g}"
-        for word, value in (("at least", low), ("above", above), ("at most", high), ("below", below))
-        if value is not None
-    ]
-    return ", ".join(words)
-
-
-def summary_of(schema: Mapping[str, Any]) -> str:
-    """The first paragraph of a description."""
-    return str(schema.get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
-
-
+Schema = Mapping[str, Any]
+Given = Mapping[str, list[str]]  # name of a field -> what stands in it
 MOST_ROWS = 40
 _MOST_MARKED = 5
 _MOST_OPEN = 3  # rows that stand unfolded
-_MOST_KEPT = 2000
+_CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-BEGUN, ENTERED, DEFAULT = "begun", "entered", "default"
-Choices = Callable[[str], tuple[str, ...]]  # of a path, where the schema leaves them open
 
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A part of a form; parts that hold the same are one object, so that what is drawn of it can be kept.
+    """A part of a form.
 
     Attributes
     ----------
     kind : number, text, flag, choice, several, yaml; group, rows, variants
-    path, title : dotted path, and its last part in words
-    source : where the value is from: what the form began with, somebody, or the model; empty without a value
-    changes : values in it that are not those that the form began with
-    is_shown : whether it stands before the fold: a value is given, needed, or asked of most people
-    is_open : of a part that has something in it, whether that is seen at once
+    path, title : dotted path, and what it is called
+    is_changed : whether it holds something else than what the form began with, its children aside
+    is_shown : whether it stands before the fold;  is_open : of a part with children, whether these are seen at once
+    chosen : of variants, the number of the one that is taken, from 1; 0: the default
     """
 
     kind: str
@@ -106,10 +50,19 @@ class Node:
     is_needed: bool = False
     children: tuple[Node, ...] = ()
     is_open: bool = False
-    chosen: int = 0
     is_shown: bool = True
-    source: str = ""
-    changes: int = 0
+    is_changed: bool = False
+    chosen: int = 0
+
+    @property
+    def taken(self) -> tuple[Node, ...]:
+        """The children that count: of variants the chosen one alone."""
+        return self.children[self.chosen - 1 : self.chosen] if self.kind == "variants" else self.children
+
+    @property
+    def changes(self) -> int:
+        """Values in it that are not those that the form began with."""
+        return sum(child.changes for child in self.taken) or int(self.is_changed)
 
     @property
     def gist(self) -> str:
@@ -117,18 +70,10 @@ class Node:
         given = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._given()]
         return "; ".join(given[:_MOST_MARKED]) + (" ..." if len(given) > _MOST_MARKED else "")
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether it is a section of the form whose rows are none of their own."""
-        return self.kind == "group" and "." not in self.path and all(c.kind != "rows" for c in self.children)
-
     def _given(self) -> Iterator[Node]:
-        if self.kind == "variants":
-            yield from self.children[self.chosen - 1]._given() if self.chosen else ()
-        elif self.children:
-            for child in self.children:
-                yield from child._given()
-        elif self.value and not self.path.endswith(".name"):
+        for child in self.taken:
+            yield from child._given()
+        if self.value and not self.path.endswith(".name"):
             yield self
 
 
@@ -139,23 +84,26 @@ class Form:
     ----------
     choices : names that may stand at a path, where the schema leaves them open; empty: anything
     left_out : whether a path is no part of the form
-    is_main : whether a field that nothing stands in is shown before the fold
+    is_main : whether the field of a path stands before the fold, when something is given there or not
     is_open : whether a part that something stands in is unfolded
+    is_inline : whether the fields of a group that stand before the fold do so among its neighbours
+    sections : title -> entries of the model that stand under it; the others come first
     """
 
     def __init__(
         self,
         model: type[BaseModel],
-        choices: Choices = lambda path: (),
+        choices: Callable[[str], tuple[str, ...]] = lambda path: (),
         left_out: Callable[[str], bool] = lambda path: False,
-        is_main: Callable[[str], bool] = lambda path: False,
+        is_main: Callable[[str, bool], bool] = lambda path, given: given,
         is_open: Callable[[str], bool] = lambda path: True,
+        is_inline: Callable[[str], bool] = lambda path: False,
+        sections: Mapping[str, Sequence[str]] | None = None,
     ):
         self.schema = model.model_json_schema(by_alias=True)
-        self._definitions = self.schema.get("$defs", {})
         self._choices, self._left_out, self._is_main, self._is_open = choices, left_out, is_main, is_open
-        self._kept: dict[tuple[str, str], Node] = {}
-        self._kept_members: dict[int, list[Mapping[str, Any]]] = {}
+        self._is_inline, self._sections = is_inline, sections or {}
+        self._kept_members: dict[int, list[Schema]] = {}
 
     def nodes(
         self,
@@ -170,202 +118,194 @@ class Form:
         begun : data that the form began with
         more : entry -> names that may stand there besides
         """
-        extra = more or {}
-        return tuple(
-            replace(n, choices=tuple(dict.fromkeys((*n.choices, *extra[n.path])))) if n.path in extra else n
-            for n in self._group(self.schema, "", data or {}, begun or {})
-        )
+        nodes = {node.path: node for node in self._group(self.schema, "", data, begun)}
+        for path, names in (more or {}).items():
+            nodes[path] = replace(nodes[path], choices=tuple(dict.fromkeys((*nodes[path].choices, *names))))
+        sections = []
+        for title, entries in self._sections.items():
+            first, *others = [nodes.pop(name) for name in entries]
+            if first.kind != "group":
+                first = Node("group", "", title, children=(first,))
+            is_open = self._is_open(first.path)
+            sections.append(replace(first, title=title, children=(*first.children, *others), is_open=is_open))
+        return (*nodes.values(), *sections)
 
-    def data(self, given: Mapping[str, list[str]]) -> dict[str, Any]:
-        """The nested data of a form as it was sent: name of a field -> what stands in it.
+    def data(self, given: Given) -> dict[str, Any]:
+        """The nested data of a form as it was sent.
 
         Raises
         ------
         UsageError : a field of lists that is not of their form; ``where`` is its path.
         """
-        return self._read_group(self.schema, "", given) or {}
+        return self._read_group(self.schema, "", given)
 
-    # From schema and data to a form.
-
-    def _resolved(self, schema: Mapping[str, Any]) -> Mapping[str, Any]:
-        if "$ref" in schema:
-            named = self._definitions[schema["$ref"].rsplit("/", 1)[-1]]
-            return {**named, **{k: v for k, v in schema.items() if k != "$ref"}}
-        return schema
-
-    def _members(self, schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    def _members(self, schema: Schema) -> list[Schema]:
         """What may stand there, ``null`` left out."""
         members = self._kept_members.get(id(schema))
         if members is None:
-            parts = self._resolved(schema)
-            members = [m for part in parts.get("anyOf", [parts]) for m in self._expanded(part)]
-            members = self._kept_members[id(schema)] = [m for m in members if m.get("type") != "null"]
+            members = self._kept_members[id(schema)] = [m for m in self._expanded(schema) if m.get("type") != "null"]
         return members
 
-    def _expanded(self, schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-        resolved = self._resolved(schema)
-        return [m for part in resolved["anyOf"] for m in self._expanded(part)] if "anyOf" in resolved else [resolved]
+    def _expanded(self, schema: Schema) -> list[Schema]:
+        if "$ref" in schema:
+            schema = {**self.schema["$defs"][schema["$ref"].rsplit("/", 1)[-1]], **schema}
+        return [m for part in schema["anyOf"] for m in self._expanded(part)] if "anyOf" in schema else [schema]
 
-    def _group(self, schema: Mapping[str, Any], path: str, data: Any, begun: Any) -> tuple[Node, ...]:
-        nodes = []
-        data, begun = (one if isinstance(one, Mapping) else {} for one in (data, begun))
+    def _entries(self, schema: Schema, path: str) -> Iterator[tuple[str, str, Schema]]:
+        """Name, path and schema of every entry of a group."""
         for name, part in schema.get("properties", {}).items():
             own = f"{path}.{name}" if path else name
             if not self._left_out(own):
-                is_needed = name in schema.get("required", ())
-                value, first = data.get(name), begun.get(name)
-                nodes.append(self._same((own, repr((value, first))), self._node, part, own, value, first, is_needed))
+                yield name, own, part
+
+    # From schema and data to a form.
+
+    def _group(self, schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]:
+        data, begun = (one if isinstance(one, Mapping) else {} for one in (data, begun))
+        needed = schema.get("required", ())
+        nodes: list[Node] = []
+        for name, own, part in self._entries(schema, path):
+            node = self._node(part, own, data.get(name), begun.get(name), name in needed)
+            if node.kind == "group" and self._is_inline(own):  # what is shown of it stands among its neighbours
+                nodes += [child for child in node.children if child.is_shown]
+                node = replace(node, children=tuple(c for c in node.children if not c.is_shown), is_shown=False)
+            nodes.append(node)
         return tuple(nodes)
 
-    def _same(self, key: tuple[str, str], make: Callable[..., Node], /, *arguments: Any) -> Node:
-        """The part of a form that was made before of the same; large ones, and those of rows, are worth it."""
-        if key[0].count(".") > 2 and not key[0].rsplit(".", 1)[-1].isdigit():
-            return make(*arguments)
-        node = self._kept.get(key)
-        if node is None:
-            if len(self._kept) >= _MOST_KEPT:
-                self._kept.clear()
-            node = self._kept[key] = make(*arguments)
-        return node
-
-    def _node(self, schema: Mapping[str, Any], path: str, value: Any, begun: Any, is_needed: bool) -> Node:
+    def _node(self, schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
         members = self._members(schema)
-        title = schema["title"]
+        kinds = [_kind(m) for m in members]
         hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
-        kinds = [kind_of(m) for m in members]
-        if "group" in kinds and len(members) > 1:
-            return self._variants(members, kinds, path, title, hint, value, begun)
+        is_main = is_needed or self._is_main(path, bool(value))
+        node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
         if kinds == ["group"]:
             children = self._group(members[0], path, value, begun)
-            return Node(
-                "group",
-                path,
-                title,
-                hint or summary_of(members[0]),
-                children=children,
-                is_needed=is_needed,
-                is_open=(bool(value) or is_needed) and self._is_open(path),
-                is_shown=bool(value) or is_needed or any(c.is_shown for c in children),
-                changes=sum(c.changes for c in children),
-            )
+            is_shown = is_main or any(child.is_shown for child in children)
+            is_open = (bool(value) or is_needed) and self._is_open(path)
+            hint = hint or _summary(members[0])
+            return replace(node, hint=hint, children=children, is_shown=is_shown, is_open=is_open)
         if kinds == ["rows"]:
+            rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
             item = self._members(members[0]["items"])[0]
-            rows, first = (one if isinstance(one, list | tuple) else [] for one in (value, begun))
-            own = [(row, first[i] if i < len(first) else {}) for i, row in enumerate(rows[:MOST_ROWS])]
-            is_few = len(own) <= _MOST_OPEN
             children = tuple(
-                self._same((f"{path}.{i}", repr((pair, is_few))), self._row, item, f"{path}.{i}", *pair, is_few)
-                for i, pair in enumerate(own)
+                self._row(item, f"{path}.{i}", row, first[i] if i < len(first) else {}, len(rows) <= _MOST_OPEN)
+                for i, row in enumerate(rows[:MOST_ROWS])
             )
-            is_shown = bool(rows) or is_needed or self._is_main(path)
-            changes = sum(c.changes for c in children) + max(0, len(first) - len(own))
-            return Node(
-                "rows", path, title, hint,
-                children=children, is_needed=is_needed, is_shown=is_shown, changes=changes,
-            )  # fmt: skip
-        return self._field(schema, members, kinds, path, title, hint, value, begun, is_needed)
+            return replace(node, kind="rows", children=children, is_changed=len(rows) < len(first))
+        if "group" in kinds:
+            return self._variants(node, members, kinds, value, begun)
+        return self._field(node, schema, members, value, begun)
 
-    def _row(self, item: Mapping[str, Any], path: str, row: Any, begun: Any, is_few: bool) -> Node:
+    def _row(self, item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
         given = row if isinstance(row, Mapping) else {}
         title = str(given.get("name") or int(path.rsplit(".", 1)[-1]) + 1)
-        children = self._group(item, path, given, begun)
         is_open = (is_few and self._is_open(path)) or not given
-        return Node("group", path, title, children=children, is_open=is_open, changes=sum(c.changes for c in children))
+        return Node("group", path, title, children=self._group(item, path, given, begun), is_open=is_open)
 
-    def _field(
-        self, schema: Mapping[str, Any], members: list[Mapping[str, Any]], kinds: list[str], path: str, title: str,
-        hint: str, value: Any, begun: Any, is_needed: bool,
-    ) -> Node:  # fmt: skip
-        kind = one_kind(kinds)
+    def _field(self, node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
+        kind, known = _one_kind([_kind(m) for m in members]), self._choices(node.path)
         choices = tuple(str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
-        known = self._choices(path)
         if known and kind in ("text", "yaml"):
             kind, choices = ("choice" if kind == "text" else "several"), known
-        limits = next((words for m in members if (words := limits_of(m))), "")
-        default = schema.get("default")
-        shown = "" if default is None or isinstance(default, dict) else text_of(default)
-        is_begun = value == begun or (_blank(value) and _blank(begun))
+        text: Any = "" if value is None else _text(value)
         if kind == "several":
-            value = [str(v) for v in value] if isinstance(value, list | tuple) else []
-        else:
-            value = "" if value is None else text_of(value)
-        source = (BEGUN if is_begun else ENTERED) if value else DEFAULT if shown else ""
-        if kind == "choice" and value and value not in choices:
-            choices = (*choices, value)
-        return Node(
-            kind,
-            path,
-            title,
-            hint,
-            schema.get("unit", ""),
-            limits,
-            shown,
-            value,
-            choices,
-            is_needed,
-            is_shown=is_needed or bool(value) or self._is_main(path),
-            source=source,
-            changes=int(not is_begun),
-        )
+            text = [str(v) for v in value] if isinstance(value, list | tuple) else []
+        elif kind == "choice" and text and text not in choices:
+            choices = (*choices, text)
+        default = schema.get("default")
+        return replace(
+            node, kind=kind, value=text, choices=choices, unit=schema.get("unit", ""),
+            limits=next((words for m in members if (words := _limits(m))), ""),
+            default="" if default is None or isinstance(default, dict) else _text(default),
+            is_changed=value != begun and not (_blank(value) and _blank(begun)),
+        )  # fmt: skip
 
-    def _variants(
-        self, members: list[Mapping[str, Any]], kinds: list[str], path: str, title: str, hint: str, value: Any,
-        begun: Any,
-    ) -> Node:  # fmt: skip
+    def _variants(self, node: Node, members: list[Schema], kinds: list[str], value: Any, begun: Any) -> Node:
         children: list[Node] = []
         chosen, first = (_chosen(members, kinds, one) for one in (value, begun))
         for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
             own, was = value if number == chosen else None, begun if number == first else None
+            child = replace(node, hint=_summary(member), is_open=True)
             if kind == "group":
-                inner = self._group(member, path, own, was)
-                name = str(member.get("title", number))
-                changes = sum(n.changes for n in inner)
-                words = summary_of(member)
-                children.append(Node("group", path, name, words, children=inner, is_open=True, changes=changes))
+                child = replace(child, title=_CAPITAL.sub(" ", str(member["title"])).lower())
+                children.append(replace(child, children=self._group(member, node.path, own, was)))
             else:
-                children.append(self._field(member, [member], [kind], path, title, "", own, was, False))
-        is_shown = chosen > 0 or self._is_main(path)
-        changes = children[chosen - 1].changes if chosen else 0
-        return Node(
-            "variants", path, title, hint,
-            children=tuple(children), chosen=chosen, is_shown=is_shown, changes=changes or int(chosen != first),
-        )  # fmt: skip
+                children.append(self._field(replace(child, hint=""), member, [member], own, was))
+        return replace(node, kind="variants", children=tuple(children), chosen=chosen, is_changed=chosen != first)
 
     # From a filled form to data.
 
-    def _read_group(self, schema: Mapping[str, Any], path: str, given: Mapping[str, list[str]]) -> dict[str, Any]:
-        data: dict[str, Any] = {}
-        for name, part in schema.get("properties", {}).items():
-            own = f"{path}.{name}" if path else name
-            if self._left_out(own):
-                continue
-            value = self._read(self._members(part), own, given)
-            if value is not None:
-                data[name] = value
-        return data
+    def _read_group(self, schema: Schema, path: str, given: Given) -> dict[str, Any]:
+        read = {name: self._read(self._members(part), own, given) for name, own, part in self._entries(schema, path)}
+        return {name: value for name, value in read.items() if value is not None}
 
-    def _read(self, members: list[Mapping[str, Any]], path: str, given: Mapping[str, list[str]]) -> Any:
-        kinds = [kind_of(m) for m in members]
-        if "group" in kinds and len(members) > 1:
+    def _read(self, members: list[Schema], path: str, given: Given) -> Any:
+        kinds = [_kind(m) for m in members]
+        if kinds == ["group"]:
+            return self._read_group(members[0], path, given) or None
+        if "group" in kinds:
             number = _count(given, f"{path}?", len(members))
             if not number:
                 return None
             members, kinds = [members[number - 1]], [kinds[number - 1]]
             if kinds == ["group"]:
                 return self._read_group(members[0], path, given)
-        if kinds == ["group"]:
-            return self._read_group(members[0], path, given) or None
+        is_list = f"{path}#" in given
         if kinds == ["rows"]:
-            count = _count(given, f"{path}#", MOST_ROWS)
             item = self._members(members[0]["items"])[0]
-            rows = [self._read_group(item, f"{path}.{i}", given) for i in range(count) if f"{path}.{i}!" not in given]
-            return rows if f"{path}#" in given else None
+            places = [f"{path}.{i}" for i in range(_count(given, f"{path}#", MOST_ROWS))]
+            rows = [self._read_group(item, place, given) for place in places if f"{place}!" not in given]
+            return rows if is_list else None
         values = [v.strip() for v in given.get(path, []) if v.strip()]
-        if self._choices(path) and one_kind(kinds) == "yaml":
-            return values or ([] if f"{path}#" in given else None)
-        if not values:
-            return None
-        return _value(values[0], kinds, path)
+        if self._choices(path) and _one_kind(kinds) == "yaml":
+            return values or ([] if is_list else None)
+        return _value(values[0], kinds, path) if values else None
+
+
+def _kind(schema: Schema) -> str:
+    """The kind of field that a schema asks for."""
+    kind = schema.get("type")
+    if "enum" in schema or "const" in schema:
+        return "choice"
+    if kind == "object":
+        return "group" if "properties" in schema else "yaml"
+    if kind == "array":
+        return "rows" if "$ref" in schema.get("items", {}) else "yaml"
+    return {"number": "number", "integer": "integer", "boolean": "flag"}.get(str(kind), "text")
+
+
+def _one_kind(kinds: list[str]) -> str:
+    """One kind of field for several kinds of values."""
+    if len(set(kinds)) == 1:
+        return {"integer": "number"}.get(kinds[0], kinds[0])
+    return "yaml" if set(kinds) & {"yaml", "rows"} else "text"
+
+
+def _text(value: Any) -> str:
+    """A value as it stands in its field."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_text, value)) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{k}: {_text(v)}" for k, v in value.items()) + "}"
+    return str(value)
+
+
+def _limits(schema: Schema) -> str:
+    """The limits of a number, in words."""
+    low, high = schema.get("minimum"), schema.get("maximum")
+    if low is not None and high is not None:
+        return f"{low:g} to {high:g}"
+    words = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+    return ", ".join(f"{said} {schema[key]:g}" for key, said in words.items() if key in schema)
+
+
+def _summary(schema: Schema) -> str:
+    """The first paragraph of a description."""
+    return str(schema.get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
 
 
 def _blank(value: Any) -> bool:
@@ -373,7 +313,7 @@ def _blank(value: Any) -> bool:
     return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
 
 
-def _chosen(members: list[Mapping[str, Any]], kinds: list[str], value: Any) -> int:
+def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     """Number of the first member that a value may be one of, from 1; 0 where there is none."""
     if value is None:
         return 0
@@ -398,6 +338,6 @@ def _value(text: str, kinds: list[str], path: str) -> Any:
     return text
 
 
-def _count(given: Mapping[str, list[str]], name: str, most: int) -> int:
+def _count(given: Given, name: str, most: int) -> int:
     text = given.get(name, ["0"])[0]
     return min(int(text), most) if text.isdecimal() and len(text) < 6 else 0

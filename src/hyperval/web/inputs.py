@@ -72,17 +72,26 @@ _GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
 SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
 _FILES = ("file", "files", "library", "table", "measured", "replicates")
 _LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
-# What most people look for; the rest of a group is folded until something stands in it.
+# What most people look for stands before the fold, given or not; of the rest what is given, some of it none the less
+# behind the fold, whose line tells it.
 _MAIN = re.compile(
-    r"name|sensor|formulation|atmosphere\.(?:model|aot550|meteorological_range_km|water_vapour_g_cm2|.*_altitude_km"
-    r"|solar_zenith_deg|day_of_year|latitude_deg|longitude_deg|time_utc)|scene\.(?:panels|targets)"
-    r"|scene\.classes\.\d+\.(?:name|fraction)|.*\.spectrum\.(?:builtin|file)|.*\.host|.*\.fill\.(?:fixed|mean|sd)"
-    r"|processing\.(?:detectors|bands\.(?:drop_bad|windows_only|ranges))|sensor_changes\.(?!bits).*"
+    r"name|sensor|atmosphere\.(?:meteorological_range_km|water_vapour_g_cm2|sensor_altitude_km|solar_zenith_deg)|scene\.(?:panels|targets)"
+    r"|.*(?<!adjacency)\.spectrum\.builtin|.*\.fill\.fixed|processing\.detectors|sensor_changes\.(?:signal|fixed)_.*"
+)
+_ASIDE = re.compile(
+    r"title|description|formulation|atmosphere\.(?:aerosol|ground_altitude_km|.*azimuth_deg|day_of_year|latitude_deg"
+    r"|longitude_deg|time_utc)|processing\.(?!detectors).*"
 )
 _FOLDED = re.compile(
-    r"(?:scene\.(?:panels|sites)|.*\.subjects)\.\d+|uncertainty.*|.*covariance|sensor_.*|processing(?:\.elm)?"
+    r"(?:scene\.(?:panels|sites)|.*\.subjects)\.\d+|uncertainty.*|.*covariance|sensor_.*|processing\.elm"
     r"|scene\.adjacency|scene\.panels\.\d+\.spectrum"
 )
+_SECTIONS = {
+    "Name": ("name", "title", "description"),
+    "Scene": ("scene",), "Atmosphere, sun and view": ("atmosphere",),
+    "Sensor": ("sensor", "sensor_changes", "sensor_operation"), "Processing": ("processing", "formulation"),
+    "Uncertainty of the inputs": ("uncertainty",),
+}  # fmt: skip
 _GREY = re.compile(r"grey-panel-\d\d")
 _MOST_TEXT = 200
 _MOST_DEPTH = 24
@@ -102,8 +111,9 @@ def scenario_form() -> Form:
     return Form(
         Scenario, choices,
         left_out=lambda path: _LEFT_OUT.fullmatch(path) is not None,
-        is_main=lambda path: _MAIN.fullmatch(path) is not None,
+        is_main=lambda path, given: bool(_MAIN.fullmatch(path) or (given and not _ASIDE.fullmatch(path))),
         is_open=lambda path: _FOLDED.fullmatch(path) is None,
+        is_inline=lambda path: path.endswith((".spectrum", ".fill")), sections=_SECTIONS,
     )  # fmt: skip
 
 
@@ -239,10 +249,7 @@ def _leaves(data: Any, key: str, at: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[str, list[str]]:
-    """Field -> what is wrong there: a mistake that names no field of the form stands at the nearest that holds it.
-
-    A sentence on several fields of a group stands at each that it names.
-    """
+    """Field -> what is wrong there, each once: at the first field that it names, or the nearest that holds it."""
     out: dict[str, list[str]] = {}
     for mistake in mistakes:
         at = mistake.field
@@ -253,8 +260,9 @@ def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[s
         ]
         while at and at not in paths:
             at = at.rpartition(".")[0]
-        for path in named or [at]:
-            out.setdefault(path, []).append(mistake.message)
+        out.setdefault(min(named, key=lambda p: mistake.message.find(p.rpartition(".")[2]), default=at), []).append(
+            mistake.message
+        )
     return out
 
 

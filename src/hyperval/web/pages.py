@@ -71,18 +71,9 @@ def form_parts(nodes: Sequence[Node], errors: Mapping[str, list[str]], begun: st
     total : sum of the fractions
     """
     holding = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}
-    return Markup(_macros(begun, total).parts(nodes, errors, holding))  # noqa: S704 - made of escaped parts
-
-
-def _macros(begun: str, total: str = "") -> Any:
-    names = {"begun": begun, "total": total, "drawn": _drawn}
-    return _environment().get_template("form.html.j2").make_module(names)
-
-
-@lru_cache(maxsize=512)
-def _drawn(macro: str, node: Node, prefix: str, id_: str, begun: str) -> Markup:
-    """A part of a form without a mistake, drawn once."""
-    return Markup(getattr(_macros(begun), macro)(node, {}, (), prefix, id_))  # noqa: S704 - made of escaped parts
+    names = {"begun": begun, "total": total, "errors": errors, "holding": holding}
+    macros: Any = _environment().get_template("form.html.j2").make_module(names)
+    return Markup(macros.parts(nodes))  # noqa: S704 - made of escaped parts
 
 
 @lru_cache(maxsize=16)

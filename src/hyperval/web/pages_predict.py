@@ -149,18 +149,16 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
 
 
 def _form(request: Request, content: FormContent, mistakes: Sequence[FieldMistake] = (), status: int = 200) -> Response:
-    errors: dict[str, list[str]] = {}
     settings, owner = request.app.state.settings, session_of(request).owner
     sensors = files_of(settings, owner, ["sensors"])
     nodes = _nodes(content, sensors)
-    if mistakes:
-        errors = marked(mistakes, [node.path for node in walk(nodes)])
+    titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
+    errors = marked(mistakes, titles)
     return page(
         request, "predict.html.j2", status=status, errors=errors, scenarios=predefined(),
         changes=sum(n.changes for n in nodes),
         parts=form_parts(nodes, errors, content.source, _total(content.data)),
-        count=sum(map(len, errors.values())), begun=content.source.removeprefix("as in "),
-        uploads=files_of(settings, owner, ["spectra"]),
+        titles=titles, begun=content.source.removeprefix("as in "), uploads=files_of(settings, owner, ["spectra"]),
     )  # fmt: skip
 
 

@@ -82,11 +82,12 @@ def _page(
     request: Request, data: dict[str, Any], mistakes: list[FieldMistake] | None = None, status: int = 200
 ) -> Response:
     nodes = study_form().nodes(data, _FIRST)
-    errors = marked(mistakes or [], [node.path for node in walk(nodes)])
+    titles = {node.path: node.title for node in walk(nodes)}
+    errors = marked(mistakes or [], titles)
     runs = request.app.state.store.runs(session_of(request).owner, "prediction")
     return page(
         request, "trade.html.j2", status=status, parts=form_parts(nodes, errors, "to start with"), errors=errors,
-        scenarios=predefined(), runs=runs[:20], count=sum(map(len, errors.values())),
+        scenarios=predefined(), runs=runs[:20], titles=titles,
         most=request.app.state.settings.limits.points,
     )  # fmt: skip
 

@@ -29,13 +29,13 @@ const first = document.querySelector("[aria-invalid]:enabled");
 if (first !== null) reach(first);
 for (const link of document.querySelectorAll("#mistakes a")) {
   link.addEventListener("click", (event) => {
-    const box = document.querySelector(`[name="${CSS.escape(link.textContent)}"]:enabled`);
+    const box = document.querySelector(`[name="${CSS.escape(link.dataset.field)}"]:enabled`);
     if (box === null) return;
     event.preventDefault();
     reach(box);
   });
 }
-// Where a value is from changes when somebody writes another; sections count what is changed in them.
+// What differs from where the form began is marked; sections count what is changed in them.
 const wasChanged = (box) =>
   box.type === "checkbox" || box.type === "radio" ? box.checked !== box.defaultChecked
   : box.options ? [...box.options].some((o) => o.selected !== o.defaultSelected) && (box.selectedIndex > 0 || [...box.options].some((o) => o.defaultSelected))
@@ -53,7 +53,7 @@ function count() {
   }
 }
 document.addEventListener("input", (event) => {
-  const source = event.target.closest(".field")?.querySelector(".source");
-  if (source) source.textContent = "entered";
+  const field = event.target.closest(".field");
+  field?.classList.toggle("touched", isChanged(field));
   count();
 });
