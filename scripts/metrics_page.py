@@ -14,21 +14,21 @@ from hyperval.metrics import entry, table
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "metrics.md"
 HEAD = """# The metrics
 
-Made by `scripts/metrics_page.py` from the table that comparisons, gates, baselines, reports and the benchmark
+Made by `scripts/metrics_page.py` from the table that comparisons, criteria, baselines, reports and the benchmark
 read, when the documentation is built; `hyperval metrics` prints the same. `*` stands for what
 varies, such as a region of the spectrum. What follows `@` in a row is where the metric was
 taken, such as a false-alarm probability.
 
 "Judged as" says how an outcome comes about:
 
-- quantity: the whole 95 % interval inside the accepted range agrees, outside it disagrees, else the comparison
-  is undecided;
+- quantity: met where the whole 95 % interval lies inside the accepted range, not met where it lies outside, else
+  inconclusive;
 - exact: a number without sampling error, whose value decides;
-- test: a p-value. Below its level, which all tests of a campaign of the same level share (Holm), it disagrees;
-  above it, it agrees where the test had 80 % power against the departure that is named, else it is undecided;
-- coverage: 1 or 0, inside or outside an interval; 0 disagrees, 1 is no agreement of two numbers and undecided;
-- equivalence: 1 agrees, 0 is undecided, -1 disagrees;
-- statistic: judged by a test of its own, undecided under a range.
+- test: a p-value. Below its level, which all tests of a campaign of the same level share (Holm), it is not met;
+  above it, met where the test had 80 % power against the error that is named, else inconclusive;
+- coverage: 1 or 0, inside or outside an interval; 0 is not met, 1 is no agreement of two numbers and inconclusive;
+- equivalence: 1 is met, 0 inconclusive, -1 not met;
+- statistic: judged by a test of its own, inconclusive under a range.
 """
 SECTIONS = (
     ("Spectra, spread and classes", "spectral"),

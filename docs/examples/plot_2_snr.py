@@ -14,7 +14,7 @@ wavelength = prediction.axis.centre_nm
 
 figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
 axes.plot(wavelength, prediction.snr["grass"].mean)
-axes.set(xlabel="wavelength [nm]", ylabel="signal-to-noise ratio [1]")
+axes.set(xlabel="wavelength [nm]", ylabel="signal-to-noise ratio")
 
 # %%
 # Where the noise comes from: variances add.

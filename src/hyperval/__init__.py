@@ -1,4 +1,4 @@
-"""hyperval: does the model of a hyperspectral imager agree with what it collected?
+"""hyperval: does the model of a hyperspectral imager agree with what it measured?
 
 ``hyperval.open(DIR)`` reads a finished run; all verbs of the Python API are in :mod:`hyperval.api`.
 The command line is ``hyperval``.

@@ -1,4 +1,4 @@
-"""Whether the HDF5 library comes back from a file: tried in a process that can be ended.
+"""Whether the HDF5 library comes back from a file: tried in a process with a time limit.
 
 In a damaged file a list of variable-length text may lead back into itself.  The library then follows it for ever,
 inside one call that no signal, thread or exception ends.

@@ -112,7 +112,7 @@ class Result:
     the field (:attr:`hyperval.metrics.Metric.effect`): the size of what it is about with its 95 % interval, the range
     accepted for it, the sizes to either side that would have disagreed with 80 % probability, and the size where both
     sides are equal; NaN where a metric has no such size.  ``p_value`` is that of a test; ``set_after`` tells a range
-    that was chosen after its own data were seen, ``subjects_seen`` whether budget and settings were "fitted" on the
+    that was set after its own data were seen, ``subjects_seen`` whether budget and settings were "fitted" on the
     subject or it is "unseen" ("" where the campaign does not say); ``about`` is what the effect of a test is made of,
     and no column.
 

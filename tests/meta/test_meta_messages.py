@@ -63,6 +63,16 @@ def test_sections_that_are_named_are_there():
         assert not section or any(head.startswith(section) for head in heads), (page, section)
 
 
+REPLACED = re.compile(
+    r"Nothing decides|\bplanted|es? out the same|be ended\b|chosen after|[−-] collected\)|gates see|D \[1\]"
+)
+
+
+def test_no_text_has_words_that_the_vocabulary_replaced():
+    texts = [*SOURCES, *PAGES, *(ROOT / "docs/examples").glob("*.py"), *(ROOT / "campaigns").rglob("*.*")]
+    assert {p.name: found for p in texts if (found := REPLACED.findall(p.read_text("utf-8")))} == {}
+
+
 def keys() -> set[str]:
     """Every key that a file of a user may have."""
     schemas = [json.loads(path.read_text("utf-8")) for path in (ROOT / "src/hyperval/schemas").glob("*.json")]

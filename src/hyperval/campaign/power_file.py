@@ -75,10 +75,10 @@ class PowerTable(Model):
     campaign: str
     version: str = Field(description="of hyperval, which computed it")
     files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
-    gates: int = Field(ge=0, description="gates that an error could turn")
-    disagreeing: int = Field(ge=0, description="gates that disagree with nothing injected, and cannot turn")
+    gates: int = Field(ge=0, description="criteria that an error could turn")
+    disagreeing: int = Field(ge=0, description="criteria not met without an injected error, which cannot turn")
     stated: dict[str, float] = Field(
-        default_factory=dict, description="gate of the model -> its value with nothing injected"
+        default_factory=dict, description="criterion of the model -> its value without an injected error"
     )
     errors: dict[str, Injected] = Field(min_length=1)
 

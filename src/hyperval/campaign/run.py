@@ -318,7 +318,7 @@ class CampaignRun(NamedTuple):
 
     Attributes
     ----------
-    folder : which it is written into; what stands there whole, and would come out the same, is kept
+    folder : which it is written into; what stands there whole and is unchanged is kept
     earlier : folder of an earlier run that it may be taken from; None: it is not
     raises : whether an error is raised; else it becomes the rows of the campaign
     """
@@ -388,7 +388,7 @@ def write_record(job: Job, run: RunReport, folder: Path) -> None:
 
 
 def as_before(job: Job, folder: Path) -> RunReport | None:
-    """The report that stands whole in ``folder``, without its arrays, where it would come out the same."""
+    """The report that stands whole in ``folder``, without its arrays, where it is unchanged."""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
         record, log = json.loads((folder / RECORD).read_bytes()), InputLog(job.folder)
         files = {name: sha256_of(log.resolve(name)) for name in record["files"]}
@@ -399,7 +399,7 @@ def as_before(job: Job, folder: Path) -> RunReport | None:
 
 
 def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callable[[str], None]) -> list[Done]:
-    """Run what would not come out the same; the result does not depend on how many run at once, or where."""
+    """Run what has changed; the result does not depend on how many run at once, or where."""
     done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.unchanged())}
     for run, _ in done.values():
         tell(UNCHANGED.format(run.campaign))
@@ -433,7 +433,7 @@ def validate(
     scheduler : address of a Dask scheduler whose workers run the campaigns, where there are several; they see the
         output folder and the data under the same names
     strict : undecided and skipped gates give 1, too
-    again : run also what stands in ``output`` and would come out the same
+    again : run also what stands unchanged in ``output``
     tell : is given a line on what was not run again
 
     Returns

@@ -162,7 +162,7 @@ def _words(day: RadCalNetDay, time: str, file: str, model: str, where: Path) -> 
 
 
 class Choice(Model):
-    """A budget, a fit or a range that was chosen after the data of its own campaign were seen."""
+    """A budget, a fit or a range that was set after the data of its own campaign were seen."""
 
     what: str = Field(min_length=1, description="what was chosen, and what it gave")
     before: str = Field(min_length=1, description="what it was before, and what that gave")
@@ -197,7 +197,7 @@ class Outline(Model):
         return False
 
     def every_choice(self) -> list[tuple[str, str]]:
-        """What was chosen after the campaign's own data were seen, each with what it was before."""
+        """What was set after the campaign's own data were seen, each with what it was before."""
         stated = [(choice.what, choice.before) for choice in self.chosen_after]
         return stated + [
             (f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before)

@@ -446,7 +446,7 @@ def power(
     ] = None,
     accept: Annotated[bool, typer.Option("--accept", help="Take the tables as those that reports show.")] = False,
 ) -> int:
-    """Inject standard errors in the model, one at a time: which gates turn?"""
+    """Inject standard errors into the model, one at a time: which criteria detect them?"""
     from hyperval.campaign import campaign_power
 
     tables = campaign_power(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
@@ -511,11 +511,9 @@ def validate(
     junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
     scheduler: Scheduler = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 1 where a gate is undecided or skipped, too.")
+        bool, typer.Option("--strict", help="Exit with 1 where a criterion is inconclusive or skipped, too.")
     ] = False,
-    again: Annotated[
-        bool, typer.Option("--again", help="Run also what stands in the output and would come out the same.")
-    ] = False,
+    again: Annotated[bool, typer.Option("--again", help="Run unchanged campaigns of the output again, too.")] = False,
 ) -> int:
     """Predict, observe, compare: the main job."""
     if dry_run:

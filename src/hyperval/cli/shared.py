@@ -14,7 +14,7 @@ import typer
 from hyperval import __version__
 
 app = typer.Typer(
-    help="Does the model of a hyperspectral imager agree with what it collected?",
+    help="Does the model of a hyperspectral imager agree with what it measured?",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -41,7 +41,7 @@ class Gate(Model):
     fraction_at_least : makes it a pooled gate: this share of all matching rows must meet the limit, and one
         row of its own tells the share
     gate : False for informational rows
-    chosen_after, before : True where the range was chosen after its own data were seen, and what it was before
+    chosen_after, before : True where the range was set after its own data were seen, and what it was before
     reason : why this is, or is not, a gate
     """
 
@@ -69,7 +69,7 @@ class Gate(Model):
     )
     gate: bool = Field(True, description="false: informational")
     chosen_after: bool = Field(
-        False, description="true: chosen after the data of this campaign were seen; the report says so"
+        False, description="true: set after the data of this campaign were seen; the report says so"
     )
     before: str = Field("", description="with chosen_after: what it was before")
     reason: str = Field(min_length=1, description="why the range, or why it is informational")

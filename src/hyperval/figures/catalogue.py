@@ -50,7 +50,7 @@ def further_figures(
     tails: Mapping[str, TailCurve],
     margin: float | None,
 ) -> list[Figure]:
-    """What else the products, the rows and the spread of pixels of a run give, with its margin of P_D [1]."""
+    """What else the products, the rows and the spread of pixels of a run give, with its margin of P_D."""
     made = [
         spectra.budget_figure(sides),
         *(spectra.sampled_eigenvalue_figures(eigenvalues) if eigenvalues else [spectra.eigenvalue_figure(sides)]),
@@ -196,7 +196,7 @@ def _effects(rows: Sequence[Result]) -> Figure:
     alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
     alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
     legend = "one unit: the stated standard uncertainty of an input, or a usual step where none is stated; "
-    legend += "gap: predicted less measured; spectra as a part of the collected mean, P_D as it stands; "
+    legend += "gap: predicted less measured; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:.2g})" for q in shown]
     ways = row_names(names, _LONGEST), row_names(quantities, 56)

@@ -220,7 +220,7 @@ def _check(k: Array, n: Array, level: float) -> None:
 
 
 def difference_ratio(predicted: npt.ArrayLike, collected: npt.ArrayLike) -> Array:
-    """(B,) (predicted - collected)/collected; NaN where ``collected`` is not positive.
+    """(B,) (predicted - measured)/measured; NaN where ``collected`` is not positive.
 
     Examples
     --------

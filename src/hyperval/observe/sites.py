@@ -301,7 +301,7 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     InputError : files that are missing, malformed, or whose wavelengths are not those of the band table.
     """
     if collection.bands is None:
-        raise UsageError("collected spectra need a band table")
+        raise UsageError("measured spectra need a band table")
     axis = read_band_table(resolve(collection.bands.path), collection.bands)
     detector = None
     if (name := collection.detector) is not None:

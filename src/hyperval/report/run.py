@@ -49,7 +49,7 @@ class RunReport:
     references : literature
     eigenvalues : (subject, quantity) -> eigenvalues of both sides
     tails : subject -> tails of both sides
-    chosen_after : (what, as it was before) of each range that was chosen after its data were seen
+    chosen_after : (what, as it was before) of each range that was set after its data were seen
     deciding : inconclusive criteria, and what would decide each
     power : which standard errors the campaign would detect, None where that was not worked out
     remedy : how to get the collection of a run that was skipped for lack of it

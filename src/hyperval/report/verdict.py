@@ -201,7 +201,7 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
     telling = sum(disagrees_without_gating(row) for row in rows)
     if telling and len(steps) < _MOST_STEPS:
         those = "comparison that is" if telling == 1 else "comparisons that are"
-        steps.append(f"Look at the {telling} informational {those} not met; the status stays as it is.")
+        steps.append(f"Look at the {telling} informational {those} not met: they do not change the status.")
     if not criteria and any(row.planned for row in rows):
         steps.append("State acceptance criteria, if this campaign is to pass or fail.")
     return steps or ["Nothing: keep these numbers as accepted."]
