@@ -135,6 +135,8 @@ def compare_products(
     for product in SPECTRA:
         rows += of(spectra.compare_spectra, product, product=product, axis=axis)
     rows += named(joint.compare_jointly(predicted, observed), "radiance", joint.ALL_SUBJECTS, method)
+    shown = "radiance" if observed.radiance else "reflectance"
+    rows += named(spectra.shifted_rows(observed), shown, joint.ALL_SUBJECTS, method)
     for quantity in SPREAD:
         for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
             spread = covariance.compare_covariance(predicted, observed, subject, quantity)

@@ -15,9 +15,9 @@ import scipy
 from hyperval.compare.rows import Array, Interval, Mask, row, skipped
 from hyperval.errors import refuse
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
-from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty
-from hyperval.products import EstimatedPart, SpectralEstimate
-from hyperval.results import Cause, Effect, Result
+from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty, common_shifts
+from hyperval.products import EstimatedPart, Products, SpectralEstimate
+from hyperval.results import Cause, Effect, Outcome, Result, Role
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
 
 _DRAWS = 1000
@@ -475,6 +475,34 @@ def wavelength_rows(predicted: SpectralEstimate, observed: SpectralEstimate, axi
             half = Z95 * math.hypot(*sd) or math.nan
             name = f"absorption_centre_difference@{feature.key}"
             yield row(name, centres[0] - centres[1], half=half, n=observed.n)
+
+
+def shifted_rows(observed: Products) -> Iterator[Result]:
+    """Row ``wavelength_shift@FEATURE`` [nm], a criterion that is not met, of every feature that is not in its place.
+
+    Every number of a spectrum depends on its wavelengths, and a shift may bring model and data together.  The level
+    of 5 % is shared among the features that the spectra show; where none is off by so much there is no row.
+
+    Examples
+    --------
+    >>> from hyperval.products import ObservedProducts
+    >>> w = np.arange(600.0, 900.0, 5.0)
+    >>> def seen(shift):
+    ...     plant = SpectralEstimate(0.05 + 0.4 / (1.0 + np.exp((717.0 + shift - w) / 8.0)), np.eye(w.size))
+    ...     return ObservedProducts(SpectralAxis(w, 5.0), reflectance={"grass": plant})
+    >>> [(r.metric, round(r.value)) for shift in (0.0, 14.0) for r in shifted_rows(seen(shift))]
+    [('wavelength_shift@red-edge-of-plants', 14)]
+    """
+    spectra = observed.radiance or observed.reflectance
+    found = common_shifts((s.mean for s in spectra.values()), observed.axis, reflectance=not observed.radiance)
+    for shift, count in found:
+        half = float(scipy.special.ndtri(1.0 - 0.025 / len(found))) * shift.uncertainty_nm
+        if abs(shift.nm) > half:
+            name, ends = f"wavelength_shift@{shift.feature.replace(' ', '-')}", (shift.nm - half, shift.nm + half)
+            yield row(
+                name, shift.nm, ends, n=count, role=Role.GATE, outcome=Outcome.DISAGREES, limit_low=0.0, limit_high=0.0,
+                about=Effect(shift.nm, *ends, lambda _: (0.0, 0.0)), reason="what depends on wavelengths says nothing",
+            )  # fmt: skip
 
 
 # Two measurements never meet to this part of their level.

@@ -254,30 +254,21 @@ def _left_out(elm: EmpiricalLine, axis: SpectralAxis) -> dict[str, Array]:
 
 
 def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectance: bool) -> list[str]:
-    """How far features of spectra (B,) lie from their places, in words, with a warning for each that is certain.
-
-    The shift is the median over the spectra that show the feature.  Its uncertainty is that of where the feature
-    lies, which the spectra share: it is not divided by their number.  Where it differs between spectra it is the
-    median.
-    """
-    found: dict[str, list[px.Shift]] = {}
-    for spectrum in spectra:
-        for shift in px.wavelength_shifts(spectrum, axis, reflectance=reflectance):
-            found.setdefault(shift.feature, []).append(shift)
+    """How far features of spectra (B,) lie from their places, in words, with a warning for each that is certain."""
+    found = px.common_shifts(spectra, axis, reflectance=reflectance)
     if not found:
         feature = "an absorption of oxygen or water vapour"
         if reflectance:
             feature = "a red edge of plants or a rest of the oxygen band"
         return [f"the wavelengths could not be checked: no spectrum shows {feature}"]
     parts, warnings = [], []
-    for name, each in found.items():
-        s = px.Shift(name, *(float(np.median(x)) for x in zip(*((e.nm, e.uncertainty_nm) for e in each), strict=True)))
+    for s, count in found:
         error = f"standard uncertainty {s.uncertainty_nm:.1f}"
-        parts.append(f"{name} {s.nm:+.1f} nm ({error}, {len(each)} spectra)")
+        parts.append(f"{s.feature} {s.nm:+.1f} nm ({error}, {count} spectra)")
         if s.certain:
             side = "above" if s.nm > 0 else "below"
             warnings.append(
-                f"warning: the {name} lies {abs(s.nm):.1f} nm ({error}) {side} its place: the wavelengths of the "
+                f"warning: the {s.feature} lies {abs(s.nm):.1f} nm ({error}) {side} its place: the wavelengths of the "
                 "collection seem to be shifted"
             )
     return ["wavelengths as labelled less those of known features: " + "; ".join(parts), *warnings]

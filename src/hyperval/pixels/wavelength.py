@@ -13,7 +13,7 @@ W in the compensation.  Too much or too little absorption taken out leaves a bum
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -313,3 +313,17 @@ def _shift(feature: Feature, edge_nm: float, wavelength_nm: Array) -> Shift:
     spacing = float(np.gradient(wavelength_nm)[at])
     u = float(np.hypot(feature.uncertainty_nm, _SAMPLING * spacing))
     return Shift(feature.name, edge_nm - feature.centre_nm, u)
+
+
+def common_shifts(spectra: Iterable[Array], axis: SpectralAxis, *, reflectance: bool) -> list[tuple[Shift, int]]:
+    """Shift of every feature that some of the spectra (B,) show, and how many do.
+
+    It is the median over these spectra.  Its uncertainty is that of where the feature lies, which the spectra share:
+    it is not divided by their number.  Where it differs between spectra it is the median.
+    """
+    found: dict[str, list[Shift]] = {}
+    for spectrum in spectra:
+        for shift in wavelength_shifts(spectrum, axis, reflectance=reflectance):
+            found.setdefault(shift.feature, []).append(shift)
+    middle = {name: np.median([(s.nm, s.uncertainty_nm) for s in each], axis=0) for name, each in found.items()}
+    return [(Shift(name, *map(float, middle[name])), len(each)) for name, each in found.items()]
