@@ -204,6 +204,24 @@ def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
     context.close()
 
 
+def test_results_of_the_command_line_below_the_folder_are_seen_by_everybody(own, run):
+    _, told = run
+    shutil.copytree(place_of(own, told) / "results", own.folder / "by-hand")
+    client, api_runs = own.session(), f"{own.address}/api/v1/runs"
+    (seen,) = client.get(api_runs).json()
+    assert (seen["kind"], seen["name"], seen["summary"]["verdict"]) == (
+        "validation",
+        "small",
+        told["summary"]["verdict"],
+    )
+    assert told["summary"]["verdict"] in client.get(f"{own.address}/runs").text
+    for part in ("", "/map", "/map.json?name=yellow-cem", "/files/report.html", "/files/results.csv"):
+        assert client.get(f"{own.address}/runs/{seen['id']}{part}").status_code == 200, part
+    assert client.delete(f"{api_runs}/{seen['id']}").status_code == 409
+    shutil.rmtree(own.folder / "by-hand")
+    assert client.get(api_runs).json() == []
+
+
 def test_pixel_is_shown_beside_the_prediction(own, run):
     client, told = run
     url = f"{own.address}/runs/{told['id']}/pixel.json"

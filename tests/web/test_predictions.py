@@ -2,7 +2,7 @@
 
 import io
 import re
-from html.parser import HTMLParser
+from html import unescape
 from importlib import resources
 from pathlib import Path
 
@@ -20,40 +20,23 @@ from small_campaign import undrawn
 EASY = {"name": "yellow-planks-asphalt"}
 
 
-class Fields(HTMLParser):
+def sent_of(text: str) -> list[tuple[str, str]]:
     """What a browser would send of a form, the buttons aside."""
-
-    def __init__(self, text: str):
-        super().__init__()
-        self.sent: list[tuple[str, str]] = []
-        self._select = ""
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        a = dict(attrs)
-        if tag == "select":
-            self._select = a.get("name") or ""
-        elif tag == "option" and self._select and "selected" in a:
-            self.sent.append((self._select, a.get("value") or ""))
-        elif tag == "input" and a.get("name"):
-            if a.get("type") in ("checkbox", "radio") and "checked" not in a:
-                return
-            self.sent.append((a["name"], a.get("value") or ""))
-
-    def handle_data(self, data):
-        if self._select and data.strip() and self.sent and self.sent[-1] == (self._select, ""):
-            self.sent[-1] = (self._select, data.strip())
-
-    def handle_endtag(self, tag):
-        if tag == "select":
-            self._select = ""
+    sent = []
+    for inside in re.findall(r"<input ([^>]*)>", text):
+        known = dict(re.findall(r'([a-z]+)="([^"]*)"', inside))
+        if "name" in known and (known.get("type") not in ("checkbox", "radio") or inside.endswith(" checked")):
+            sent.append((known["name"], unescape(known.get("value", ""))))
+    for name, options in re.findall(r'<select [^>]*name="([^"]*)"[^>]*>(.*?)</select>', text, re.DOTALL):
+        sent += [(name, unescape(value)) for value in re.findall(r"<option selected>([^<]*)", options)]
+    return sent
 
 
 @pytest.mark.parametrize("name", predefined())
 def test_form_of_a_scenario_holds_the_scenario(client, server, name):
     page = client.get(f"{server.address}/predict", params={"scenario": name}).text
     given: dict[str, list[str]] = {}
-    for key, value in Fields(page).sent:
+    for key, value in sent_of(page):
         given.setdefault(key, []).append(value)
     sent = Scenario.model_validate({"schema": 1, **scenario_form().data(given)})
     assert sent.model_dump() == predefined()[name].model_dump()
@@ -76,7 +59,7 @@ def test_rest_of_a_form_is_folded_and_opened_by_a_mistake(client, server):
     assert not nodes["scene.classes.0.gain"].is_shown
     assert not nodes["scene.panels.0"].is_open
     assert nodes["scene.targets.0.subjects.1"].gist == "fill fraction 0.05"
-    fields = dict(Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent)
+    fields = dict(sent_of(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text))
     sent = {**fields, "scene.classes.0.gain": "-1", "action": "run"}
     text = client.post(f"{server.address}/predict", data=sent, headers={"accept": "text/html"}).text
     folds = text[: text.index('id="f-scene-classes-0-gain"')]
@@ -87,7 +70,7 @@ def test_rest_of_a_form_is_folded_and_opened_by_a_mistake(client, server):
 
 def test_source_of_each_value_is_told(client, server):
     url = f"{server.address}/predict"
-    fields = dict(Fields(client.get(url, params={"scenario": EASY["name"]}).text).sent)
+    fields = dict(sent_of(client.get(url, params={"scenario": EASY["name"]}).text))
     sent = {**fields, "atmosphere.day_of_year": "99", "action": "add:scene.classes"}
     text = client.post(url, data=sent).text
     assert f"Values are as in {EASY['name']}" in text
@@ -106,7 +89,7 @@ def test_source_of_each_value_is_told(client, server):
 @pytest.mark.parametrize("name", ["yellow-planks-asphalt", "hysu"])
 def test_sections_of_a_form_count_what_was_changed(client, server, name):
     url = f"{server.address}/predict"
-    fields = Fields(client.get(url, params={"scenario": name}).text).sent
+    fields = sent_of(client.get(url, params={"scenario": name}).text)
 
     def counts(**changes: str) -> list[str]:
         new = {k.replace("__", "."): v for k, v in changes.items()}
@@ -126,6 +109,8 @@ def test_scene_of_a_collection_needs_its_files(client, server, monkeypatch):
         assert run["state"] == "finished", run
         assert {"red metal 0.25 m", "bitumen 3 m"} <= {row["subject"] for row in run["summary"]["detection"]}
     monkeypatch.setattr("hyperval.web.inputs.is_here", lambda file: False)
+    monkeypatch.setattr("hyperval.web.inputs.missing", lambda name: [name])
+    assert "<code>hyperval data fetch hysu</code>" in client.get(server.address).text
     answer = client.post(f"{server.address}/api/v1/predictions", json={"name": "hysu"})
     assert answer.json()["errors"][0] == {
         "field": "scene.targets.0.spectrum.file", "message": "this server lacks the data set hysu"}  # fmt: skip
@@ -153,7 +138,7 @@ def test_sensor_file_is_brought_and_used(client, server):
 
 def test_wrong_value_is_told_at_its_field_and_nothing_runs(client, server):
     before = len(client.get(f"{server.address}/api/v1/runs").json())
-    fields = dict(Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent)
+    fields = dict(sent_of(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text))
     for name, value, words in (
         ("atmosphere.water_vapour_g_cm2", "99", "less than or equal to 10"),
         ("atmosphere.solar_zenith_deg", "nan", "finite number"),

@@ -82,13 +82,3 @@ def test_full_disk_refuses_orders_and_shows_what_there_is(make_server, monkeypat
         assert told["state"] == "failed"
         assert "could not be stored" in told["reason"]
     assert client.post(f"{server.address}/api/v1/predictions", json={"name": "panels"}).status_code == 201
-
-
-def test_server_that_starts_again_shows_what_was_finished(make_server, tmp_path):
-    first = make_server(tmp_path / "same")
-    client = first.session()
-    run = client.post(f"{first.address}/api/v1/predictions", json={"name": "panels"}).json()
-    second = make_server(tmp_path / "same")
-    page = client.get(f"{second.address}/runs/{run['id']}")
-    assert page.status_code == 200
-    assert client.get(f"{second.address}/runs/{run['id']}/charts").status_code == 200

@@ -386,6 +386,7 @@ def _write_cube(
         **_place(scene),
         extra={
             "sensor type": f"{inputs.sensor} (simulated)",
+            "data units": "uW cm-2 sr-1 nm-1",
             **({"acquisition time": scene.acquired_utc} if scene.acquired_utc else {}),
             "data gain values": "{" + gains + "}",
             "data offset values": "{" + ", ".join(["0"] * len(axis)) + "}",

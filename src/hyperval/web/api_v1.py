@@ -14,14 +14,14 @@ from hyperval.scenario import Scenario
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.settings import with_settings
 from hyperval.study.schema import StudyFile
-from hyperval.web.bring import form_of, take_files
+from hyperval.web.bring import PARTS, form_of, take_files
 from hyperval.web.inputs import SURFACES, needs, plain, predefined, refuse_excess
 from hyperval.web.pages import session_of
 from hyperval.web.pages_predict import order_prediction
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said
-from hyperval.web.runs import file_of, files_of, known_campaigns, order_campaign, run_charts, run_of
+from hyperval.web.runs import file_of, files_of, known_campaigns, order_campaign, remove_run, run_charts, run_of
 from hyperval.web.sensors import numbers_of
-from hyperval.web.store import ENDED, WebRun
+from hyperval.web.store import WebRun
 from hyperval.web.trade import order_study
 
 router = APIRouter(prefix="/api/v1", tags=["v1"])
@@ -152,7 +152,9 @@ def surfaces() -> list[str]:
 def scenarios() -> list[ScenarioAnswer]:
     """The predefined scenarios."""
     return [
-        ScenarioAnswer(name=name, title=s.title, description=s.description, needs=needs(s), scenario=plain(s))
+        ScenarioAnswer(
+            name=name, title=s.title, description=s.description, needs=", ".join(needs(s)), scenario=plain(s)
+        )
         for name, s in predefined().items()
     ]
 
@@ -229,10 +231,7 @@ def cancel(request: Request, run_id: str) -> RunAnswer:
 @router.delete("/runs/{run_id}", status_code=204, responses={k: _PROBLEMS[k] for k in (400, 403, 404, 409)})
 def remove(request: Request, run_id: str) -> Response:
     """Forget a run and its files."""
-    known = run_of(request, run_id)
-    if known.state not in ENDED:
-        raise Refused(409, "it still runs: cancel it first")
-    request.app.state.store.remove(known.id)
+    remove_run(request, run_id)
     return Response(status_code=204)
 
 
@@ -284,23 +283,19 @@ _BODY: dict[str, Any] = {
     **{key: {"type": "array", "items": _FILE} for key in ("regions", "spectra", "sensors")},
     **{key: {"type": "string"} for key in ("name", "quantity", "unit", "sensor", "time_utc")},
     **{
-        f"{part}_named": {
-            "type": "string",
-            "description": "of the server's data folder, not sent",
-        }
-        for part in ("cube", "header", "regions", "targets", "spectra")
+        f"{part}_{end}": {"type": "string", "description": words}
+        for part in PARTS
+        for end, words in (("named", "of the server's data folder, not sent"), ("kept", "of an earlier request"))
     },
     **{key: {"type": "number"} for key in ("altitude_km", "pixel_size_m")},
 }
 
 
-def _files_body(needed: list[str], names: list[str]) -> dict[str, Any]:
-    schema = {"type": "object", "required": needed, "properties": {n: _BODY[n] for n in names}}
-    return {"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": schema}}}}
+_FORM = {"multipart/form-data": {"schema": {"type": "object", "properties": _BODY}}}
 
 
 @router.post(
-    "/uploads", status_code=201, openapi_extra=_files_body([], list(_BODY)),
+    "/uploads", status_code=201, openapi_extra={"requestBody": {"required": True, "content": _FORM}},
     responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 429, 503)},
 )  # fmt: skip
 async def uploads(request: Request) -> UploadAnswer:

@@ -89,14 +89,9 @@ async def closing_files(request: Request) -> AsyncIterator[None]:
         await request.close()
 
 
-def wants_page(request: Request) -> bool:
-    """Whether an error is told as a page."""
-    return not request.url.path.startswith("/api/") and "text/html" in request.headers.get("accept", "")
-
-
 def _answer(request: Request, status: int, mistakes: list[FieldMistake], wait: int | None = None) -> Response:
     headers = {"retry-after": str(wait)} if wait else None
-    if wants_page(request):
+    if not request.url.path.startswith("/api/") and "text/html" in request.headers.get("accept", ""):
         answer: Response = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
         answer.headers.update(headers or {})
         return answer

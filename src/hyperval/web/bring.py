@@ -1,17 +1,19 @@
-"""Imagery that a session brings: checked as it comes in, kept with its run, put through the empirical pipeline."""
+"""Imagery that a session brings: checked as it comes in, kept, and put through the empirical pipeline.
+
+A file that is right is kept under its field; what the request that it came with lacks is asked for alone.
+"""
 
 from __future__ import annotations
 
-import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, Literal
 
 from fastapi import APIRouter, Request
+from pydantic import BaseModel, Field, ValidationError, field_validator
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
@@ -20,22 +22,32 @@ from hyperval.errors import HypervalError, UsageError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.web.desk import Order
+from hyperval.web.inputs import marked
 from hyperval.web.pages import page, session_of
-from hyperval.web.refusal import KINDS, SPECTRA, FieldMistake, Refused, checked_name, files_of, folder_of, to_show
+from hyperval.web.refusal import (
+    KINDS,
+    SPECTRA,
+    FieldMistake,
+    Refused,
+    checked_name,
+    files_of,
+    folder_of,
+    mistakes_of,
+    to_show,
+)
 from hyperval.web.store import ServerSettings, WebRun
 
 router = APIRouter(include_in_schema=False)
 MOST_FILES = 20
 _MOST_KEPT = 50
-_CUBE = (".img", ".dat", ".raw", ".bsq", ".bil", ".bip", "")
-_ENDINGS = {
-    "cube": _CUBE,
+PARTS = {  # of a collection -> endings of the names of its files
+    "cube": (".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ""),
     "header": (".hdr",),
     "regions": (".txt", ".geojson", ".json", ".csv", ".roi"),
     "targets": (".csv", ".geojson", ".json", ".txt"),
     "spectra": (*SPECTRA, ".hdr"),
-    "sensors": (".yaml", ".yml"),
 }
+_ENDINGS = {**PARTS, "sensors": (".yaml", ".yml")}
 _PACKED = {
     b"PK\x03\x04": "a zip archive",
     b"\x1f\x8b": "packed by gzip",
@@ -44,48 +56,39 @@ _PACKED = {
 }
 _NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,59}")
 _LARGEST_TEXT = 4_000_000
-_HEAD_BYTES = 8
-_PARTS = ("cube", "header", "regions", "targets", "spectra")
 _INSIDE = re.compile(r"(?:[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}/){0,12}[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}")
 
 
-@dataclass(frozen=True)
-class Brought:
-    """A file of a request: the field, its name, its size, and what holds it: the request, or the data folder."""
+class StatedCollection(BaseModel):
+    """What a person says of a collection; blank entries are left out."""
 
-    field: str
-    name: str
-    size: int
-    file: BinaryIO | None = None
-    path: Path | None = None
+    name: str = "mine"
+    quantity: Literal["radiance", "reflectance"] | None = None
+    unit: str | None = Field(None, max_length=60)
+    sensor: str | None = None
+    time_utc: str | None = Field(None, max_length=60)
+    altitude_km: float | None = Field(None, ge=0.01, le=100_000, allow_inf_nan=False)
+    pixel_size_m: float | None = Field(None, ge=0.001, le=10_000, allow_inf_nan=False)
 
-    def head(self) -> bytes:
-        """Its first bytes."""
-        if self.path is not None:
-            with self.path.open("rb") as file:
-                return file.read(_HEAD_BYTES)
-        assert self.file is not None  # noqa: S101
-        head = self.file.read(_HEAD_BYTES)
-        self.file.seek(0)
-        return head
+    @field_validator("name")
+    @classmethod
+    def _of_a_campaign(cls, name: str) -> str:
+        if not _NAME.fullmatch(name):
+            raise ValueError("small letters, digits and hyphens, at most 60")
+        return name
 
-    def keep(self, path: Path) -> None:
-        """Put its content at ``path``: that of the data folder takes no room where the file system can share it."""
-        if self.path is not None:
-            try:
-                os.link(self.path.resolve(), path)
-            except OSError:
-                shutil.copyfile(self.path, path)
-            return
-        assert self.file is not None  # noqa: S101
-        with path.open("wb") as out:
-            shutil.copyfileobj(self.file, out)
+    @field_validator("sensor")
+    @classmethod
+    def _of_the_library(cls, name: str | None) -> str | None:
+        if name is not None and name not in library_names():
+            raise ValueError(f"one of {', '.join(library_names())}")
+        return name
 
 
 @router.get("/bring")
 def bring(request: Request) -> Response:
     """The form."""
-    return _page(request)
+    return _page(request, {})
 
 
 @router.post("/uploads")
@@ -95,21 +98,9 @@ async def uploads(request: Request) -> Response:
     try:
         taken = await run_in_threadpool(take_files, request, form)
     except Refused as refusal:
-        return _page(request, to_show(refusal), 422)
+        given = {name: value for name, value in form.items() if isinstance(value, str)}
+        return _page(request, given, to_show(refusal), 422)
     return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
-
-
-def take_files(request: Request, form: FormData) -> WebRun | list[str]:
-    """The run of the cube of a form, or the names of the spectra and sensor files that are kept where it has none.
-
-    Raises
-    ------
-    Refused : what is wrong with them, or there is no room.
-    """
-    keeps = next(_files(form, KINDS), None) is not None
-    others = [field for field in _PARTS if field != "spectra"]
-    has_cube = next(_files(form, others), None) is not None or any(form.get(f"{field}_named") for field in _PARTS)
-    return keep_files(request, form) if keeps and not has_cube else order_pipeline(request, form)
 
 
 async def form_of(request: Request) -> FormData:
@@ -121,103 +112,90 @@ async def form_of(request: Request) -> FormData:
     """
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
         raise Refused(422, [FieldMistake("body", "files come as multipart/form-data")])
-    return await request.form(max_files=MOST_FILES, max_fields=40)
+    return await request.form(max_files=MOST_FILES, max_fields=200)
 
 
-def _page(request: Request, mistakes: Sequence[FieldMistake] = (), status: int = 200) -> Response:
+def _page(
+    request: Request, given: Mapping[str, str], mistakes: Sequence[FieldMistake] = (), status: int = 200
+) -> Response:
     settings, owner = request.app.state.settings, session_of(request).owner
+    errors = marked(mistakes, [mistake.field for mistake in mistakes])
     return page(
-        request, "bring.html.j2", status=status, errors={m.field: m.message for m in mistakes},
-        most=settings.limits.upload_bytes, has_data=settings.data is not None, sensors=library_names(),
-        spectra=files_of(settings, owner, ["spectra"]), own_sensors=files_of(settings, owner, ["sensors"]),
+        request, "bring.html.j2", status=status, errors=errors, given=given, most=settings.limits.upload_bytes,
+        has_data=settings.data is not None, sensors=library_names(),
+        kept={field: files_of(settings, owner, [field]) for field in _ENDINGS},
     )  # fmt: skip
 
 
-def order_pipeline(request: Request, form: FormData) -> WebRun:
-    """Order the empirical pipeline of the files of a form.
+def take_files(request: Request, form: FormData) -> WebRun | list[str]:
+    """The run of the cube of a form, or the names of the spectra and sensor files that are kept where it has none.
 
     Raises
     ------
-    Refused : what is wrong with them, or there is no room.
+    Refused : what is wrong with them, or there is no room; what was right is kept none the less.
     """
-    owner, settings = session_of(request).owner, request.app.state.settings
-    named, mistakes = _named(form, settings)
-    files = [*_files(form, _PARTS), *named]
-    mistakes += _wrong(files, settings.limits.samples * 8)
-    cubes = [f for f in files if f.field == "cube"]
-    if len(cubes) != 1:
-        mistakes.append(FieldMistake("cube", "one data file of a cube is needed"))
-    if not any(f.field == "header" for f in files):
-        mistakes.append(FieldMistake("header", "the ENVI header is needed"))
-    if not any(f.field == "regions" for f in files):
-        mistakes.append(FieldMistake("regions", "at least one file of regions is needed"))
-    name, stated = str(form.get("name") or "mine"), {}
-    if not _NAME.fullmatch(name):
-        mistakes.append(FieldMistake("name", "small letters, digits and hyphens, at most 60"))
-    for field in ("quantity", "unit", "sensor", "time_utc"):
-        text = form.get(field)
-        if isinstance(text, str) and text.strip():
-            stated[field] = text.strip()[:60]
-    stated_numbers, wrong = _numbers(form)
-    mistakes += wrong
-    if stated.get("sensor", library_names()[0]) not in library_names():
-        mistakes.append(FieldMistake("sensor", f"one of {', '.join(library_names())}"))
-    if mistakes:
-        raise Refused(422, mistakes)
-    place = folder_of(settings, owner) / "incoming" / secrets.token_hex(8)
-    place.mkdir(parents=True)
-    copies = {}
-    for number, brought in enumerate(files):
-        path = place / f"{number}-{brought.name}"
-        brought.keep(path)
-        copies[f"collection/{brought.name}"] = path
-    header = next(f"collection/{f.name}" for f in files if f.field == "header")
-    sources: dict[str, Any] = {
-        "cube": f"collection/{cubes[0].name}",
-        "regions": [f"collection/{f.name}" for f in files if f.field == "regions"],
-        "targets": next((f"collection/{f.name}" for f in files if f.field == "targets"), None),
-        "spectra": [f"collection/{f.name}" for f in files if f.field == "spectra" and not f.name.endswith(".hdr")],
-        "name": name,
-        "stated": stated | stated_numbers,
-        "header": header,
-        "most": settings.limits.samples,
-    }
-    try:
-        order = Order("pipeline", name, f"{name}: {cubes[0].name}", copies=copies, arguments={"sources": sources})
-        run: WebRun = request.app.state.desk.order(owner, order)
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
-    return run
-
-
-def keep_files(request: Request, form: FormData) -> list[str]:
-    """Keep spectra and sensor files of a session; a new one takes the place of one of the same name.
-
-    Raises
-    ------
-    Refused : a file that is none by its name or, of a sensor, by what it says; too large, or one too many.
-    """
-    files = list(_files(form, KINDS))
-    mistakes = list(_wrong(files))
-    settings, owner = request.app.state.settings, session_of(request).owner
-    for kind in KINDS:
-        names = {*files_of(settings, owner, [kind]), *(f.name for f in files if f.field == kind)}
-        if len(names) > _MOST_KEPT:
-            mistakes.append(FieldMistake(kind, f"a session keeps at most {_MOST_KEPT}"))
-    if mistakes:
-        raise Refused(422, mistakes)
-    for one in files:
-        place = folder_of(settings, owner) / one.field
-        place.mkdir(parents=True, exist_ok=True)
-        part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
+    state, owner = request.app.state, session_of(request).owner
+    every = [(field, value) for field, value in form.multi_items() if isinstance(value, UploadFile)]
+    sent = [(field, file) for field, file in every if field in _ENDINGS and (file.filename or file.size)]
+    mistakes: list[FieldMistake] = []
+    pairs: list[tuple[str, Path]] = []
+    for field, file in sent:
         try:
-            one.keep(part)
-            if one.field == "sensors":
-                _check_sensor(request, part, one.name)
-            part.replace(place / one.name)
-        finally:
-            part.unlink(missing_ok=True)
-    return list(files_of(settings, owner))
+            pairs.append((field, _keep(request, field, file)))
+        except Refused as refusal:
+            mistakes += refusal.mistakes
+    state.store.clear()
+    others = [form.get(f"{field}_{end}") for field in PARTS for end in ("kept", "named")]
+    if sent and not any(others) and all(field in KINDS for field, _ in sent):
+        if mistakes:
+            raise Refused(422, mistakes)
+        return list(files_of(state.settings, owner))
+    pairs += [*_kept(form, state.settings, owner), *_named(form, state.settings, mistakes)]
+    files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
+    for field, path in pairs:
+        if files.setdefault(path.name, (field, path)) != (field, path):
+            mistakes.append(FieldMistake(field, f"{path.name}: stands twice"))
+    return _order(request, form, files, mistakes)
+
+
+def _keep(request: Request, field: str, file: UploadFile) -> Path:
+    """Keep a file under its field; a new one takes the place of one of the same name, and of any other of a cube."""
+    settings, owner = request.app.state.settings, session_of(request).owner
+    name = checked_name(field, file.filename or "")
+    place = folder_of(settings, owner) / field
+    place.mkdir(parents=True, exist_ok=True)
+    part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
+    try:
+        with part.open("wb") as out:
+            shutil.copyfileobj(file.file, out)
+        _check(field, name, part, settings)
+        if field == "sensors":
+            _check_sensor(request, part, name)
+        if len({*files_of(settings, owner, [field]), name}) > _MOST_KEPT:
+            raise Refused(422, [FieldMistake(field, f"a session keeps at most {_MOST_KEPT}")])
+        if field in ("cube", "header"):
+            shutil.rmtree(place)
+            place.mkdir()
+        part.replace(place / name)
+    finally:
+        part.unlink(missing_ok=True)
+    return place / name
+
+
+def _check(field: str, name: str, path: Path, settings: ServerSettings) -> None:
+    """Refuse a file by the ending of its name, its head or its size."""
+    ending = Path(name).suffix.lower()
+    with path.open("rb") as file:
+        head = file.read(8)
+    packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
+    largest = settings.limits.samples * 8 if field == "cube" else _LARGEST_TEXT
+    wrong = {
+        f"ends with none of {', '.join(filter(None, _ENDINGS[field]))}": ending not in _ENDINGS[field],
+        f"is {packed}, which is not taken": packed is not None,
+        f"larger than {largest:,} bytes": path.stat().st_size > largest,
+    }
+    if mistakes := [FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so]:
+        raise Refused(422, mistakes)
 
 
 def _check_sensor(request: Request, path: Path, name: str) -> None:
@@ -228,67 +206,62 @@ def _check_sensor(request: Request, path: Path, name: str) -> None:
         raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
 
 
-def _files(form: FormData, fields: Sequence[str]) -> Iterator[Brought]:
-    for field, value in form.multi_items():
-        if isinstance(value, UploadFile) and field in fields and (value.filename or value.size):
-            yield Brought(field, value.filename or "", value.size or 0, value.file)
+def _kept(form: FormData, settings: ServerSettings, owner: str) -> Iterator[tuple[str, Path]]:
+    """Files that were kept of an earlier request and are ticked in this one."""
+    for field in PARTS:
+        for name in {*form.getlist(f"{field}_kept")} & {*files_of(settings, owner, [field])}:
+            yield field, folder_of(settings, owner) / field / str(name)
 
 
-def _named(form: FormData, settings: ServerSettings) -> tuple[list[Brought], list[FieldMistake]]:
+def _named(form: FormData, settings: ServerSettings, mistakes: list[FieldMistake]) -> Iterator[tuple[str, Path]]:
     """Files of the data folder that a form names, several of a field with commas between."""
-    files, mistakes = [], []
-    for field in _PARTS:
-        value = form.get(f"{field}_named")
-        for name in (n.strip() for n in value.split(",")) if isinstance(value, str) else ():
-            if not name:
-                continue
+    for field in PARTS:
+        for name in filter(None, (n.strip() for n in str(form.get(f"{field}_named") or "").split(","))):
             try:
                 if settings.data is None or not _INSIDE.fullmatch(name):
                     raise UsageError("no file of the data folder")
                 path = checked_file(settings.data / name, root=settings.data)
-                files.append(Brought(field, path.name, path.stat().st_size, path=path))
+                _check(field, path.name, path, settings)
+                yield field, path
+            except Refused as refusal:
+                mistakes += refusal.mistakes
             except (HypervalError, OSError):
-                mistakes.append(FieldMistake(f"{field}_named", "the data folder of this server has no such file"))
-    return files, mistakes
+                words = "the data folder of this server has no such file"
+                mistakes.append(FieldMistake(f"{field}_named", words))
 
 
-def _wrong(files: Sequence[Brought], largest_cube: int = 0) -> Iterator[FieldMistake]:
-    names: set[str] = set()
-    for brought in files:
-        try:
-            checked_name(brought.name)
-        except Refused as refusal:
-            yield FieldMistake(brought.field, refusal.mistakes[0].message)
-            continue
-        ending = brought.name[brought.name.rfind(".") :].lower() if "." in brought.name else ""
-        if ending not in _ENDINGS[brought.field]:
-            yield FieldMistake(
-                brought.field,
-                f"{brought.name}: ends with none of {', '.join(filter(None, _ENDINGS[brought.field]))}",
-            )
-        head = brought.head()
-        for sign, kind in _PACKED.items():
-            if head.startswith(sign):
-                yield FieldMistake(brought.field, f"{brought.name}: is {kind}, which is not taken")
-        largest = largest_cube if brought.field == "cube" else _LARGEST_TEXT
-        if brought.size > largest:
-            yield FieldMistake(brought.field, f"{brought.name}: larger than {largest:,} bytes")
-        if brought.name in names:
-            yield FieldMistake(brought.field, f"{brought.name}: stands twice")
-        names.add(brought.name)
-
-
-def _numbers(form: FormData) -> tuple[dict[str, float], list[FieldMistake]]:
-    numbers, wrong = {}, []
-    for field, low, high in (("altitude_km", 0.01, 100_000.0), ("pixel_size_m", 0.001, 10_000.0)):
-        text = form.get(field)
-        if not isinstance(text, str) or not text.strip():
-            continue
-        try:
-            value = float(text)
-        except ValueError:
-            value = float("nan")
-        if not low <= value <= high:
-            wrong.append(FieldMistake(field, f"a number from {low:g} to {high:g}"))
-        numbers[field] = value
-    return numbers, wrong
+def _order(
+    request: Request, form: FormData, files: Mapping[str, tuple[str, Path]], mistakes: list[FieldMistake]
+) -> WebRun:
+    """Order the empirical pipeline of files."""
+    owner, settings = session_of(request).owner, request.app.state.settings
+    parts = {field: [f"collection/{name}" for name, (of, _) in files.items() if of == field] for field in PARTS}
+    wrong = {mistake.field.removesuffix("_named") for mistake in mistakes}
+    for field, words in (
+        ("cube", "one data file of a cube is needed"),
+        ("header", "the ENVI header is needed"),
+        ("regions", "at least one file of regions is needed"),
+    ):
+        if field not in wrong and (not parts[field] or (field == "cube" and len(parts[field]) > 1)):
+            mistakes.append(FieldMistake(field, words))
+    given = {name: str(value).strip() for name, value in form.items() if name in StatedCollection.model_fields}
+    given = {name: value for name, value in given.items() if value}
+    try:
+        stated = StatedCollection.model_validate(given)
+    except ValidationError as error:
+        mistakes += mistakes_of(error, given)
+    if mistakes:
+        raise Refused(422, mistakes)
+    sources: dict[str, Any] = {
+        "cube": parts["cube"][0], "header": parts["header"][0], "regions": parts["regions"],
+        "targets": next(iter(parts["targets"]), None),
+        "spectra": [name for name in parts["spectra"] if not name.endswith(".hdr")], "name": stated.name,
+        "stated": stated.model_dump(exclude={"name"}, exclude_none=True), "most": settings.limits.samples,
+    }  # fmt: skip
+    copies = {f"collection/{name}": path for name, (_, path) in files.items()}
+    title = f"{stated.name}: {Path(sources['cube']).name}"
+    order = Order("pipeline", stated.name, title, copies=copies, arguments={"sources": sources})
+    run: WebRun = request.app.state.desk.order(owner, order)
+    for field in PARTS.keys() - KINDS:
+        shutil.rmtree(folder_of(settings, owner) / field, ignore_errors=True)
+    return run

@@ -65,7 +65,7 @@ class Desk:
         """
         pool = self.quick if order.kind in _QUICK else self.long
         with self._lock:
-            own = sum(1 for run in self.store.runs(owner) if run.state not in ENDED)
+            own = sum(self.store.known(run_id).owner == owner for run_id in self._jobs)
             if own >= self.limits.per_session:
                 raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
             try:
@@ -87,11 +87,11 @@ class Desk:
             )
             self._jobs[run.id] = job
             try:
-                pool.submit(job)
-            except Full:
+                _submit(pool, job)
+            except Refused:
                 del self._jobs[run.id]
                 self.store.remove(run.id)
-                raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
+                raise
         job.future.add_done_callback(lambda future: self._end(run.id, job, future))
         return run
 
@@ -168,15 +168,10 @@ class Desk:
             job = self._views.get(key)
             if job is None:
                 job = WorkerTask(task, {"folder": str(self.store.place(run.id)), **arguments})
-                try:
-                    (self.long if task == COLLECTION else self.quick).submit(job)
-                except Full:
-                    raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
+                _submit(self.long if task == COLLECTION else self.quick, job)
                 self._views[key] = job
                 job.future.add_done_callback(lambda _: self._views.pop(key, None))
         _result(job, self.limits.quick_seconds * 2)
-        if task == COLLECTION:
-            self._note(run.id)  # its size counts
         return path
 
     def ask(self, task: str, **arguments: Any) -> Any:
@@ -187,16 +182,20 @@ class Desk:
         Refused : it came to nothing, or there is no room.
         """
         job = WorkerTask(task, arguments)
-        try:
-            self.quick.submit(job)
-        except Full:
-            raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
+        _submit(self.quick, job)
         return _result(job, self.limits.quick_seconds)
 
     def close(self) -> None:
         """End the workers."""
         for pool in (self.quick, self.long):
             pool.close()
+
+
+def _submit(pool: TaskPool, job: WorkerTask) -> None:
+    try:
+        pool.submit(job)
+    except Full:
+        raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
 
 
 def _result(job: WorkerTask, seconds: float) -> Any:

@@ -17,7 +17,7 @@ import yaml
 from pydantic import ValidationError
 
 from hyperval.config import parse_yaml
-from hyperval.datasets import resolve
+from hyperval.datasets import files_at_hand, how_to_get, missing, registry, resolve
 from hyperval.errors import HypervalError, UsageError
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import library_names, load_sensor
@@ -56,16 +56,14 @@ def is_here(file: str) -> bool:
     return True
 
 
-def set_of(file: str) -> str:
-    """The data set of a file."""
-    return file.removeprefix("data:").partition("/")[0]
-
-
-def needs(scenario: Scenario) -> str:
-    """The data set that is missing on this machine for a predefined scenario; empty where there is none."""
-    files = [t.spectrum.file for t in scenario.scene.targets if t.spectrum.file is not None]
-    missing = {set_of(file) for file in files if not is_here(file)}
-    return ", ".join(sorted(missing))
+def needs(source: object) -> dict[str, str]:
+    """Data sets that a scenario or the text of a campaign names and this machine lacks -> how to get each."""
+    lacking = {}
+    for name in sorted(set(re.findall(r"data:([\w-]+)/", str(source))) & registry().keys()):
+        entry = registry()[name]
+        if missing(name) if entry.public else not files_at_hand(name):
+            lacking[name] = f"hyperval data fetch {name}" if entry.public else how_to_get(entry)
+    return lacking
 
 
 _GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
@@ -206,7 +204,7 @@ def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Fie
                 continue
             if key == "file" and value in known_files():
                 if not is_here(value):
-                    yield FieldMistake(path, f"this server lacks the data set {set_of(value)}")
+                    yield FieldMistake(path, f"this server lacks the data set {value[5:].partition('/')[0]}")
             else:
                 words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
                 yield FieldMistake(path, words if key == "file" else "files of the server are not read")
@@ -260,9 +258,8 @@ def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[s
         ]
         while at and at not in paths:
             at = at.rpartition(".")[0]
-        out.setdefault(min(named, key=lambda p: mistake.message.find(p.rpartition(".")[2]), default=at), []).append(
-            mistake.message
-        )
+        first = min(named, key=lambda p: mistake.message.find(p.rpartition(".")[2]), default=at)
+        out.setdefault(first, []).append(mistake.message)
     return out
 
 

@@ -61,17 +61,16 @@ def page(request: Request, template: str, /, status: int = 200, **content: Any) 
     return HTMLResponse(text, status_code=status)
 
 
-def form_parts(nodes: Sequence[Node], errors: Mapping[str, list[str]], begun: str = "", total: str = "") -> Markup:
+def form_parts(nodes: Sequence[Node], errors: Mapping[str, list[str]], begun: str = "") -> Markup:
     """The fields of a form.
 
     Parameters
     ----------
     errors : path of a field -> what is wrong there; every group that holds one stands open
     begun : where values are from that the form began with; empty: that is not known
-    total : sum of the fractions
     """
     holding = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}
-    names = {"begun": begun, "total": total, "errors": errors, "holding": holding}
+    names = {"begun": begun, "errors": errors, "holding": holding}
     macros: Any = _environment().get_template("form.html.j2").make_module(names)
     return Markup(macros.parts(nodes))  # noqa: S704 - made of escaped parts
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -11,12 +11,14 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData
 from starlette.responses import RedirectResponse, Response
 
+from hyperval.config import load_yaml
 from hyperval.sensor.specification import load_sensor
 from hyperval.web.desk import Desk, Order
 from hyperval.web.forms import MOST_ROWS, Node
 from hyperval.web.inputs import checked_scenario, form_data, marked, needs, plain, predefined, scenario_form, yaml_text
 from hyperval.web.pages import form_parts, page, session_of
 from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, to_show
+from hyperval.web.runs import run_of
 from hyperval.web.store import WebRun
 
 router = APIRouter(include_in_schema=False)
@@ -32,11 +34,11 @@ _FREE: dict[str, Any] = {
 
 def warm() -> None:
     """Load what the first page would wait for."""
-    for name, scenario in predefined().items():
+    for scenario in predefined().values():
         needs(scenario)
         if scenario.sensor is not None:
             load_sensor(scenario.sensor)
-        form_parts(_nodes(_named(name), ()), {}, _named(name).source)
+        form_parts(scenario_form().nodes(plain(scenario)), {})
 
 
 @router.get("/")
@@ -47,15 +49,6 @@ def start(request: Request) -> Response:
     return page(request, "start.html.j2", scenarios=predefined(), missing=missing, runs=runs[:8])
 
 
-@dataclass(frozen=True)
-class FormContent:
-    """What a form is filled with: the data, and the words and data of what it began with."""
-
-    data: dict[str, Any]
-    source: str = ""
-    begun: dict[str, Any] = field(default_factory=dict)
-
-
 @router.get("/predict")
 def predict_form(
     request: Request, scenario: str | None = None, s: str | None = None, run: str | None = None
@@ -64,19 +57,13 @@ def predict_form(
     if s is not None:
         words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
         raise Refused(410, [FieldMistake("s", words)])
-    return _form(request, _named(scenario) if run is None else _begun(scenario_of(request, run), "as in the run"))
-
-
-def _named(scenario: str | None) -> FormContent:
-    if scenario in predefined():
-        return _begun(plain(predefined()[scenario]), f"as in {scenario}")
-    if scenario is None or scenario == "free":
-        return _begun(_FREE, "to start with")
-    raise Refused(404, [FieldMistake("scenario", "no predefined scenario goes by that name")])
-
-
-def _begun(data: dict[str, Any], words: str) -> FormContent:
-    return FormContent(data, words, data)
+    begun = f"run:{run}" if run is not None else scenario or "free"
+    if begun == "free":
+        return _form(request, _FREE)
+    data = _first(request, begun)
+    if data is None:
+        raise Refused(404, [FieldMistake("scenario", "no scenario or prediction goes by that name")])
+    return _form(request, data, begun)
 
 
 @router.post("/predict")
@@ -85,19 +72,9 @@ async def predict_post(request: Request) -> Response:
     form = await request.form(max_fields=4000)
     given = texts_of(form)
     if given.get("action", ["run"])[0] != "run":
-        return await run_in_threadpool(_changed, request, with_action(given))
+        changed = with_action(given)
+        return await run_in_threadpool(_form, request, form_data(scenario_form(), changed), given.get("begun", [""])[0])
     return await run_in_threadpool(_run, request, given)
-
-
-def _content_of(given: dict[str, list[str]], data: dict[str, Any]) -> FormContent:
-    """What a form that was sent holds, with what it began with where that has a name."""
-    name = given.get("begun", [""])[0]
-    begun = _named(name) if name in predefined() else FormContent({})
-    return FormContent(data, begun.source, begun.data)
-
-
-def _changed(request: Request, given: dict[str, list[str]]) -> Response:
-    return _form(request, _content_of(given, form_data(scenario_form(), given)))
 
 
 def _run(request: Request, given: dict[str, list[str]]) -> Response:
@@ -107,7 +84,7 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
         data.setdefault("schema", 1)
         run = order_prediction(request, data)
     except Refused as refusal:
-        return _form(request, _content_of(given, data), to_show(refusal), 422)
+        return _form(request, data, given.get("begun", [""])[0], to_show(refusal), 422)
     request.app.state.desk.wait(run.id, _WAIT_S)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
@@ -135,42 +112,35 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
     ------
     Refused : there is none.
     """
-    from hyperval.config import load_yaml
-
-    store = request.app.state.store
-    try:
-        run = store.run(run_id, session_of(request).owner)
-    except KeyError:
-        raise Refused(404, "there is no such run in this session") from None
+    run = run_of(request, run_id)
     if run.kind != "prediction":
         raise Refused(404, "this run is no prediction")
-    data: dict[str, Any] = load_yaml(store.place(run.id) / "scenario.yaml")[0]
+    data: dict[str, Any] = load_yaml(request.app.state.store.place(run.id) / "scenario.yaml")[0]
     return data
 
 
-def _form(request: Request, content: FormContent, mistakes: Sequence[FieldMistake] = (), status: int = 200) -> Response:
+def _first(request: Request, begun: str) -> dict[str, Any] | None:
+    """What a form began with: a predefined scenario, or ``run:ID``; None where there is none (any more)."""
+    if begun.startswith("run:"):
+        with suppress(Refused):
+            return scenario_of(request, begun[4:])
+    return plain(predefined()[begun]) if begun in predefined() else None
+
+
+def _form(
+    request: Request, data: dict[str, Any], begun: str = "", mistakes: Sequence[FieldMistake] = (), status: int = 200
+) -> Response:
+    """The form, and what differs in it from the scenario that it began with."""
     settings, owner = request.app.state.settings, session_of(request).owner
-    sensors = files_of(settings, owner, ["sensors"])
-    nodes = _nodes(content, sensors)
+    first = _first(request, begun)
+    nodes = scenario_form().nodes(data, first, {"sensor": files_of(settings, owner, ["sensors"])})
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
     return page(
         request, "predict.html.j2", status=status, errors=errors, scenarios=predefined(),
-        changes=sum(n.changes for n in nodes),
-        parts=form_parts(nodes, errors, content.source, _total(content.data)),
-        titles=titles, begun=content.source.removeprefix("as in "), uploads=files_of(settings, owner, ["spectra"]),
+        changes=sum(n.changes for n in nodes), parts=form_parts(nodes, errors, begun if first else ""),
+        titles=titles, begun=begun if first else "", uploads=files_of(settings, owner, ["spectra"]),
     )  # fmt: skip
-
-
-def _nodes(content: FormContent, sensors: tuple[str, ...]) -> tuple[Node, ...]:
-    return scenario_form().nodes(content.data, content.begun, {"sensor": sensors})
-
-
-def _total(data: dict[str, Any]) -> str:
-    """The sum of the fractions."""
-    classes = (data.get("scene") or {}).get("classes") or []
-    fractions = [c.get("fraction") for c in classes if isinstance(c, dict)]
-    return f"{sum(f for f in fractions if isinstance(f, int | float)):g}"
 
 
 def walk(nodes: Sequence[Node]) -> Iterator[Node]:

@@ -115,8 +115,8 @@ def folder_of(settings: ServerSettings, owner: str) -> Path:
     return settings.folder / "uploads" / owner
 
 
-def checked_name(name: str) -> str:
-    """A name under which a file may be kept.
+def checked_name(field: str, name: str) -> str:
+    """A name under which a file of a field may be kept.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def checked_name(name: str) -> str:
     """
     if not NAME.fullmatch(name):
         words = "letters, digits, - and _, with one or two endings, at most 80 characters"
-        raise Refused(422, [FieldMistake("name", f"no name that a file is kept under here: {words}")])
+        raise Refused(422, [FieldMistake(field, f"no name that a file is kept under here: {words}")])
     return name
 
 

@@ -20,17 +20,18 @@ from hyperval.config import load_yaml
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
 from hyperval.web.desk import Order
+from hyperval.web.inputs import needs
 from hyperval.web.pages import page, session_of
 from hyperval.web.refusal import FieldMistake, Refused
-from hyperval.web.store import COLLECTION, ENDED, ServerSettings, WebRun, view_name
+from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, WebRun, view_name
 
 router = APIRouter(include_in_schema=False)
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9][A-Za-z0-9_.@+-]{0,120}")
-_OWN = {"scenario.yaml": "text/yaml", "study.yaml": "text/yaml", "campaign.yaml": "text/yaml"}
+_OWN = ("scenario.yaml", "study.yaml", "campaign.yaml")
 _TYPES = {
     ".csv": "text/csv", ".json": "application/json", ".nc": "application/x-netcdf", ".svg": "image/svg+xml",
     ".png": "image/png", ".tif": "image/tiff", ".html": "text/html", ".xml": "application/xml",
-    ".parquet": "application/octet-stream",
+    ".parquet": "application/octet-stream", ".yaml": "text/yaml",
 }  # fmt: skip
 
 
@@ -67,7 +68,7 @@ def run_page(request: Request, run_id: str, beside: str | None = None) -> Respon
     pictures, figures = figures_of(files)
     return page(
         request, "run.html.j2", run=run, maps=maps, progress=desk.progress(run), others=others[:50], other=other,
-        rows=rows, ended=run.state in ENDED, source=_source(run),
+        rows=rows, ended=run.state in ENDED, source=_source(run), is_own=run.owner != EVERYBODY,
         files=files, pictures=pictures, figures=figures,
     )  # fmt: skip
 
@@ -80,7 +81,8 @@ def figures_of(files: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _source(run: WebRun) -> str:
-    return {"prediction": "scenario.yaml", "study": "study.yaml", "pipeline": "campaign.yaml"}.get(run.kind, "")
+    names = {"prediction": "scenario.yaml", "study": "study.yaml", "pipeline": "campaign.yaml"}
+    return names.get(run.kind, "") if run.owner != EVERYBODY else ""
 
 
 def _beside(run: WebRun, other: WebRun | None) -> list[dict[str, Any]]:
@@ -153,13 +155,11 @@ def file_of(request: Request, run: WebRun, name: str) -> Response:
         raise Refused(404, "this run has no such file")
     if name == "campaign.zip":
         raise Refused(410, "campaign.yaml stands in its place: the files that were sent go into collection/ beside it")
-    if name in _OWN:
-        path, kind = place / name, _OWN[name]
-    else:
-        if run.kind == "prediction":
-            request.app.state.desk.view(run, "files", "results/results.csv")
-        path, kind = place / "results" / name, _TYPES.get(Path(name).suffix, "application/octet-stream")
-    if not path.is_file() or not path.resolve().is_relative_to(place.resolve()):
+    path = place / name if name in _OWN else place / "results" / name
+    if name not in _OWN and run.kind == "prediction":
+        request.app.state.desk.view(run, "files", "results/results.csv")
+    # What a command wrote is reached by a link of the store's own; no other leads out of the run.
+    if not path.is_file() or not any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results")):
         raise Refused(404, "this run has no such file")
     shown = {".html", ".svg", ".png"} & {path.suffix}
     headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{run.name}-{path.name}"'}
@@ -168,7 +168,7 @@ def file_of(request: Request, run: WebRun, name: str) -> Response:
             f"default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; script-src {page_hashes()}; "
             "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
         )
-    return FileResponse(path, media_type=kind, headers=headers)
+    return FileResponse(path, media_type=_TYPES.get(path.suffix, "application/octet-stream"), headers=headers)
 
 
 @router.post("/runs/{run_id}/cancel")
@@ -181,14 +181,23 @@ def run_cancel(request: Request, run_id: str) -> Response:
 @router.post("/runs/{run_id}/remove")
 def run_remove(request: Request, run_id: str) -> Response:
     """Forget a run."""
-    run = run_of(request, run_id)
-    if run.state not in ENDED:
-        raise Refused(409, "it still runs: cancel it first")
-    request.app.state.store.remove(run.id)
+    remove_run(request, run_id)
     return RedirectResponse("/runs", status_code=303)
 
 
-_MAP = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,100}")
+def remove_run(request: Request, run_id: str) -> None:
+    """Forget a run of this session that has ended.
+
+    Raises
+    ------
+    Refused : it still runs, or a command made it.
+    """
+    run = run_of(request, run_id)
+    if run.state not in ENDED:
+        raise Refused(409, "it still runs: cancel it first")
+    if run.owner == EVERYBODY:
+        raise Refused(409, "a command made it, for everybody: its folder is removed on the server")
+    request.app.state.store.remove(run.id)
 
 
 @dataclass(frozen=True)
@@ -237,7 +246,9 @@ def _read(path: Path, changed: int, size: int) -> tuple[Known, ...]:
 def campaigns_page(request: Request) -> Response:
     """Campaigns with their verdicts over time."""
     runs = request.app.state.store.runs(session_of(request).owner, "validation")
-    return page(request, "validate.html.j2", campaigns=known_campaigns(request), runs=runs)
+    known = known_campaigns(request)
+    lacking = {name: needs(campaign.path.read_text("utf-8")) for name, campaign in known.items()}
+    return page(request, "validate.html.j2", campaigns=known, lacking=lacking, runs=runs)
 
 
 @router.post("/validate")
@@ -285,7 +296,7 @@ def map_page(request: Request, run_id: str, name: str | None = None) -> Response
 def map_data(request: Request, run_id: str, name: str) -> Response:
     """A score map, 16 bits a pixel, with the measured curves that go with it."""
     run = run_of(request, run_id)
-    if not _MAP.fullmatch(name) or name not in maps_of(request.app.state.store.place(run.id)):
+    if name not in maps_of(request.app.state.store.place(run.id)):
         raise Refused(404, [FieldMistake("name", "this run has no such score map")])
     path = request.app.state.desk.view(run, "score_map", view_name(f"map-{name}"), name=name)
     return FileResponse(path, media_type="application/json")

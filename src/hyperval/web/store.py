@@ -7,6 +7,7 @@ Names of what is kept beside a run to be drawn: other scripts draw other files, 
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import re
@@ -14,6 +15,7 @@ import secrets
 import shutil
 import threading
 import time
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -22,7 +24,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
-from hyperval.storage import write_text
+from hyperval.errors import HypervalError
+from hyperval.report import first_screen
+from hyperval.run import CSV, Run, is_run, provenance_of
+from hyperval.storage import size_of, write_text
 
 MEGABYTE = 1_000_000
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -83,6 +88,9 @@ KINDS = ("prediction", "study", "validation", "pipeline")
 ENDED = ("finished", "failed", "cancelled", "lost")
 _ID = re.compile(r"[A-Za-z0-9_-]{16}")
 _DAY_S = 86400.0
+EVERYBODY = ""  # the owner of what commands wrote
+MOST_LISTED = 40
+_STUDY_COLUMNS = ("subject", "method", "metric", "value", "unit")
 COLLECTION = "collection"  # folder of a run that keeps what its campaign simulates
 
 
@@ -113,47 +121,37 @@ class WebRun:
 
 
 class RunStore:
-    """Runs of one server.
+    """Runs of one server: the folders below ``runs``, each of which says how its run stands.
 
     A run whose file says that it waits or runs when a server starts is lost: the server that had it has ended.
+    Results that commands wrote elsewhere below the server's folder are runs too, which every session sees.
     """
 
     def __init__(self, folder: Path, limits: Limits):
         self.folder, self.limits = folder, limits
         self.notices: list[str] = []
         self._lock = threading.RLock()
-        self._runs: dict[str, WebRun] = {}
-        self._bytes: dict[str, int] = {}
+        self._unwritten: dict[str, WebRun] = {}  # what stands in no file: that a run has begun, or met a full disk
+        self._cleared = 0.0
         (folder / "runs").mkdir(parents=True, exist_ok=True)
-        self._read_all()
+        self._settle()
         self.clear()
 
-    def _read_all(self) -> None:
+    def _settle(self) -> None:
         lost = unreadable = 0
-        with self._lock:
-            for place in (self.folder / "runs").iterdir():
-                try:
-                    record = json.loads((place / "run.json").read_text("utf-8"))
-                    run = WebRun(**record)
-                    if run.id != place.name or run.state not in (*ENDED, "waiting", "running"):
-                        raise ValueError(run.id)
-                except (OSError, ValueError, TypeError):
-                    unreadable += 1
-                    shutil.rmtree(place, ignore_errors=True)
-                    continue
-                self._runs[run.id] = run
-                self._measure(run.id)
-                if run.state not in ENDED:
-                    lost += 1
-                    with suppress(OSError):
-                        self.change(run.id, state="lost", reason="the server ended while it waited or ran")
+        for place in (self.folder / "runs").iterdir():
+            run = _read(place)
+            if run is None and _ID.fullmatch(place.name):
+                unreadable += 1
+                shutil.rmtree(place, ignore_errors=True)
+            elif run is not None and run.state not in ENDED:
+                lost += 1
+                with suppress(OSError):
+                    self.change(run.id, state="lost", reason="the server ended while it waited or ran")
         if lost:
             self.notices.append(f"{lost} runs had not finished when the server ended, and are lost.")
         if unreadable:
             self.notices.append(f"{unreadable} folders of runs could not be read and were removed.")
-
-    def _measure(self, run_id: str) -> None:
-        self._bytes[run_id] = sum(p.stat().st_size for p in self.place(run_id).rglob("*") if p.is_file())
 
     def place(self, run_id: str) -> Path:
         """The folder of a run."""
@@ -176,29 +174,50 @@ class RunStore:
         except OSError:
             shutil.rmtree(place, ignore_errors=True)
             raise
-        with self._lock:
-            self._runs[run.id] = run
         return run
 
     def _write(self, run: WebRun) -> None:
         write_text(self.place(run.id) / "run.json", json.dumps(asdict(run), indent=1) + "\n")
 
+    def known(self, run_id: str) -> WebRun:
+        """A run of any session; KeyError where there is none."""
+        run = self._unwritten.get(run_id) or _read(self.place(run_id))
+        if run is None:
+            raise KeyError(run_id)
+        return run
+
     def run(self, run_id: str, owner: str) -> WebRun:
-        """A run of a session.
+        """A run that a session sees.
 
         Raises
         ------
         KeyError : there is none, or it is another session's.
         """
-        run = self._runs[run_id]
-        if run.owner != owner:
+        run = self.known(run_id)
+        if run.owner not in (owner, EVERYBODY):
             raise KeyError(run_id)
         return run
 
     def runs(self, owner: str, kind: str | None = None) -> list[WebRun]:
-        """Runs of a session, the latest first."""
-        own = [r for r in list(self._runs.values()) if r.owner == owner and kind in (None, r.kind)]
-        return sorted(own, key=lambda r: -r.created)
+        """Runs that a session sees, the latest first."""
+        self._adopt()
+        every = (self._unwritten.get(place.name) or _read(place) for place in (self.folder / "runs").iterdir())
+        seen = [r for r in every if r is not None and r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
+        return sorted(seen, key=lambda r: -r.created)
+
+    def _adopt(self) -> None:
+        """Give what commands wrote below the server's folder a run whose results are a link to it."""
+        groups = [place for place in self.folder.iterdir() if place.name not in ("runs", "uploads", "cache")]
+        for path in (path for group in groups for path in (group, *group.glob("*/")) if is_run(path)):
+            run_id = hashlib.sha256(str(path.relative_to(self.folder)).encode()).hexdigest()[:16]
+            place, written = self.place(run_id), path.stat().st_mtime
+            old = _read(place)
+            with suppress(OSError, HypervalError):  # it is being written, or no page can tell of it
+                if (old is None or old.created != written) and (record := provenance_of(path)):
+                    place.mkdir(mode=0o700, exist_ok=True)
+                    if not (place / "results").is_symlink():
+                        (place / "results").symlink_to(path.resolve(), target_is_directory=True)
+                    self._write(_told_of(run_id, path, record, written))
 
     def change(self, run_id: str, **changes: Any) -> WebRun:
         """Set entries of a run; in memory even where the file cannot be written.
@@ -206,33 +225,80 @@ class RunStore:
         That a run has begun stands in memory alone: after a restart it is lost as one that waited is.
         """
         with self._lock:
-            run = replace(self._runs[run_id], **changes)
-            self._runs[run_id] = run
-            if run.state == "running":
-                return run
-            self._write(run)
-            if run.state in ENDED:
-                self._measure(run_id)
+            run = self._unwritten[run_id] = replace(self.known(run_id), **changes)
+            if run.state != "running":
+                self._write(run)
+                del self._unwritten[run_id]
         return run
 
     def remove(self, run_id: str) -> None:
         """Forget a run and what came of it."""
         with self._lock:
-            self._runs.pop(run_id, None)
-            self._bytes.pop(run_id, None)
+            self._unwritten.pop(run_id, None)
             shutil.rmtree(self.place(run_id), ignore_errors=True)
 
     def clear(self) -> None:
-        """Remove runs that are too old, and the oldest while all together are too large."""
+        """Remove runs that are too old, and the oldest while all together are too large; looked at once a minute."""
         now = time.time()
         with self._lock:
-            oldest = sorted((r for r in self._runs.values() if r.state in ENDED), key=lambda r: r.created)
-            total = sum(self._bytes.values())
-            for run in oldest:
-                if total <= self.limits.kept_bytes and now - run.created <= self.limits.kept_days * _DAY_S:
-                    break
-                total -= self._bytes.get(run.id, 0)
-                self.remove(run.id)
+            if now < self._cleared + 60.0:
+                return
+            self._cleared = now
+            kept = [(path.stat().st_mtime, path) for path in (self.folder / "uploads").glob("*/*/*")]
+            for place in (self.folder / "runs").iterdir():
+                run = _read(place)
+                if run is not None and run.state in ENDED and run.owner != EVERYBODY:
+                    kept.append((run.created, place))
+            sizes = [size_of(path) for _, path in kept]
+            total = sum(sizes)
+            for (created, path), size in sorted(zip(kept, sizes, strict=True)):
+                if now - created > self.limits.kept_days * _DAY_S or total > self.limits.kept_bytes:
+                    total -= size
+                    shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
+
+
+def _read(place: Path) -> WebRun | None:
+    """The run of a folder; None where it does not say, or what it links to has gone."""
+    path = place / "run.json"
+    try:
+        state = path.stat()
+        run = _parsed(path, state.st_ino, state.st_mtime_ns, state.st_size)
+    except (OSError, ValueError, TypeError):
+        return None
+    return run if run.owner != EVERYBODY or (place / "results").is_dir() else None
+
+
+@lru_cache(maxsize=10_000)
+def _parsed(path: Path, *_: int) -> WebRun:
+    run = WebRun(**json.loads(path.read_text("utf-8")))
+    if run.id != path.parent.name or run.state not in (*ENDED, "waiting", "running"):
+        raise ValueError(run.id)
+    return run
+
+
+def _told_of(run_id: str, results: Path, record: Mapping[str, Any], written: float) -> WebRun:
+    """The run of what a command wrote: of a validation the campaign's, of another the name of its folder."""
+    verb = str((record.get("command") or ["", ""])[1])
+    about = dict(record.get("configuration") or {}).get("campaign" if verb == "validate" else "scenario") or {}
+    kind = {"validate": "validation"}.get(verb, verb)
+    name = str(about.get("name") or results.name)
+    return WebRun(
+        run_id, EVERYBODY, kind, name, str(about.get("title") or name), written, state="finished",
+        version=str(record.get("hyperval", "")), summary=summary_of(kind, results),
+    )  # fmt: skip
+
+
+def summary_of(kind: str, results: Path) -> dict[str, Any]:
+    """What a list and a page say of a folder of results: the numbers of a study, the verdict of anything else."""
+    if kind == "study":
+        with (results / CSV).open(encoding="utf-8", newline="") as file:
+            told = [{k: row[k] for k in _STUDY_COLUMNS} for row in csv.DictReader(file)]
+        return {"rows": told[:MOST_LISTED], "left_out": max(0, len(told) - MOST_LISTED)}
+    rows = list(Run.open(results).table)
+    counts = Counter(str(row.outcome) for row in rows if row.planned)
+    screen = first_screen(rows)
+    words = screen.words if counts else "One side alone: nothing is compared."
+    return {"tone": str(screen.outcome), "verdict": words, "counts": dict(counts), "rows": len(rows)}
 
 
 _SCRIPTS = (("hyperval.figures", ".", "charts.js"), ("hyperval.web", "static", "map.js"))

@@ -7,12 +7,10 @@ of an earlier run, follows from the scenario again, in less time than its covari
 from __future__ import annotations
 
 import base64
-import csv
 import json
 import shutil
 import sys
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
@@ -43,15 +41,14 @@ from hyperval.products import (
     SpectralEstimate,
     background_of,
 )
-from hyperval.report import first_screen
-from hyperval.run import file_stems, read_pair, read_rows
+from hyperval.run import file_stems, read_pair
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import load_scene, simulate
 from hyperval.simulate.inputs import load_inputs
 from hyperval.storage import write_text
 from hyperval.study.run import study_to_folder
-from hyperval.web.store import COLLECTION, view_name
+from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
 
 
 def charts_of(sides: Mapping[str, PredictedProducts]) -> list[dict[str, Any]]:
@@ -73,7 +70,6 @@ def fetched(figure: Figure) -> dict[str, Any]:
 
 
 _PFA = (1e-4, 1e-3, 1e-2)
-_MOST_LISTED = 40
 _MOST_PIXELS = 1_000_000
 
 
@@ -85,10 +81,8 @@ def warm() -> None:
 
 def predict(folder: str) -> dict[str, Any]:
     """Predict the scenario of a folder, and write what pages draw of it."""
-    place = Path(folder)
-    prediction = _predicted(folder)
-    _write(place / view_name("charts"), charts_of({"predicted": prediction}))
-    return summary(prediction)
+    draw(folder)
+    return summary(_predicted(folder))
 
 
 def summary(prediction: PredictedProducts) -> dict[str, Any]:
@@ -111,7 +105,7 @@ def summary(prediction: PredictedProducts) -> dict[str, Any]:
         "bands": int(nm.size),
         "range_nm": [float(nm[0]), float(nm[-1])],
         "detection": rows,
-        "snr": snr[:_MOST_LISTED],
+        "snr": snr[:MOST_LISTED],
         "notes": list(prediction.notes),
     }
 
@@ -158,16 +152,14 @@ def study(folder: str) -> dict[str, Any]:
     """Evaluate the study of a folder."""
     with _command("study", "study.yaml"):
         study_to_folder(Path(folder) / "study.yaml", Path(folder) / "results", show_progress=False)
-    with (Path(folder) / "results" / "results.csv").open(encoding="utf-8", newline="") as file:
-        rows = [{k: row[k] for k in ("subject", "method", "metric", "value", "unit")} for row in csv.DictReader(file)]
-    return {"rows": rows[:_MOST_LISTED], "left_out": max(0, len(rows) - _MOST_LISTED)}
+    return summary_of("study", Path(folder) / "results")
 
 
 def campaign(folder: str, path: str) -> dict[str, Any]:
     """Run a campaign into a folder."""
     with _command("validate", Path(path).name):
         code = validate([Path(path)], Path(folder) / "results", show_progress=False)
-    return _verdicts(Path(folder) / "results") | {"exit_code": code}
+    return summary_of("validation", Path(folder) / "results") | {"exit_code": code}
 
 
 def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
@@ -196,7 +188,7 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
     if raster.crs is not None and raster.transform is not None:
         x, y = raster.transform @ (samples / 2, lines / 2)
         header["position"] = f"{raster.crs}, centre {x:.6g}, {y:.6g}"
-    return _verdicts(place / "results") | {"header": header, "guesses": guesses}
+    return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
 
 
 def sensor(path: str) -> dict[str, Any]:
@@ -318,14 +310,6 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
 
 def _write(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, separators=(",", ":")))
-
-
-def _verdicts(results: Path) -> dict[str, Any]:
-    rows = list(read_rows(results))
-    counts = Counter(str(row.outcome) for row in rows if row.planned)
-    screen = first_screen(rows)
-    words = screen.words if counts else "One side alone: nothing is compared."
-    return {"tone": str(screen.outcome), "verdict": words, "counts": dict(counts), "rows": len(rows)}
 
 
 TASKS: Mapping[str, Callable[..., Any]] = {

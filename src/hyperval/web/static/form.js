@@ -3,8 +3,11 @@ const fractions = [...document.querySelectorAll("[data-fraction]")];
 const total = document.getElementById("total");
 function sum() {
   const value = fractions.reduce((s, box) => s + (parseFloat(box.value) || 0), 0);
-  if (total !== null) total.textContent = String(Math.round(value * 1e6) / 1e6);
+  if (total === null) return;
+  total.textContent = String(Math.round(value * 1e6) / 1e6);
+  total.parentElement.hidden = false;
 }
+sum();
 for (const box of fractions) box.addEventListener("input", sum);
 
 for (const set of document.querySelectorAll("fieldset.variants")) {
