@@ -29,16 +29,21 @@ def places(no_data, monkeypatch):
 
 @pytest.fixture
 def calls(monkeypatch) -> dict[str, object]:
-    """Stand-ins for the rooms behind the commands: they give, or raise, `result`."""
+    """Stand-ins for the rooms behind the commands: they record the call and do what `result` says."""
     record: dict[str, object] = {"result": 0}
 
-    def stand_in(*args: object, **options: object) -> object:
-        if isinstance(record["result"], BaseException):
-            raise record["result"]
-        return record["result"]
+    def stand_in(name: str):
+        def function(*args: object, **options: object) -> object:
+            record[name] = (args, options)
+            result = record["result"]
+            if isinstance(result, BaseException):
+                raise result
+            return result
+
+        return function
 
     for name in ("predict_to_folder", "observe", "validate"):
-        monkeypatch.setattr(f"hyperval.campaign.{name}", stand_in)
+        monkeypatch.setattr(f"hyperval.campaign.{name}", stand_in(name))
     return record
 
 
@@ -51,6 +56,7 @@ def calls(monkeypatch) -> dict[str, object]:
         (EngineError("6S is missing"), 3),
         (KeyboardInterrupt(), 130),
         (ValueError("a bug"), 4),
+        (RecursionError("a bug"), 4),
         (OSError(28, "No space left on device"), 4),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else str(value),

@@ -384,6 +384,7 @@ class CollectionSection(Model):
     leave_out: list[str] = Field(
         default_factory=list, description="regions that count as neither background nor false alarm"
     )
+    leave_out_guard_pixels: int = Field(0, ge=0, le=100, description="pixels around these that do not count either")
     empirical_line: EmpiricalLineSource | None = None
     calibration: CalibrationUncertainty | None = None
     detector: str | None = Field(

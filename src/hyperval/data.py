@@ -152,6 +152,7 @@ class ClassStatistics:
     n : number of samples behind it, None when it is a definition rather than an estimate
     source : where the numbers come from, in words
     tail_dof : degrees of freedom of a multivariate t (nu > 2), None for Gaussian
+    tail_scale : factor on the covariance of that t, which was fitted together with them
     components : the clusters that the pixels fall into, None where they are one
     """
 
@@ -163,6 +164,7 @@ class ClassStatistics:
     source: str = ""
     tail_dof: float | None = None
     components: Components | None = None
+    tail_scale: float = 1.0
 
     def __post_init__(self) -> None:
         mean = np.asarray(self.mean, dtype=float)

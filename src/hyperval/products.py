@@ -206,6 +206,28 @@ class ObjectScores:
     names: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class Influence:
+    """What predicted over measured P_FA is without each of G parts of the image, left out of both sides.
+
+    Attributes
+    ----------
+    number : (lines, samples) part of each pixel; -1 where none is counted
+    alarms : (G, T) that each holds
+    threshold : (T,) increasing
+    ratio : (G, T)
+    """
+
+    number: npt.NDArray[Any]
+    alarms: Array
+    threshold: Array
+    ratio: Array
+
+    def at(self, threshold: float) -> Array:
+        """(G,) ratios at a threshold, linear in their logarithm between those that are known."""
+        return np.exp([np.interp(threshold, self.threshold, one) for one in np.log(self.ratio)])
+
+
 @dataclass(frozen=True)
 class ExceedanceCurve:
     """How often the background's score lies above a threshold.
@@ -218,6 +240,9 @@ class ExceedanceCurve:
         leaving parts of the image out of the law that was fitted to it; NaN where unknown
     n : background pixels, None for a prediction
     half_image : (T,) factor by which one half of the image misses the other half's; None for a prediction
+    correlation : (T,) of a prediction's error with that of the measured share, where both are of the same pixels
+    left_out : region -> (G, T) ln P of a prediction without each part of the pixels that its law was fitted to
+    influence : the same of both sides
     """
 
     threshold: Array
@@ -226,6 +251,9 @@ class ExceedanceCurve:
     upper: Array
     n: int | None = None
     half_image: Array | None = None
+    correlation: Array | None = None
+    left_out: Mapping[str, Array] = field(default_factory=dict, compare=False, repr=False)
+    influence: Influence | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -261,6 +289,7 @@ class PixelDistribution:
     dimension : bands in which distances were taken, None for a definition
     leading_tail_dof, leading_lower, leading_upper : the same in the few leading components that hold nearly all
         variance, where noise does not dilute the surface's own tails
+    leading_scale : factor on the covariance that goes with them
     leading_dimension : number of those
     n : pixels of the sample, None for a definition
     effective_n : (K,) independent pixels behind the variance along the leading components; None for a definition
@@ -285,6 +314,7 @@ class PixelDistribution:
     exceedance: Array | None = field(default=None, compare=False, repr=False)
     samples: int | None = None
     clusters: Sequence[tuple[float, Array, Array, float]] = field(default=(), compare=False, repr=False)
+    leading_scale: float = 1.0
 
 
 @dataclass(frozen=True)

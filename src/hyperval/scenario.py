@@ -9,7 +9,7 @@ What a scenario says of the uncertainty of its inputs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -27,7 +27,6 @@ from hyperval.config import Model, load_model, load_yaml
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
 from hyperval.errors import UsageError, reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
-from hyperval.settings import with_settings
 
 
 def exactly_one(model: Model, names: tuple[str, ...]) -> None:
@@ -602,19 +601,6 @@ class Scenario(Model):
             value.check_subjects(surfaces, targets, {c.name for c in scene.classes})
         return value
 
-    def with_values(self, values: Mapping[str, Any]) -> Scenario:
-        """A copy with other values at dotted paths, checked as a file is; None takes an entry back.
-
-        >>> plain = load_scenario("yellow-planks-asphalt")
-        >>> plain.with_values({"scene.classes.grass.tail_dof": 5}).scene.classes[1].tail_dof
-        5.0
-
-        Raises
-        ------
-        UsageError : a path that leads nowhere, or values that contradict the rest.
-        """
-        return with_settings(self, values)
-
     @property
     def is_of_space(self) -> bool:
         """Whether it is looked at from above the atmosphere."""
@@ -635,9 +621,6 @@ def builtin_scenarios() -> tuple[str, ...]:
 @reader
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """A built-in scenario by name, or a scenario file by path.
-
-    >>> load_scenario("panels").sensor
-    'prospectir-vs'
 
     Raises
     ------

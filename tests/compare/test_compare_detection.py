@@ -14,6 +14,7 @@ from hyperval.products import (
     Abundance,
     AlarmsAtDetection,
     ExceedanceCurve,
+    Influence,
     ObjectScores,
     ObservedProducts,
     PredictedProducts,
@@ -371,6 +372,13 @@ def test_ratio_of_false_alarms():
     for row in rows.values():
         assert (row.value, row.lower, row.upper) == pytest.approx((0.5, 0.5 / 1.5, 0.75))
     assert [r.outcome for r in ratios(500).values()] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
+    # Without the second of two parts the ratio is nearer to 1.
+    number, ratio = np.repeat([[0, 1]], [40, 60], axis=1), np.repeat([[0.5], [0.9]], 200, axis=1)
+    parts = Influence(number, np.ones((2, 200)), x, ratio)
+    law, measured = ExceedanceCurve(x, *[expected] * 3, influence=parts), ExceedanceCurve(x, *[true] * 3, 500)
+    row = by_metric(compare.compare_exceedance(law, measured))["pfa_ratio_without@1e-1"]
+    assert "without 60 of 100 pixels (lines 0 to 0, samples 40 to 99), which hold 50 % of the alarms" in row.reason
+    assert (row.value, row.n) == (pytest.approx(0.9), 60)
 
 
 # Objects of many kinds judged together.

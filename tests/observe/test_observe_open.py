@@ -8,6 +8,7 @@ import pytest
 import yaml
 from affine import Affine
 from rasterio.crs import CRS
+from scipy import ndimage
 from small_world import AXIS, LINES, PLANTED, SAMPLES, near_targets
 
 from hyperval.errors import InputError, UsageError
@@ -51,6 +52,10 @@ def test_regions_are_left_out_where_named_and_keep_clear_of_targets(world):
     assert [place.background(names).sum() for names in (["around"], ["around", "corner"])] == [16 - 5, 11 + 200]
     world.collection["leave_out"] = ["corner"]
     assert np.array_equal(world.place().background(["scene"]), ~near_targets() & ~corner)
+    world.collection["leave_out_guard_pixels"] = 1
+    place, grown = world.place(), ndimage.binary_dilation(corner)
+    assert np.array_equal(place.background(["scene"]), ~near_targets() & ~grown)
+    assert np.array_equal(place.pixels_of("corner"), corner)  # has statistics of its own
 
 
 def test_normalised_difference_equals_numpy(world):

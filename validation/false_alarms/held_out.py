@@ -23,7 +23,7 @@ from hyperval.campaign import jobs_of
 from hyperval.datasets import InputLog
 from hyperval.model import ClassScores, log_false_alarm
 from hyperval.observe import observe
-from hyperval.pixels import class_mixture, fit_mixture
+from hyperval.pixels import class_mixture, leading_tails
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml"
 MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")
@@ -67,8 +67,9 @@ def laws(image: Image, rows: Pixels, count: object, tails: bool) -> list[ClassSc
         if mixture is None:
             parts += [share]
             means += [x.mean(axis=0)]
-            covariances += [np.cov(x.T)]
-            dofs += [_dof(x) if tails else np.inf]
+            fit = leading_tails(x, x.mean(axis=0), np.cov(x.T))
+            covariances += [fit.scale * np.cov(x.T) if tails else np.cov(x.T)]
+            dofs += [fit.dof if tails else np.inf]
             continue
         parts += list(share * mixture.weights)
         means += list(x.mean(axis=0) + mixture.offsets)
@@ -80,12 +81,6 @@ def laws(image: Image, rows: Pixels, count: object, tails: bool) -> list[ClassSc
         theta = np.array(means) @ w - offset
         out.append(ClassScores(*(np.array(a)[None] for a in (parts, theta, sd, dofs))))
     return out
-
-
-def _dof(x: np.ndarray) -> float:
-    values, vectors = np.linalg.eigh(np.cov(x.T))
-    leading = (x - x.mean(axis=0)) @ vectors[:, -6:] / np.sqrt(values[-6:])
-    return fit_mixture(leading, 1, np.random.default_rng(0), dof=None).dof
 
 
 def ratios(image: Image, models: Sequence[ClassScores], rows: Pixels) -> np.ndarray:

@@ -19,6 +19,7 @@ from collections import defaultdict
 import numpy as np
 from scipy import ndimage, special
 
+from hyperval import pixels as px
 from hyperval.data import Components
 from hyperval.model import (
     ClassScores,
@@ -28,15 +29,6 @@ from hyperval.model import (
     log_false_alarm,
     thresholds_at,
 )
-from hyperval.pixels import (
-    AlarmBlocks,
-    class_mixture,
-    compact_parts,
-    exceedance_curve,
-    false_alarm_ratio,
-    leading_tail_dof,
-    moments_without_each,
-)
 from hyperval.products import ExceedanceCurve
 
 SIDE, BLUR, BANDS, DOF, SHARE = 110, 1.5, 4, 6.0, 0.07
@@ -45,6 +37,7 @@ WEIGHTS = np.array([1.0, 0.5, -0.5, 0.3])
 SPREAD, OTHER_SPREAD = np.sqrt([4.0, 1.0, 0.5, 0.2]), np.sqrt([1.0, 2.0, 1.0, 0.3])
 AWAY = np.array([2.5, 2.0, -2.0, 1.0])
 CASES = {"normal": "normal", "t": "t", "two clusters": "mixture", "two clusters as one t": "t"}
+PART = px.compact_parts(*np.divmod(np.arange(SIDE**2), SIDE))
 BLOCK = 11  # pixels; of the choice of components, which is not asked for here
 
 
@@ -83,9 +76,12 @@ def truth(case: str) -> ClassScores:
     return laws((1.0 - SHARE, 0.0, sd, np.inf), (SHARE, float(WEIGHTS @ AWAY), other, np.inf))
 
 
-def of_moments(mean: np.ndarray, covariance: np.ndarray, dof: float, parts: Components | None) -> ClassScores:
+def of_moments(
+    mean: np.ndarray, covariance: np.ndarray, tails: px.TailFit | None, parts: Components | None
+) -> ClassScores:
     if parts is None:
-        return laws((1.0, float(WEIGHTS @ mean), float(np.sqrt(WEIGHTS @ covariance @ WEIGHTS)), dof))
+        scale, dof = (1.0, np.inf) if tails is None else (tails.scale, tails.dof)
+        return laws((1.0, float(WEIGHTS @ mean), float(np.sqrt(scale * WEIGHTS @ covariance @ WEIGHTS)), dof))
     return laws(*(
         (float(w), float(WEIGHTS @ (mean + o)), float(np.sqrt(WEIGHTS @ c @ WEIGHTS)), parts.dof)
         for w, o, c in zip(parts.weights, parts.offsets, parts.covariances, strict=True)
@@ -94,16 +90,15 @@ def of_moments(mean: np.ndarray, covariance: np.ndarray, dof: float, parts: Comp
 
 def fitted(kind: str, pixels: np.ndarray) -> list[ClassScores]:
     """The law of all pixels, then without each part of the image."""
-    part = compact_parts(*np.divmod(np.arange(len(pixels)), SIDE))
     block = np.arange(len(pixels)) // (BLOCK * SIDE)
-    mixture = class_mixture(pixels, block, 2, tails=False) if kind == "mixture" else None
+    mixture = px.class_mixture(pixels, block, 2, tails=False) if kind == "mixture" else None
     out = []
-    moments = [(pixels.mean(axis=0), np.cov(pixels.T)), *moments_without_each(pixels, part)]
+    moments = [(pixels.mean(axis=0), np.cov(pixels.T)), *px.moments_without_each(pixels, PART)]
     for number, (mean, covariance) in enumerate(moments, -1):
-        rest = pixels[part != number]
-        dof = leading_tail_dof(rest, mean, covariance) if kind == "t" else np.inf
-        components = None if mixture is None else mixture.components_without(pixels, part, number)
-        out.append(of_moments(mean, covariance, dof, components))
+        rest = pixels[number != PART]
+        tails = px.leading_tails(rest, mean, covariance) if kind == "t" else None
+        components = None if mixture is None else mixture.components_without(pixels, PART, number)
+        out.append(of_moments(mean, covariance, tails, components))
     return out
 
 
@@ -115,8 +110,9 @@ def curve_of(fits: list[ClassScores]) -> ExceedanceCurve:
     """The law's curve with its limits."""
     pfa = false_alarm_grid(1e-5, 10)[::-1]
     x = thresholds_at(pfa[None], fits[0])[0]
-    half = 1.96 * np.sqrt((jackknife_directions([log_tail(x, f) for f in fits[1:]]) ** 2).sum(axis=0))
-    return ExceedanceCurve(x, pfa, pfa * np.exp(-half), pfa * np.exp(half))
+    without = np.array([log_tail(x, f) for f in fits[1:]])
+    half = 1.96 * np.sqrt((jackknife_directions(without) ** 2).sum(axis=0))
+    return ExceedanceCurve(x, pfa, pfa * np.exp(-half), pfa * np.exp(half), left_out={"image": without})
 
 
 def study(case: str, images: int) -> None:
@@ -125,7 +121,7 @@ def study(case: str, images: int) -> None:
     if case == "two clusters as one t":
         pooled = np.concatenate([image(case, 9000 + i, 0.0) for i in range(40)])
         mean, covariance = pooled.mean(axis=0), np.cov(pooled.T)
-        goal = of_moments(mean, covariance, leading_tail_dof(pooled, mean, covariance), None)
+        goal = of_moments(mean, covariance, px.leading_tails(pooled, mean, covariance), None)
     fixed = thresholds_at(np.array([LEVELS]), true)[0]
     hits: dict[tuple[float, str, str], list[bool]] = defaultdict(list)
     values, estimates = [], []
@@ -137,13 +133,14 @@ def study(case: str, images: int) -> None:
         estimates.append(np.sqrt((jackknife_directions([log_tail(fixed, f) for f in fits[1:]]) ** 2).sum(axis=0)))
         for where, counted in (("same", pixels), ("other", image(case, 100_000 + seed))):
             scores = (counted @ WEIGHTS).reshape(SIDE, SIDE)
-            measured = exceedance_curve(AlarmBlocks.of_map(scores, every))
+            measured = px.exceedance_curve(px.AlarmBlocks.of_map(scores, every))
+            shared = px.with_shared_pixels(law, scores, PART.reshape(SIDE, SIDE)) if where == "same" else law
             for name, curve in (
                 ("measured rate alone", ExceedanceCurve(law.threshold, *(law.probability,) * 3)),
-                ("with the law's", law),
+                ("with the law's", shared),
             ):
                 for level in LEVELS:
-                    ratio = false_alarm_ratio(curve, measured, level)
+                    ratio = px.false_alarm_ratio(curve, measured, level)
                     x = measured.threshold[[ratio.at]]
                     right = float(np.exp(log_tail(x, goal) - log_tail(x, true))[0])
                     hits[level, where, name].append(ratio.lower <= right <= ratio.upper)

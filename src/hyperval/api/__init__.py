@@ -10,12 +10,29 @@
 ['campaign', 'product', 'subject', 'method', 'band_nm', 'metric']
 >>> run = api.validate("campaign.yaml")
 >>> run.to_xarray()["predicted"]["radiance"].dims
-('subject', 'wavelength')
+('radiance_subject', 'band')
 
 Every object has a short ``repr``, ``to_dataframe()``, ``to_xarray()`` and ``plot``; metrics have nothing to plot.
 """
 
-import lazy_loader
+from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Study, Validation
+from hyperval.api.verbs import (
+    check,
+    compare,
+    explain,
+    load_campaign,
+    load_scenario,
+    metrics,
+    observe,
+    open,
+    predict,
+    simulate,
+    study,
+    validate,
+)
 
-# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [
+    "Collection", "Metrics", "Observation", "Prediction", "Results", "Study", "Validation", "check", "compare",
+    "explain", "load_campaign", "load_scenario", "metrics", "observe", "open", "predict", "simulate", "study",
+    "validate",
+]  # fmt: skip

@@ -6,7 +6,7 @@ What lies in each pixel of a collection, as far as regions and truth say, and th
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,9 @@ from hyperval.figures.spec import ExpectedScores, Quicklook, ScoreMap
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.truth import all_pixels
 from hyperval.observe import Observed, Place, map_name, scored_pixels, target_groups
+from hyperval.pixels import false_alarm_ratio
+from hyperval.products import PredictedProducts, background_of
+from hyperval.results import Result
 
 Expected = Mapping[tuple[str, str, str], float]
 # A region's name, or for each target that is looked for the subject that an object is in.
@@ -88,17 +91,25 @@ GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are
 
 
 def score_maps(
-    observed: Observed, detection: Detection | None, expected: Mapping[tuple[str, str, str], float]
+    observed: Observed, detection: Detection | None, prediction: PredictedProducts | None, rows: Iterable[Result]
 ) -> dict[str, ScoreMap]:
     """Every score map with its place on the ground, the outlines of its targets and what the model expects there.
 
-    ``expected`` : of a prediction: (what lies there, target, detector) -> score
+    ``rows`` : of the comparison with the prediction, which say what carries a difference of false alarms
     """
     if observed.detected is None or observed.place is None or detection is None:
         return {}
     cube = observed.place.cube
     size = observed.place.pixel_area_m2
-    maps = expected_maps(observed.place, detection, expected)
+    maps = expected_maps(observed.place, detection, prediction.expected_scores if prediction else {})
+    said = {(r.subject, r.method): r.reason for r in rows if r.metric == "pfa_ratio_without@1e-2"}
+    carried = {}
+    for key, law in prediction.exceedance.items() if prediction else ():
+        if law.influence is not None and (words := said.get((background_of(key[0]), key[1]))):
+            measured = observed.observation.exceedance[key]
+            threshold = float(measured.threshold[false_alarm_ratio(law, measured, 1e-2).at])
+            ratio = np.append(law.influence.at(threshold), np.nan)[law.influence.number]
+            carried[map_name(*key)] = ratio, threshold, words
     return {
         name: ScoreMap(
             values,
@@ -107,6 +118,7 @@ def score_maps(
             observed.detected.outlines.get(name, {}),
             float(np.sqrt(size)) if size else None,
             maps.get(name),
+            carried.get(name),
         )
         for name, values in observed.detected.score_maps.items()
     }

@@ -130,7 +130,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         report_of(campaign, rows),
         prediction=prediction,
         observation=observed.observation,
-        score_maps=score_maps(observed, campaign.detection, prediction.expected_scores if prediction else {}),
+        score_maps=score_maps(observed, campaign.detection, prediction, rows),
         quicklook=quicklook(observed),
         provenance=provenance,
         power=power.told(provenance["inputs"], rows) if power else None,

@@ -39,12 +39,13 @@ from hyperval.imagery.truth import TargetObject
 from hyperval.model import Truth, geometry_of, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
 from hyperval.model.intervals import clopper_pearson
-from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, scored_pixels, target_groups
+from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_pixels, target_groups
 from hyperval.observe import observe as observe_collection
-from hyperval.pixels import average_roc, band_limits, exceedance_of_distance
+from hyperval.pixels import average_roc, band_limits, compact_parts, exceedance_of_distance, with_shared_pixels
 from hyperval.products import (
     Abundance,
     ClassificationError,
+    ExceedanceCurve,
     ObservedProducts,
     PixelDistribution,
     PredictedProducts,
@@ -231,6 +232,22 @@ class Collected:
     def _laws(self) -> RegionLaws:
         return self.observed.laws()
 
+    def with_shared_pixels(self, key: tuple[str, str], law: ExceedanceCurve) -> ExceedanceCurve:
+        """A predicted curve of (target, detector) with what its law shares with the false alarms that are counted."""
+        detected, place, detection = self.observed.detected, self.observed.place, self.campaign.detection
+        if not law.left_out or detected is None or place is None or detection is None:
+            return law
+        scores = detected.score_maps[map_name(*key)]
+        counted = place.background(detection.false_alarms) & np.isfinite(scores)
+        number, first = np.full(scores.shape, -1), 0
+        for region, without in law.left_out.items():
+            own = self._laws.parts(region)
+            number = np.where(counted & (number < 0) & (own >= 0), own + first, number)
+            first += len(without)
+        others = counted & (number < 0)
+        number[others] = first + compact_parts(*np.nonzero(others))
+        return with_shared_pixels(law, scores, number)
+
 
 @contextmanager
 def collected(
@@ -299,9 +316,11 @@ def predicted_side(
     detected = side.observed.detected
     nominal = detected.nominal_area_m2 if detected is not None else {}
     stated = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
+    whole = joined(side, side.scenarios, predictions)
     return replace(
-        joined(side, side.scenarios, predictions),
+        whole,
         classification=_classification(side, merged(predictions)),
+        exceedance={key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()},
         abundance={**stated, **_areas(side, predictions, truths)},
     )
 

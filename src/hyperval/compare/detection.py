@@ -25,7 +25,15 @@ from hyperval.model.intervals import (
 )
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
-from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution
+from hyperval.products import (
+    Abundance,
+    ClassificationError,
+    ExceedanceCurve,
+    Influence,
+    ObjectScores,
+    RocCurve,
+    ScoreDistribution,
+)
 from hyperval.results import Cause, Effect, Result
 
 ROUNDING = 1e-9  # of a score's standard deviation; chance leaves a mean as small in one of a million images at most
@@ -102,13 +110,31 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
         words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{ratio.predicted:.3g}, "
         words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
         words += f"; its law is known to a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
+        words += f", and errs as its pixels do (correlation {ratio.together:.2f})" if ratio.together else ""
         factor = math.nan if observed.half_image is None else float(observed.half_image[at])
         if observed.half_image is not None:
             words += f"; one half of the image misses the other by a factor of {factor:.2g}"
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
+        if predicted.influence is not None:
+            yield _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted.influence)
         if np.isfinite(factor):
             why = f"of {round(measured * n)} alarms; half of the random halves differ less"
             yield row(f"pfa_repeatability@{label}", factor, n=observed.n, reason=why)
+
+
+def _without_part(metric: str, ratio: float, threshold: float, parts: Influence) -> Result:
+    """The ratio that is nearest to 1 of those without one part of the image, and which part that is."""
+    number, alarms = parts.number, parts.alarms[:, np.argmin(np.abs(parts.threshold - threshold))]
+    pixels = np.bincount(number[number >= 0], minlength=alarms.size)
+    without = np.where(pixels > 0, parts.at(threshold), np.inf)
+    part = int(np.argmin(np.abs(np.log(without))))
+    ends = [(at.min(), at.max()) for at in np.nonzero(number == part)]
+    far, rest = abs(math.log(ratio)), abs(math.log(without[part]))
+    words = "" if far > 2.0 * rest or far < math.log(1.25) else "no part carries it alone: "
+    words += f"without {pixels[part]} of {pixels.sum()} pixels (lines {ends[0][0]} to {ends[0][1]}, samples "
+    words += f"{ends[1][0]} to {ends[1][1]}), which hold {100.0 * alarms[part] / max(alarms.sum(), 1):.0f} % of the "
+    words += f"alarms, the ratio is {without[part]:.2f} in place of {ratio:.2f}"
+    return row(metric, float(without[part]), n=int(pixels[part]), reason=words)
 
 
 def compare_classification(p: ClassificationError, o: ClassificationError) -> Iterator[Result]:

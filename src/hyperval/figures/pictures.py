@@ -93,6 +93,16 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
             canvas = _Canvas(heading, _toned(own, limits), colours, view, block, limits, simulated=simulated)
             canvas.finish(segments, score_map.pixel_size_m)
             drawings.append(canvas.drawing(file, "scores", title, alt, _numbered_names(score_map.outlines)))
+        if score_map.influence is not None:
+            ratio, threshold, words = score_map.influence
+            ends = float(np.nanmin(ratio)), float(np.nanmax(ratio)) + 1e-9
+            toned = _toned(ratio[view][::block, ::block], ends)
+            toned[(values > threshold) & (toned != _WHITE)] = _BLACK
+            canvas = _Canvas(f"False alarms {name}", toned, colours, view, block, ends, "ratio", simulated=simulated)
+            canvas.finish([], score_map.pixel_size_m)
+            title = f"False alarms of {name}, predicted over measured, without the part of the image that a pixel "
+            title += f"lies in; black: pixels above the threshold{note}. {words[0].upper()}{words[1:]}"
+            drawings.append(canvas.drawing(f"score-map-{number}-influence", "scores", title, f"Map: {title}.", ""))
     return drawings
 
 
@@ -109,7 +119,7 @@ class _Canvas:
 
     def __init__(
         self, title: str, picture: Indices, colours: Sequence[int], view: Window, block: int,
-        limits: tuple[float, float] | None = None, *, simulated: bool,
+        limits: tuple[float, float] | None = None, what: str = "score", *, simulated: bool,
     ) -> None:  # fmt: skip
         self._view = view
         lines, samples = picture.shape
@@ -128,7 +138,7 @@ class _Canvas:
         self._pen.text((self._image.width // 2, 6), words, _BLACK, _font(_TITLE), anchor="ma")
         self._axes()
         if limits:
-            self._scale_of_colours(limits)
+            self._scale_of_colours(limits, what)
 
     def finish(self, segments: Segments, pixel_size_m: float | None) -> None:
         """Draw outlines, their numbers, and a scale."""
@@ -176,11 +186,11 @@ class _Canvas:
             self._pen.line((_LEFT - 11, y, _LEFT - 2, y), _GREY, 2)
             self._pen.text((_LEFT - 16, y), f"{line:g}", _BLACK, _font(_SMALL), anchor="rm")
 
-    def _scale_of_colours(self, limits: tuple[float, float]) -> None:
+    def _scale_of_colours(self, limits: tuple[float, float], what: str) -> None:
         left, height = self._end[0] + 28, max(self._end[1] - _TOP, 200)
         tones = np.repeat(np.linspace(_TONES - 1, 0, height).round().astype(np.uint8)[:, None], _BAR, axis=1)
         self._image.paste(Image.fromarray(tones), (left, _TOP))
-        self._pen.text((left, _TOP - 8), "score", _BLACK, _font(_LETTER), anchor="lb")
+        self._pen.text((left, _TOP - 8), what, _BLACK, _font(_LETTER), anchor="lb")
         for part in (0.0, 0.25, 0.5, 0.75, 1.0):
             y = _TOP + (1.0 - part) * height
             sign = {0.0: "< ", 1.0: "> "}.get(part, "")

@@ -460,6 +460,8 @@ class ScoreMap:
     outlines : name of a target -> (lines, samples) mask of its pixels
     pixel_size_m : ground sampling distance for the scale [m], None when unknown
     expected : what the model expects in its place, None where it says nothing
+    influence : predicted over measured P_FA without the part of the image that each pixel lies in (lines, samples),
+        above which score a pixel is an alarm, and this in words; None without a law of these pixels
     """
 
     values: npt.NDArray[Any]
@@ -468,6 +470,7 @@ class ScoreMap:
     outlines: Mapping[str, Mask] = field(default_factory=dict)
     pixel_size_m: float | None = None
     expected: ExpectedScores | None = None
+    influence: tuple[npt.NDArray[Any], float, str] | None = None
 
     def to_xarray(self) -> Any:
         """As an array of xarray (line, sample) with its position."""

@@ -44,7 +44,7 @@ from hyperval.model.propagate import (
     Draws,
     drawn_products,
     emulator,
-    law_directions,
+    laws_left_out,
     linearised,
     mean_shifts,
     probit,
@@ -471,7 +471,7 @@ def _prediction(
             at = np.searchsorted(numbers, steps) if together else np.arange(steps.size)
             scores = object_scores(here, at, None if objects is True else objects)
             detection = replace(detection, object_scores=scores, expected_scores=expected_scores(here))
-        detection = replace(detection, exceedance=with_law_errors(detection.exceedance, law_directions(e, known)))
+        detection = replace(detection, exceedance=with_law_errors(detection.exceedance, laws_left_out(e, known)))
     return _joined(e, 0, of_spectra, detection), {key: (z[up] - z[0], z[down] - z[0]) for key, z in curves.items()}
 
 

@@ -128,10 +128,11 @@ def probit(p: Array) -> Array:
 
 
 Filter = tuple[str, str]
+Regions = Iterable[tuple[str, Sequence[World]]]  # their names, and the world without each part of them
 
 
-def worlds_without(scenario: Scenario, origins: Origins, truth: Truth) -> Iterable[Sequence[World]]:
-    """For each region whose law is known from its pixels, the scenario as it truly is without each part of them."""
+def worlds_without(scenario: Scenario, origins: Origins, truth: Truth) -> Regions:
+    """Each region whose law is known from its pixels, and the scenario as it truly is without each part of them."""
     if origins.left_out is None or not scenario.scene.targets or not scenario.processing.linear_detectors:
         return
     # A part may leave a mixture with fewer components than the class asks for.
@@ -140,14 +141,13 @@ def worlds_without(scenario: Scenario, origins: Origins, truth: Truth) -> Iterab
     for region, without in origins.left_out():
         measured = origins.measured or {}
         parts = (read(free, replace(origins, measured={**measured, region: part})) for part in without)
-        yield [settled(with_truths(world, [truth]))[0][1] for world in parts]
+        yield region, [settled(with_truths(world, [truth]))[0][1] for world in parts]
 
 
-def law_directions(e: Evaluation, regions: Iterable[Sequence[World]]) -> dict[Filter, Array]:
-    """(target, linear detector) -> (D, K) changes of ln P_FA (3.33) at the thresholds of its curve.
+def laws_left_out(e: Evaluation, regions: Regions) -> dict[Filter, dict[str, Array]]:
+    """(target, linear detector) -> region -> (G, K) ln P_FA (3.33) at the thresholds of its curve without each part.
 
-    One for each part of each region, independent of each other; the square root of the sum of their squares is the
-    standard error that the pixels leave.  The filters stay: they look at both sides through the same weights.
+    The filters stay: they look at both sides through the same weights.
 
     Parameters
     ----------
@@ -157,17 +157,13 @@ def law_directions(e: Evaluation, regions: Iterable[Sequence[World]]) -> dict[Fi
     pfa = false_alarm_grid(grid.lowest, grid.per_decade)
     names = [(t, d) for t in e.targets for d in e.stated.linear_detectors]
     thresholds = {(t.name, d): e.scores(t.populations[0].name, d).thresholds(pfa[None])[0] for t, d in names}
-    directions: dict[Filter, list[Array]] = {key: [] for key in thresholds}
-    for region in regions:
-        values: dict[Filter, list[Array]] = {key: [] for key in thresholds}
-        for world in region:
-            laws = _law_scores(e, world)
-            for key, x in thresholds.items():
-                rows = laws[key].rows(np.zeros(x.size, int))
-                values[key].append(log_false_alarm(x, rows)[0])
-        for key, each in values.items():
-            directions[key].append(jackknife_directions(each))
-    return {key: np.concatenate(parts) for key, parts in directions.items() if parts}
+    out: dict[Filter, dict[str, Array]] = {key: {} for key in thresholds}
+    for region, worlds in regions:
+        laws = [_law_scores(e, world) for world in worlds]
+        for key, x in thresholds.items():
+            row = np.zeros(x.size, int)
+            out[key][region] = np.array([log_false_alarm(x, law[key].rows(row))[0] for law in laws])
+    return out
 
 
 def _law_scores(e: Evaluation, world: World) -> dict[Filter, ClassScores]:
@@ -181,13 +177,20 @@ def _law_scores(e: Evaluation, world: World) -> dict[Filter, ClassScores]:
 
 
 def with_law_errors(
-    exceedance: Mapping[Filter, ExceedanceCurve], directions: Mapping[Filter, Array]
+    exceedance: Mapping[Filter, ExceedanceCurve], left_out: Mapping[Filter, Mapping[str, Array]]
 ) -> dict[Filter, ExceedanceCurve]:
-    """The predicted curves, with 95 % limits where the law was fitted to pixels."""
+    """The predicted curves, with 95 % limits where the law was fitted to pixels.
+
+    The parts of a region are independent of each other: the squares of their directions add up.
+    """
     curves = dict(exceedance)
-    for key, of_curve in directions.items():
-        half, p = Z95 * np.sqrt((of_curve**2).sum(axis=0))[::-1], curves[key].probability
-        curves[key] = replace(curves[key], lower=p * np.exp(-half), upper=np.minimum(p * np.exp(half), 1.0))
+    for key, regions in left_out.items():
+        if regions:
+            squares = sum((jackknife_directions(of) ** 2).sum(axis=0) for of in regions.values())
+            half, p = Z95 * np.sqrt(squares)[::-1], curves[key].probability
+            limits = p * np.exp(-half), np.minimum(p * np.exp(half), 1.0)
+            rising = {region: of[:, ::-1] for region, of in regions.items()}
+            curves[key] = replace(curves[key], lower=limits[0], upper=limits[1], left_out=rising)
     return curves
 
 

@@ -83,6 +83,7 @@ class SurfaceStatistics:
     sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
     n : samples behind it
     mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
+    tail_scale : factor on the covariance of the law that was fitted to its tails
     """
 
     name: str
@@ -95,6 +96,7 @@ class SurfaceStatistics:
     mean_error: Array | None = None
     sampled_deviation: tuple[Array, Array] | None = None
     components: Components | None = None
+    tail_scale: float = 1.0
 
 
 def replicate_statistics(
@@ -274,7 +276,8 @@ class Sources:
             # Tails are those of the pixels that the covariance is of; several spectra have none of their own.
             tails = base if source is not None and source.replicates is not None else pixels
             base = replace(
-                base, covariance=pixels.covariance, tail_dof=tails.tail_dof, components=tails.components
+                base, covariance=pixels.covariance, tail_dof=tails.tail_dof, tail_scale=tails.tail_scale,
+                components=tails.components,
             )  # fmt: skip
         return replace(base, components=_components(surface, base.components))
 
@@ -306,7 +309,7 @@ class Sources:
             return None
         return SurfaceStatistics(
             name, known.mean, known.covariance, known.source or source.library or "measured", known.tail_dof, None,
-            known.n, components=known.components,
+            known.n, components=known.components, tail_scale=known.tail_scale,
         )  # fmt: skip
 
     def _library(self, file: str, record: str | int | None) -> ClassStatistics:
@@ -795,7 +798,8 @@ def _laws(number: int, c: BackgroundClass, surface: SurfaceStatistics) -> list[L
     """What the pixels of a class are distributed as."""
     parts = surface.components
     if parts is None:
-        return [Law(number, 1.0, None, surface.covariance, None)]
+        scale = surface.tail_scale if c.tail_dof == "measured" else 1.0
+        return [Law(number, 1.0, None, scale * surface.covariance, None)]
     dof = None if isinstance(c.tail_dof, float) else parts.dof
     laws = zip(parts.weights.tolist(), parts.offsets, parts.covariances, strict=True)
     return [Law(number, w, offset, covariance, dof) for w, offset, covariance in laws]

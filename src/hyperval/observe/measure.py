@@ -31,7 +31,6 @@ from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.products import ClassificationError, EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scenario import BackgroundClass, Scenario
-from hyperval.spectra import in_window
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -102,7 +101,7 @@ class Observed:
 
     def laws(self) -> RegionLaws:
         """The laws of the regions' pixels, fitted when a scenario asks for them."""
-        return RegionLaws(self.place, self.statistics)
+        return RegionLaws(self.surfaces, self.statistics)
 
 
 def observe(
@@ -160,7 +159,7 @@ def observe(
         products["abundance"] |= unmixed.areas
     distribution = {name: d for name, d in before.distribution.items() if name in known}
     for name in track([n for n in place.regions if n not in known], "tails", show=show_progress):
-        tails = None if place.by_number else pixel_tails(place, masks[name], measured[name])
+        tails = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if tails is None else {name: tails}
     snr = {name: px.snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
     observation = ObservedProducts(
@@ -328,10 +327,11 @@ def _classes(
         known = np.isfinite(mean)
         mean, covariance = np.where(known, mean, 0.0), np.where(np.outer(known, known), covariance, 0.0)
         # Of the surface itself: over all bands noise dilutes what makes false alarms.
-        tail = distribution[name].leading_tail_dof if name in distribution else np.inf
+        tails = distribution.get(name, PixelDistribution(leading_tail_dof=np.inf))
         out[name] = ClassStatistics(
             name, place.cube.axis, mean, (covariance + covariance.T) / 2.0, sample.n,
-            f"{sample.n} pixels of region {name}", max(tail, px.LEAST_DOF) if np.isfinite(tail) else None,
+            f"{sample.n} pixels of region {name}",
+            tails.leading_tail_dof if np.isfinite(tails.leading_tail_dof) else None, tail_scale=tails.leading_scale,
         )  # fmt: skip
     return out
 
@@ -348,7 +348,7 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
     """
     n, axis = statistics.n, place.cube.axis
     variance = np.diag(statistics.covariance)
-    bands = np.flatnonzero(in_window(axis.centre_nm) & axis.good & np.isfinite(variance) & (variance > 0))
+    bands = np.flatnonzero(place.clear_bands & np.isfinite(variance) & (variance > 0))
     if n < FEWEST_PIXELS or bands.size < px.FEWEST_LEADING:
         return None
     rng = np.random.default_rng(_TAIL_SEED)
@@ -391,6 +391,7 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
     return PixelDistribution(
         whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
         leading, whole.n, independent, distance, exceedance, int(np.count_nonzero(region.any(axis=0))),
+        leading_scale=lead.scale,
     )  # fmt: skip
 
 
@@ -492,10 +493,11 @@ class RegionPixels(NamedTuple):
 class RegionLaws:
     """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
 
-    def __init__(self, place: Place | None, statistics: Mapping[str, ClassStatistics]):
-        self._place, self._statistics = place, statistics
+    def __init__(self, surfaces: Surfaces, statistics: Mapping[str, ClassStatistics]):
+        self._place, self._tails, self._statistics = surfaces.place, surfaces.distribution, statistics
         self._made: dict[Key, tuple[px.ClassMixture, Components | None] | None] = {}
         self._without: dict[tuple[str, Key | None, bool], list[ClassStatistics]] = {}
+        self._numbers: dict[str, Index] = {}
 
     @property
     def place(self) -> Place:
@@ -513,8 +515,16 @@ class RegionLaws:
         known = np.isfinite(pixels[valid]).any(axis=0)
         pixels = np.where(known, pixels, 0.0)
         valid &= np.isfinite(pixels).all(axis=1)
-        lead = np.flatnonzero(in_window(axis.centre_nm) & axis.good & known)
+        lead = np.flatnonzero(self.place.clear_bands & known)
         return RegionPixels(pixels[valid], lines[valid], samples[valid], lead)
+
+    def parts(self, region: str) -> Index:
+        """(lines, samples) part of the image that a region's pixels are left out with; -1 of other pixels."""
+        if region not in self._numbers:
+            mask = self.place.pixels_of(region)
+            self._numbers[region] = np.full(mask.shape, -1)
+            self._numbers[region][mask] = px.compact_parts(*np.nonzero(mask))
+        return self._numbers[region]
 
     def statistics(self, scenario: Scenario) -> Mapping[str, ClassStatistics]:
         """The collection's statistics with the components that the classes of a scenario ask for.
@@ -547,15 +557,18 @@ class RegionLaws:
     ) -> Iterator[ClassStatistics]:
         """The statistics of a region without each of its parts; ``tails``: with a tail of their own."""
         pixels, stated = self._pixels(region), self._statistics[region]
-        part, lead = px.compact_parts(pixels.lines, pixels.samples), pixels.lead
+        part, lead = self.parts(region)[pixels.lines, pixels.samples], pixels.lead
         for number, (mean, covariance) in enumerate(px.moments_without_each(pixels.values, part)):
-            tail = stated.tail_dof
-            if tails and tail is not None:
-                rest = pixels.values[part != number][:, lead]
-                dof = px.leading_tail_dof(rest, mean[lead], covariance[np.ix_(lead, lead)])
-                tail = None if np.isinf(dof) else dof
+            dof, scale = stated.tail_dof, stated.tail_scale
+            if tails and dof is not None:  # what all pixels can tell of it bounds what the others make of it
+                rest, known = pixels.values[part != number][:, lead], self._tails[region]
+                within = known.leading_lower, known.leading_upper
+                fit = px.leading_tails(rest, mean[lead], covariance[np.ix_(lead, lead)], within)
+                dof, scale = fit.dof if np.isfinite(fit.dof) else None, fit.scale
             own = None if mixture is None else mixture[0].components_without(pixels.values, part, number)
-            yield replace(stated, mean=mean, covariance=covariance, tail_dof=tail, components=own)
+            yield replace(
+                stated, mean=mean, covariance=covariance, tail_dof=dof, tail_scale=scale, components=own
+            )  # fmt: skip
 
     def _keys(self, scenario: Scenario) -> dict[str, tuple[BackgroundClass, Key | None]]:
         """Region -> the first class that takes its law from there, and the mixture that the classes ask for."""
@@ -604,7 +617,7 @@ def classification_errors(place: Place, task: Classification) -> dict[tuple[str,
     UsageError : a region that is none, or one with too few pixels in either half.
     """
     axis = place.cube.axis
-    usable = in_window(axis.centre_nm) & axis.good
+    usable = place.clear_bands
     halves = {name: _halves(place, name, task) for name in task.classes}
     out = {}
     for chosen in class_sets(task):

@@ -52,7 +52,7 @@ from hyperval.model.fill import aperture_weights
 from hyperval.paths import checked_file
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
-from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, number_table
+from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table
 from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
 
 Array = npt.NDArray[np.float64]
@@ -81,7 +81,7 @@ class Place:
     Attributes
     ----------
     cube : the image
-    labels : regions as drawn, and the target pixels with their guard ring, as one label image
+    labels : regions as drawn, and the target pixels with their guard ring and that of what is left out, as one image
     targets : the target objects of the truth
     pixel_area_m2 : ground area of a pixel, None when the cube is not georeferenced
     target_pixels : which pixels of an object are scored: "touched" or "centre"
@@ -120,6 +120,12 @@ class Place:
         inside = np.stack(list(self.regions.members.values()), axis=1)
         _, number = np.unique(inside, axis=0, return_inverse=True)
         return np.asarray(number.reshape(-1).astype(np.int32)[self.labels.number])
+
+    @property
+    def clear_bands(self) -> Mask:
+        """(B,) good bands in the windows of the atmosphere; all good ones where bands go by number."""
+        axis = self.cube.axis
+        return np.asarray(axis.good & (in_window(axis.centre_nm) | axis.numbered))
 
     @property
     def near_targets(self) -> Mask:
@@ -220,6 +226,11 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
     for name in collection.leave_out:
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
+    if collection.leave_out and collection.leave_out_guard_pixels:
+        left_out = np.any([regions[name].mask for name in collection.leave_out], axis=0)
+        around = imagery.guard(left_out, collection.leave_out_guard_pixels) & ~left_out
+        remarks = [*remarks, f"{int((around & ~near).sum())} pixels around what is left out do not count either"]
+        near = near | around
     sides = cube.samples, cube.raster.bands
     told = imagery.acquisition_notes(cube.extras, cube.axis, *sides, lines=cube.lines, quantity=cube.quantity)
     notes = (*cube.notes, *notes, *told)

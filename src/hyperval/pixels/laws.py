@@ -450,9 +450,7 @@ def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
     return np.asarray((1.0 - part) * covariances + part * pooled)
 
 
-# The search is over a = 1/nu; below the first value a t cannot be told from the normal by any sample, above the
-# second the covariance is no longer finite.
-_LEAST, _MOST = 1e-6, 0.499
+_LEAST = 1e-6  # of a = 1/nu, over which the search is: below it a t cannot be told from the normal by any sample
 _HALF_DROP = 1.920729410347062  # half the 0.95 quantile of chi-square with one degree of freedom
 LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
 FEWEST_LEADING, MOST_LEADING = 2, 6
@@ -464,19 +462,19 @@ class TailFit:
 
     Attributes
     ----------
-    dof : maximum-likelihood nu; inf where the normal law is the most likely
+    dof : maximum-likelihood nu, 2.05 or more; inf where the normal law is the most likely
+    scale : factor on the sample's covariance that is as likely: its far pixels stretch it by more than the bulk has
     lower, upper : 95 % limits by profile likelihood; upper inf where the normal law is inside
     normality_p_value : probability of such a likelihood ratio if the pixels are normal
     n : distances behind it
-    dimension : bands or components of which they are distances
     """
 
     dof: float
+    scale: float
     lower: float
     upper: float
     normality_p_value: float
     n: int
-    dimension: int
 
 
 def tail_log_likelihood(inverse_dof: float, squared_distances: Array, dimension: int) -> float:
@@ -565,8 +563,9 @@ def fit_tail_dof(
     *,
     estimated_on: int | None = None,
     independent: float | None = None,
+    within: tuple[float, float] = (LEAST_DOF, math.inf),
 ) -> TailFit:
-    """Maximum-likelihood degrees of freedom with profile-likelihood limits.
+    """Maximum-likelihood degrees of freedom and scale, with profile-likelihood limits of the former.
 
     Parameters
     ----------
@@ -576,6 +575,7 @@ def fit_tail_dof(
         Distances are then taken from the other pixels; for normal pixels those follow T^2, which is a t with
         n - 1 - p degrees of freedom, and its inverse is taken off
     independent : of these distances, as many count as independent; the likelihood is taken to that power over n
+    within : least and greatest degrees of freedom, such as what all pixels can tell of those of a part of them
 
     Raises
     ------
@@ -597,17 +597,20 @@ def fit_tail_dof(
     def drop(a: float) -> float:
         return top - fit(a) - _HALF_DROP
 
-    end, normal = _MOST - offset, fit(0.0)
-    at, top = _greatest(fit, 0.0, end, 1e-8)
-    if at <= 2.0 * _LEAST or top <= normal:
+    end, normal = min(1.0 / within[0], 1.0 / LEAST_DOF - offset), fit(0.0)
+    start = min(1.0 / within[1], end)
+    at, top = _greatest(fit, start, end, 1e-8)
+    if start == 0.0 and (at <= 2.0 * _LEAST or top <= normal):
         at, top = 0.0, max(normal, top)
     high = end if drop(end) < 0 else _root(drop, at, end)
-    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else _root(drop, 0.0, at)
+    low = start if at == start or drop(start) <= 0 else _root(drop, start, at)
+    a = at + offset
+    scale = float(np.mean(d)) / dimension if a < _LEAST else _t_width(d, dimension, 1.0 / a) / (1.0 / a - 2.0)
     # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
     # (Self & Liang 1987).
     p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
     dof, lower, upper = (1.0 / a if a > 0 else math.inf for a in (at, high, low))
-    return TailFit(dof, lower, upper, p_value, int(d.size), dimension)
+    return TailFit(dof, scale, lower, upper, p_value, int(d.size))
 
 
 def exceedance_of_distance(squared_distance: npt.ArrayLike, dimension: int, dof: float) -> Array:
@@ -671,9 +674,11 @@ def moments_without_each(pixels: Array, part: Index) -> Iterator[tuple[Array, Ar
         yield centre + mean, (whole - product - n * np.outer(mean, mean)) / max(n - 1, 1)
 
 
-def leading_tail_dof(pixels: Array, mean: Array, covariance: Array) -> float:
-    """Degrees of freedom, 2.05 at least, of the t of pixels (n, B) in the leading components of their covariance."""
+def leading_tails(
+    pixels: Array, mean: Array, covariance: Array, within: tuple[float, float] = (LEAST_DOF, math.inf)
+) -> TailFit:
+    """The tails of pixels (n, B) in the leading components of their covariance, of degrees of freedom ``within``."""
     directions = EigenDirections.of(covariance)
     count = leading_count(directions.values, float(np.trace(covariance)))
     distances = squared_mahalanobis(pixels, mean, directions.vectors[:, :count], directions.values[:count])
-    return max(fit_tail_dof(distances, count, estimated_on=pixels.shape[0]).dof, LEAST_DOF)
+    return fit_tail_dof(distances, count, estimated_on=pixels.shape[0], within=within)

@@ -39,11 +39,12 @@ from hyperval.model.intervals import (
     beyond_jeffreys_limits,
     bounded_mean_limits,
     clopper_pearson,
+    jackknife_directions,
     jeffreys_limits,
     mid_p_limits,
 )
 from hyperval.model.roc import AREAS, WHOLE, RocArea
-from hyperval.products import AlarmsAtDetection, AreaEstimate, ExceedanceCurve, RocCurve
+from hyperval.products import AlarmsAtDetection, AreaEstimate, ExceedanceCurve, Influence, RocCurve
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -243,7 +244,9 @@ class AlarmBlocks:
         """Ranks r, s (K,) of the order statistics between which the threshold lies that truly gives ``pfa`` (K,).
 
         The thresholds whose interval of P_FA holds ``pfa``: those from the s-th to the r-th greatest score; r is 0
-        where no score bounds it from above, s is n + 1 where none does from below.
+        where no score bounds it from above, s is n + 1 where none does from below.  Where there are fewer alarms
+        than ``pfa`` expects, the image may lack the one cluster that would have held them: the design effect is that of
+        the geometric mean of both numbers.
         """
         n = self.scores.size
 
@@ -252,7 +255,8 @@ class AlarmBlocks:
             low, high = np.zeros(pfa.size, np.int64), np.full(pfa.size, n + 1)
             while np.any(low < high):
                 middle = (low + high) // 2
-                effect = self.design_effect(middle)
+                expected = np.sqrt(np.maximum(middle, 1) * n * pfa)
+                effect = self.design_effect(np.maximum(middle, expected))
                 below, above = beyond_jeffreys_limits(middle / effect, n / effect, pfa)
                 there = ~above if limit else below
                 open_ = low < high
@@ -307,6 +311,7 @@ class FalseAlarmRatio:
     predicted : P_FA of the model at that threshold
     law_factor : factor by which the pixels that the model's law was fitted to leave that open at 95 %; 1 where the
         law is stated
+    together : correlation of the errors of law and measured share
     """
 
     value: float
@@ -315,6 +320,7 @@ class FalseAlarmRatio:
     at: int
     predicted: float
     law_factor: float
+    together: float
 
 
 def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
@@ -360,11 +366,56 @@ def exceedance_at(curve: ExceedanceCurve, threshold: float, values: Array | None
     return float(np.exp(np.interp(threshold, curve.threshold[keep], np.log(p[keep]))))
 
 
+def with_shared_pixels(law: ExceedanceCurve, score_map: npt.ArrayLike, number: npt.NDArray[Any]) -> ExceedanceCurve:
+    """A predicted curve with the correlation of its error with that of the measured share, and what carries both.
+
+    A law that was fitted to the pixels whose false alarms are counted errs as they do.  Each part of the image is
+    left out of both sides in turn; each region keeps its share of the image.
+
+    Parameters
+    ----------
+    score_map : (lines, samples)
+    number : (lines, samples) part of each pixel that is counted, region by region of ``law.left_out``, and at last
+        those of pixels that lie in none of them; -1 of others
+
+    Examples
+    --------
+    >>> scores, number = np.random.default_rng(0).normal(size=(40, 40)), np.arange(1600).reshape(40, 40) // 100
+    >>> x, each = np.array([0.0, 1.0]), [np.delete(scores.ravel(), np.s_[g * 100 : g * 100 + 100]) for g in range(16)]
+    >>> own = {"all": np.log([[np.mean(s > t) for t in x] for s in each])}
+    >>> law = ExceedanceCurve(x, *np.array([[np.mean(scores > t) for t in x]] * 3), left_out=own)
+    >>> with_shared_pixels(law, scores, number).correlation.round(6).tolist()
+    [1.0, 1.0]
+    """
+    size, every, first = law.threshold.size + 1, list(law.left_out.values()), 0
+    fitted = sum(map(len, every))
+    parts = max(int(number.max()) + 1, fitted)
+    every.append(np.broadcast_to(np.log(law.probability), (parts - fitted, size - 1)))
+    counted = number >= 0
+    rank = np.searchsorted(law.threshold, np.asarray(score_map)[counted])  # thresholds below the score
+    cells = np.bincount(number[counted] * size + rank, minlength=parts * size).reshape(parts, size)
+    alarms, pixels = cells[:, ::-1].cumsum(axis=1)[:, -2::-1], cells.sum(axis=1)
+    rate, least = alarms.sum(axis=0) / pixels.sum(), 0.5 / pixels.sum()  # half an alarm where none is left
+    without, sums = np.empty(alarms.shape), np.zeros((3, size - 1))
+    for each in every:
+        own = slice(first, first := first + len(each))
+        k, n = alarms[own].sum(axis=0), max(int(pixels[own].sum()), 1)
+        rest = (k - alarms[own]) / np.maximum(n - pixels[own], 1)[:, None]
+        without[own] = np.log(np.maximum(rate + n / pixels.sum() * (rest - k / n), least))
+        if len(each) > 1:
+            a, b = jackknife_directions(each), jackknife_directions(without[own])
+            sums += np.sum([a * b, a * a, b * b], axis=1)
+    influence = Influence(number, alarms, law.threshold, np.exp(np.concatenate(every) - without))
+    correlation = sums[0] / np.sqrt(np.maximum(sums[1] * sums[2], 1e-300))
+    return replace(law, correlation=correlation, influence=influence)
+
+
 def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, level: float) -> FalseAlarmRatio:
     """The ratio at the point of the measured curve whose P_FA is nearest to ``level`` in its logarithm.
 
-    The limits of both sides go together in quadrature, in the logarithm (Zou & Donner, Stat. Med. 27, 1693-1702,
-    2008), as of sides that do not know of each other.
+    The limits of both sides go together in quadrature, in the logarithm, less twice their product where both are of
+    the same pixels and err together (Zou & Donner, Stat. Med. 27, 1693-1702, 2008; Zou, Psychol. Methods 12, 399-413,
+    2007).
 
     Examples
     --------
@@ -377,13 +428,16 @@ def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, lev
     """
     at = int(np.argmin(np.abs(np.log(measured.probability.clip(1e-300)) - math.log(level))))
     threshold, m = float(measured.threshold[at]), float(measured.probability[at])
-    p = exceedance_at(predicted, threshold)
-    law = [abs(math.log(exceedance_at(predicted, threshold, side) / p)) for side in (predicted.lower, predicted.upper)]
+    p, together = exceedance_at(predicted, threshold), 0.0
+    if predicted.correlation is not None:
+        together = float(np.interp(threshold, predicted.threshold, predicted.correlation))
+    sides = predicted.lower, predicted.upper
+    law = np.array([abs(math.log(exceedance_at(predicted, threshold, side) / p)) for side in sides])
     with np.errstate(divide="ignore", invalid="ignore"):
         rate = np.abs(np.log(np.array([measured.upper[at], measured.lower[at]]) / m))
-    down, up = np.hypot(law, rate)
-    ratio = p / m
-    return FalseAlarmRatio(ratio, float(ratio * np.exp(-down)), float(ratio * np.exp(up)), at, p, math.exp(max(law)))
+    down, up = np.sqrt(law**2 + rate**2 - 2.0 * together * law * rate)
+    ends = float(p / m * np.exp(-down)), float(p / m * np.exp(up))
+    return FalseAlarmRatio(p / m, *ends, at, p, math.exp(max(law)), together)
 
 
 Scores = npt.ArrayLike | AlarmBlocks  # the latter know their places, and come in clusters

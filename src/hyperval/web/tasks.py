@@ -75,7 +75,7 @@ _MOST_PIXELS = 1_000_000
 
 def warm() -> None:
     """Load what a first prediction and its charts would wait for."""
-    answer = api.predict("yellow-planks-asphalt").products
+    answer = api.predict("yellow-planks-asphalt")
     charts_of({"predicted": answer})
 
 
@@ -119,7 +119,7 @@ def _number(value: Any) -> float | None:
 def _predicted(folder: str) -> PredictedProducts:
     scenario = load_model(Scenario, Path(folder) / "scenario.yaml")
     scenario._folder = Path(folder)
-    return api.predict(scenario).products
+    return api.predict(scenario)
 
 
 def draw(folder: str, earlier: str | None = None) -> None:
