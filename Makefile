@@ -24,7 +24,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check power scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage cover docs bill audit robustness conformance
+.PHONY: help setup validate check power sample-report scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage cover docs bill audit robustness conformance
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -49,6 +49,9 @@ check: $(READY)  ## compare every campaign and sensor with the accepted numbers
 
 power: $(READY)  ## inject standard errors in the model of every campaign: which gates see them? (tens of minutes)
 	$(BIN)/hyperval power campaigns/*/campaign*.yaml -o reports/power
+
+sample-report: $(READY)  ## renew reports/sample from the public collections (a minute)
+	$(BIN)/python scripts/sample_reports.py
 
 scoreboard: $(READY)  ## rank detectors, engines and formulations on every campaign; the page is in reports/scoreboard
 	$(BIN)/hyperval benchmark campaigns/*/campaign.yaml -o $(SCORES)
