@@ -69,6 +69,7 @@ def reasons() -> list[Result]:
         for name, gain in ((LONG, 130.0), ("sensor gain", 5.0), ("blur (2)", 0.2))
     ]
     told += [("attribution", "lawn", LONG, "likelihood_gain", 104.0, "")]
+    told += [("attribution", "radiance of lawn", "sensor gain", "reduced_chi_square", 1.1, "9.3 before")]
     told += [
         ("sensitivity", f"all of the materials {i} m", f"{LONG} / cem/pixel", "roc_pd@1e-2_change", 0.01 * i, "gap 0.2")
         for i in range(1, 5)
@@ -123,7 +124,7 @@ def test_each_figure_is_the_same_again_and_told_in_words(sides, charts, drawings
         "radiance", "snr", "reflectance", "roc", "radiance-budget", "radiance-eigenvalues", "pixel-tails",
         "class-error", "scores", "object-scores", "object-transforms", "exceedance", "roc-difference", "abundance",
         "unmixing-areas", "attribution-inputs", "attribution-subjects", "attribution-effects", "what-ifs", "densities",
-        "criteria",
+        "criteria", "residuals",
     }  # fmt: skip
     for drawing in drawings.values():
         ElementTree.fromstring(drawing.content)  # noqa: S314 - our own

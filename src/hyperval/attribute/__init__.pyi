@@ -9,24 +9,37 @@ from .candidates import (
     injected_errors,
     injected_prediction,
 )
-from .ranking import (
+from .posterior import (
     COMMON,
     DIFFERENT,
+    NONE,
+    NOTHING,
+    Posterior,
+    Reasoner,
     Whitened,
     budget_covariance,
     common_and_own,
-    explanation,
-    ranking,
-    rankings,
+    posterior,
+    posteriors,
 )
-from .reasons import ScenarioModel, Truths, alarm_ratios, attribute, changed_scenarios, reason_for, sensitivity_indices
+from .reasons import (
+    Causes,
+    ScenarioModel,
+    Truths,
+    alarm_ratios,
+    attribute,
+    causes_of,
+    changed_scenarios,
+    reason_for,
+    sensitivity_indices,
+)
 from .residuals import ComparedQuantity, ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stacked
 from .schema import AttributionOptions, WhatIf
 
 __all__ = [
-    "COMMON", "DIFFERENT", "AttributionOptions", "Candidate", "ComparedQuantity", "Family", "NotInjectable",
-    "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf", "Whitened", "alarm_ratios", "assumed_inputs",
-    "attribute", "budget_covariance", "candidates", "changed_scenarios", "common_and_own", "explanation",
-    "few_objects", "injected_errors", "injected_prediction", "quantities", "ranking", "rankings", "reason_for",
-    "sampled_covariance", "sensitivity_indices", "stacked",
+    "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "ComparedQuantity",
+    "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf",
+    "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "budget_covariance", "candidates", "causes_of",
+    "changed_scenarios", "common_and_own", "few_objects", "injected_errors", "injected_prediction", "posterior",
+    "posteriors", "quantities", "reason_for", "sampled_covariance", "sensitivity_indices", "stacked",
 ]  # fmt: skip

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import timedelta
 from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere.solar import parse_utc
 from hyperval.errors import UsageError
 from hyperval.model import (
     Origins,
@@ -40,6 +43,7 @@ Family = Callable[[World], Truth]  # what stands where with an error, for what a
 # Directions of an input that move all that is compared at once: of a smooth error nearly all of its variance, of a
 # rough one little.  The rest counts for each spectrum by itself (``stated_beyond``), and not for scores.
 MOST_DIRECTIONS = 8
+MOST_UNITS = 10.0  # a direction that would have to move farther is no reason
 SHIFT_NM = 0.2
 SPREAD = 0.10
 FRACTION = 0.10
@@ -51,11 +55,25 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
     (SURROUNDINGS, "scene", "light.surroundings", 0.10),
     (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10),
     (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10),
+    ("sunlight", "atmosphere", "light.irradiance", 0.01),
+    ("path radiance", "atmosphere", "light.path", 0.10),
+    ("spherical albedo", "atmosphere", "light.spherical_albedo", 0.10),
     ("sensor gain", "sensor", "sensor.gain", 0.01),
     ("sensor noise", "sensor", "sensor.noise", 0.05),
+    ("electrons per radiance", "sensor", "sensor.electrons", 0.05),
     ("fill of the targets", "scene", "fill", 0.05),
     ("blur of the image", "scene", "blur", 0.10),
 )
+# Where the model is asked besides one unit up and down, in units; between and a little beyond it is interpolated.
+_SIZES = {
+    "sunlight": (-20.0, 25.0), "sensor gain": (-20.0, 25.0), "sensor noise": (-10.0, 10.0, 25.0),
+    "electrons per radiance": (-12.0, -6.0, 10.0, 25.0),
+    "fill of the targets": (-12.0, -6.0, 6.0, 20.0), "tails": (5.0, 20.0), "blur of the image": (-5.0, 5.0, 10.0),
+    "path radiance": (-5.0, 10.0), AEROSOL: (-5.0, 10.0),
+}  # fmt: skip
+_OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
+LIGHT = ("sunlight", "path radiance", "spherical albedo")
+HAZES = ("rural", "continental", "maritime", "urban", "desert")
 
 
 def assumed_inputs(world: World) -> list[UncertainInput]:
@@ -67,12 +85,10 @@ def assumed_inputs(world: World) -> list[UncertainInput]:
 def _usual(world: World) -> Iterator[UncertainInput]:
     scene = world.stated.scenario.scene
     yield from (_part(world, *row) for row in _PARTS if _there(world, row[2]))
-    if world.stated.scenario.atmosphere is not None:
-        path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
-        size = np.array([SHIFT_NM])
-        yield number_input(world, "wavelength shift", "sensor", path, size, source="usual", words=words)
     for c in scene.classes:
         yield _part(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD)
+        if np.all(np.isfinite(np.asarray(value_at(world, f"surfaces.[{c.name}].tail_dof"), dtype=float))):
+            yield _part(world, f"tails of {c.name}", "surface", f"surfaces.[{c.name}].tail_dof", SPREAD)
     # Mean spectra that the collection itself does not vouch for.  Those of targets are left out: mixed with their
     # hosts they look like their fill, which is there already.
     form = SpectralForm(correlation_nm=SURFACE_NM)
@@ -105,7 +121,7 @@ def _there(world: World, path: str) -> bool:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An input as a reason.
+    """A cause: an input of several directions, or sizes of one thing, or alternatives.
 
     Attributes
     ----------
@@ -113,6 +129,9 @@ class Candidate:
     step : one unit in words
     budgeted : its uncertainty is stated, and is in the covariance already
     members : the input that it is in each scenario, None where it is none there
+    sizes : of one thing, in units: where the model is asked; without one it is a set of directions
+    labels : of alternatives
+    moved : the truths of all scenarios at a size, or of an alternative by its number
     """
 
     name: str
@@ -120,20 +139,48 @@ class Candidate:
     step: str
     budgeted: bool
     members: tuple[UncertainInput | None, ...] = field(default=(), compare=False, repr=False)
+    sizes: tuple[float, ...] = field(default=(), compare=False)
+    labels: tuple[str, ...] = field(default=(), compare=False)
+    moved: Callable[[float], list[Truth]] | None = field(default=None, compare=False, repr=False)
 
     @property
     def size(self) -> int:
         """Directions that are followed."""
-        return min(max(m.size for m in self.members if m is not None), MOST_DIRECTIONS)
+        return min(max((m.size for m in self.members if m is not None), default=0), MOST_DIRECTIONS)
 
     @property
     def unit(self) -> str:
         """One unit in a sentence."""
         return "stated uncertainty" if self.budgeted else f"step of {self.step}"
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Least and greatest size that it may have; an input with a stated uncertainty ten times that."""
+        if self.budgeted:
+            return -MOST_UNITS, MOST_UNITS
+        return _BELOW * min(self.sizes), _ABOVE * max(self.sizes)
+
+    @property
+    def asked(self) -> bool:
+        """Whether it has sizes at which the model may be asked."""
+        return bool(self.sizes and (self.members or self.moved))
+
     def at(self, direction: int, units: float) -> list[Truth]:
         """The truth of each scenario so many units along one direction."""
+        if self.moved is not None:
+            return self.moved(units)
         return [{} if m is None or direction >= m.size else m.direction(direction, units) for m in self.members]
+
+    def in_words(self, amplitudes: Array) -> str:
+        """How far it is from what is stated."""
+        if self.labels:
+            return self.labels[int(amplitudes[0])]
+        number, _, unit = self.step.partition(" ")
+        if not self.sizes or self.budgeted or not unit:
+            size = f"{amplitudes[0]:+.2g}" if amplitudes.size == 1 else f"{np.sqrt(np.mean(amplitudes**2)):.2g}"
+            return f"{size} times its {self.unit}"
+        value = float(amplitudes[0]) * float(number)
+        return f"x {1.0 + value / 100.0:.3g}" if unit == "%" else f"{value:+.2g} {unit}"
 
 
 def candidates(
@@ -149,8 +196,60 @@ def candidates(
         for name in dict.fromkeys(i.name for group in groups for i in group):
             members = tuple(next((i for i in group if i.name == name), None) for group in groups)
             first = next(m for m in members if m is not None)
-            out.setdefault(name, Candidate(name, first.kind, first.correlation, budgeted, members))
+            one = Candidate(name, first.kind, first.correlation, budgeted, members)
+            if one.size == 1:
+                kind = name.partition(" of ")[0]
+                further = () if budgeted else _SIZES.get(name, _SIZES.get(kind, _OTHER_SIZES))
+                one = replace(one, sizes=(1.0, -1.0, *further))
+            out.setdefault(name, one)
     return list(out.values())
+
+
+def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
+    """What is no number: bands elsewhere, another time of overflight, another haze, spectra that were exchanged."""
+    states = [world.stated.scenario.atmosphere for world in worlds]
+    if any(s is not None and s.engine == "table" for s in states):
+        states = [None for _ in states]
+    out = []
+    if any(world.stated.scenario.atmosphere is not None for world in worlds):
+
+        def shifted(units: float) -> list[Truth]:
+            return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
+
+        out.append(Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted,
+                             sizes=(1.0, -1.0, -25.0, -5.0, 5.0, 25.0)))  # fmt: skip
+    if any(s is not None and s.time_utc for s in states):
+
+        def later(hours: float) -> list[Truth]:
+            times = [s and s.time_utc and parse_utc(s.time_utc) + timedelta(hours=hours) for s in states]
+            moved: list[Truth] = []
+            moved += ({"atmosphere.time_utc": t.isoformat()} if t else {} for t in times)
+            return moved
+
+        out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
+    if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
+        others = tuple(h for h in HAZES if h not in hazes)
+        kinds: list[list[Truth]] = [
+            [{"atmosphere.aerosol": h} if s is not None else {} for s in states] for h in others
+        ]
+        out.append(Candidate("type of haze", "atmosphere", "", False, labels=others, moved=lambda i: kinds[int(i)]))
+    for number, world in enumerate(worlds):
+        for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
+            one = _part(world, f"fill of {name}", "scene", f"fill.[{name}]", 0.05)
+            members = tuple(one if i == number else None for i in range(len(worlds)))
+            out.append(Candidate(one.name, one.kind, one.correlation, False, members, (-10.0, 12.0)))
+    pairs = {}
+    for number, world in enumerate(worlds):
+        scene = world.stated.scenario.scene
+        for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
+            for names in combinations([x.name for x in kind], 2):
+                truth = _exchanged(world, names, "surface")
+                pairs[" and ".join(names)] = [truth if i == number else {} for i in range(len(worlds))]
+    if pairs:
+        truths = list(pairs.values())
+        out.append(Candidate("exchanged spectra or regions", "scene", "", False, labels=tuple(pairs),
+                             moved=lambda i: truths[int(i)]))  # fmt: skip
+    return out
 
 
 NORMAL_DOF = 1e6  # degrees of freedom of tails that are left out

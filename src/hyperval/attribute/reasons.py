@@ -13,14 +13,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperval.attribute.candidates import Candidate, candidates
-from hyperval.attribute.ranking import Ranking, Whitened, budget_covariance, rankings
+from hyperval.attribute.candidates import Candidate, assumed_inputs, candidates, further_candidates
+from hyperval.attribute.posterior import (
+    ALL,
+    NONE,
+    NOTHING,
+    Posterior,
+    Whitened,
+    budget_covariance,
+    posterior,
+    posteriors,
+)
 from hyperval.attribute.residuals import POINTS, ComparedQuantity, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import Array, named, row, scientific
 from hyperval.errors import UsageError, refuse
-from hyperval.model import Truth, UncertainInput, together
+from hyperval.model import Truth, World, inputs_of, together
 from hyperval.products import Products, background_of
 from hyperval.progress import track
 from hyperval.results import Cause, Outcome, Result
@@ -29,6 +38,8 @@ from hyperval.settings import with_settings
 
 ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
 MOST_TOGETHER = 6
+MOST_SCENARIOS = 3  # of which the atmosphere is asked for large errors
+MOST_ROUNDS, MOST_REFINED = 3, 4  # in which the model is asked again at the sizes found, of so many candidates
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 # A gain and an offset of the calibration that change smoothly over wavelength: a piece at each knot.
 SMOOTH = {"smooth gain of the sensor": False, "smooth offset of the sensor": True}
@@ -64,65 +75,168 @@ class ScenarioModel:
         return next(self.predict(scenarios, [[{} for _ in scenarios]]))
 
 
-def attribute(
-    model: ScenarioModel,
-    observed: Products,
-    stated: Sequence[Sequence[UncertainInput]],
-    assumed: Sequence[Sequence[UncertainInput]],
-    options: AttributionOptions,
-    *,
-    budgeted: Products,
-    show_progress: bool | None = None,
-) -> list[Result]:
-    """Move every input, run every what-if, rank them all.
+@dataclass(frozen=True, eq=False)
+class Causes:
+    """What was asked of the model before residuals are looked at.
 
-    Rows of the product attribution: for each group of residuals ``reduced_chi_square`` and ``p_value`` under the
-    stated uncertainties, then for each input ``likelihood_gain`` (twice the log-likelihood gained when it may be less
-    well known) and ``needed_uncertainty`` (in units of its stated one, or of a usual step); of a background its
-    ``pfa_ratio``, and which experiment explains it if any.  sensitivity: for each number of the comparison the change
-    per unit of each input, with the units that would close the gap, and its total share.  what-if:
-    ``reduced_chi_square`` after the experiment, each summary gap after it, and ``pfa_ratio`` of every background.
+    Attributes
+    ----------
+    stack, numbers : what is explained, as a vector and as single numbers
+    predicted, values : both, with nothing moved
+    covariance : (n, n) of the vector, with everything that is budgeted
+    columns : candidate -> (n, k) change of the prediction, as :class:`hyperval.attribute.posterior.Reasoner` has it
+    ends : numbers with an input one unit up and down
+    """
+
+    stack: Stack
+    numbers: Sequence[ComparedQuantity]
+    predicted: Array
+    values: Array
+    covariance: Array
+    columns: dict[Candidate, Array]
+    ends: Ends
+
+    @property
+    def wide(self) -> Array:
+        """(n, k) of what no candidate describes."""
+        return self.stack.unstructured(self.predicted)
+
+    def explained(self, residual: Array, evaluate: Evaluate) -> tuple[Causes, Posterior]:
+        """What explains residuals (n,); between sizes the model is interpolated, and asked at those that are found."""
+        columns = dict(self.columns)
+        for last in range(MOST_ROUNDS, -1, -1):
+            found = posterior(ALL, residual, self.covariance, columns, self.wide)
+            named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
+            sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate and f.candidate.asked}
+            sizes = {c: a for c, a in sizes.items() if _far(a, c.sizes)}
+            more = {c: _asked(evaluate, [c.at(0, a)]) for c, a in sizes.items()} if last else {}
+            for c, side in more.items():
+                if side is not None:
+                    wider = np.column_stack([columns.pop(c), side[0][0] - self.predicted])
+                    columns[replace(c, sizes=(*c.sizes, sizes[c]))] = wider
+            if not any(side is not None for side in more.values()):
+                break
+        return replace(self, columns=columns), found
+
+
+def _far(size: float, sizes: Sequence[float]) -> bool:
+    """Whether a size is none of those that the model was asked at."""
+    return min(abs(size - s) for s in (0.0, *sizes)) > 0.005 * abs(size) + 1e-4
+
+
+def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array]] | None:
+    """What the model says; None of what cannot be, such as a sun below the horizon."""
+    try:
+        return evaluate(truths, "reasons: larger errors")
+    except UsageError:
+        return None
+
+
+def causes_of(
+    model: ScenarioModel, observed: Products, worlds: Sequence[World], budgeted: Products, show_progress: bool | None
+) -> tuple[Causes, Evaluate]:
+    """Everything that may have made a difference, each as a change of what is compared.
 
     Parameters
     ----------
-    stated, assumed : inputs of each scenario, as of :func:`hyperval.attribute.candidates.candidates`
+    worlds : of each scenario
     budgeted : the prediction with its error covariances; what they hold beyond the inputs' directions is added to
         each spectrum
 
     Raises
     ------
-    UsageError : nothing that both sides hold, or a what-if that fits no scenario.
+    UsageError : nothing that both sides hold.
     """
     base = model.assuming(model.scenarios)
     stack = stacked(base, observed)
     refuse(not stack.blocks, "attribution.nothing")
-    numbers, moved = quantities(base, observed), candidates(stated, assumed)
+    numbers = quantities(base, observed)
+    predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
 
     def evaluate(truths: Sequence[Truths], title: str) -> list[tuple[Array, Array]]:
         predictions = track(model.predict(model.scenarios, truths), title, len(truths), show=show_progress)
         return [(stack.predicted(p), np.array([q.read(p) for q in numbers])) for p in predictions]
 
-    steps = [candidate.at(d, z) for candidate in moved for d in range(candidate.size) for z in (1.0, -1.0)]
+    moved = candidates([inputs_of(world) for world in worlds], [assumed_inputs(world) for world in worlds])
+    steps = [truth for candidate in moved for truth in _one_unit(candidate)]
     found = iter(evaluate(steps, "reasons: inputs"))
+    units: dict[Candidate, Array] = {}
     columns: dict[Candidate, Array] = {}
     ends: dict[Candidate, tuple[Array, Array]] = {}
     for candidate in moved:
         pairs = [(next(found), next(found)) for _ in range(candidate.size)]
-        columns[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
+        units[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
         ends[candidate] = pairs[0][0][1], pairs[0][1][1]
-    if (bands := SINGLE_BANDS * stack.single_bands()).size:
-        columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
-    for name, alike in SMOOTH.items():
-        if np.any(pieces := SMOOTH_PART * stack.pieces(observed.axis.centre_nm, KNOTS_NM, alike=alike)):
-            columns[Candidate(name, "sensor", f"{100 * SMOOTH_PART:g} % in smooth pieces", False)] = pieces
-    predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
-    budget = budget_covariance(columns, predicted.size)
+        columns[candidate] = units[candidate]
+        if candidate.sizes:
+            columns[candidate] = np.stack([side - predicted for side, _ in pairs[0]], axis=1)
+    budget = budget_covariance(units, predicted.size)
     covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
-    shares = _shares([c for c in moved if c.budgeted], evaluate, values, ends) if options.totals and numbers else {}
-    outcomes = _what_ifs(model, stack, numbers, covariance, (base, observed), options.what_ifs, show_progress)
-    ranked = rankings(stack, stack.observed - predicted, covariance, columns, options.each)
+    taken = {c.name for c in moved}
+    # Each value of the atmosphere takes a run of the engine for each scenario.
+    few = len(worlds) <= MOST_SCENARIOS
+    further = [c for c in further_candidates(worlds) if c.name not in taken and (few or c.kind != ATMOSPHERE)]
+    for c in [*moved, *further]:
+        if c.kind == ATMOSPHERE and c.sizes and not few:
+            columns[replace(c, sizes=c.sizes[:2])] = columns.pop(c)
+            continue
+        if c.sizes or c.labels:
+            known = columns.pop(c, np.zeros((predicted.size, 0)))
+            places, n = c.sizes or tuple(range(len(c.labels))), known.shape[1]
+            asked = [(z, _asked(evaluate, [c.at(0, z)])) for z in places[n:]]
+            there = [*places[:n], *(z for z, side in asked if side is not None)]
+            changes = [side[0][0] - predicted for _, side in asked if side is not None]
+            kept = {"sizes": tuple(there)} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in there)}
+            if there:
+                columns[replace(c, **kept)] = np.column_stack([known, *changes])
+    classes = {c.name for s in model.scenarios for c in s.scene.classes}
+    columns |= _of_spectra(stack, predicted, base, observed, classes)
+    for c in moved:  # of a field spectrum, each band by itself too
+        if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
+            columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
+    return Causes(stack, numbers, predicted, values, covariance, columns, ends), evaluate
+
+
+def attribute(
+    model: ScenarioModel,
+    observed: Products,
+    worlds: Sequence[World],
+    options: AttributionOptions,
+    *,
+    budgeted: Products,
+    show_progress: bool | None = None,
+) -> list[Result]:
+    """Move every input, run every what-if, say how likely each is the reason.
+
+    Rows of the product attribution: for each group of residuals ``reduced_chi_square`` and ``p_value`` under the
+    stated uncertainties, then for each candidate ``probability`` (of being the first cause), ``likelihood_gain`` (twice
+    the log-likelihood gained, averaged over its sizes) and ``needed_uncertainty`` (its size in units of its stated
+    uncertainty, or of a usual step); of each quantity ``reduced_chi_square`` after the causes that are named; of a
+    background its ``pfa_ratio``, and which experiment explains it if any.  sensitivity: for each number of the
+    comparison the change per unit of each input, with the units that would close the gap, and its total share.
+    what-if: ``reduced_chi_square`` after the experiment, each summary gap after it, and ``pfa_ratio`` of every
+    background.
+
+    Parameters
+    ----------
+    worlds, budgeted : as of :func:`causes_of`
+
+    Raises
+    ------
+    UsageError : nothing that both sides hold, or a what-if that fits no scenario.
+    """
+    causes, evaluate = causes_of(model, observed, worlds, budgeted, show_progress)
+    stack, numbers, values, ends = causes.stack, causes.numbers, causes.values, causes.ends
+    stated = [c for c in ends if c.budgeted]
+    shares = _shares(stated, evaluate, values, ends) if options.totals and numbers else {}
+    base = model.assuming(model.scenarios)
+    outcomes = _what_ifs(model, stack, numbers, causes.covariance, (base, observed), options.what_ifs, show_progress)
+    residual = stack.observed - causes.predicted
+    causes, _ = causes.explained(residual, evaluate)
+    ranked = posteriors(stack, residual, causes.covariance, causes.columns, causes.wide, options.each)
     return [
-        *(item for ranking in ranked for item in _ranking_rows(ranking)),
+        *(item for group in ranked for item in _posterior_rows(group)),
+        *_left_rows(causes, residual, ranked[0]),
         *(
             item
             for place, number in enumerate(numbers)
@@ -188,24 +302,76 @@ def _shares(stated: Sequence[Candidate], evaluate: Evaluate, base: Array, ends: 
     return {c: list(both) for c, *both in zip(stated, *sensitivity_indices(base, sides, found), strict=True)}
 
 
-def _ranking_rows(r: Ranking) -> Iterator[Result]:
+def _one_unit(candidate: Candidate) -> list[Truths]:
+    return [candidate.at(d, z) for d in range(candidate.size) for z in (1.0, -1.0)]
+
+
+def _of_spectra(
+    stack: Stack, level: Array, base: Products, observed: Products, classes: set[str]
+) -> dict[Candidate, Array]:
+    """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
+    out: dict[Candidate, Array] = {}
+    if (bands := SINGLE_BANDS * stack.single_bands(level)).size:
+        out[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
+    centre = observed.axis.centre_nm
+    for name, alike in SMOOTH.items():
+        if np.any(pieces := SMOOTH_PART * stack.pieces(level, centre, KNOTS_NM, alike=alike)):
+            out[Candidate(name, "sensor", f"{100 * SMOOTH_PART:g} % in smooth pieces", False)] = pieces
+    if out:
+        own, shared = (stack.pieces(level, centre, KNOTS_NM, alike=alike).sum(axis=1) for alike in (False, True))
+        flat = np.where(own != 0.0, np.mean(shared[own != 0.0]), 0.0) if own.any() else own
+        for name, change in {
+            "stray light": 0.01 * (shared - own),
+            "constant offset of the sensor": 0.01 * flat,
+        }.items():
+            if np.any(change):
+                one = Candidate(name, "sensor", "0.01 of the mean radiance", False, sizes=(-5.0, 20.0))
+                out[one] = np.outer(change, one.sizes)
+    for block in stack.blocks:
+        spectra = getattr(base, block.product) if block.bands is not None else {}
+        for other in classes & (spectra.keys() - {block.subject}):
+            change = stack.mixed(block.subject, spectra[other].mean, spectra[block.subject].mean)
+            name = f"region of {block.subject} with pixels of {other}"
+            one = Candidate(name, "scene", "0.01 of the area", False, sizes=(-5.0, 50.0))
+            out[one] = np.outer(change, one.sizes)
+    return out
+
+
+def _posterior_rows(r: Posterior) -> Iterator[Result]:
     # The test of all products together concludes too, and informs.
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=r.conclusion, n=r.dof)
-    if r.too_wide or not r.explained:
+    if r.too_wide or not r.passes:
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
     tests = [whole, row("p_value", r.p_value, n=r.dof)]
-    if r.together:
-        why = "with " + " and ".join(x.candidate.name for x in r.together) + " freed"
-        tests.append(row("p_value_explained", r.together[-1].p_value, reason=why, n=r.dof))
+    if r.best.causes:
+        why = "with " + " and ".join(x.name for x in r.best.causes) + " freed"
+        tests.append(row("p_value_explained", r.p_left, reason=why, n=r.dof))
     yield from named(tests, "attribution", r.group, _EVERYTHING)
-    for place, item in enumerate(r.ranked, start=1):
-        why = f"rank {place}: {item.in_words}; leaves reduced chi-square {item.chi_square / r.dof:.3g}"
+    for name in (NOTHING, NONE):
+        yield from named([row("probability", r.probability[name], n=r.dof)], "attribution", r.group, name)
+    for place, item in enumerate(r.fits, start=1):
+        assert item.candidate is not None  # noqa: S101 - of a candidate
         unit = item.candidate.unit + ("" if item.candidate.budgeted else ", none is stated")
         own = [
-            row("likelihood_gain", item.gain, reason=why, n=r.dof),
-            row("needed_uncertainty", item.needed, reason=f"in units of its {unit}"),
+            row("probability", r.probability[item.name], reason=f"rank {place}: {item.in_words}", n=r.dof),
+            row("likelihood_gain", max(2.0 * item.evidence, 0.0), reason=f"rank {place}: {item.in_words}", n=r.dof),
+            row("needed_uncertainty", abs(item.units), reason=f"in units of its {unit}"),
         ]
-        yield from named(own, "attribution", r.group, item.candidate.name)
+        yield from named(own, "attribution", r.group, item.name)
+
+
+def _left_rows(causes: Causes, residual: Array, r: Posterior) -> Iterator[Result]:
+    """Of each quantity the reduced chi-square before and after the cause that is named first."""
+    if not r.best.causes or r.first == NONE:
+        return
+    data, first = Whitened(residual, causes.covariance), r.best.causes[0]
+    left = residual - data.coloured(first.shown)
+    for block, at in causes.stack.placed():
+        own = causes.covariance[at, at]
+        before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (residual, left))
+        subject = f"{block.product} of {block.subject} {block.method}".strip()
+        found = row("reduced_chi_square", after, n=block.observed.size, reason=f"{before:.4g} before")
+        yield from named([found], "attribution", subject, first.name)
 
 
 def _sensitivity_rows(

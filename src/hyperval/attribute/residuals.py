@@ -31,6 +31,7 @@ from hyperval.spectra import SpectralAxis, in_window
 
 Indices = npt.NDArray[np.intp]
 
+PIECES = 17  # smooth pieces of a spectrum
 POINTS = (1e-2, 1e-3)  # false-alarm rates that are looked at
 ENOUGH = 0.05  # p-value from which residuals count as explained
 # Numerical error of the model itself: what interpolation and rounding may do.  It keeps well sampled quantities
@@ -151,31 +152,65 @@ class Stack:
                 out[place, place] = (vectors * np.clip(values, 0.0, None)) @ vectors.T
         return out
 
-    def single_bands(self) -> Array:
-        """(n, K) the spectra band by band: column k holds what all subjects show in one band, 0 elsewhere."""
+    def single_bands(self, level: Array) -> Array:
+        """(n, K) the spectra of ``level`` (n,) band by band: column k holds what all subjects show in one band.
+
+        What a gain makes is in proportion to the prediction: with a gain on what was measured beside one on what was
+        predicted the residual would explain itself.
+        """
         named = [b.bands for b in self.blocks if b.bands is not None]
         used = np.unique(np.concatenate(named)) if named else np.zeros(0, int)
-        out = np.zeros((sum(b.observed.size for b in self.blocks), used.size))
+        out = np.zeros((level.size, used.size))
         for block, place in self.placed():
             if block.bands is not None:
                 rows = np.arange(place.start, place.stop)
-                out[rows, np.searchsorted(used, block.bands)] = block.observed
+                out[rows, np.searchsorted(used, block.bands)] = level[place]
         return out
 
-    def pieces(self, centre_nm: Array, knots_nm: Array, *, alike: bool) -> Array:
+    def pieces(self, level: Array, centre_nm: Array, knots_nm: Array, *, alike: bool) -> Array:
         """(n, K) radiance by smooth pieces over wavelength: column k is 1 at a knot and falls to 0 at its neighbours,
-        times what each subject shows (a gain) or, ``alike``, what all of them show on average in a band (an offset).
+        times what each subject shows in ``level`` (n,) (a gain) or, ``alike``, what all of them show on average in a
+        band (an offset).
         """
-        spectra = [(b, at, b.bands) for b, at in self.placed() if b.product == "radiance" and b.bands is not None]
-        out = np.zeros((sum(b.observed.size for b in self.blocks), len(knots_nm)))
+        light = ("radiance", "toa_reflectance")
+        spectra = [(b.bands, at) for b, at in self.placed() if b.product in light and b.bands is not None]
+        out = np.zeros((level.size, len(knots_nm)))
         sums, counts = np.zeros(centre_nm.size), np.zeros(centre_nm.size)
-        for block, _, bands in spectra:
-            sums[bands] += block.observed
+        for bands, at in spectra:
+            sums[bands] += level[at]
             counts[bands] += 1.0
-        for block, at, bands in spectra:
-            level = sums[bands] / counts[bands] if alike else block.observed
+        for bands, at in spectra:
+            own = sums[bands] / counts[bands] if alike else level[at]
             hats = [np.interp(centre_nm[bands], knots_nm, one) for one in np.eye(len(knots_nm))]
-            out[at] = np.transpose(hats) * level[:, None]
+            out[at] = np.transpose(hats) * own[:, None]
+        return out
+
+    def unstructured(self, level: Array) -> Array:
+        """(n, K) what may happen to each block by itself: a tenth of a spectrum or an SNR by smooth pieces, a tenth of
+        each score and each logarithm.
+        """
+        parts = []
+        for block, at in self.placed():
+            n = block.observed.size
+            own = 0.1 * level[at] if block.bands is not None else np.full(n, 0.1)
+            knots = np.linspace(0.0, n - 1.0, min(n, PIECES))
+            parts.append(np.transpose([np.interp(np.arange(n), knots, one) * own for one in np.eye(knots.size)]))
+        return np.asarray(linalg.block_diag(*parts))
+
+    def mixed(self, subject: str, other: Array, own: Array) -> Array:
+        """(n,) change of a subject's radiance or reflectance by a hundredth of another spectrum (B,) in its place."""
+        out = np.zeros(sum(b.observed.size for b in self.blocks))
+        for block, at in self.placed():
+            if block.subject == subject and block.bands is not None:
+                out[at] = 0.01 * np.nan_to_num(other[block.bands] - own[block.bands])
+        return out
+
+    def of_subject(self, level: Array, subject: str) -> Array:
+        """(n, K) a tenth of a subject's spectrum in each band by itself."""
+        own = [at for b, at in self.placed() if b.subject == subject and b.bands is not None]
+        rows = np.concatenate([np.arange(at.start, at.stop) for at in own]) if own else np.zeros(0, int)
+        out = np.zeros((level.size, rows.size))
+        out[rows, np.arange(rows.size)] = 0.1 * level[rows]
         return out
 
     def common_bands(self) -> tuple[Indices, Array]:
@@ -183,7 +218,7 @@ class Stack:
 
         Column k holds what the subjects show in one band, 0 elsewhere: an error that is common to all of them.
         """
-        columns = self.single_bands()
+        columns = self.single_bands(self.observed)
         shared = np.count_nonzero(columns, axis=0) > 1
         rows = np.flatnonzero(np.any(columns[:, shared] != 0.0, axis=1))
         return rows, columns[np.ix_(rows, np.flatnonzero(shared))]
@@ -279,8 +314,11 @@ def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> Itera
         use = predicted.axis.good & (predicted.snr[subject].mean > 1.0) & (estimate.mean > 1.0)
     if use.any():
         value = estimate.mean[use]
-        covariance = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)] / np.outer(value, value))
-        covariance = covariance + np.diag(np.full(value.size, LOG_FLOOR**2))
+        own = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)] / np.outer(value, value))
+        # Bands hang together by what the same few pixels say: weights of the inverse lean on that, and called a noise
+        # that was right 4 % too large.  Each band counts by itself, as much less as the mean of all is known less.
+        shared = max(float(own.sum() / np.trace(own)), 1.0)
+        covariance = np.diag(shared * np.diag(own) + LOG_FLOOR**2)
         yield ResidualBlock(
             "snr", subject, "", np.log(value), covariance,
             lambda p: np.asarray(np.log(np.maximum(p.snr[subject].mean[use], 1e-3))),

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import hyperval
-from hyperval.attribute import ScenarioModel, Truths, assumed_inputs, attribute, few_objects
+from hyperval.attribute import ScenarioModel, Truths, attribute, few_objects
 from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
@@ -30,7 +30,7 @@ from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, internal_error, refuse
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
-from hyperval.model import Truth, inputs_of, predict, predictions, read
+from hyperval.model import Truth, predict, predictions, read
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.products import PredictedProducts, Products
@@ -253,8 +253,7 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
     return attribute(
         ScenarioModel(side.scenarios, predicted, measured_again),
         observation,
-        [inputs_of(world) for world in worlds],
-        [assumed_inputs(world) for world in worlds],
+        worlds,
         side.campaign.attribution,
         budgeted=prediction,
         show_progress=show_progress,

@@ -86,12 +86,18 @@ def reason_figures(table: ResultTable) -> list[Figure]:
     others = [r for r in gains if r.subject != _ALL]
     moves = [r for r in table.where(product="sensitivity") if r.metric.endswith("_change")]
     outcomes = [r for r in table.where(product="what-if") if r.metric == "reduced_chi_square"]
+    left = [
+        r for r in table.where(product="attribution") if r.metric == "reduced_chi_square" and r.method != "every input"
+    ]
+    left = sorted(left, key=lambda r: -_leading_number(r.reason))[:_MOST_QUANTITIES]
+    first = next((f"Residuals before and after: {r.method}" for r in left), "")
     made = (
+        _before_and_after("residuals", "attribution", left, [r.subject for r in left], first),
         _inputs(whole[:_MOST_INPUTS], table) if whole else None,
         _gain(table),
         _by_subject(others) if others else None,
         _effects(moves) if moves else None,
-        _what_ifs(outcomes) if outcomes else None,
+        _before_and_after("what-ifs", "what-if", outcomes, [r.method for r in outcomes], "What-ifs: before and after"),
     )
     return [figure for figure in made if figure is not None]
 
@@ -204,7 +210,10 @@ def _effects(rows: Sequence[Result]) -> Figure:
     return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
 
 
-def _what_ifs(rows: Sequence[Result]) -> Figure:
+def _before_and_after(name: str, product: str, rows: Sequence[Result], names: list[str], title: str) -> Figure | None:
+    """Reduced chi-square of each row, and that which its reason tells."""
+    if not rows:
+        return None
     before = np.array([_leading_number(r.reason) for r in rows])
     after, at = np.array([r.value for r in rows]), np.arange(float(len(rows)))
     marks = [Mark("dots", {"x": before, "y": at}, "as the campaign has it", marker="circle", hollow=True)]
@@ -218,11 +227,10 @@ def _what_ifs(rows: Sequence[Result]) -> Figure:
                               along="x", words=words, beside="right"))  # fmt: skip
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
-    x = Axis("reduced chi-square of all residuals", "log" if scattered else "linear")
-    each = (f"{r.method} from {b:.3g} to {r.value:.3g}" for r, b in zip(rows, before, strict=True))
-    alt = f"Reduced chi-square of all residuals before and after each what-if: {'; '.join(each)}."
-    title, legend = "What-ifs: the gap before and after", "dotted: 1, which the uncertainties allow"
-    return of_rows("what-ifs", "what-if", title, alt, x, row_names([r.method for r in rows]), marks, legend, (1.0,))
+    x = Axis("reduced chi-square", "log" if scattered else "linear")
+    each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
+    alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, which the uncertainties allow"
+    return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
 
 
 def _numbered(names: Sequence[str]) -> bool:

@@ -14,9 +14,6 @@ from hyperval.results import EVERY, WORST_FIRST, Cause, Outcome, Result
 _MOST_NAMED = 9
 _MOST_KINDS = 5
 _LONGEST_NAME = 70
-_LEVEL = 0.01  # of the attribution: above it nothing is left to explain
-_NEARLY = 0.8  # of the greatest gain
-_PLAUSIBLE = 3.0  # standard uncertainties
 _MOST_STEPS = 3
 _KINDS = {
     Evidence.MODEL: ("acceptance criterion", "acceptance criteria"),
@@ -148,43 +145,26 @@ def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome
 
 
 def _reason(rows: Sequence[Result], subject: str) -> str:
-    """What explains the differences best, and how sure that is, by the likelihoods of the attribution."""
-    every = [row for row in rows if row.product == "attribution"]
-    own = [row for row in every if row.subject == subject] or [row for row in every if row.subject == "all"]
-    of = {(row.method, row.metric): row.value for row in own}
-    square, p, rest = (
-        next((value for (_, name), value in of.items() if name == metric), math.nan)
-        for metric in ("reduced_chi_square", "p_value", "p_value_explained")
-    )
-    gains = sorted(((value, name) for (name, metric), value in of.items() if metric == "likelihood_gain"), reverse=True)
-    if math.isnan(p):
-        return ""
-    said = f"reduced χ² {number_text(square, square)}"
-    if p > _LEVEL or not gains:
-        wide = "; far smaller, so that the budget may be too wide" if square < 0.5 else ""
-        return f"Nothing to explain: differences are within the stated uncertainty ({said}){wide}."
-    (gain, name), others = gains[0], gains[1:]
-    needed = of.get((name, "needed_uncertainty"), math.nan)
-    words = f"Most likely {name.replace('_', ' ')}"
-    words += f", off by {number_text(needed, needed)} times its uncertainty or step" if needed > 0 else ""
-    if others and others[0][0] > _NEARLY * gain:
-        words += f"; {others[0][1].replace('_', ' ')} explains nearly as much"
-    enough = rest > _LEVEL
-    sure = "likely" if enough and needed <= _PLAUSIBLE else "tentative" if enough else "not the whole cause"
-    left = "" if enough else f"; even the best inputs together leave differences unexplained ({said})"
-    return f"{words}{left}. How sure: {sure}."
+    """What explains the differences: what the attribution concludes of all residuals, or else of one subject."""
+    told = {
+        row.subject: row.reason
+        for row in rows
+        if row.product == "attribution" and row.metric == "reduced_chi_square" and row.method == "every input"
+    }
+    words = told.get("all") or told.get(subject, "")
+    return f"{words[:1].upper()}{words[1:]}." if words else ""
 
 
 def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[str]:
     """What to do, at most three lines."""
     steps = []
     criteria = [row for row in told if row.gates]
-    if any(row.outcome is Outcome.DISAGREES for row in criteria) and reason.startswith("Most likely"):
-        name = reason.removeprefix("Most likely ").partition(",")[0].partition(";")[0]
-        beyond = (
-            "Look beyond the inputs that were tried; the nearest is" if "not the whole cause" in reason else "Check"
+    if any(row.outcome is Outcome.DISAGREES for row in criteria) and reason.startswith("Check"):
+        steps.append(
+            f"{reason.partition(': reduced')[0]}: measure again, or state a larger uncertainty with its reason."
         )
-        steps.append(f"{beyond} {name}: measure it again, or state a larger uncertainty with its reason.")
+    elif reason.startswith("None"):
+        steps.append("Look beyond the causes that were tried.")
     unsure = [
         row for row in criteria if row.outcome is Outcome.UNDECIDED
         and all(map(math.isfinite, (row.effect_lower, row.effect_upper, row.accepted_low, row.accepted_high)))

@@ -1,0 +1,558 @@
+"""Which causes explain residuals: the probability of each, of pairs, of none that was tried, of nothing to explain.
+
+A cause is a set of independent directions, or a family of sizes between which the model is interpolated, or one of
+several alternatives.  Its evidence is the likelihood averaged over the sizes that it may have, so that a cause that
+could make any residual is believed less than one that could make few and made these.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+from scipy import linalg, special
+
+from hyperval.attribute.candidates import LIGHT, MOST_UNITS, Candidate
+from hyperval.attribute.residuals import ENOUGH, Stack
+from hyperval.compare.rows import Array
+from hyperval.errors import refusal, refuse
+
+ALL = "all"
+# A stated uncertainty is too wide where the data refute, at this level, all that is less than so many times so.
+TOO_WIDE, TOO_WIDE_LEVEL = 1.5, 1e-3
+COMMON, DIFFERENT = "what all subjects share", "what differs between subjects"
+NOTHING, NONE = "nothing to explain", "none of these"
+# Before the data are seen: that nothing is wrong, that something is that no candidate describes; the rest is shared.
+NOTHING_PRIOR, NONE_PRIOR = 0.5, 0.05
+TYPICAL = 2.0  # units that an error has: half of all have less (Cauchy; a half-Cauchy spread of directions)
+LIKELY = 0.8  # probability from which a cause can be called enough
+ALIKE, CORRELATED = 10.0, 0.95  # odds within which causes are not told apart; correlation of their effects
+MOST_FIRST, MOST_STEPS = 4, 3
+MOST_UNSTATED = 200.0  # usual steps of a direction
+_FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
+_ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
+
+
+class Whitened:
+    """A residual in units of its stated uncertainty: C = L L^T, e = L^-1 r.
+
+    Raises
+    ------
+    UsageError : values that are not finite, or a covariance that is not positive definite.
+
+    Examples
+    --------
+    >>> data = Whitened([2.0, 1.0], np.eye(2))
+    >>> data.chi_square / data.dof, round(data.p_value, 3)
+    (2.5, 0.082)
+    """
+
+    def __init__(self, residual: npt.ArrayLike, covariance: npt.ArrayLike):
+        r, c = np.asarray(residual, dtype=float), np.asarray(covariance, dtype=float)
+        refuse(r.size == 0 or not (np.isfinite(r).all() and np.isfinite(c).all()), "attribution.finite")
+        self._sd = np.sqrt(np.diag(c))
+        refuse(not np.all(self._sd > 0), "attribution.uncertainty")
+        try:
+            self._lower = linalg.cholesky(c / np.outer(self._sd, self._sd), lower=True)
+        except linalg.LinAlgError as error:
+            raise refusal("attribution.definite") from error
+        self.residual = self.whiten(r)
+
+    def whiten(self, columns: npt.ArrayLike) -> Array:
+        """L^-1 times columns (n,) or (n, k)."""
+        x = (np.asarray(columns, dtype=float).T / self._sd).T
+        return np.asarray(linalg.solve_triangular(self._lower, x, lower=True))
+
+    def coloured(self, x: Array) -> Array:
+        """L x: what is whitened, back in its own units."""
+        return np.asarray((self._lower @ x) * self._sd)
+
+    @property
+    def chi_square(self) -> float:
+        """r^T C^-1 r."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def dof(self) -> int:
+        """Number of residuals."""
+        return int(self.residual.size)
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a residual at least this large when the stated uncertainties hold."""
+        return float(scipy.stats.chi2.sf(self.chi_square, self.dof))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A cause and residuals e, whitened.
+
+    Attributes
+    ----------
+    candidate : None for what no candidate describes
+    evidence : ln p(e | cause) - ln p(e | nothing)
+    amplitudes : (k,) most likely sizes, in units; of alternatives the number of one
+    shown : (n,) what it most likely makes of e
+    made : the same, where its size is held
+    freed : (n, j) directions along which more of it would be, each with its standard deviation
+    limited : whether it would have to go farther than it can
+    factor2 : on all variances, where no candidate is meant
+    """
+
+    candidate: Candidate | None
+    evidence: float
+    amplitudes: Array
+    shown: Array
+    made: Array
+    freed: Array
+    limited: bool = False
+    factor2: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """Of the candidate."""
+        return self.candidate.name if self.candidate else NONE
+
+    @property
+    def units(self) -> float:
+        """Most likely change, with a sign where it has one direction."""
+        return float(self.amplitudes[0] if self.amplitudes.size == 1 else np.linalg.norm(self.amplitudes))
+
+    @property
+    def in_words(self) -> str:
+        """How far it would have to move."""
+        if self.candidate is None:
+            return NONE
+        return self.candidate.in_words(self.amplitudes) + (", as far as it can" if self.limited else "")
+
+
+class Directions:
+    """Independent directions (n, k) with one spread tau, whose prior is half-Cauchy: the evidence is ln of the average
+    over tau of N(0, I + tau^2 G G^T) over N(0, I).
+
+    Where no candidate is meant, all uncertainties may be too small besides: N(0, s^2 I + tau^2 G G^T).
+    """
+
+    def __init__(self, candidate: Candidate | None, columns: Array):
+        self.candidate, self.columns = candidate, columns
+        values, vectors = linalg.eigh(columns.T @ columns)
+        keep = values > _ROUGH * max(float(values[-1]), 1e-300)
+        self.values, self.vectors = values[keep], vectors[:, keep]
+        self.most = MOST_UNITS if candidate is not None and candidate.budgeted else MOST_UNSTATED
+        spreads = np.geomspace(0.02, self.most, 41)
+        self.tau = spreads if candidate is not None else np.append(0.0, spreads)
+        self.scale2 = np.ones(1) if candidate is not None else _FACTORS**2
+        weight = np.where(self.tau > 0.0, self.tau / (TYPICAL**2 + self.tau**2), 1.0)  # half-Cauchy, by ln tau
+        self.prior = np.log(weight / weight.sum()) - 0.5 * np.log(self.scale2)[:, None]
+        grown = self.scale2[:, None, None] + self.tau[:, None] ** 2 * self.values
+        self._inverse, self._logs = 1.0 / grown, np.log(grown).sum(axis=2)
+
+    def fit(self, e: Array) -> Fit:
+        """Of residuals e (n,)."""
+        dots = self.vectors.T @ (self.columns.T @ e)
+        q2, whole = dots**2 / self.values, float(e @ e)
+        rest, beside = max(whole - float(q2.sum()), 0.0), e.size - self.values.size
+        logs = whole - self._inverse @ q2 - self._logs
+        logs -= (rest / self.scale2 + beside * np.log(self.scale2))[:, None]
+        logs = 0.5 * logs + self.prior
+        best_s, best = np.unravel_index(int(np.argmax(logs)), logs.shape)
+        t2, s2 = float(self.tau[best] ** 2), float(self.scale2[best_s])
+        z = self.vectors @ (t2 / (s2 + t2 * self.values) * dots)
+        evidence = float(special.logsumexp(logs))
+        if self.candidate is not None and np.max(np.abs(z), initial=0.0) > self.most:
+            made = self.columns @ np.clip(z, -self.most, self.most)
+            return Fit(self.candidate, evidence, z, made, made, np.zeros((e.size, 0)), True)
+        return Fit(
+            self.candidate, evidence, z, self.columns @ z, np.zeros_like(e), np.sqrt(t2) * self.columns, False, s2
+        )
+
+
+class Family:
+    """Sizes at which the model was asked, and what lies between (cubic; straight beyond the last).
+
+    ``columns`` : (n, m) change of the whitened prediction at each of the candidate's sizes
+    """
+
+    def __init__(self, candidate: Candidate, columns: Array):
+        self.candidate, self.low, self.high = candidate, *candidate.ends
+        order = np.argsort([0.0, *candidate.sizes])
+        self.nodes = np.array([0.0, *candidate.sizes])[order]
+        self.columns = np.column_stack([np.zeros(len(columns)), columns])[:, order]
+        self.gram = self.columns.T @ self.columns
+        self._between = scipy.interpolate.CubicSpline(self.nodes, np.eye(self.nodes.size))
+
+    def weights(self, a: Array, derivative: int = 0) -> Array:
+        """(len(a), m) of the columns at sizes ``a``, or its derivative."""
+        inside = np.clip(a, self.nodes[0], self.nodes[-1])
+        slope = self._between(inside, 1)
+        return np.asarray(slope if derivative else self._between(inside) + (a - inside)[:, None] * slope)
+
+    def fit(self, e: Array) -> Fit:
+        """Evidence by the trapezoid rule, on a grid that is refined where the likelihood has its mass."""
+        dots = self.columns.T @ e
+
+        def log_likelihood(a: Array) -> Array:
+            w = self.weights(a)
+            return np.asarray(w @ dots - 0.5 * np.einsum("am,mn,an->a", w, self.gram, w))
+
+        reach = np.geomspace(1e-3, 1.0, 60)
+        a = np.unique(np.concatenate([self.low * reach, [0.0], self.high * reach]))
+        values = log_likelihood(a)
+        for _ in range(12):
+            best = int(np.argmax(values))
+            low, high = max(best - 1, 0), min(best + 1, a.size - 1)
+            if values[best] - min(values[low], values[high]) < 1.0:
+                break
+            more = np.linspace(a[low], a[high], 21)[1:-1]
+            values, a = np.append(values, log_likelihood(more)), np.append(a, more)
+            a, first = np.unique(a, return_index=True)
+            values = values[first]
+        best = int(np.argmax(values))
+        whole = TYPICAL * (np.arctan(self.high / TYPICAL) - np.arctan(self.low / TYPICAL))
+        prior = 1.0 / (whole * (1.0 + (a / TYPICAL) ** 2))
+        evidence = values[best] + np.log(np.trapezoid(np.exp(values - values[best]) * prior, a))
+        size = a[best : best + 1]
+        tangent = self.columns @ self.weights(size, 1)[0]
+        freed = tangent[:, None] * max(abs(float(size[0])), 1e-3)
+        limited = bool(size[0] < 0.98 * self.low or size[0] > 0.98 * self.high)
+        made = self.columns @ self.weights(size)[0]
+        return Fit(self.candidate, float(evidence), size, made, made, freed, limited)
+
+
+class Alternatives:
+    """One of several columns, each as likely as another before."""
+
+    def __init__(self, candidate: Candidate, columns: Array):
+        self.candidate, self.columns = candidate, columns
+        self._half = 0.5 * np.sum(columns**2, axis=0)
+
+    def fit(self, e: Array) -> Fit:
+        """Of residuals e (n,)."""
+        logs = self.columns.T @ e - self._half
+        best = int(np.argmax(logs))
+        evidence = float(special.logsumexp(logs) - np.log(logs.size))
+        made = self.columns[:, best]
+        return Fit(self.candidate, evidence, np.array([float(best)]), made, made, np.zeros((e.size, 0)))
+
+
+Effect = Directions | Family | Alternatives
+
+
+def effect_of(candidate: Candidate, columns: Array) -> Effect:
+    """What a candidate does to whitened residuals (n, k), by its kind."""
+    if candidate.labels:
+        return Alternatives(candidate, columns)
+    return Family(candidate, columns) if candidate.sizes else Directions(candidate, columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Causes that together made the residuals, the one that explains most first; none of them: nothing is wrong.
+
+    Attributes
+    ----------
+    weight : ln of evidence and prior
+    left : chi-square after each cause, the freed directions in the covariance
+    """
+
+    causes: tuple[Fit, ...]
+    weight: float
+    left: tuple[float, ...]
+
+    @property
+    def first(self) -> str:
+        """What it names first."""
+        return self.causes[0].name if self.causes else NOTHING
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """All hypotheses for one group of residuals.
+
+    Attributes
+    ----------
+    group : subject, or "all"
+    chi_square, dof, p_value : under the stated uncertainties
+    fits : each candidate alone, the likeliest first
+    hypotheses : the likeliest first
+    probability : name -> of its being the first cause; :data:`NONE` and :data:`NOTHING` among them
+    alike : names that the data cannot tell from the first
+    parts : of all residuals, what spectra share and what they differ in: each a test of its own
+    level : p-value below which the residuals are not explained; shared out among the groups of one attribution
+    """
+
+    group: str
+    chi_square: float
+    dof: int
+    p_value: float
+    fits: tuple[Fit, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    probability: Mapping[str, float]
+    alike: tuple[str, ...] = ()
+    parts: tuple[Posterior, ...] = ()
+    level: float = ENOUGH
+
+    @property
+    def first(self) -> str:
+        """The likeliest first cause."""
+        return max(self.probability, key=lambda name: self.probability[name])
+
+    @property
+    def best(self) -> Hypothesis:
+        """The likeliest hypothesis that names it."""
+        return next(h for h in self.hypotheses if h.first == self.first)
+
+    @property
+    def left(self) -> float:
+        """Chi-square after the causes that it names."""
+        best = self.best
+        named = [x for x, cause in zip(best.left, best.causes, strict=False) if cause.candidate is not None]
+        return named[-1] if named else self.chi_square
+
+    @property
+    def p_left(self) -> float:
+        """Probability of what is left after the causes of the best hypothesis, or of more."""
+        return float(scipy.stats.chi2.sf(self.left, self.dof))
+
+    @property
+    def enough(self) -> bool:
+        """Whether the named causes explain the residuals: what is left passes, they are within their bounds, and the
+        first or those that cannot be told from it are likely.
+        """
+        causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.alike))
+        inside = bool(causes) and not any(c.candidate is None or c.limited for c in causes)
+        return inside and self.p_left >= ENOUGH and sure >= LIKELY
+
+    @property
+    def passes(self) -> bool:
+        """Whether the stated uncertainties explain the residuals and, where there are parts, each part of them."""
+        return all(r.p_value >= self.level for r in (self, *self.parts))
+
+    @property
+    def times_too_wide(self) -> float:
+        """How many times too wide the stated uncertainties are at least: c^2 r^T C^-1 r = chi2_n at the level."""
+        return float(np.sqrt(scipy.stats.chi2.ppf(TOO_WIDE_LEVEL, self.dof) / max(self.chi_square, 1e-300)))
+
+    @property
+    def too_wide(self) -> bool:
+        """Whether the stated uncertainties are far wider than the residuals."""
+        return self.passes and self.times_too_wide > TOO_WIDE
+
+    @property
+    def conclusion(self) -> str:
+        """What a reader should take from it."""
+        before = f"reduced chi-square {self.chi_square / self.dof:.3g} of {self.dof} residuals"
+        if self.too_wide and self.first == NOTHING:
+            return f"stated uncertainty at least {self.times_too_wide:.2g} times too wide: {before}"
+        if self.passes and self.first == NOTHING:
+            return f"nothing to explain: {before} (p = {self.p_value:.2g})"
+        if self.first == NOTHING and self.p_value >= self.level:
+            names = " and ".join(f"{r.group} (p = {r.p_value:.2g})" for r in self.parts if r.p_value < self.level)
+            return f"the sum hides what its parts show: {before} (p = {self.p_value:.2g}), but not explained: {names}"
+        if self.first == NOTHING:
+            return f"no input explains anything: {before} (p = {self.p_value:.2g})"
+        if self.first == NONE:
+            nearest = max(self.fits, key=lambda f: f.evidence, default=None)
+            near = f" (the nearest: {nearest.name}, {nearest.in_words})" if nearest and nearest.evidence > 0.0 else ""
+            return f"none of the causes that were tried{near}: {before}"
+        return f"{self._causes}: {before}, {self.left / self.dof:.3g} after"
+
+    @property
+    def _causes(self) -> str:
+        """ "check the time of overflight (+1 h explains 94 % of the difference), then the sensor gain (x 1.02)" """
+        first, *more = self.best.causes
+        part = max(1.0 - self.best.left[0] / self.chi_square, 0.0)
+        words = f"check the {first.name} ({first.in_words} explains {100.0 * part:.0f} % of the difference"
+        words += f"; not told apart from {' and '.join(self.alike[:3])})" if self.alike else ")"
+        words += "".join(f", then the {c.name} ({c.in_words})" for c in more if c.candidate is not None)
+        if any(c.candidate is None for c in more):
+            return f"{words}; not enough, the rest is none of the causes that were tried"
+        sure = "enough" if self.enough else "not sure to be enough"
+        return f"{words}; {'together ' if more else ''}{sure}"
+
+
+class Reasoner:
+    """What is known of candidates and of chance before residuals are seen; worlds may be drawn from it.
+
+    Parameters
+    ----------
+    columns : candidate -> (n, k) whitened change of the prediction: for a unit of each direction, at each of the
+        sizes, or by each alternative
+    wide : (n, k) the same of what no candidate describes
+    """
+
+    def __init__(self, columns: Mapping[Candidate, Array], wide: Array):
+        self.columns, self.wide = columns, wide
+        kinds = Counter(map(_kind, columns))
+        share = (1.0 - NOTHING_PRIOR - NONE_PRIOR) / max(len(kinds), 1)
+        self.prior = {c: float(np.log(share / kinds[_kind(c)])) for c in columns}
+        self._effects = [effect_of(c, g) for c, g in columns.items()]
+        self._none = Directions(None, wide)
+
+    def posterior(self, group: str, e: Array) -> Posterior:
+        """Of whitened residuals (n,)."""
+        singles = sorted((effect.fit(e) for effect in self._effects), key=self._order)
+        found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (float(e @ e),))]
+        found += [self._with(None, fit, e) for fit in (*singles, self._none.fit(e))]
+        beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not None]
+        beam = [h for h in beam[:MOST_FIRST] if h.weight > found[0].weight]
+        for _ in range(MOST_STEPS - 1):
+            longer = [more for h in beam for more in self._longer(h, e)]
+            found += longer
+            beam = [h for h in sorted(longer, key=lambda h: -h.weight)[:1] if h.causes[-1].candidate is not None]
+        found.sort(key=lambda h: -h.weight)
+        logs = np.array([h.weight for h in found])
+        weights = np.exp(logs - special.logsumexp(logs))
+        probability = dict.fromkeys((NOTHING, NONE, *(f.name for f in singles)), 0.0)
+        for h, weight in zip(found, weights, strict=True):
+            probability[h.first] += float(weight)
+        first = max(probability, key=lambda name: probability[name])
+        whole = float(e @ e)
+        p_value = float(scipy.stats.chi2.sf(whole, e.size))
+        alike = self._alike(singles, first, probability)
+        return Posterior(group, whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
+
+    def _order(self, fit: Fit) -> tuple[bool, float, str]:
+        """Of inputs that explain the same, rounding shall not say which comes first."""
+        assert fit.candidate is not None  # noqa: S101 - of a candidate
+        return fit.limited, -float(f"{fit.evidence + self.prior[fit.candidate]:.6g}"), fit.name
+
+    def _with(self, before: Hypothesis | None, fit: Fit, e: Array) -> Hypothesis:
+        """One cause more, of residuals that those before have been taken from."""
+        prior = np.log(NONE_PRIOR) if fit.candidate is None else self.prior[fit.candidate]
+        if fit.limited and before is None:  # at its bound it is no first reason
+            prior = prior - float(e @ e)
+        rest, _ = _after(fit, e, {})
+        causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())
+        return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*left, float(rest @ rest)))
+
+    def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
+        """Its causes and one more each."""
+        columns: Mapping[Candidate, Array] = self.columns
+        wide = self.wide
+        for fit in h.causes:
+            e, moved = _after(fit, e, {None: wide, **columns})
+            wide = moved.pop(None)
+            columns = {c: g for c, g in moved.items() if c is not fit.candidate and c is not None}
+        if float(scipy.stats.chi2.sf(e @ e, e.size)) > SUFFICES:
+            return
+        yield self._with(h, Directions(None, wide).fit(e), e)
+        for candidate, g in columns.items():
+            yield self._with(h, effect_of(candidate, g).fit(e), e)
+
+    def _alike(self, singles: Sequence[Fit], first: str, probability: Mapping[str, float]) -> tuple[str, ...]:
+        """Candidates whose odds are near those of the first, or whose effect has its pattern."""
+        best = next((f for f in singles if f.name == first), None)
+        if best is None:
+            return ()
+        near = {f.name for f in singles if probability[f.name] * ALIKE > probability[first]}
+        for f in singles:
+            one = f.amplitudes.size == best.amplitudes.size == 1 and f.evidence > 0.5 * best.evidence
+            if one and abs(_correlation(f, best)) > CORRELATED:
+                near.add(f.name)
+        return tuple(f.name for f in singles if f.name in near and f is not best)
+
+
+SUFFICES = 0.3  # of a cause that leaves less than chance does, no second one is looked for
+
+
+def _kind(candidate: Candidate) -> str:
+    """Candidates of one kind share its prior; light and its paths are known better than a user's own work."""
+    return "light" if candidate.name in LIGHT else candidate.name.partition(" of ")[0]
+
+
+def _after(fit: Fit, e: Array, columns: Mapping[Any, Array]) -> tuple[Array, dict[Any, Array]]:
+    """Residuals without what a cause made, in units of an uncertainty that holds its freed directions; and columns."""
+    values, vectors = linalg.eigh(fit.freed.T @ fit.freed) if fit.freed.size else (np.zeros(0), np.zeros((0, 0)))
+    keep = values > _ROUGH * max(float(values.max(initial=0.0)), 1e-300)
+    values, u = values[keep], fit.freed @ (vectors[:, keep] / np.sqrt(values[keep]))
+    less = 1.0 - np.sqrt(fit.factor2 / (fit.factor2 + values))
+
+    def turned(x: Array) -> Array:
+        return np.asarray((x - u @ ((u.T @ x).T * less).T) / np.sqrt(fit.factor2))
+
+    return turned(e - fit.made), {c: turned(g) for c, g in columns.items()}
+
+
+def _correlation(a: Fit, b: Fit) -> float:
+    size = float(np.linalg.norm(a.shown) * np.linalg.norm(b.shown))
+    return float(a.shown @ b.shown) / size if size else 0.0
+
+
+def posteriors(
+    stack: Stack,
+    residual: Array,
+    covariance: Array,
+    columns: Mapping[Candidate, Array],
+    wide: Array,
+    each: Sequence[str],
+) -> list[Posterior]:
+    """Of all residuals, of what spectra share or differ in, and of the subjects of ``each``."""
+
+    def part(of: npt.NDArray[np.intp]) -> tuple[Array, Array, dict[Candidate, Array], Array]:
+        moved = {c: g[of] for c, g in columns.items() if _moves(g[of], g)}
+        return residual[of], covariance[np.ix_(of, of)], moved, wide[of]
+
+    parts: list[Posterior] = []
+    spectra, common = stack.common_bands()
+    if common.size and len(spectra) > common.shape[1]:
+        parts = [posterior(name, *data) for name, data in common_and_own(common, *part(spectra)).items()]
+    out = [replace(posterior(ALL, residual, covariance, columns, wide), parts=tuple(parts)), *parts]
+    subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
+    out += [posterior(subject, *part(stack.indices_of(subject))) for subject in subjects]
+    return [replace(r, level=ENOUGH / len(out)) for r in out]
+
+
+def posterior(
+    group: str, residual: Array, covariance: Array, columns: Mapping[Candidate, Array], wide: Array
+) -> Posterior:
+    """Of the causes of residuals (n,), observed minus predicted, with covariance (n, n)."""
+    data = Whitened(residual, covariance)
+    return Reasoner({c: data.whiten(g) for c, g in columns.items()}, data.whiten(wide)).posterior(group, data.residual)
+
+
+def common_and_own(
+    common: Array, residual: Array, covariance: Array, columns: Mapping[Candidate, Array], wide: Array
+) -> dict[str, tuple[Array, Array, dict[Candidate, Array], Array]]:
+    """What is common to all subjects, and what differs between them: two independent parts of the residuals.
+
+    The common part is the generalised least-squares estimate of one factor for each band; the other is what no such
+    factor can make, N^T r with the columns of N orthogonal to ``common``.  The two do not correlate.
+
+    Parameters
+    ----------
+    common : (m, K) what a unit of each band's factor does
+    residual, covariance : (m,), (m, m) of the spectra
+
+    Returns
+    -------
+    Group -> residuals, covariance and columns, as :func:`posterior` takes them.
+    """
+    whole, _ = linalg.qr(common)
+    rest = whole[:, common.shape[1] :]
+    weighted = linalg.solve(covariance, common, assume_a="pos")
+    spread = linalg.inv(common.T @ weighted)
+    spread = 0.5 * (spread + spread.T)
+    estimate = spread @ weighted.T
+    out = {}
+    for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ covariance @ rest)):
+        moved = {candidate: m @ g for candidate, g in columns.items()}
+        kept = {k: g for k, g in moved.items() if _moves(g, columns[k])}
+        out[name] = (m @ residual, c, kept, m @ wide)
+    return out
+
+
+def _moves(part: Array, whole: Array) -> bool:
+    """Whether a change in some residuals is more than rounding beside that in all of them."""
+    return bool(np.max(np.abs(part), initial=0.0) > 1e-9 * np.max(np.abs(whole), initial=0.0))
+
+
+def budget_covariance(columns: Mapping[Candidate, Array], size: int) -> Array:
+    """(n, n) covariance of everything whose uncertainty is stated: columns for one standard uncertainty each."""
+    return sum((g @ g.T for candidate, g in columns.items() if candidate.budgeted), np.zeros((size, size)))
