@@ -26,12 +26,14 @@ class Errors(NamedTuple):
     rows : (K, B) change by one standard uncertainty along each direction
     dof : degrees of freedom behind them, where they were estimated from samples
     size, unit : standard uncertainty of the input behind them, in its own unit; NaN where it has no single one
+    draw : the occasion of which it is one draw, such as a day of the atmosphere; "": one draw for everything
     """
 
     rows: Array
     dof: float = np.inf
     size: float = np.nan
     unit: str = ""
+    draw: str = ""
 
     @property
     def covariance(self) -> Array:

@@ -67,9 +67,8 @@ def test_diagonal_and_full_agree_without_correlation():
     assert full.value == pytest.approx(diagonal.value, rel=1e-12) == pytest.approx(np.sum(r**2 / variance))
     assert (full.dof, diagonal.dof) == (30, 30)
     assert full.p_value == pytest.approx(stats.chi2.sf(full.value, 30))
-    assert compare.ChiSquare(4.0, 1, 5.0).p_value == pytest.approx(
-        2.0 * stats.t.sf(2.0, 5.0)
-    )  # of one band Student's test
+    # Of one band Student's test.
+    assert compare.ChiSquare(4.0, 1, 5.0).p_value == pytest.approx(2.0 * stats.t.sf(2.0, 5.0))
 
 
 def test_full_test_rejects_true_cases_at_its_level():
@@ -120,10 +119,9 @@ def test_shape_is_what_the_full_test_has_beyond_a_common_factor():
     shape = compare.chi_square_shape(r, reference, tested)
     of_factor = (reference @ inverse @ r) ** 2 / (reference @ inverse @ reference)
     assert of_factor + shape.value == pytest.approx(compare.chi_square_full(r, tested).value, rel=1e-6)
-    assert shape.dof == 11
-    assert compare.chi_square_shape(0.07 * reference, reference, tested).value == pytest.approx(0.0, abs=1e-9)
     dark = compare.chi_square_shape([0.1, -0.2], [0.0, 0.0], compare.whitening(np.eye(2)))
-    assert (dark.value, dark.dof) == (pytest.approx(0.05), 2)
+    assert (shape.dof, dark.value, dark.dof) == (11, pytest.approx(0.05), 2)
+    assert compare.chi_square_shape(0.07 * reference, reference, tested).value == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(("difference", "common"), [([1.0, np.nan], 0.0), ([1.0, 1.0], np.nan)])
@@ -199,31 +197,24 @@ def test_the_detectable_tilt_is_found_in_four_cases_of_five():
     c = 1e-4 * np.exp(-np.abs(np.subtract.outer(w, w)) / 60.0) + 1e-5 * np.eye(20)
     tested, root = compare.whitening(c), np.linalg.cholesky(c)
     full, shape = compare.detectable_tilts(mean, w, tested)
-    for size, test in (
-        (full, lambda r: compare.chi_square_full(r, tested)),
-        (shape, lambda r: compare.chi_square_shape(r, mean, tested)),
-    ):
+    of_shape = lambda r: compare.chi_square_shape(r, mean, tested)  # noqa: E731
+    for size, test in ((full, lambda r: compare.chi_square_full(r, tested)), (shape, of_shape)):
         tilted = size * mean * np.linspace(-1.0, 1.0, 20)
         p = np.array([test(tilted + root @ rng.standard_normal(20)).p_value for _ in range(1000)])
         # Standard error 0.0126; five of them: one false failure in 1.7 million.
         assert abs(np.mean(p < 0.0005) - 0.8) < 0.064
-    assert all(
-        math.isnan(t) for t in compare.detectable_tilts([1.0, 1.0], [500.0, 500.0], compare.whitening(np.eye(2)))
-    )
+    assert np.isnan(compare.detectable_tilts([1.0, 1.0], [500.0, 500.0], compare.whitening(np.eye(2)))).all()
     sampled = compare.whitening(np.eye(2), [EstimatedPart(np.eye(2), 1.0)])
     assert math.isnan(compare.detectable_tilts([1.0, 1.0], [400.0, 500.0], sampled)[0])
 
 
 def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held():
     """Two hundred worlds: errors of 5 % without any difference, and a difference of 10 % with errors of 2 %."""
-    rng = np.random.default_rng(22)
-    c = np.eye(40)
-    low_of_nothing, inside = [], 0
+    rng, c, low_of_nothing, inside = np.random.default_rng(22), np.eye(40), [], 0
     for _ in range(200):
         none = 0.05 * rng.standard_normal(40)
         low_of_nothing.append([ends[0] for ends in compare.size_intervals(none, 0.0025 * c)])
-        some = 0.1 + 0.02 * rng.standard_normal(40)
-        low, high = compare.size_intervals(some, 0.0004 * c)[0]
+        low, high = compare.size_intervals(0.1 + 0.02 * rng.standard_normal(40), 0.0004 * c)[0]
         inside += low <= 0.1 <= high
     median, greatest = np.array(low_of_nothing).T
     # A limit of one standard deviation is never said to be passed by the median; of the greatest seldom.

@@ -1,9 +1,10 @@
 """All subjects of one sensor together: their common difference by region, and what would decide a criterion.
 
 The relative difference of subject s in a region, d(s), is what all share, x, and errors.  An error of the model's
-inputs or of the calibration is the same draw for every subject; of the field readings and the noise each has its
-own.  With C their covariance x is the mean of least variance with weights from 0 to 1; (d - y)^T C^-1 (d - y) about
-the generalised mean y tells whether the subjects differ by more than their own errors say.
+inputs or of the calibration is the same draw for every subject, one of the atmosphere for every subject of a day; of
+the field readings and the noise each has its own.  With C their covariance x is the mean of least variance with
+weights from 0 to 1; (d - y)^T C^-1 (d - y) about the generalised mean y tells whether the subjects differ by more than
+their own errors say.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ PIECES_NM = tuple((a, a + 30) for a in range(400, 1000, 30)) + tuple((a, a + 100
 OWN = "field spectrum"  # each subject's own draw
 CALIBRATION, REST = "calibration", "noise and the rest"
 _FEWEST_BANDS = 3
+_APART = 0.05  # of the brightest: subjects alike tell no gain from an offset
 FLOOR = 1e-4  # of the radiance: what interpolation and rounding of the model leave between subjects
 _LEAST_LEFT = 0.1  # hardly anybody knows an input ten times better
 
@@ -42,13 +44,14 @@ class JointDifference:
     Attributes
     ----------
     subjects : (S,) names
-    difference : (S,) means over the bands
+    difference, level : (S,) means over the bands, and those of the prediction
     sources : name -> (S, S) error covariance from one source, independent of the others
     scales : name -> standard uncertainty of the input behind a source, and its unit
     """
 
     subjects: tuple[str, ...]
     difference: Array
+    level: Array
     sources: Mapping[str, Array]
     scales: Mapping[str, tuple[float, str]]
 
@@ -86,6 +89,18 @@ class JointDifference:
         left = self.difference - solved @ self.difference / solved.sum()
         return float(left @ np.linalg.solve(self.covariance, left)), left.size - 1
 
+    @property
+    def gain_and_offset(self) -> tuple[Array, Array]:
+        """(2,) gain and offset of the sensor that differences not ``relative`` have in common, and their covariance.
+
+        -d = a level + o by generalised least squares, gain 1 + a, where both may be anything: the calibration's own
+        uncertainty, which says what they might be, is no error here.
+        """
+        rows = np.column_stack([self.level, np.ones(self.level.size)])
+        solved = np.linalg.solve(self.covariance - self.sources.get(CALIBRATION, np.zeros(())), rows)
+        covariance = np.linalg.inv(rows.T @ solved)
+        return np.array([1.0, 0.0]) - covariance @ solved.T @ self.difference, covariance
+
 
 def joint_differences(
     predicted: Products,
@@ -114,13 +129,14 @@ def joint_difference(
     """Of spectra of both sides by subject, in the bands (B,) that each subject uses; not ``relative``: predicted less
     measured, which an offset of the sensor would make alike.
     """
-    shared: dict[str, dict[int, Array]] = {}  # source -> subject -> its directions, the same draw in all
+    shared: dict[str, dict[int, tuple[str, Array]]] = {}  # source -> subject -> of which draw, its directions
     own: dict[str, Array] = {}  # source -> (S,) variance of each subject by itself
 
     def add(source: str, subject: int, variance: float) -> None:
         own.setdefault(source, np.zeros(len(pairs)))[subject] += max(variance, 0.0)
 
-    difference, measured, scales = np.empty(len(pairs)), [], dict[str, tuple[float, str]]()
+    difference, level = np.empty((2, len(pairs)))
+    measured, scales = [], dict[str, tuple[float, str]]()
     weights: list[Array] = []
     for i, (subject, (p, m)) in enumerate(pairs.items()):
         at = use[subject]
@@ -128,14 +144,11 @@ def joint_difference(
         of_predicted = np.divide(one, m.mean, out=np.zeros_like(one), where=at) if relative else one
         of_measured = np.divide(of_predicted * p.mean, m.mean, out=np.zeros_like(one), where=at) if relative else one
         weights.append(of_predicted)
-        difference[i] = float(of_predicted[at] @ (p.mean - m.mean)[at])
+        difference[i], level[i] = of_predicted[at] @ (p.mean - m.mean)[at], of_predicted[at] @ p.mean[at]
         for source, errors in p.errors.items():
             directions = np.nan_to_num(errors.rows) @ of_predicted
             scales[source] = (errors.size, errors.unit)
-            if source == OWN:
-                add(OWN, i, float(directions @ directions))
-            else:
-                shared.setdefault(source, {})[i] = directions
+            shared.setdefault(source, {})[i] = (subject if source == OWN else errors.draw), directions
         measured.append((of_measured, m))
     if len(pairs) > 1:
         scales[OWN] = (math.nan, "")  # field spectra of several subjects have no one uncertainty
@@ -154,7 +167,7 @@ def joint_difference(
         for name, part in (parts or {REST: 1.0}).items():
             add(name, i, left * part / whole if whole > 0.0 else left / len(parts or [0]))
     sources |= {name: np.diag(values) for name, values in own.items()}
-    return JointDifference(tuple(pairs), difference, sources, scales)
+    return JointDifference(tuple(pairs), difference, level, sources, scales)
 
 
 def _variance(covariance: Array, weights: Array) -> float:
@@ -162,12 +175,12 @@ def _variance(covariance: Array, weights: Array) -> float:
     return float(weights[used] @ covariance[np.ix_(used, used)] @ weights[used])
 
 
-def _same_draw(rows: Mapping[int, Array], count: int) -> Array:
-    """(S, S) covariance of what moves subjects along the same directions."""
+def _same_draw(rows: Mapping[int, tuple[str, Array]], count: int) -> Array:
+    """(S, S) covariance of what moves subjects of one draw along the same directions."""
     out = np.zeros((count, count))
-    for i, a in rows.items():
-        for j, b in rows.items():
-            out[i, j] = float(a @ b) if a.size == b.size else 0.0
+    for i, (one, a) in rows.items():
+        for j, (other, b) in rows.items():
+            out[i, j] = float(a @ b) if one == other and a.size == b.size else 0.0
     return out
 
 
@@ -185,6 +198,9 @@ def _calibration(measured: Sequence[tuple[Array, SpectralEstimate]]) -> Array:
 
 def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
     """Rows of each region: ``joint_difference_ratio@LOW-HIGH``; ``p_value_between``: whether the subjects differ.
+
+    Of each piece of the spectrum ``sensor_gain`` where there is no offset, ``sensor_gain_beside_offset`` and
+    ``sensor_offset`` where both are fitted.
 
     Examples
     --------
@@ -211,6 +227,12 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
         gain = 1.0 / (1.0 + joint.value)
         half = Z95 * math.hypot(*joint.budget.values()) * gain**2
         rows.append(row(f"sensor_gain@{(low + high) // 2}", gain, half=half, n=len(joint.subjects)))
+    for (low, high), joint in joint_differences(predicted, observed, PIECES_NM, relative=False):
+        if np.ptp(joint.level) > _APART * joint.level.max():
+            values, covariance = joint.gain_and_offset
+            halves, at, n = Z95 * np.sqrt(np.diag(covariance)), (low + high) // 2, len(joint.subjects)
+            rows.append(row(f"sensor_gain_beside_offset@{at}", values[0], half=halves[0], n=n))
+            rows.append(row(f"sensor_offset@{at}", values[1], half=halves[1], n=n))
     return rows
 
 

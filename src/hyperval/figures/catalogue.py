@@ -11,6 +11,7 @@ import numpy as np
 from hyperval.figures import detection, spectra
 from hyperval.figures.spec import (
     DIFFERENCE,
+    GREY,
     MET,
     NOT_MET,
     SIDES,
@@ -20,12 +21,13 @@ from hyperval.figures.spec import (
     EigenvalueSpectrum,
     Figure,
     Mark,
+    Panels,
+    Part,
     Sides,
     TailCurve,
     left_out,
     of_rows,
     row_names,
-    single,
 )
 from hyperval.results import Result, ResultTable
 
@@ -129,18 +131,31 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
 
 def _gain(table: ResultTable) -> Figure | None:
     """The gain of the sensor that would explain the radiance of all subjects, over wavelength."""
-    every = [r for r in table.where(product="radiance") if r.metric.startswith("sensor_gain@")]
-    if not every:
+    marks: dict[str, Mark] = {}
+    labels = {
+        "": "gain without an offset",
+        "_beside_offset": "gain beside the offset below",
+        "o": "offset beside that gain",
+    }
+    for kind, label in labels.items():
+        name = "sensor_offset@" if kind == "o" else f"sensor_gain{kind}@"
+        every = [r for r in table.where(product="radiance") if r.metric.startswith(name)]
+        if every:
+            numbers = np.array([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in every])
+            columns = dict(zip(("x", "y", "low", "high"), numbers.T, strict=True))
+            colour, hollow = (GREY, True) if kind else (DIFFERENCE, False)
+            marks[kind] = Mark("dots", columns, f"{label}, 95 % interval", colour, marker="circle", hollow=hollow)
+    if not marks:
         return None
-    columns = {"x": np.array([float(r.metric.partition("@")[2]) for r in every])}
-    columns |= dict(zip(("y", "low", "high"), np.array([(r.value, r.lower, r.upper) for r in every]).T, strict=True))
-    mark = Mark("dots", columns, "gain, 95 % interval", DIFFERENCE, marker="circle")
-    far = max(every, key=lambda r: abs(r.value - 1.0))
-    title = "The gain of the sensor that would explain the radiance of all subjects"
-    alt = f"{title}, farthest from 1: {far.value:.2f} ({far.lower:.2f} to {far.upper:.2f}) at "
-    alt += f"{far.metric.partition('@')[2]} nm."
-    view = single(Axis(WAVELENGTH), "measured / predicted radiance", [mark], level=1.0)
-    return Figure("sensor-gain", "attribution", title, alt, (view,))
+    nm, gain, low, high = (marks[""].columns[name] for name in ("x", "y", "low", "high"))
+    far = int(np.argmax(np.abs(gain - 1.0)))
+    title = "Gain and offset [uW cm-2 sr-1 nm-1] of the sensor that would explain the radiance of all subjects"
+    alt = f"{title}; gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at "
+    alt += f"{nm[far]:.0f} nm."
+    offset = [marks.pop("o")] if "o" in marks else []
+    parts = [Part(Axis("measured / predicted radiance"), tuple(marks.values()), (("y", 1.0),))]
+    parts += [Part(Axis("offset"), (mark,), (("y", 0.0),)) for mark in offset]
+    return Figure("sensor-gain", "attribution", title, alt, (Panels(Axis(WAVELENGTH), tuple(parts)),))
 
 
 def _by_subject(rows: Sequence[Result]) -> Figure | None:

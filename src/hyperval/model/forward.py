@@ -182,7 +182,9 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     the rest held.
     """
     out: dict[tuple[str, str], dict[str, list[Array]]] = {}
-    scales: dict[str, tuple[float, str]] = {}
+    scales: dict[str, tuple[float, str, str]] = {}
+    state = world.stated.scenario.atmosphere
+    day = str(state.time_utc or "")[:10] if state is not None else ""
     for item in inputs:
         if find(world.stated, item.path).field in _SEEN_BY_NO_SPECTRUM:
             continue
@@ -202,11 +204,12 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 if of_spectrum and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
                 name = "field spectrum" if of_spectrum else item.name
-                scales[f"{name} {key[1]}" if of_spectrum else name] = item.scale
+                draw = day if item.path.startswith("atmosphere.") else ""
+                scales[f"{name} {key[1]}" if of_spectrum else name] = (*item.scale, draw)
                 out.setdefault(key, {}).setdefault(name, []).append(np.nan_to_num(rows))
     return {
         key: {
-            name: Errors(np.concatenate(r), np.inf, *scales.get(name, scales.get(f"{name} {key[1]}", (np.nan, ""))))
+            name: Errors(np.concatenate(r), np.inf, *scales.get(name, scales.get(f"{name} {key[1]}", (np.nan, "", ""))))
             for name, r in each.items()
         }
         for key, each in out.items()
