@@ -64,7 +64,7 @@ def test_campaign_runs_to_the_verdict_of_the_command(own, run, tmp_path):
     counts = rows[rows["outcome"] != "none"]["outcome"].value_counts().to_dict()
     assert told["summary"]["counts"] == counts
     page = client.get(f"{own.address}/validate").text
-    assert told["summary"]["verdict"] in page
+    assert told["summary"]["status"] in page
     assert client.get(f"{own.address}/runs/{told['id']}/files/report.html").status_code == 200
     shown, folded = client.get(f"{own.address}/runs/{told['id']}").text.split("2 more figures</summary>")
     figures = [re.findall(r'<div class="card (\w+)"><img src="[^"]*/(.+?)"', part) for part in (shown, folded)]
@@ -214,7 +214,7 @@ def test_results_of_the_command_line_below_the_folder_are_seen_by_everybody(own,
         "small",
         told["summary"]["verdict"],
     )
-    assert told["summary"]["verdict"] in client.get(f"{own.address}/runs").text
+    assert told["summary"]["status"] in client.get(f"{own.address}/runs").text
     for part in ("", "/map", "/map.json?name=yellow-cem", "/files/report.html", "/files/results.csv"):
         assert client.get(f"{own.address}/runs/{seen['id']}{part}").status_code == 200, part
     assert client.delete(f"{api_runs}/{seen['id']}").status_code == 409

@@ -2,10 +2,10 @@
 
 import json
 import socket
-import time
 
 import pytest
 import requests
+from processes import awaited
 
 from hyperval.web import POLICY, ServerSettings, campaigns_of
 
@@ -271,9 +271,7 @@ def test_too_many_runs_of_one_session_and_a_full_queue(make_server):
     first, second = small.session(), small.session()
     assert [first.post(url, json=EASY).status_code for _ in range(3)] == [201, 201, 429]
     # One is at the worker, three wait.
-    deadline = time.monotonic() + 10
-    while small.quick.waiting.qsize() != 1 and time.monotonic() < deadline:
-        time.sleep(0.01)
+    awaited(lambda: small.quick.waiting.qsize() == 1)
     assert [second.post(url, json=EASY).status_code for _ in range(2)] == [201, 201]
     answer = small.session().post(url, json=EASY)
     assert answer.status_code == 503

@@ -702,7 +702,7 @@ def serve(
     note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C ends it")
     uvicorn.run(
         application, host=host, port=port, log_level="warning", access_log=False, server_header=False,
-        proxy_headers=False, timeout_keep_alive=30, ws="none", http=connections_of(connections),
+        proxy_headers=False, timeout_keep_alive=30, ws="none", http=connections_of(connections), backlog=64,
     )  # fmt: skip
     return 0
 

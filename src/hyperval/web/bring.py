@@ -150,7 +150,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         if mistakes:
             raise Refused(422, mistakes)
         return list(files_of(state.settings, owner))
-    pairs += [*_kept(form, state.settings, owner), *_named(form, state.settings, mistakes)]
+    pairs += [*_kept(form, state.settings, owner), *_named(request, form, mistakes)]
     files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
     for field, path in pairs:
         if files.setdefault(path.name, (field, path)) != (field, path):
@@ -168,9 +168,7 @@ def _keep(request: Request, field: str, file: UploadFile) -> Path:
     try:
         with part.open("wb") as out:
             shutil.copyfileobj(file.file, out)
-        _check(field, name, part, settings)
-        if field == "sensors":
-            _check_sensor(request, part, name)
+        _check(request, field, name, part)
         if len({*files_of(settings, owner, [field]), name}) > _MOST_KEPT:
             raise Refused(422, [FieldMistake(field, f"a session keeps at most {_MOST_KEPT}")])
         if field in ("cube", "header"):
@@ -182,13 +180,13 @@ def _keep(request: Request, field: str, file: UploadFile) -> Path:
     return place / name
 
 
-def _check(field: str, name: str, path: Path, settings: ServerSettings) -> None:
-    """Refuse a file by the ending of its name, its head or its size."""
-    ending = Path(name).suffix.lower()
+def _check(request: Request, field: str, name: str, path: Path) -> None:
+    """Refuse a file by the ending of its name, its head or its size; one of a sensor by what it says."""
+    ending, state = Path(name).suffix.lower(), request.app.state
     with path.open("rb") as file:
         head = file.read(8)
     packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
-    largest = settings.limits.samples * 8 if field == "cube" else _LARGEST_TEXT
+    largest = state.settings.limits.samples * 8 if field == "cube" else _LARGEST_TEXT
     wrong = {
         f"ends with none of {', '.join(filter(None, _ENDINGS[field]))}": ending not in _ENDINGS[field],
         f"is {packed}, which is not taken": packed is not None,
@@ -196,14 +194,12 @@ def _check(field: str, name: str, path: Path, settings: ServerSettings) -> None:
     }
     if mistakes := [FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so]:
         raise Refused(422, mistakes)
-
-
-def _check_sensor(request: Request, path: Path, name: str) -> None:
-    try:
-        request.app.state.desk.ask("sensor", path=str(path))
-    except Refused as refusal:
-        words = refusal.mistakes[0].message.replace(path.name, name)
-        raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
+    if field == "sensors":
+        try:
+            state.desk.ask("sensor", path=str(path))
+        except Refused as refusal:
+            words = refusal.mistakes[0].message.replace(path.name, name)
+            raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
 
 
 def _kept(form: FormData, settings: ServerSettings, owner: str) -> Iterator[tuple[str, Path]]:
@@ -213,15 +209,16 @@ def _kept(form: FormData, settings: ServerSettings, owner: str) -> Iterator[tupl
             yield field, folder_of(settings, owner) / field / str(name)
 
 
-def _named(form: FormData, settings: ServerSettings, mistakes: list[FieldMistake]) -> Iterator[tuple[str, Path]]:
+def _named(request: Request, form: FormData, mistakes: list[FieldMistake]) -> Iterator[tuple[str, Path]]:
     """Files of the data folder that a form names, several of a field with commas between."""
+    data = request.app.state.settings.data
     for field in PARTS:
         for name in filter(None, (n.strip() for n in str(form.get(f"{field}_named") or "").split(","))):
             try:
-                if settings.data is None or not _INSIDE.fullmatch(name):
+                if data is None or not _INSIDE.fullmatch(name):
                     raise UsageError("no file of the data folder")
-                path = checked_file(settings.data / name, root=settings.data)
-                _check(field, path.name, path, settings)
+                path = checked_file(data / name, root=data)
+                _check(request, field, path.name, path)
                 yield field, path
             except Refused as refusal:
                 mistakes += refusal.mistakes

@@ -63,7 +63,6 @@ class Desk:
         ------
         Refused : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
         """
-        pool = self.quick if order.kind in _QUICK else self.long
         with self._lock:
             own = sum(self.store.known(run_id).owner == owner for run_id in self._jobs)
             if own >= self.limits.per_session:
@@ -87,7 +86,7 @@ class Desk:
             )
             self._jobs[run.id] = job
             try:
-                _submit(pool, job)
+                _submit(self.quick if order.kind in _QUICK else self.long, job)
             except Refused:
                 del self._jobs[run.id]
                 self.store.remove(run.id)

@@ -103,7 +103,6 @@ class Form:
         self.schema = model.model_json_schema(by_alias=True)
         self._choices, self._left_out, self._is_main, self._is_open = choices, left_out, is_main, is_open
         self._is_inline, self._sections = is_inline, sections or {}
-        self._kept_members: dict[int, list[Schema]] = {}
 
     def nodes(
         self,
@@ -141,10 +140,7 @@ class Form:
 
     def _members(self, schema: Schema) -> list[Schema]:
         """What may stand there, ``null`` left out."""
-        members = self._kept_members.get(id(schema))
-        if members is None:
-            members = self._kept_members[id(schema)] = [m for m in self._expanded(schema) if m.get("type") != "null"]
-        return members
+        return [m for m in self._expanded(schema) if m.get("type") != "null"]
 
     def _expanded(self, schema: Schema) -> list[Schema]:
         if "$ref" in schema:

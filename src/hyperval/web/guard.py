@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import os
 import re
 import secrets
 import sys
@@ -136,10 +137,8 @@ class Guard:
             return 413, "body", f"{int(stated):,} bytes; at most {bound:,} are taken"
         if headers.get("content-encoding", "identity") != "identity":
             return 415, "content-encoding", "bodies are taken as they are, not compressed"
-        origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
-            return 403, "origin", "a page of another site asked for this"
-        if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
+        origin, site = headers.get("origin"), headers.get("sec-fetch-site", "same-origin")
+        if (origin is not None and urlsplit(origin).netloc != host) or site not in ("same-origin", "none"):
             return 403, "origin", "a page of another site asked for this"
         return None
 
@@ -198,6 +197,7 @@ def _name_of(host: str) -> str:
 HEAD_S = 10.0  # from the first byte that is waited for to the end of the head
 BODY_S = 10.0  # a body may take so long, and a second more for each LEAST_BYTES of it
 LEAST_BYTES = 10_000
+_FILES = 256  # open at a time besides connections
 _HEAD, _BODY = "IDLE", "SEND_BODY"  # what h11 calls the states of a client that sends them
 _WORDS = {408: "Request Timeout", 503: "Service Unavailable"}
 
@@ -205,11 +205,12 @@ _WORDS = {408: "Request Timeout", 503: "Service Unavailable"}
 class _Connection(H11Protocol):
     """One connection.
 
-    A client that has as many as it may loses the oldest of those that ask for nothing when it opens another; where
-    all of them are at work, the new one is refused.
+    A client that has as many as it may loses the oldest of those that ask for nothing when it opens another, and so do
+    all together when the process can have few files more; where all of them are at work, the new one is refused.
     """
 
     most: ClassVar[int]
+    most_of_all: ClassVar[int]
     by_address: ClassVar[dict[str, list[_Connection]]]
     _clock: asyncio.TimerHandle | None = None
     _awaited = ""  # what the clock runs for
@@ -220,12 +221,14 @@ class _Connection(H11Protocol):
         """Count the connection, and wait for its first head."""
         super().connection_made(transport)
         own = self.by_address.setdefault(self._address, [])
-        if len(own) >= self.most:
-            idle = next((one for one in own if repr(one.conn.their_state) == _HEAD), None)
+        every = [one for connections in self.by_address.values() for one in connections]
+        if len(own) >= self.most or len(every) >= self.most_of_all:
+            crowd = own if len(own) >= self.most else every
+            idle = min((c for c in crowd if repr(c.conn.their_state) == _HEAD), key=lambda c: c._begun, default=None)
             if idle is None:
                 self._end(503)
                 return
-            own.remove(idle)
+            self.by_address[idle._address].remove(idle)
             idle._end(408)
         own.append(self)
         self._watch()
@@ -284,4 +287,5 @@ class _Connection(H11Protocol):
 
 def connections_of(most: int) -> type[H11Protocol]:
     """The class of a server's connections, of which one address has at most ``most`` at a time."""
-    return type("Connection", (_Connection,), {"most": most, "by_address": {}})
+    of_all = max(16, os.sysconf("SC_OPEN_MAX") - _FILES)
+    return type("Connection", (_Connection,), {"most": most, "most_of_all": of_all, "by_address": {}})

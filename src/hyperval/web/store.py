@@ -297,8 +297,10 @@ def summary_of(kind: str, results: Path) -> dict[str, Any]:
     rows = list(Run.open(results).table)
     counts = Counter(str(row.outcome) for row in rows if row.planned)
     screen = first_screen(rows)
-    words = screen.words if counts else "One side alone: nothing is compared."
-    return {"tone": str(screen.outcome), "verdict": words, "counts": dict(counts), "rows": len(rows)}
+    said = (f"{screen.head}. {screen.lead}", screen.words) if counts else ("One side alone: nothing is compared.",) * 2
+    return {
+        "tone": str(screen.outcome), "status": said[0], "verdict": said[1], "counts": dict(counts), "rows": len(rows),
+    }  # fmt: skip
 
 
 _SCRIPTS = (("hyperval.figures", ".", "charts.js"), ("hyperval.web", "static", "map.js"))
