@@ -346,11 +346,8 @@ class ClassificationError:
 # Products that are spectra by band.
 SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 ANOMALIES = "anomalies"  # the subject of scores of every pixel, where no target is looked for
-
-
-def background_of(subject: str) -> str:
-    """Name under which ``scores`` holds the background's score for the filter of a target subject."""
-    return f"{subject} background"
+# Name under which ``scores`` holds the background's score for the filter of a target subject.
+background_of = "{} background".format
 
 
 @dataclass(frozen=True, repr=False)

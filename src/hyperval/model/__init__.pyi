@@ -9,15 +9,11 @@ from .classification import (
     class_features,
     classification_error,
     feature_bands,
-    feature_covariance,
-    features,
     labelled,
     measured_error,
-    minimum_noise_fraction,
     predicted_areas,
     predicted_classification,
     predicted_error,
-    principal_components,
     with_distances,
 )
 from .detection import Evaluation, detect, detection_bands, evaluations
@@ -47,9 +43,13 @@ from .filters import (
     PositiveDefinite,
     cem_correlation_weights,
     design_filter,
+    feature_covariance,
+    features,
     fully_constrained,
     matched_filter_weights,
+    minimum_noise_fraction,
     own_mean_sampling,
+    principal_components,
     spectral_matched_filter,
 )
 from .forward import predict, predictions, without_calibration_error

@@ -19,36 +19,25 @@ from scipy.special import ndtr, ndtri
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
-from hyperval.model.classification import feature_covariance, features, minimum_noise_fraction, principal_components
 from hyperval.model.fill import FillDistribution, Fills
-from hyperval.model.filters import (
-    LinearFilter,
-    PositiveDefinite,
-    add_products,
-    design_filter,
-    diagonal_places,
-    unpacked,
-)
+from hyperval.model.filters import LinearFilter, Mixtures
 from hyperval.model.radiance import (
     Background,
-    Light,
+    Material,
     Seen,
-    TwoPanelLine,
     at_rows,
     cut,
     light_of,
     of_truth,
-    retrieved_reflectance,
     seen_classes,
-    spread,
-    target_pixel_reflectance,
-    wide,
+    target_pixels,
+    usable_bands,
 )
-from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid
+from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid, score_distributions
 from hyperval.model.stated import Keeps, distinct
 from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
-from hyperval.scenario import Features, Scenario, Target, TargetSubject
+from hyperval.scenario import Scenario, Target, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
 
 if TYPE_CHECKING:
@@ -59,99 +48,39 @@ Index = npt.NDArray[np.intp]
 RocKey = tuple[str, str, str]
 
 
-@dataclass(frozen=True)
-class FilterBase:
-    """What filters of one truth are built on, in the features chosen (3.21-3.25).
-
-    Attributes
-    ----------
-    mean : (F,) of the mixture
-    psi : (K, F) features, None for the bands themselves
-    factor : the covariance in the features
-    """
-
-    mean: Array
-    psi: Array | None
-    factor: PositiveDefinite
-
-    def of(self, spectrum: Array) -> Array:
-        """A spectrum (F,) in the features (3.21)."""
-        return spectrum if self.psi is None else features(self.psi, spectrum)
-
-    def spread(self, covariance: Array) -> Array:
-        """A covariance (F, F) in the features (3.21)."""
-        return covariance if self.psi is None else feature_covariance(self.psi, covariance)
-
-    def filter(self, detector: str, target: Array) -> LinearFilter:
-        """The filter, as weights of the bands: w Psi of the filter in the features (3.21-3.25)."""
-        weights, offset = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
-        return LinearFilter(weights if self.psi is None else weights @ self.psi, offset)
+def wide(values: Array, truths: int) -> Array:
+    """Values (U or 1, ...) with a row for each truth."""
+    return np.broadcast_to(values, (truths, *values.shape[1:]))
 
 
-class Mixtures:
-    """The background that the filter of each truth is built on, a mixture of classes (3.8, 3.11).
-
-    Parameters
-    ----------
-    chosen : (M,) which classes the filter is made of
-    choice : features of the bands
-    """
-
-    def __init__(self, chosen: npt.NDArray[np.bool_], choice: Features | None):
-        self._chosen, self._choice = chosen, choice
-        self._latest: tuple[Array, ...] = ()
-        self._still: Array | None = None  # the covariance of the latest truth over the slopes, but for the noise
-
-    def base(self, light: Light, of: Background, seen: Seen, u: int) -> FilterBase:
-        """Mean and covariance of one truth, factorised.
-
-        Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
-        divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
-        matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
-        the sensor changes is the diagonal alone, and the rest of the latest truth serves again.
-
-        Raises
-        ------
-        UsageError : a matrix that can not be inverted.
-        """
-        f = np.where(self._chosen, of_truth(of.fraction, u), 0.0)
-        f = f if self._chosen.all() else f / f.sum()
-        inner, surroundings = of.packed(f * of_truth(of.gain, u), u), of.packed_surroundings(u)
-        used, slope = f > 0.0, of_truth(seen.slope, u)
-        f, means, noise = f[used], of_truth(seen.means, u)[used], of_truth(seen.noise, u)[used]
-        mean, under = f @ means, np.sqrt(f)[:, None] / slope
-        around, between = under * of_truth(seen.around, u)[used], under * (means - mean)
-        parts = around, between, inner, surroundings
-        if not self._latest or not all(map(np.array_equal, parts, self._latest)):
-            still = add_products(np.empty_like(inner) if self._still is None else self._still, around, fresh=True)
-            still *= surroundings
-            still += inner
-            self._latest, self._still = parts, add_products(still, between)
-        values = np.array(self._still)
-        values[diagonal_places(slope.size)] += f @ noise / slope**2
-        if self._choice is None:
-            return FilterBase(mean, None, PositiveDefinite(values, slope))
-        covariance = unpacked(values, slope.size) * np.outer(slope, slope)
-        if self._choice.pca is not None:
-            psi = principal_components(covariance, self._choice.pca)
-        else:
-            psi = minimum_noise_fraction(covariance, noise_of(light, seen, u, mean), self._choice.mnf or 0)
-        return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
+def spread(vectors: Array, covariance: Array, stretch: Array | None = None) -> Array:
+    """(U, K) v C v^T of vectors (U, K, F); ``stretch`` (U or 1, F or 1) on both sides of C."""
+    v = vectors if stretch is None else vectors * stretch[:, None, :]
+    product = (v.reshape(-1, v.shape[2]) @ covariance).reshape(v.shape)
+    return np.asarray(np.einsum("ukf,ukf->uk", product, v))
 
 
-def noise_of(light: Light, seen: Seen, u: int, reflectance: Array) -> Array:
-    """Noise variance (F,) of a retrieved reflectance (F,) in one truth (3.16-3.19)."""
-    gain, offset = (of_truth(x, u)[0] for x in (seen.gain, seen.offset))
-    return np.asarray(light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
+def surroundings_variance(of: Background, vectors: Array) -> Array:
+    """(U, K) v Sigma_ave v^T of vectors (U, K, F) (3.11); by the classes where truths differ in them."""
+    if not vectors.any():
+        return np.zeros(vectors.shape[:2])
+    if len(of.fraction) == len(of.between) == len(of.stretch) == 1:
+        return spread(vectors, of.covariance())
+    total = np.zeros(vectors.shape[:2])
+    for m, covariance in enumerate(of.covariances):
+        between = np.broadcast_to(of.between[:, m], (len(vectors), vectors.shape[2]))
+        away = np.einsum("ukf,uf->uk", vectors, between) ** 2
+        total += of.fraction[:, m, None] * (spread(vectors, covariance, of.stretch[:, m]) + away)  # (3.11)
+    return total
 
 
-def class_scores(of: Background, seen: Seen, filters: LinearFilter) -> tuple[Array, Array]:
+def class_scores(seen: Seen, filters: LinearFilter) -> tuple[Array, Array]:
     """theta_m and sigma_m (U, J) of the laws that the background's classes are made of (3.27, 3.29).
 
     A component of a class lies off its mean and has a covariance of its own; noise and surroundings are those of
     the class.  A linear filter makes a normal law normal and a t law a t law: the scores have a closed form.
     """
-    w, laws = filters.weights, of.laws
+    w, of, laws = filters.weights, seen.of, seen.of.laws
     owner, truths = np.array([law.owner for law in laws]), len(filters.weights)
 
     means = (np.einsum("uf,umf->um", w, wide(seen.means, truths)) - filters.offset[:, None])[:, owner]  # (3.27)
@@ -162,7 +91,7 @@ def class_scores(of: Background, seen: Seen, filters: LinearFilter) -> tuple[Arr
         variances[:, j] += gain * spread(through, law.covariance, stretch)[:, 0]
         if law.offset is not None:
             means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset, truths))
-    variances += of.surroundings(w[:, None, :] * seen.around)[:, owner]
+    variances += surroundings_variance(of, w[:, None, :] * seen.around)[:, owner]
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)
 
 
@@ -220,71 +149,22 @@ class Responses:
         return means, np.sqrt(np.clip((weights * variance[:, None, :]).sum(axis=2), 0.0, None))
 
 
-@dataclass(frozen=True)
-class Material:
-    """A target, its host and its light, in U truths.
-
-    Attributes
-    ----------
-    mean : (U or 1, F) its reflectance
-    covariance, stretch : (F, F), and (U or 1, F or 1) factor on both sides of it
-    fine_texture : (U or 1,) part of it whose texture is finer than the target's part of a pixel
-    host : number of its host's class
-    beam, sky : (U or 1,) parts of the light in the open that reach it
-    error : (K, F) directions of the error of its spectrum; None where nothing is stated
-    """
-
-    mean: Array
-    covariance: Array
-    stretch: Array
-    fine_texture: Array
-    host: int
-    beam: Array
-    sky: Array
-    error: Array | None = None
-
-
-class TargetPixels(NamedTuple):
-    """Pixels of which a target fills K parts f, as the detector sees them in U truths.
-
-    Attributes
-    ----------
-    means, noise : (U or 1, K, F) retrieved reflectance, and its noise variance
-    around : (U or 1, 1, F) D_B / k times the root of g_m kappa (3.11) of a pixel of host, and of one full of target
-    factor : (U, 1, F) light on the target over that in the open, 1 without shade
-    """
-
-    means: Array
-    noise: Array
-    around: tuple[Array, Array]
-    factor: Array | float
-
-
-def target_pixels(light: Light, of: Background, seen: Seen, material: Material, fills: Array) -> TargetPixels:
-    """Target pixels at fills (K,), each with its own mean, noise and adjacency (3.7-3.12)."""
-    number = material.host
-    lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)
-    host = of.means[:, number : number + 1]
-    level = light.level(target_pixel_reflectance(fills, lit, host))  # (3.9), (3.10)
-    means = retrieved_reflectance(TwoPanelLine(seen.gain, seen.offset), level)
-    weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / seen.gain
-    around = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
-    return TargetPixels(means, light.noise_variance(level) / seen.gain**2, around, factor)
-
-
-def target_scores(light: Light, of: Background, seen: Seen, filters: LinearFilter, material: Material) -> Responses:
+def target_scores(seen: Seen, filters: LinearFilter, material: Material, rows: Index) -> Responses:
     """Score statistics of pixels of which the target fills f, at FILL_NODES (3.26, 3.28).
 
     Var(f) comes in by the average over the fill.
+
+    ``rows`` : the truth of the classes that each of those of ``material`` has
     """
-    number, w, g = material.host, filters.weights, FILL_NODES
+    filters, seen = filters.rows(rows), seen.rows(rows)
+    of, number, w, g = seen.of, material.host, filters.weights, FILL_NODES
     truths, bands = w.shape
-    pixels = target_pixels(light, of, seen, material, g)
+    pixels = target_pixels(seen, material, g)
     means = np.einsum("uf,ukf->uk", w, wide(pixels.means, truths)) - filters.offset[:, None]  # (3.26)
     rest = np.einsum("ukf,uf->uk", wide(pixels.noise, truths), w**2)  # noise of (3.28)
     # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
     v = w[:, None, :] * np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in pixels.around], axis=1)
-    parts = of.surroundings(np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
+    parts = surroundings_variance(of, np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
     zero, one, both = parts[:, :1], parts[:, 1:2], parts[:, 2:]
     rest = rest + (1.0 - g) ** 2 * zero + g**2 * one + g * (1.0 - g) * (both - zero - one)
     through = (w * seen.slope)[:, None, :]
@@ -309,6 +189,9 @@ class Evaluation(Keeps):
     Attributes
     ----------
     scenario, axis, targets : what all truths share: names and processing, the bands as they are labelled
+    pfa : (K,) false-alarm probabilities of the curves
+    at, which : the V truths with other light, sensor and classes, and which (U,) of these each truth has
+    usable : (V or 1, B) bands of the truths with other light that the detectors could use
     curves : P_D (U, K) of all truths at the false-alarm probabilities of the curves, once they were asked for
     problems : truth -> why it has no filter; none where no filter was asked for
     """
@@ -317,9 +200,11 @@ class Evaluation(Keeps):
         self.world, self.stated, self.errors = world, world.stated, errors or {}
         self.scenario, self.axis, self.targets = self.stated.scenario, self.stated.axis, self.stated.targets
         self.shift = np.broadcast_to(shift, (world.size,))
-        self.first, self.which = world.distinct()
-        self.at = world.rows(self.first)
+        grid = self.scenario.processing.false_alarm_grid
+        self.pfa = false_alarm_grid(grid.lowest, grid.per_decade)
+        self.at, self.which = world.of_light
         self.light = light_of(self.at)
+        self.usable = usable_bands(self.at, self.light)
         self.kept: dict[Any, Any] = {}
         self.curves: dict[RocKey, Array] = {}
         self.problems: dict[int, UsageError] = {}
@@ -351,63 +236,34 @@ class Evaluation(Keeps):
     # ---- detection -----------------------------------------------------------------------------------------
 
     @cached_property
-    def usable(self) -> npt.NDArray[np.bool_]:
-        """(V or 1, B) bands with light, on which all that the detectors need is known."""
-        names = [*self.stated.classes, *self.stated.names["target"]]
-        means = self.at.mean[:, [self.world.surface(n) for n in names]]
-        usable = self.light.lit()[:, 0] & np.isfinite(means).all(axis=1)
-        for spectrum in self.stated.signatures.values():
-            usable = usable & np.isfinite(spectrum)
-        return usable
-
-    @cached_property
     def bands(self) -> Index:
         """(F,) of the detectors."""
         return detection_bands(self.scenario, self.axis, self.usable[0])
 
     @cached_property
-    def view(self) -> Light:
-        """The light on the bands of the detectors."""
-        return self.light.at(self.bands)
-
-    @cached_property
-    def background(self) -> Background:
-        """The classes on the bands of the detectors."""
-        return Background.of(self.at, self.bands)
-
-    @cached_property
     def seen(self) -> Seen:
         """The classes as the detectors see them."""
-        return seen_classes(self.view, self.background)
-
-    @cached_property
-    def mixtures(self) -> Mixtures:
-        """What the filters are built on; what it keeps serves the next truths of the same scenario."""
-        processing, names = self.scenario.processing, self.scenario.processing.filter_classes
-        chosen = np.array([not names or n in names for n in self.stated.classes])
-        return self.stated.once(("mixtures", self.bands.tobytes()), lambda: Mixtures(chosen, processing.features))
+        return seen_classes(self.light, self.at, self.bands)
 
     @cached_property
     def filters(self) -> Mapping[tuple[str, str], tuple[LinearFilter, Array, Array]]:
         """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
-        linear, shape = self.stated.linear_detectors, (self.first.size, self.bands.size)
-        wanted = {(t.name, d): self.looked_for(t.name) for t in self.targets for d in linear}
+        seen, linear, shape = self.seen, self.stated.linear_detectors, (self.at.size, self.bands.size)
+        mixtures, wanted = (
+            Mixtures.of(self.stated, self.bands),
+            {(t.name, d): seen.looked_for[t.name] for t in self.targets for d in linear},
+        )
         made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
-        for v in range(self.first.size):
+        for v in range(self.at.size):
             try:
-                base = self.mixtures.base(self.view, self.background, self.seen, v)
+                base = mixtures.base(seen, v)
                 each = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
             except UsageError as error:
                 self.problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
                 continue
             for into, one in zip(made.values(), each, strict=True):
                 into.weights[v], into.offset[v] = one
-        return {key: (f, *class_scores(self.background, self.seen, f)) for key, f in made.items()}
-
-    def looked_for(self, target: str) -> Array:
-        """(V or 1, F) what a filter looks for, in the units of the image."""
-        signature = self.stated.signatures[target][None, self.bands]
-        return retrieved_reflectance(self.view.library_line, self.view.level(signature))[:, 0]
+        return {key: (f, *class_scores(seen, f)) for key, f in made.items()}
 
     def material(self, target: int, at: World) -> Material:
         """A target with its host, its light and the error of its spectrum, in some truths."""
@@ -490,10 +346,11 @@ class Evaluation(Keeps):
 
         def made() -> tuple[Index, Responses]:
             first, rows = self.world.distinct([self.targets[holds].name])
-            light = self.which[first]
-            view, of, seen = self.view.rows(light), self.background.rows(light), self.seen.rows(light)
-            filters = self.filters[self.targets[looks_for].name, detector][0].rows(light)
-            return rows, target_scores(view, of, seen, filters, self.material(holds, self.world.rows(first)))
+            filters, material = (
+                self.filters[self.targets[looks_for].name, detector][0],
+                self.material(holds, self.world.rows(first)),
+            )
+            return rows, target_scores(self.seen, filters, material, self.which[first])
 
         return self.once(("responses", looks_for, detector, holds), made)
 
@@ -615,12 +472,15 @@ def _ace_truth(
     e: Evaluation, u: int, target: int, pfa: Array
 ) -> tuple[Exceedance, Array, float, Callable[[float], Exceedance]]:
     """One truth: exceedance of the background, thresholds, error of P_FA, and target pixels at a fill."""
-    processing, v, seen, of = e.scenario.processing, int(e.which[u]), e.seen.rows(e.which[u : u + 1]), e.background
-    named, light, of = e.targets[target], e.view.rows(e.which[u : u + 1]), of.rows(e.which[u : u + 1])
-    base = e.mixtures.base(e.view, e.background, e.seen, v)
-    looked_for = of_truth(e.looked_for(named.name), v)
+    processing, named, v, seen = (
+        e.scenario.processing,
+        e.targets[target],
+        int(e.which[u]),
+        e.seen.rows(e.which[u : u + 1]),
+    )
+    of, base, looked_for = seen.of, Mixtures.of(e.stated, e.bands).base(e.seen, v), seen.looked_for[named.name][0]
     space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
-    slope, surroundings = seen.slope[0], e.background.covariance(v)
+    slope, surroundings = seen.slope[0], e.seen.of.covariance(v)
 
     def spread_of(surface: Array, around: Array, noise: Array) -> Array:
         """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
@@ -664,7 +524,7 @@ def _ace_truth(
     square, shift = np.outer(slope, slope), float(e.shift[u])
 
     def at_fill(fill: float) -> Exceedance:
-        share, pixels = 1.0 - fill, target_pixels(light, of, seen, material, np.array([fill]))
+        share, pixels = 1.0 - fill, target_pixels(seen, material, np.array([fill]))
         mean, (beside, on) = pixels.means[0, 0], pixels.around
         if shift and material.error is not None:
             # The true target departs along the filter's own direction, by standard deviations of its score.
@@ -723,12 +583,13 @@ def _distribution(population: Exceedance) -> ScoreDistribution:
     return ScoreDistribution(mean, sd, None, population.scores, density)
 
 
-# Score distributions are tabulated on this many points, over this many standard deviations either way.
-_GRID, _REACH = 201, 6.0
-
-
-def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] = (0,)) -> list[PredictedProducts]:
+def detect(
+    e: Evaluation, *, object_curves: bool = True, points: Sequence[int] = (0,),
+    spectra: Sequence[PredictedProducts] = (),
+) -> list[PredictedProducts]:  # fmt: skip
     """Scores and ROC curves of all target populations (3.22-3.33) of some truths; those of all into ``e.curves``.
+
+    ``spectra`` : predictions of these truths that they are put into; none: they stand alone
 
     Raises
     ------
@@ -736,7 +597,7 @@ def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] =
     """
     processing, units = e.scenario.processing, ("pixel", "object") if object_curves else ("pixel",)
     out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": ()} for _ in points]
-    pfa = false_alarm_grid(processing.false_alarm_grid.lowest, processing.false_alarm_grid.per_decade)
+    pfa = e.pfa
     for number, target in enumerate(e.targets):
         for name in processing.detectors:
             linear = name in LINEAR_DETECTORS
@@ -765,7 +626,12 @@ def detect(e: Evaluation, *, object_curves: bool = True, points: Sequence[int] =
                         f"{errors[u][0]:.2g}, of P_FA at {pfa[0]:.1g} {100 * errors[u][1]:.2g} %"
                     )
                     products["notes"] += (note,)
-    return [PredictedProducts(e.axis, **products) for products in out]
+    if e.targets and processing.detectors:
+        used = f"detectors use {e.bands.size} of {len(e.axis)} bands"
+        for products in out:
+            products["notes"] = (used, *products["notes"])
+    alone = spectra or [PredictedProducts(e.axis) for _ in points]
+    return [replace(p, **{**new, "notes": (*p.notes, *new["notes"])}) for p, new in zip(alone, out, strict=True)]
 
 
 def linear_curves(
@@ -783,7 +649,7 @@ def linear_curves(
             some, c = scores.rows(at[first]), scores.classes.rows(rows)
             mean = (c.fraction * c.mean).sum(axis=1)
             sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
-            distributions = _distributions(mean, sd, some.background_density)
+            distributions = score_distributions(mean, sd, some.background_density)
             behind, presets = [distributions[i] for i in of], some.preset(thresholds[at[first]])[of]
         # Truths that move other things than this target's scores share what follows from them.
         first, which = scores.distinct() if units == ("pixel",) else 2 * (np.arange(len(e)),)
@@ -794,14 +660,7 @@ def linear_curves(
             pd["object"] = pd["pixel"] if alone else objects.detection_above(thresholds[first])
         wanted, of = np.unique(which[at], return_inverse=True)
         some = scores.rows(first[wanted])
-        distributions = _distributions(some.mean, some.sd, some.target_density)
+        distributions = score_distributions(some.mean, some.sd, some.target_density)
         pd = {unit: curve[which] for unit, curve in pd.items()}
         out[population.name] = Curves(thresholds, pd, [distributions[i] for i in of], behind, list(presets))
     return out
-
-
-def _distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:
-    """Moments and density of a score in n evaluations."""
-    grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)
-    rows = zip(mean.tolist(), sd.tolist(), grid, density(grid), strict=True)
-    return [ScoreDistribution(m, s, None, g, d) for m, s, g, d in rows]

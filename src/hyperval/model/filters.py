@@ -9,12 +9,15 @@ Symmetric matrices (F, F) are factorised in LAPACK's rectangular full packed for
 ones.  What many settings of one scene put together, element by element, is put together in vectors of F (F + 1) / 2
 numbers.  Their order is LAPACK's (transr N, uplo L) and nobody else's business.
 
+Linear features of spectra (3.21): F = Psi X.
+
 Abundances of endmembers in a pixel by fully constrained least squares, and their error.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -25,6 +28,9 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dsfrk, dtfttr, dtrttf
 
 from hyperval.errors import UsageError
+from hyperval.model.radiance import Background, Seen, latest, of_truth
+from hyperval.model.stated import Stated
+from hyperval.scenario import Features
 
 Array = npt.NDArray[np.float64]
 
@@ -251,6 +257,177 @@ def design_filter(detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, cov
     if detector not in FILTERS:
         raise UsageError(f"unknown detector {detector!r}", expected="one of " + ", ".join(FILTERS))
     return FILTERS[detector](target, mean, covariance)
+
+
+def principal_components(covariance: npt.ArrayLike, count: int) -> Array:
+    """Psi (count, B) whose rows are the leading eigenvectors of a covariance (B, B), largest first (3.21).
+
+    Raises
+    ------
+    UsageError : more components than bands, or none.
+    """
+    cov = np.asarray(covariance, dtype=float)
+    if not 1 <= count <= cov.shape[0]:
+        raise UsageError(f"{count} principal components of {cov.shape[0]} bands", expected="1 to the number of bands")
+    return _signed(np.linalg.eigh(cov)[1][:, ::-1][:, :count].T)
+
+
+def minimum_noise_fraction(covariance: npt.ArrayLike, noise_variance: npt.ArrayLike, count: int) -> Array:
+    """Psi (count, B) of minimum-noise-fraction components, largest signal-to-noise first (3.21).
+
+    Rows e^T N^-1/2 with e the leading eigenvectors of N^-1/2 Sigma N^-1/2 and N = diag(noise): in these features
+    the noise has unit covariance and Sigma is diagonal (Green et al. 1988; noise-adjusted principal components).
+
+    Parameters
+    ----------
+    covariance : (B, B) of signal and noise together
+    noise_variance : (B,)
+
+    Raises
+    ------
+    UsageError : more components than bands, or a band without noise.
+    """
+    noise = np.asarray(noise_variance, dtype=float)
+    if not np.all(noise > 0):
+        raise UsageError(
+            f"minimum noise fractions need noise in every band; {int(np.sum(~(noise > 0)))} of {noise.size} have none",
+            mend="use pca, or a scenario with a sensor and an atmosphere",
+        )
+    scale = 1.0 / np.sqrt(noise)
+    return np.asarray(principal_components(np.asarray(covariance, dtype=float) * scale[:, None] * scale, count) * scale)
+
+
+def _signed(vectors: Array) -> Array:
+    # The sign of an eigenvector is arbitrary: the largest entry is made positive, so that runs agree.
+    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(vectors * np.sign(largest))
+
+
+def features(psi: npt.ArrayLike, spectra: npt.ArrayLike) -> Array:
+    """F = Psi X of spectra (..., B) -> (..., F) (3.21)."""
+    return np.asarray(np.asarray(spectra, dtype=float) @ np.asarray(psi, dtype=float).T)
+
+
+def feature_covariance(psi: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
+    """Psi Sigma Psi^T, (F, F) (3.21)."""
+    p = np.asarray(psi, dtype=float)
+    return np.asarray(p @ np.asarray(covariance, dtype=float) @ p.T)
+
+
+@dataclass(frozen=True)
+class FilterBase:
+    """What filters of one truth are built on, in the features chosen (3.21-3.25).
+
+    Attributes
+    ----------
+    mean : (F,) of the mixture
+    psi : (K, F) features, None for the bands themselves
+    factor : the covariance in the features
+    """
+
+    mean: Array
+    psi: Array | None
+    factor: PositiveDefinite
+
+    def of(self, spectrum: Array) -> Array:
+        """A spectrum (F,) in the features (3.21)."""
+        return spectrum if self.psi is None else features(self.psi, spectrum)
+
+    def spread(self, covariance: Array) -> Array:
+        """A covariance (F, F) in the features (3.21)."""
+        return covariance if self.psi is None else feature_covariance(self.psi, covariance)
+
+    def filter(self, detector: str, target: Array) -> LinearFilter:
+        """The filter, as weights of the bands: w Psi of the filter in the features (3.21-3.25)."""
+        weights, offset = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
+        return LinearFilter(weights if self.psi is None else weights @ self.psi, offset)
+
+
+class Mixtures:
+    """The background that the filter of each truth is built on, a mixture of classes (3.8, 3.11).
+
+    Parameters
+    ----------
+    chosen : (M,) which classes the filter is made of
+    choice : features of the bands
+    """
+
+    def __init__(self, chosen: npt.NDArray[np.bool_], choice: Features | None):
+        self._chosen, self._choice = chosen, choice
+        self._kept: dict[str, tuple[bytes, Array]] = {}
+        self._latest: tuple[Array, ...] = ()
+        self._still: Array | None = None  # the covariance of the latest truth over the slopes, but for the noise
+
+    @staticmethod
+    def of(stated: Stated, bands: npt.NDArray[np.intp]) -> Mixtures:
+        """Those of a scenario on some bands; what they keep serves its next truths."""
+        processing = stated.scenario.processing
+        chosen = np.array([not processing.filter_classes or n in processing.filter_classes for n in stated.classes])
+        return stated.once(("mixtures", bands.tobytes()), lambda: Mixtures(chosen, processing.features))
+
+    def base(self, seen: Seen, u: int) -> FilterBase:
+        """Mean and covariance of one truth, factorised.
+
+        Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
+        divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
+        matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
+        the sensor changes is the diagonal alone, and the rest of the latest truth serves again.
+
+        Raises
+        ------
+        UsageError : a matrix that can not be inverted.
+        """
+        of = seen.of
+        f = np.where(self._chosen, of_truth(of.fraction, u), 0.0)
+        f = f if self._chosen.all() else f / f.sum()
+        inner, surroundings = self._classes(of, f * of_truth(of.gain, u), u), self._surroundings(of, u)
+        used, slope = f > 0.0, of_truth(seen.slope, u)
+        f, means, noise = f[used], of_truth(seen.means, u)[used], of_truth(seen.noise, u)[used]
+        mean, under = f @ means, np.sqrt(f)[:, None] / slope
+        around, between = under * of_truth(seen.around, u)[used], under * (means - mean)
+        parts = around, between, inner, surroundings
+        if not self._latest or not all(map(np.array_equal, parts, self._latest)):
+            still = add_products(np.empty_like(inner) if self._still is None else self._still, around, fresh=True)
+            still *= surroundings
+            still += inner
+            self._latest, self._still = parts, add_products(still, between)
+        values = np.array(self._still)
+        values[diagonal_places(slope.size)] += f @ noise / slope**2
+        if self._choice is None:
+            return FilterBase(mean, None, PositiveDefinite(values, slope))
+        covariance = unpacked(values, slope.size) * np.outer(slope, slope)
+        if self._choice.pca is not None:
+            psi = principal_components(covariance, self._choice.pca)
+        else:
+            psi = minimum_noise_fraction(covariance, noise_of(seen, u, mean), self._choice.mnf or 0)
+        return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
+
+    def _classes(self, of: Background, weights: Array, u: int) -> Array:
+        """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
+        stretch = of_truth(of.stretch, u)
+        stack = latest(self._kept, "stack", b"", lambda: np.array([packed(c) for c in of.covariances]))
+
+        def made() -> Array:
+            if stretch.shape[1] == 1:
+                return np.asarray((weights * stretch[:, 0] ** 2) @ stack)
+            each = zip(weights, stretch, stack, strict=True)
+            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in each))
+
+        return latest(self._kept, "classes", weights.tobytes() + stretch.tobytes(), made)
+
+    def _surroundings(self, of: Background, u: int) -> Array:
+        """(P,) Sigma_ave of (3.11) of one truth, packed; kept while it stays."""
+        f, between = (of_truth(x, u) for x in (of.fraction, of.between))
+        return latest(
+            self._kept, "around", of.key(u),
+            lambda: add_products(self._classes(of, f, u).copy(), np.sqrt(f)[:, None] * between),
+        )  # fmt: skip
+
+
+def noise_of(seen: Seen, u: int, reflectance: Array) -> Array:
+    """Noise variance (F,) of a retrieved reflectance (F,) in one truth (3.16-3.19)."""
+    gain, offset = (of_truth(x, u)[0] for x in (seen.gain, seen.offset))
+    return np.asarray(seen.light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
 
 
 def own_mean_sampling(

@@ -19,7 +19,6 @@ from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import Errors
 from hyperval.errors import UsageError
 from hyperval.model.detection import Evaluation, RocKey, detect, evaluations
-from hyperval.model.fill import fill_distribution
 from hyperval.model.inputs import (
     UncertainInput,
     drawn_truths,
@@ -59,6 +58,7 @@ from hyperval.model.radiance import (
     of_truth,
     retrieved_covariance,
     retrieved_reflectance,
+    target_light,
     target_pixel_covariance,
     target_pixel_reflectance,
     toa_reflectance,
@@ -99,43 +99,34 @@ def known(covariance: Array) -> Array:
     return covariance if np.isfinite(np.sum(covariance)) else np.nan_to_num(covariance)
 
 
-def reflectances(world: World, light: Light) -> dict[str, tuple[Array, Array]]:
+def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     """Subject -> (U or 1, 1, B) what it reflects, as a surface in the open would have to, and what meets light of the
     surroundings (3.10).
-
-    ``light`` : of each truth
     """
-    scene, mean = world.stated.scenario.scene, world.mean
+    world, scene, mean = e.world, e.scenario.scene, e.world.mean
 
     def of(name: str) -> Array:
         number = world.surface(name)
         return mean[:, number : number + 1]
 
     out = {s.name: 2 * (of(s.name),) for s in (*scene.classes, *scene.panels, *scene.sites)}
-    full = {t.name: lit(world, light, number)[:2] for number, t in enumerate(scene.targets)}
-    for number, (t, _, population) in enumerate(world.stated.populations):
-        target = scene.targets[t]
-        host = of(target.host)
-        if (shares := shares_at(world, number)) is not None:
+    placed = [shares_at(world, number) for number in range(len(e.stated.populations))]
+    light = e.light.rows(e.which)
+    full = {t.name: target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
+    for (t, _, population), fills, shares in zip(e.stated.populations, world.pixel_fills, placed, strict=True):
+        host, name = of(scene.targets[t].host), scene.targets[t].name
+        if shares is None:
+            mean_fill = (fills.weights * fills.values).sum(axis=1)[:, None]
+            one, under = (target_pixel_reflectance(mean_fill, x, host) for x in full[name])
+        else:
             each = [[sum(s.mean[j] for j, n in enumerate(s.names) if n == name) for name in full] for s in shares[0]]
             fractions = np.array(each, dtype=float)[shares[1]]
             one, under = (
                 host + sum(fractions[:, j, None, None] * (x[k] - host) for j, x in enumerate(full.values()))
                 for k in (0, 1)
             )
-            out[population.name] = one, under
-            continue
-        fills = world.pixel_fills[number]
-        mean_fill = (fills.weights * fills.values).sum(axis=1)[:, None]
-        one, under = (target_pixel_reflectance(mean_fill, x, host) for x in full[target.name])
         out[population.name] = one, under
     return out
-
-
-def lit(world: World, light: Light, target: int) -> tuple[Array, Array, Array | float]:
-    """A target under its own light, as :meth:`Light.surface` has it."""
-    number = world.surface(world.stated.targets[target].name)
-    return light.surface(world.mean[:, number], world.column("beam")[:, target], world.column("sky_view")[:, target])
 
 
 def shares_at(world: World, number: int) -> tuple[list[Shares], npt.NDArray[np.intp]] | None:
@@ -159,21 +150,22 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], npt.NDArray[np.i
 
 def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
     """(product, subject) -> (U or 1, B) mean spectra of all truths (3.7-3.20)."""
-    light, out = e.light.rows(e.which), {}
-    pure = set(e.stated.names["surface"]) - set(e.stated.names["target"])
-    for name, (rho, _) in reflectances(e.world, light).items():
+    names, out = e.stated.names, dict[tuple[str, str], Array]()
+    bare = {name: without_calibration_error(name) for name in names["surface"] if name not in names["target"]}
+    each, light = e.once("reflectances", partial(reflectances, e)), e.light.rows(e.which)
+    for name, (rho, _) in each.items():
         level = light.level(rho)
-        if light.radiant:
-            out["radiance", name] = level[:, 0]
-            white = light.terms.diffuser_radiance
-            if e.stated.of_space and white is not None:
-                out["toa_reflectance", name] = toa_reflectance(level, white)[:, 0]
-            if light.noise is not None and name in pure:
-                for key, with_c in ((name, True), (without_calibration_error(name), False)):
-                    out["snr", key] = light.noise.snr(level, calibration=with_c)[:, 0]
         if not light.radiant or light.elm is not None:
             # What the empirical line is off by belongs to collected reflectance, not to the predicted one.
             out["reflectance", name] = retrieved_reflectance(light.library_line, level)[:, 0]
+        if light.radiant:
+            out["radiance", name] = level[:, 0]
+            white = light.terms.diffuser_radiance
+            if white is not None and e.scenario.is_of_space:
+                out["toa_reflectance", name] = toa_reflectance(level, white)[:, 0]
+            if light.noise is not None and name in bare:
+                for key, with_c in ((name, True), (bare[name], False)):
+                    out["snr", key] = light.noise.snr(level, calibration=with_c)[:, 0]
     return out
 
 
@@ -216,25 +208,36 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     }
 
 
-def spectral_products(e: Evaluation, u: int, errors: SpectralErrors) -> dict[str, Any]:
-    """All spectra of one truth with their errors: product, by its name in ``Prediction``, -> subject -> what it is."""
-    world, v = e.world.rows(np.array([u])), int(e.which[u])
+def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors) -> PredictedProducts:
+    """All spectra of one truth with their errors (3.7-3.20); scores and curves come later (:func:`detect`)."""
+    stated, world, v = e.stated, e.world.rows(np.array([u])), int(e.which[u])
     out: dict[str, Any] = {p: {} for p in ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")}
-    one, bands, populations = e.light.rows(np.array([v])), len(e.axis), [p.name for _, _, p in e.stated.populations]
+    bands, populations = len(e.axis), [p.name for _, _, p in stated.populations]
     means = {key: of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
-    each = e.once("reflectances", lambda: reflectances(e.world, e.light.rows(e.which)))
+    each = e.once("reflectances", partial(reflectances, e))
+    light, one = e.light.row(v), e.light.rows(np.array([v]))
+    terms = light.terms if light.radiant else None
+    notes = [f"formulation: {e.scenario.formulation}", *(terms.notes if terms else ())]
+    if not e.scenario.uncertainty.model_dump(exclude_defaults=True):
+        notes.append("the scenario states no uncertainty: intervals and tests hold little but the collection's own")
+    levels = {name: light.level(of_truth(rho, u)[0]) for name, (rho, _) in each.items()}
+    if light.radiant and light.noise is not None:
+        if light.noise.full_scale is not None:
+            out["full_scale"] = {name: light.noise.full_scale_fraction(level) for name, level in levels.items()}
+        out["noise"] = {n: asdict(light.noise.breakdown(x)) for n, x in levels.items() if n not in populations}
+        notes += [*stated.notes, *saturation_notes(out["full_scale"], e.axis)]
     pixels = {
         name: _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
         for name in each
     }
-    light, around = e.light.row(v), Background.of(e.at, np.arange(bands)).covariance(v)
+    around, line = Background.of(e.at, np.arange(bands)).covariance(v), light.library_line
     # One piece of memory for all: new pages for each matrix take longer than the numbers in it.
     *room, scratch = np.empty((1 + 2 * len(each), bands, bands))
-    for number, (name, (rho, met)) in enumerate(each.items()):
-        rho, met = (of_truth(x, u)[0] for x in (rho, met))
+    for number, (name, (_, met)) in enumerate(each.items()):
         covariance, gain, others = pixels[name]
-        level, line = light.level(rho), light.library_line
-        seen = light.pixel_covariance(level, met, covariance, around, gain, room[2 * number], scratch)
+        seen = light.pixel_covariance(
+            levels[name], of_truth(met, u)[0], covariance, around, gain, room[2 * number], scratch
+        )
         retrieved = retrieved_covariance(line, seen, room[2 * number + 1])
         through = {source: light.through(c) for source, c in others.items()}
         back = {source: retrieved_covariance(line, c) for source, c in through.items()}
@@ -247,12 +250,8 @@ def spectral_products(e: Evaluation, u: int, errors: SpectralErrors) -> dict[str
                     total, budget = combined(own, shapes, bands)
                     estimate = SpectralEstimate(means[product, key], total, pixel, None, budget)
                     out[product][key] = replace(estimate, errors={} if product == "snr" else own)
-        if light.radiant and light.noise is not None:
-            if light.noise.full_scale is not None:
-                out["full_scale"][name] = light.noise.full_scale_fraction(level)
-            if name not in populations:
-                out["noise"][name] = asdict(light.noise.breakdown(level))
-    return out
+    out["distribution"] = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
+    return PredictedProducts(e.axis, **out, notes=tuple(notes), provenance=provenance_of(stated, terms))
 
 
 def _of_surface(world: World, name: str) -> tuple[Array, float]:
@@ -270,16 +269,16 @@ def _mixed(world: World, light: Light, number: int) -> tuple[Array, float, Mappi
     """
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
-    full = {o.name: lit(world, light, i)[0][0, 0] for i, o in enumerate(stated.targets)}
-    shade, own = lit(world, light, t)[2], _of_surface(world, target.name)[0]
+    full = {o.name: target_light(world, light, i)[0][0, 0] for i, o in enumerate(stated.targets)}
+    shade, own = target_light(world, light, t)[2], _of_surface(world, target.name)[0]
     if np.ndim(shade):
         factor = np.asarray(shade)[0, 0]
         own = own * np.outer(factor, factor)
     host, (behind, gain) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
-    models, which = world.fill_models(number)
-    fill = fill_distribution(models[which[0]])
+    fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
+    fill = float(weights @ fills)
     covariance = target_pixel_covariance(
-        fill.mean, fill.variance, full[target.name], own, host, behind,
+        fill, float(weights @ (fills - fill) ** 2), full[target.name], own, host, behind,
         target_gain=float(world.column("target_gain")[0, t]),
         fine_texture=float(world.column("fine_texture")[0, world.surface(target.name)]),
         formulation=stated.scenario.formulation,
@@ -425,13 +424,13 @@ def _predictions(
     while some := list(islice(waiting, _TOGETHER)):
         out: dict[int, PredictedProducts] = {}
         for index, e in evaluations(with_truths(world, some), errors):
-            detections = detect(e, object_curves=object_curves, points=range(len(e)))
-            for u, number in enumerate(index.tolist()):
-                detection = detections[u]
-                if objects and detection.roc:
+            spectra = [spectral_prediction(e, u, of_spectra) for u in range(len(e))]
+            found = detect(e, object_curves=object_curves, points=range(len(e)), spectra=spectra)
+            for u, (number, prediction) in enumerate(zip(index.tolist(), found, strict=True)):
+                if objects and prediction.roc:
                     scores = object_scores(e, np.array([u]), None if objects is True else objects)
-                    detection = replace(detection, object_scores=scores)
-                out[number] = _joined(e, u, of_spectra, detection)
+                    prediction = replace(prediction, object_scores=scores)
+                out[number] = prediction
         yield from (out[number] for number in range(len(some)))
 
 
@@ -458,14 +457,14 @@ def _prediction(
     every = with_truths(world, truths)
     parts = evaluations(every, errors, shift)
     numbers, e = parts[0]
-    detection = detect(e, object_curves=object_curves)[0]
+    prediction = detect(e, object_curves=object_curves, spectra=[spectral_prediction(e, 0, of_spectra)])[0]
     curves: dict[RocKey, Array] = {}
     for index, part in parts:
         if part is not e:
             detect(part, object_curves=object_curves)
         for key, pd in part.curves.items():
             curves.setdefault(key, np.empty((len(truths), pd.shape[1])))[index] = probit(pd)
-    if detection.roc:
+    if prediction.roc:
         known = worlds_without(stated.scenario, origins, truth)
         if objects:
             steps = np.concatenate([[0], np.arange(1, pairs + 1), len(moves) + np.arange(1, pairs + 1)])
@@ -473,30 +472,9 @@ def _prediction(
             here = e if together else Evaluation(every.rows(steps), errors)
             at = np.searchsorted(numbers, steps) if together else np.arange(steps.size)
             scores = object_scores(here, at, None if objects is True else objects)
-            detection = replace(detection, object_scores=scores, expected_scores=expected_scores(here))
-        detection = replace(detection, exceedance=with_law_errors(detection.exceedance, laws_left_out(e, known)))
-    return _joined(e, 0, of_spectra, detection), {key: (z[up] - z[0], z[down] - z[0]) for key, z in curves.items()}
-
-
-def _joined(e: Evaluation, u: int, of_spectra: SpectralErrors, detection: PredictedProducts) -> PredictedProducts:
-    """One truth of an evaluation as a prediction, with the spectra beside what is detected."""
-    stated, scenario, axis = e.stated, e.scenario, e.axis
-    spectra = spectral_products(e, u, of_spectra)
-    terms: AtmosphericTerms | None = None
-    if scenario.atmosphere is not None:
-        terms = e.light.row(int(e.which[u])).terms
-    notes = [f"formulation: {scenario.formulation}", *(terms.notes if terms else ())]
-    if not scenario.uncertainty.model_dump(exclude_defaults=True):
-        notes.append("the scenario states no uncertainty: intervals and tests hold little but the collection's own")
-    if detection.roc:
-        notes.append(f"detectors use {e.bands.size} of {len(axis)} bands")
-    notes += detection.notes
-    if stated.noise is not None and terms is not None:
-        notes += [*stated.notes, *saturation_notes(spectra["full_scale"], axis)]
-    world = e.world.rows(np.array([u]))
-    distribution = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
-    provenance = provenance_of(stated, terms)
-    return replace(detection, distribution=distribution, notes=tuple(notes), provenance=provenance, **spectra)
+            prediction = replace(prediction, object_scores=scores, expected_scores=expected_scores(here))
+        prediction = replace(prediction, exceedance=with_law_errors(prediction.exceedance, laws_left_out(e, known)))
+    return prediction, {key: (z[up] - z[0], z[down] - z[0]) for key, z in curves.items()}
 
 
 def _distribution(world: World, number: int) -> PixelDistribution:

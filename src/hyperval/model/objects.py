@@ -187,7 +187,7 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
 def _slope(e: Evaluation, u: int, target: int) -> Array:
     """(F,) change of what the detector sees per change of a target's reflectance, under its own light."""
     v, of = int(e.which[u]), e.world.of_target
-    shade = e.view.row(v).shade(float(of("beam", target)[u]), float(of("sky_view", target)[u]))
+    shade = e.seen.light.row(v).shade(float(of("beam", target)[u]), float(of("sky_view", target)[u]))
     return np.asarray(of_truth(e.seen.slope, v) * shade)
 
 
@@ -418,10 +418,10 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     means = {s.name: first.mean[0, first.surface(s.name), e.bands] for s in pure}
     for number, (t, _, population) in enumerate(e.stated.populations):
         material = e.material(t, first)
-        lit = e.view.rows(np.array([v])).surface(material.mean, material.beam, material.sky)[0][0, 0]
+        lit = e.seen.light.rows(np.array([v])).surface(material.mean, material.beam, material.sky)[0][0, 0]
         fill = e.fill_of(0, number).mean
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
-    view = e.view.row(v)
+    view = e.seen.light.row(v)
     seen = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))
     out: dict[tuple[str, str, str], float] = {}
     for (looks_for, detector), (filters, _, _) in e.filters.items():

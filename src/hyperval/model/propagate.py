@@ -19,8 +19,8 @@ from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, interpolated
 from hyperval.model.detection import Evaluation, RocKey, class_scores
 from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
-from hyperval.model.radiance import Background, light_of, seen_classes
-from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, false_alarm_grid, log_false_alarm
+from hyperval.model.radiance import light_of, seen_classes
+from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm
 from hyperval.model.stated import Engine, Origins, Truth, state_entries, state_value
 from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
@@ -153,10 +153,8 @@ def laws_left_out(e: Evaluation, regions: Regions) -> dict[Filter, dict[str, Arr
     ----------
     e : the scenario as it truly is, its first truth
     """
-    grid = e.scenario.processing.false_alarm_grid
-    pfa = false_alarm_grid(grid.lowest, grid.per_decade)
     names = [(t, d) for t in e.targets for d in e.stated.linear_detectors]
-    thresholds = {(t.name, d): e.scores(t.populations[0].name, d).thresholds(pfa[None])[0] for t, d in names}
+    thresholds = {(t.name, d): e.scores(t.populations[0].name, d).thresholds(e.pfa[None])[0] for t, d in names}
     out: dict[Filter, dict[str, Array]] = {key: {} for key in thresholds}
     for region, worlds in regions:
         laws = [_law_scores(e, world) for world in worlds]
@@ -168,12 +166,9 @@ def laws_left_out(e: Evaluation, regions: Regions) -> dict[Filter, dict[str, Arr
 
 def _law_scores(e: Evaluation, world: World) -> dict[Filter, ClassScores]:
     """Scores of the background's laws of another world by the filters of the first truth of an evaluation."""
-    of = Background.of(world, e.bands)
-    seen, own = seen_classes(light_of(world).at(e.bands), of), e.which[:1]
+    seen, own = seen_classes(light_of(world), world, e.bands), e.which[:1]
     fraction, dof = np.atleast_2d(world.law_fraction), np.atleast_2d(world.law_dof)
-    return {
-        key: ClassScores(fraction, *class_scores(of, seen, f.rows(own)), dof) for key, (f, _, _) in e.filters.items()
-    }
+    return {key: ClassScores(fraction, *class_scores(seen, f.rows(own)), dof) for key, (f, _, _) in e.filters.items()}
 
 
 def with_law_errors(

@@ -24,7 +24,7 @@ lines serve both.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -35,7 +35,6 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.model.filters import add_products, packed
 from hyperval.model.stated import Law
 from hyperval.model.world import World
 from hyperval.scenario import DarkestPixel, ElmPanels
@@ -408,11 +407,6 @@ def of_truth(values: Array, u: int) -> Array:
     return np.asarray(values[u if len(values) > 1 else 0])
 
 
-def wide(values: Array, truths: int) -> Array:
-    """Values (U or 1, ...) with a row for each truth."""
-    return np.broadcast_to(values, (truths, *values.shape[1:]))
-
-
 def stacked(models: Sequence[NoiseModel], bands: int) -> NoiseModel:
     """U noise models as one whose arrays are (U, 1, B), so that levels (U, S, B) go through its formulas.
 
@@ -641,6 +635,12 @@ def light_of(world: World) -> Light:
     return light
 
 
+def target_light(world: World, light: Light, target: int) -> tuple[Array, Array, Array | float]:
+    """A target under its own light, as :meth:`Light.surface` has it."""
+    number = world.surface(world.stated.targets[target].name)
+    return light.surface(world.mean[:, number], world.column("beam")[:, target], world.column("sky_view")[:, target])
+
+
 def _darkest(light: Light, of: Background, pixels: int) -> Array:
     """(U or 1, 1, B) radiance of the darkest of so many of the scene's pixels (before 3.21)."""
     level, gain = light.level(of.means), of.gain[:, :, None]
@@ -650,11 +650,11 @@ def _darkest(light: Light, of: Background, pixels: int) -> Array:
     return darkest_level(fractions, level, np.sqrt(variance), pixels)[..., None, :]
 
 
-def spread(vectors: Array, covariance: Array, stretch: Array | None = None) -> Array:
-    """(U, K) v C v^T of vectors (U, K, F); ``stretch`` (U or 1, F or 1) on both sides of C."""
-    v = vectors if stretch is None else vectors * stretch[:, None, :]
-    product = (v.reshape(-1, v.shape[2]) @ covariance).reshape(v.shape)
-    return np.asarray(np.einsum("ukf,ukf->uk", product, v))
+def latest(kept: dict[str, tuple[bytes, Array]], name: str, key: bytes, make: Callable[[], Array]) -> Array:
+    """A matrix, kept while what it follows from stays."""
+    if name not in kept or kept[name][0] != key:
+        kept[name] = key, make()
+    return kept[name][1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -712,9 +712,6 @@ class Background:
         changes: dict[str, Any] = {n: at_rows(getattr(self, n), index) for n in of_truths}
         return replace(self, **changes)
 
-    def _alike(self) -> bool:
-        return len(self.fraction) == len(self.between) == len(self.stretch) == 1
-
     def covariance(self, u: int = 0) -> Array:
         """(F, F) Sigma_ave of (3.11)."""
 
@@ -725,30 +722,11 @@ class Background:
                 f, between, [c * (g[0] ** 2 if g.size == 1 else np.outer(g, g)) for g, c in pairs]
             )
 
-        return self._latest("covariance", self._key(u), made)
+        return latest(self.kept, "covariance", self.key(u), made)
 
-    def _latest(self, name: str, key: bytes, make: Callable[[], Array]) -> Array:
-        """A matrix, kept while what it follows from stays."""
-        if self.kept.get(name, (None,))[0] != key:
-            self.kept[name] = key, make()
-        matrix: Array = self.kept[name][1]
-        return matrix
-
-    def _key(self, u: int) -> bytes:
+    def key(self, u: int) -> bytes:
+        """What Sigma_ave of one truth follows from."""
         return b"".join(of_truth(x, u).tobytes() for x in (self.fraction, self.between, self.stretch))
-
-    def surroundings(self, vectors: Array) -> Array:
-        """v Sigma_ave v^T (U, K) of vectors (U, K, F) (3.11); by the classes where truths differ in them."""
-        if not vectors.any():
-            return np.zeros(vectors.shape[:2])
-        if self._alike():
-            return spread(vectors, self.covariance())
-        total = np.zeros(vectors.shape[:2])
-        for m, covariance in enumerate(self.covariances):
-            between = np.broadcast_to(self.between[:, m], (len(vectors), vectors.shape[2]))
-            away = np.einsum("ukf,uf->uk", vectors, between) ** 2
-            total += self.fraction[:, m, None] * (spread(vectors, covariance, self.stretch[:, m]) + away)  # (3.11)
-        return total
 
     def variances(self) -> Array:
         """(U or 1, M, F) diagonals of the covariances of the classes."""
@@ -758,57 +736,110 @@ class Background:
         """(U or 1, F) the diagonal of Sigma_ave."""
         return np.asarray(np.matmul(self.fraction[:, None, :], self.variances() + self.between**2)[:, 0])
 
-    def packed(self, weights: Array, u: int) -> Array:
-        """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
-        stretch = of_truth(self.stretch, u)
-        stack = self._latest("stack", b"", lambda: np.array([packed(c) for c in self.covariances]))
 
-        def made() -> Array:
-            if stretch.shape[1] == 1:
-                return np.asarray((weights * stretch[:, 0] ** 2) @ stack)
-            each = zip(weights, stretch, stack, strict=True)
-            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in each))
-
-        return self._latest("packed", weights.tobytes() + stretch.tobytes(), made)
-
-    def packed_surroundings(self, u: int) -> Array:
-        """(P,) Sigma_ave of (3.11) of one truth, packed; kept while it stays."""
-        f, between = (of_truth(x, u) for x in (self.fraction, self.between))
-        return self._latest(
-            "around", self._key(u), lambda: add_products(self.packed(f, u).copy(), np.sqrt(f)[:, None] * between)
-        )
-
-
-class Seen(NamedTuple):
-    """The classes after the empirical line, on the detector's bands, (U or 1, ...) each.
+@dataclass(frozen=True)
+class Seen:
+    """What the detectors see in U truths, on their bands: the classes after the empirical line, (U or 1, ...) each.
 
     Attributes
     ----------
+    light, of : on these bands
     gain, offset : (U or 1, 1, F) of the empirical line
     slope : (U or 1, F) D_A / k of (3.11)
     around : (U or 1, M, F) D_B / k times the root of g_m kappa, of (3.11)
     means : (U or 1, M, F) retrieved reflectances
     noise : (U or 1, M, F) noise variances of the retrieved reflectances
+    looked_for : target -> (U or 1, F) what a filter looks for, in the units of the image
     """
 
+    light: Light
+    of: Background
     gain: Array
     offset: Array
     slope: Array
     around: Array
     means: Array
     noise: Array
+    looked_for: Mapping[str, Array]
 
     def rows(self, index: Index) -> Seen:
         """Of some truths."""
-        return Seen(*(at_rows(x, index) for x in self))
+        arrays = {n: at_rows(getattr(self, n), index) for n in ("gain", "offset", "slope", "around", "means", "noise")}
+        signatures = {name: at_rows(x, index) for name, x in self.looked_for.items()}
+        return Seen(self.light.rows(index), self.of.rows(index), **arrays, looked_for=signatures)
 
 
-def seen_classes(light: Light, background: Background) -> Seen:
-    """What the detector sees of the classes (3.7-3.21), both on its bands."""
-    line, reflectance = light.line(), background.means
-    level = light.level(reflectance)
-    weight = np.sqrt(background.gain[:, :, None] * light.kappa)
-    around = light.adjacency_slope(reflectance) / line.gain * weight
-    noise = light.noise_variance(level) / line.gain**2
+def seen_classes(whole: Light, world: World, bands: Index) -> Seen:
+    """What the detector sees of a world under its light, on some bands (3.7-3.21)."""
+    light, of = whole.at(bands), Background.of(world, bands)
+    line, level = light.line(), light.level(of.means)
+    weight = np.sqrt(of.gain[:, :, None] * light.kappa)
+    around = light.adjacency_slope(of.means) / line.gain * weight
     slope = np.ascontiguousarray((light.slope() / line.gain)[:, 0])
-    return Seen(line.gain, line.offset, slope, around, retrieved_reflectance(line, level), noise)
+    looked_for = {
+        name: retrieved_reflectance(light.library_line, light.level(signature[None, bands]))[:, 0]
+        for name, signature in world.stated.signatures.items()
+    }
+    means, noise = retrieved_reflectance(line, level), light.noise_variance(level) / line.gain**2
+    return Seen(light, of, line.gain, line.offset, slope, around, means, noise, looked_for)
+
+
+def usable_bands(world: World, light: Light) -> npt.NDArray[np.bool_]:
+    """(U or 1, B) bands with light, on which all that the detectors need is known (3.21)."""
+    names = [*world.stated.classes, *world.stated.names["target"]]
+    usable = light.lit()[:, 0] & np.isfinite(world.mean[:, [world.surface(n) for n in names]]).all(axis=1)
+    for spectrum in world.stated.signatures.values():
+        usable = usable & np.isfinite(spectrum)
+    return usable
+
+
+@dataclass(frozen=True)
+class Material:
+    """A target, its host and its light, in U truths.
+
+    Attributes
+    ----------
+    mean : (U or 1, F) its reflectance
+    covariance, stretch : (F, F), and (U or 1, F or 1) factor on both sides of it
+    fine_texture : (U or 1,) part of it whose texture is finer than the target's part of a pixel
+    host : number of its host's class
+    beam, sky : (U or 1,) parts of the light in the open that reach it
+    error : (K, F) directions of the error of its spectrum; None where nothing is stated
+    """
+
+    mean: Array
+    covariance: Array
+    stretch: Array
+    fine_texture: Array
+    host: int
+    beam: Array
+    sky: Array
+    error: Array | None = None
+
+
+class TargetPixels(NamedTuple):
+    """Pixels of which a target fills K parts f, as the detector sees them in U truths.
+
+    Attributes
+    ----------
+    means, noise : (U or 1, K, F) retrieved reflectance, and its noise variance
+    around : (U or 1, 1, F) D_B / k times the root of g_m kappa (3.11) of a pixel of host, and of one full of target
+    factor : (U, 1, F) light on the target over that in the open, 1 without shade
+    """
+
+    means: Array
+    noise: Array
+    around: tuple[Array, Array]
+    factor: Array | float
+
+
+def target_pixels(seen: Seen, material: Material, fills: Array) -> TargetPixels:
+    """Target pixels at fills (K,), each with its own mean, noise and adjacency (3.7-3.12)."""
+    light, of, number = seen.light, seen.of, material.host
+    lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)
+    host = of.means[:, number : number + 1]
+    level = light.level(target_pixel_reflectance(fills, lit, host))  # (3.9), (3.10)
+    means = retrieved_reflectance(TwoPanelLine(seen.gain, seen.offset), level)
+    weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / seen.gain
+    around = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
+    return TargetPixels(means, light.noise_variance(level) / seen.gain**2, around, factor)

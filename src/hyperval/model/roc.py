@@ -32,7 +32,7 @@ from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr, ndtr, nd
 
 from hyperval.errors import UsageError
 from hyperval.model.stated import distinct
-from hyperval.products import RocCurve
+from hyperval.products import RocCurve, ScoreDistribution
 
 Array = npt.NDArray[np.float64]
 SMALLEST_SD = 1e-12
@@ -585,6 +585,17 @@ class RocScores:
         spread = variance[:, :, None] + (sd[:, None] ** 2 * factor)[:, None, :]
         z = ahead[:, :, None] / np.sqrt(np.maximum(spread, SMALLEST_SD**2))
         return np.asarray((self.weights * np.matmul(ndtr(z), weight[:, :, None])[:, :, 0]).sum(axis=1))
+
+
+# Score distributions are tabulated on this many points, over this many standard deviations either way.
+_GRID, _REACH = 201, 6.0
+
+
+def score_distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:
+    """Moments and density of a score in n evaluations."""
+    grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)
+    rows = zip(mean.tolist(), sd.tolist(), grid, density(grid), strict=True)
+    return [ScoreDistribution(m, s, None, g, d) for m, s, g, d in rows]
 
 
 @dataclass(frozen=True)

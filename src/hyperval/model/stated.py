@@ -537,21 +537,34 @@ def _noted(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms
     return replace(terms, notes=(*unstated_notes(state), *engine_notes(state, terms)))
 
 
+class Keeps:
+    """What keeps what follows from it, once it was asked for."""
+
+    kept: dict[Any, Any]
+
+    def once(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What ``make`` gives, made the first time that ``key`` is asked for."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        made: Made = self.kept[key]
+        return made
+
+
 @dataclass(eq=False)
-class Atmosphere:
+class Atmosphere(Keeps):
     """The atmosphere over a scenario, at its bands: terms of (3.7) in any of its states.
 
     Attributes
     ----------
     nodes : entry -> nodes between which terms are interpolated; empty: a run of the engine for each state
-    runs : terms by the entries that differ from the stated state
+    kept : terms by the entries that differ from the stated state
     """
 
     scenario: Scenario
     origins: Origins
     axis: SpectralAxis
     nodes: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    runs: dict[str, AtmosphericTerms] = field(default_factory=dict)
+    kept: dict[Any, Any] = field(default_factory=dict)
     _between: InterpolatedTerms | None = None
 
     def whole(self, state: AtmosphericState) -> AtmosphericTerms:
@@ -570,18 +583,17 @@ class Atmosphere:
 
     def run(self, changes: Truth) -> AtmosphericTerms:
         """The engine at the bands, where some entries of the state differ; once for each state."""
-        key = repr(sorted(changes.items()))
-        if key not in self.runs:
-            state, source = self.scenario.atmosphere, self.origins
-            assert state is not None  # noqa: S101 - there is light
-            state = with_settings(state, state_entries(state, changes)) if changes else state
-            if source.engine is not None or state.engine == "table":  # a file of the scenario, read when it changes
-                self.runs[key] = _noted(self.whole(state).at_bands(self.axis), state)
-            else:
-                bands = self.axis.centre_nm.tobytes(), self.axis.fwhm_nm.tobytes()
-                how = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, source.show_progress
-                self.runs[key] = _terms_in_memory(atmospheric_terms, state, *bands, *how)
-        return self.runs[key]
+        return self.once(repr(sorted(changes.items())), lambda: self._run(changes))
+
+    def _run(self, changes: Truth) -> AtmosphericTerms:
+        state, source = self.scenario.atmosphere, self.origins
+        assert state is not None  # noqa: S101 - there is light
+        state = with_settings(state, state_entries(state, changes)) if changes else state
+        if source.engine is not None or state.engine == "table":  # a file of the scenario, read when it changes
+            return _noted(self.whole(state).at_bands(self.axis), state)
+        bands = self.axis.centre_nm.tobytes(), self.axis.fwhm_nm.tobytes()
+        how = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, source.show_progress
+        return _terms_in_memory(atmospheric_terms, state, *bands, *how)
 
     def prepare(self, states: Sequence[Truth], show_progress: bool | None) -> None:
         """Run the engine, before truths go to other processes: in some states, or at all combinations of the nodes.
@@ -682,19 +694,6 @@ def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
     return notes
 
 
-class Keeps:
-    """What keeps what follows from it, once it was asked for."""
-
-    kept: dict[Any, Any]
-
-    def once(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What ``make`` gives, made the first time that ``key`` is asked for."""
-        if key not in self.kept:
-            self.kept[key] = make()
-        made: Made = self.kept[key]
-        return made
-
-
 class Law(NamedTuple):
     """A class of the background, or one component of it.
 
@@ -736,7 +735,6 @@ class Stated(Keeps):
     columns : field of the world -> (1, items) as stated
     laws : what the scores of the classes are distributed as: a class each, or the components of a mixture
     linear_detectors : whose score is linear in the pixel
-    of_space : whether it is looked at from above the atmosphere
     """
 
     scenario: Scenario
@@ -777,7 +775,6 @@ class Stated(Keeps):
             (t, k, p) for t, target in enumerate(scene.targets) for k, p in enumerate(target.populations)
         ]
         self.linear_detectors = self.scenario.processing.linear_detectors
-        self.of_space = self.scenario.is_of_space
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "kept": {}}

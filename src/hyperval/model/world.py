@@ -340,6 +340,7 @@ class World:
             "stretch",
             "surroundings",
             "sensor_noise",
+            "of_light",
             "pixel_fills",
         ):
             getattr(self, name)
@@ -374,6 +375,12 @@ class World:
             if len(values) > 1 and entry.field not in alone and not of_other:
                 columns.append(values)
         return distinct(columns, self.size)
+
+    @cached_property
+    def of_light(self) -> tuple[World, Index]:
+        """The truths with other light, sensor and classes, and which (U,) of these each truth has."""
+        first, which = self.distinct()
+        return self.rows(first), which
 
     def column(self, name: str) -> Array:
         """(U or 1, items) of a field, or (U or 1, B or 1) where it is one for all items."""
@@ -567,7 +574,7 @@ class World:
             return Fills(values, np.ones((1, 1)))
         make = whole_object_fills if objects else fills_of_population
         if not moved:
-            return self.stated.once(("fills", number, objects), lambda: make(stated, thesis))
+            return make(stated, thesis)
         models, which = self.fill_models(number)
         return stacked_fills([make(fill, thesis) for fill in models], which)
 
@@ -707,5 +714,5 @@ def under(world: World, engine: Engine) -> World:
     """The world under another engine of the atmosphere."""
     stated = world.stated
     origins = replace(stated.origins, engine=engine)
-    there = replace(stated.atmosphere, origins=origins, runs={})
+    there = replace(stated.atmosphere, origins=origins, kept={})
     return replace(world, stated=replace(stated, origins=origins, atmosphere=there, kept={}))

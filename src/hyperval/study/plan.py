@@ -176,7 +176,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     between, count = stated.atmosphere, study.atmosphere.checked
     rng = np.random.default_rng([study.design.seed, 6])
     states = {f"atmosphere.{k}": _between(np.array(n), rng.random(count)) for k, n in between.nodes.items()}
-    exact = replace(between, nodes={}, runs={})
+    exact = replace(between, nodes={}, kept={})
     ours, theirs = between(states, count), exact(states, count)
 
     seen = theirs.gas_transmittance > _LEAST_GAS
