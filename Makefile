@@ -117,5 +117,5 @@ lock:  ## renew the locks after a change of dependencies (needs uv)
 	$(COMPILE) --group pyproject.toml:docs -c requirements.lock -c requirements-dev.lock -o requirements-docs.lock
 
 clean:  ## remove .venv and everything that tools left
-	rm -rf $(VENV) build dist .pytest_cache .import_linter_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist docs/gallery docs/reference .pytest_cache .import_linter_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests validation -name __pycache__ -type d -prune -exec rm -rf {} +
