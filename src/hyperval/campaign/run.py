@@ -183,6 +183,7 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
         side.observed.observation,
         method="+".join(sorted(engines)) or "statistics",
         equivalence_margin=side.campaign.equivalence_margin,
+        fitted_on=side.campaign.fitted_on,
     )
     return told_apart(judged(rows, side.campaign.comparisons), side.campaign.fitted_on)
 

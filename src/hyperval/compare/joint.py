@@ -25,7 +25,7 @@ from hyperval.products import Products, SpectralEstimate
 from hyperval.results import Result
 from hyperval.spectra.axis import in_window
 
-ALL_SUBJECTS = "all subjects"
+ALL_SUBJECTS, UNSEEN_SUBJECTS = "all subjects", "unseen subjects"
 REGIONS_NM = ((400, 450), (450, 700), (700, 1000), (1200, 1760), (2050, 2400))
 # Bands that give one number of the sensor's gain.
 PIECES_NM = tuple((a, a + 30) for a in range(400, 1000, 30)) + tuple((a, a + 100) for a in range(1000, 2500, 100))

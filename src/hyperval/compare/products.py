@@ -5,7 +5,9 @@ Rows of one side alone, where there is nothing to compare with.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
 from typing import Any, TypeVar
 
 import numpy as np
@@ -103,12 +105,14 @@ def compare_products(
     *,
     method: str = "model",
     equivalence_margin: float | None = None,
+    fitted_on: Sequence[str] = (),
 ) -> list[Result]:
     """Rows of every product and subject that at least one side holds, in a fixed order.
 
     A subject that one side lacks gives a SKIPPED row, so that nothing planned is missing.  ``method`` names
     the way of the spectral products; for covariances it is the quantity, for classification the features, for
-    scores and abundance the detector, for ROC "detector/unit".
+    scores and abundance the detector, for ROC "detector/unit".  Subjects that are not among those which budget and
+    settings were ``fitted_on`` are compared jointly as "unseen subjects", too.
 
     Raises
     ------
@@ -135,6 +139,10 @@ def compare_products(
     for product in SPECTRA:
         rows += of(spectra.compare_spectra, product, product=product, axis=axis)
     rows += named(joint.compare_jointly(predicted, observed), "radiance", joint.ALL_SUBJECTS, method)
+    if fitted_on:
+        unseen = {s: m for s, m in observed.radiance.items() if not any(fnmatchcase(s, name) for name in fitted_on)}
+        apart = joint.compare_jointly(predicted, replace(observed, radiance=unseen))
+        rows += named(apart, "radiance", joint.UNSEEN_SUBJECTS, method)
     shown = "radiance" if observed.radiance else "reflectance"
     rows += named(spectra.shifted_rows(observed), shown, joint.ALL_SUBJECTS, method)
     for quantity in SPREAD:
