@@ -6,6 +6,7 @@ import threading
 import time
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -263,22 +264,14 @@ def test_a_point_that_can_not_be_gets_a_reason(scenario_file):
     assert "partition" in problems[2]
 
 
-class Sine:
-    """An output that is sin(7 x - 1), or x: what is looked for has several solutions, or one."""
-
-    def __init__(self, several):
-        self.several = several
-
-    def values(self, columns, outputs):
-        x = columns[FILL]
-        return (np.sin(7.0 * x - 1.0) if self.several else x)[:, None], {}
-
-
 @pytest.mark.parametrize(("several", "root"), [(True, 1.0 / 7.0), (False, 0.31)])
 def test_of_several_solutions_the_lowest_is_told(several, root):
+    """Of sin(7 x - 1), or of x."""
     question = {"name": "q", "path": FILL, "between": (0.0, 1.0), "output": "pd", "equals": 0.0 if several else 0.31}
     output = Output(name="pd", kind="pd", subject="plank", pfa=1e-3)
-    found = answers(Sine(several), {"other": np.zeros(1)}, Required.model_validate(question), [output])
+    of_x = (lambda x: np.sin(7.0 * x - 1.0)) if several else np.array
+    model = SimpleNamespace(values=lambda columns, outputs: (of_x(columns[FILL])[:, None], {}))
+    found = answers(model, {"other": np.zeros(1)}, Required.model_validate(question), [output])
     np.testing.assert_allclose(found.solutions, root, rtol=1e-6)
     assert found.reasons == ({0: "not monotone: 2 solutions; the lowest is told"} if several else {})
 
@@ -339,15 +332,14 @@ def test_concave_and_convex_parts_of_an_s_curve():
     assert up.x < 0.0 < down.x
 
 
-@pytest.mark.parametrize(
-    ("y", "bend", "reason"),
-    [
-        (np.ones(9), "any", "flat"),
-        (np.linspace(0, 1, 9) ** 2, "concave", "concave"),
-        (np.full(9, np.nan), "any", "0 points"),
-        (np.linspace(0, 1, 9) ** 2, "any", "end of the range"),
-    ],
-)
+SQUARE = np.linspace(0, 1, 9) ** 2
+NO_KNEE = [
+    (np.ones(9), "any", "flat"), (np.full(9, np.nan), "any", "0 points"),
+    (SQUARE, "concave", "concave"), (SQUARE, "any", "end of the range"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("y", "bend", "reason"), NO_KNEE)
 def test_no_knee_is_an_answer(y, bend, reason):
     found = knee(np.linspace(0.0, 1.0, 9), y, bend=bend)
     assert np.isnan(found.x)

@@ -15,17 +15,9 @@ from small_campaign import SmallCampaign
 
 pytestmark = [NEEDS_BROWSER, pytest.mark.slow]
 PAGES = (
-    "/",
-    "/predict",
-    "/predict?scenario=yellow-planks-asphalt",
-    "/trade",
-    "/validate",
-    "/bring",
-    "/runs",
-    "/docs",
-    "/sensors",
-    "/sensors/prospectir-vs",
-)
+    "/", "/predict", "/predict?scenario=yellow-planks-asphalt", "/trade", "/validate", "/bring", "/runs", "/docs",
+    "/sensors", "/sensors/prospectir-vs",
+)  # fmt: skip
 _LINES_VISIBLE = """() => drawnFigures.get(document.getElementById("chart-roc")).plots
     .flatMap((plot) => plot.renderers).filter((line) => line.tags.length > 0 && line.visible)
     .map((line) => line.tags[0])"""
@@ -111,23 +103,6 @@ def test_two_runs_are_compared(page):
     assert [h.strip() for h in heads][-2:] == ["Earlier", "Difference"]
     assert page.evaluate(_OF_RADIANCE) == [360, 360], "both runs above, their difference below"
     picture(page, "compared")
-
-
-def test_study_is_run_and_another_cancelled(page, server):
-    page.goto("/trade")
-    picture(page, "trade")
-    page.locator("[name='inputs.0.grid.count']").fill("5")
-    page.get_by_role("button", name="Run", exact=True).first.click()
-    page.wait_for_selector("figure img", timeout=60_000)
-    picture(page, "study")
-    server.long.gate.clear()
-    page.goto("/trade")
-    page.get_by_role("button", name="Run", exact=True).first.click()
-    assert page.locator("#progress").is_visible()
-    page.get_by_role("button", name="Cancel").click()
-    server.long.gate.set()
-    page.wait_for_selector("#reason")
-    assert "cancelled" in page.locator("#reason").inner_text()
 
 
 def test_cube_is_brought(page, small_collection, tmp_path):

@@ -8,9 +8,10 @@ import threading
 
 import numpy as np
 import pytest
+import rasterio
 from typer.testing import CliRunner
 from web_browser import NEEDS_BROWSER, WIDER_THAN_SCREEN, careful_page, picture, serious
-from web_server import serve
+from web_server import ORDERED, serve
 
 from hyperval import api, model
 from hyperval.cli import app as command
@@ -18,15 +19,6 @@ from hyperval.figures import Drawing
 from hyperval.run import read_pair
 from hyperval.web import view_name
 from small_campaign import SmallCampaign, scene_data, undrawn, write_yaml
-
-PLANK = "scene.targets.[yellow plank].subjects"
-STUDY = {
-    "name": "fill", "scenario": "yellow-planks-asphalt",
-    "inputs": [{"name": "fill", "path": f"{PLANK}.0.fill.fixed", "values": [0.01, 0.05]}],
-    "outputs": [{"name": "pd", "kind": "pd", "subject": "yellow plank 0.02", "pfa": 1e-3}],
-    "required": [{"name": "needed", "path": f"{PLANK}.1.fill.fixed",
-                  "between": [0.001, 0.5], "output": "pd", "equals": 0.9}],
-}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +72,6 @@ def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
     assert answer.status_code == 200, answer.text
     content = answer.json()
     pixels = np.frombuffer(base64.b64decode(content["pixels"]), "<u2").reshape(content["height"], content["width"])
-    import rasterio
-
     place = own.app.state.store.place(told["id"])
     with rasterio.open(place / "results" / "scores" / "yellow-cem.tif") as file:
         scores = file.read(1)
@@ -133,8 +123,6 @@ def place_of(own, told):
 
 def thresholds_of_targets(page, content, results):
     """P_D and P_FA at every target's score are those of the pixels themselves, counted again on the map's file."""
-    import rasterio
-
     with rasterio.open(results / "scores" / "yellow-cem.tif") as file:
         scores = file.read(1).astype(float)
     _, observed = read_pair(results)
@@ -148,9 +136,8 @@ def thresholds_of_targets(page, content, results):
         background = np.array(curve["background_scores"])
         assert background.size == 500
         for threshold in own:
-            pd, pfa = page.evaluate(
-                "([i, t]) => { const p = curveAt(map.curves[i], t); return [p.pd, p.pfa]; }", [number, threshold]
-            )
+            read = "([i, t]) => { const p = curveAt(map.curves[i], t); return [p.pd, p.pfa]; }"
+            pd, pfa = page.evaluate(read, [number, threshold])
             assert pd == np.mean(np.array(own) >= threshold)
             above = int(np.sum(background >= threshold))
             if above < 500:
@@ -251,21 +238,13 @@ def test_pixel_of_a_simulated_campaign_is_made_again(own, run):
     SmallCampaign(folder).write()
 
 
-BROUGHT = {
-    "cube_named": "collection/small_rad.img", "header_named": "collection/small_rad.hdr",
-    "regions_named": "collection/regions.geojson", "targets_named": "collection/targets.csv",
-    "spectra_named": "collection/panel_spectra.csv", "name": "mine", "unit": "uW cm-2 sr-1 nm-1",
-    "time_utc": "2012-09-20T16:31:00Z", "altitude_km": "2", "sensor": "prospectir-vs",
-}  # fmt: skip
-
-
 @pytest.mark.slow
 def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp_path, monkeypatch):
     client = own.session()
     url = f"{own.address}/api/v1/uploads"
     with monkeypatch.context() as patch:
         undrawn(patch)
-        run = client.post(url, files={k: (None, v) for k, v in BROUGHT.items()}).json()["run"]
+        run = client.post(url, files={k: (None, v) for k, v in ORDERED["brought"].items()}).json()["run"]
         told = client.get(f"{own.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
     text = client.get(f"{own.address}/api/v1/runs/{run['id']}/files/campaign.yaml").content
@@ -297,7 +276,7 @@ def test_no_name_leads_out_of_the_data_folder(own, name):
 
 def test_study_gives_what_the_api_gives_and_the_value_that_is_needed(own, tmp_path):
     client = own.session()
-    told = client.post(f"{own.address}/api/v1/studies", json={"study": STUDY}).json()
+    told = client.post(f"{own.address}/api/v1/studies", json={"study": ORDERED["study"]}).json()
     told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
     place = own.app.state.store.place(told["id"])

@@ -10,11 +10,16 @@ from typing import Any
 
 import requests
 import uvicorn
+import yaml
 
 from hyperval import web
 from hyperval.errors import HypervalError
 from hyperval.progress import set_listener
 from hyperval.web import tasks
+
+REFUSED, ORDERED = (
+    yaml.safe_load((Path(__file__).parent / f"{name}.yaml").read_text("utf-8")) for name in ("refused", "ordered")
+)
 
 
 class Crew:

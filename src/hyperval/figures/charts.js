@@ -182,6 +182,7 @@ function plotOf(figure, part, number, shared, note) {
     const data = columnsOf(figure, mark);
     const source = new Bokeh.ColumnDataSource(mark.linked ? { data, selected } : { data });
     const drawn = drawMark(plot, mark, source);
+    shared.sources.push({ source, drawn });
     for (const one of drawn) one.setv({ visible: mark.hidden !== true, tags: mark.subject === undefined ? [] : [mark.subject, number] });
     const label = mark.legend ?? mark.label;
     if (label) entries.set(label, [...(entries.get(label) ?? []), ...drawn]);
@@ -220,11 +221,11 @@ async function show(place, figure, chosen) {
   const view = chosen.subject === FIRST ? together(views) : one ?? views[0];
   drawnFigures.get(place)?.view?.remove?.();
   place.replaceChildren();
-  const shared = { borders: borders(view.parts), width: place.clientWidth || 900 };
+  const shared = { borders: borders(view.parts), width: place.clientWidth || 900, sources: [] };
   const plots = view.parts.map((part, number) => plotOf(figure, part, number, shared, number === 0 ? view.note : ""));
   for (const [i, plot] of plots.entries()) if (i < plots.length - 1 && !view.parts[i].own && !view.parts[i + 1].own) plot.xaxis.axis_label = "";
   const whole = plots.length === 1 ? plots[0] : new Bokeh.Column({ children: plots, sizing_mode: "stretch_width" });
-  drawnFigures.set(place, { figure, chosen: { ...chosen }, view: await Bokeh.Plotting.show(whole, place), plots, narrow: isNarrow() });
+  drawnFigures.set(place, { figure, chosen: { ...chosen }, view: await Bokeh.Plotting.show(whole, place), plots, sources: shared.sources, narrow: isNarrow() });
   place.dataset.drawn = "yes";
 }
 
@@ -270,6 +271,21 @@ addEventListener("resize", () => {
 async function drawFetched(place, text) {
   const figure = JSON.parse(text);
   await show(place, figure, choices(place, figure));
+}
+
+// Other numbers into lines that are drawn, their intervals put away; whether more than the numbers differs is told.
+const shapeOf = ({ views }) => JSON.stringify(views.map((v) => v.parts.map((p) => [p.rules, p.x.label, p.x.ends, p.y.label, p.y.scale, p.marks.map((m) => [m.kind, m.label, m.scale])])));
+function moveLines(place, figure) {
+  const seen = drawnFigures.get(place), marks = figure.views.flatMap((v) => v.parts.flatMap((p) => p.marks));
+  if (seen === undefined || shapeOf(seen.figure) !== shapeOf(figure) || marks.some((m) => m.kind !== "line" || m.columns.low !== undefined)) return false;
+  marks.forEach((mark, i) => {
+    const { source, drawn } = seen.sources[i];
+    source.data = columnsOf(figure, mark);
+    for (const band of drawn.slice(0, -1)) band.visible = false;
+  });
+  figure.views[0].parts.forEach((part, i) => seen.plots[i].y_range.setv({ start: part.y.ends[0], end: part.y.ends[1] }));
+  seen.figure = figure;
+  return true;
 }
 
 async function unpackLibrary() {

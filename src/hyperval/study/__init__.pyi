@@ -5,5 +5,9 @@ from .page import knee
 from .plan import answers
 from .run import study_to_folder
 from .schema import Output, Required, StudyFile, load_study
+from .trade import Trade, completed, live, piece, prepared
 
-__all__ = ["Evaluator", "Output", "Required", "StudyFile", "answers", "knee", "load_study", "study_to_folder"]
+__all__ = [
+    "Evaluator", "Output", "Required", "StudyFile", "Trade", "answers", "completed", "knee", "live", "load_study",
+    "piece", "prepared", "study_to_folder",
+]  # fmt: skip

@@ -190,8 +190,8 @@ def _too_much(data: Any, at: tuple[str, ...], left: list[int]) -> Iterator[Field
 def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMistake]:
     if scenario.sensor is not None and scenario.sensor not in (*library_names(), *uploads):
         yield FieldMistake("sensor", f"no such sensor; one of {', '.join((*library_names(), *uploads))}")
-    if scenario.atmosphere is not None and scenario.atmosphere.engine != "sixs":
-        yield FieldMistake("atmosphere.engine", "this server has the engine sixs alone")
+    if scenario.atmosphere is not None and scenario.atmosphere.engine not in ("sixs", "emulator"):
+        yield FieldMistake("atmosphere.engine", "this server has the engines sixs and emulator alone")
     for path, name in _leaves(plain(scenario), "builtin"):
         if name not in SURFACES and not _GREY.fullmatch(str(name)):
             yield FieldMistake(path, f"no such surface; one of {', '.join(SURFACES)}")

@@ -48,6 +48,7 @@ from hyperval.simulate import load_scene, simulate
 from hyperval.simulate.inputs import load_inputs
 from hyperval.storage import write_text
 from hyperval.study.run import study_to_folder
+from hyperval.study.trade import live, piece
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
 
 
@@ -315,5 +316,5 @@ def _write(path: Path, content: Any) -> None:
 TASKS: Mapping[str, Callable[..., Any]] = {
     "predict": predict, "draw": draw, "files": files, "study": study, "campaign": campaign,
     "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor,
-    "collection": collection,
+    "collection": collection, "trade_live": live, "trade_piece": piece,
 }  # fmt: skip

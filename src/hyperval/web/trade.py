@@ -1,95 +1,222 @@
-"""Trade-off studies: the form of the schema of studies, what is refused beforehand, the order."""
+"""The trade desk: inputs and an output by name, curves as they come, sliders, and the same as a study to take away.
+
+Nothing is kept here: what is asked stands in the address, and workers keep the scenarios they have read.
+"""
 
 from __future__ import annotations
 
-import re
+import json
+import math
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from importlib import resources
+from itertools import groupby
 from typing import Any
 
 from fastapi import APIRouter, Request
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import RedirectResponse, Response
+from starlette.datastructures import FormData, QueryParams
+from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
 from hyperval.errors import UsageError
 from hyperval.model import in_file
-from hyperval.scenario import Scenario
+from hyperval.scenario import Scenario, builtin_scenarios
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
+from hyperval.study.trade import KINDS, Live, Offer, Offers, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.desk import Order
-from hyperval.web.forms import Form
-from hyperval.web.inputs import checked_scenario, form_data, marked, plain, predefined, yaml_text
-from hyperval.web.pages import form_parts, page, session_of
-from hyperval.web.pages_predict import scenario_of, texts_of, walk, with_action
+from hyperval.web.inputs import checked_scenario, needs, plain, predefined, yaml_text
+from hyperval.web.pages import page, session_of
+from hyperval.web.pages_predict import scenario_of
 from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, mistakes_of, said, to_show
 from hyperval.web.store import Limits, WebRun
 
 router = APIRouter(include_in_schema=False)
-_LEFT_OUT = re.compile(r"schema|references|atmosphere")
 _MOST_STATES = 40
 _SETTABLE = ("atmosphere", "sensor_changes", "sensor_operation", "scene", "processing")
-_FIRST: dict[str, Any] = {
-    "schema": 1,
-    "name": "fill",
-    "title": "Detection against fill",
-    "scenario": "yellow-planks-asphalt",
-    "inputs": [
-        {
-            "name": "fill",
-            "label": "fill",
-            "path": "scene.targets.[yellow plank].subjects.0.fill.fixed",
-            "grid": {"start": 0.005, "stop": 0.1, "count": 20},
-        }
-    ],
-    "outputs": [{"name": "pd", "label": "P_D at P_FA 1e-3", "kind": "pd", "subject": "yellow plank 0.02", "pfa": 1e-3}],
-    "plots": [{"kind": "lines", "x": "fill", "output": "pd"}],
-}
+_FIRST = "yellow-planks-asphalt"
+_LISTS = ("subject", "background", "sensor")
+_UNMOVED = 2e-6  # part by which a slider's number may miss the scenario's: it has six digits
+_NOTE = "# The emulator of 6S stands in for the engine; without its line each state is a run of 6S.\n"
 
 
-@lru_cache(maxsize=1)
-def study_form() -> Form:
-    """The form of a study."""
-    return Form(StudyFile, left_out=lambda path: _LEFT_OUT.fullmatch(path) is not None)
+def _source(request: Request, name: str) -> str:
+    """A scenario as workers read it: its name, or its file."""
+    if name.startswith("run:"):
+        scenario_of(request, name[4:])
+        return str(request.app.state.store.place(name[4:]) / "scenario.yaml")
+    if name not in predefined():
+        raise Refused(422, [FieldMistake("scenario", "no scenario goes by that name")])
+    if missing := needs(predefined()[name]):
+        raise Refused(422, [FieldMistake("scenario", f"this server lacks the data set {missing}")])
+    return name if name in builtin_scenarios() else str(resources.files("hyperval.web") / "scenarios" / f"{name}.yaml")
+
+
+@lru_cache(maxsize=64)
+def _offers(source: str, detector: str, side_m: float | None, of: str) -> Offers:
+    subject = [of] if of else []
+    return prepared(source, Trade(detector=detector, side_m=side_m, subject=subject)).offers
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text  # and refused at its field
+
+
+def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade, Offers]:
+    """What is asked, checked against its scenario.
+
+    Raises
+    ------
+    Refused : every mistake with its field.
+    """
+    texts = [(name, text.strip()) for name, text in given.multi_items() if isinstance(text, str) and text.strip()]
+    data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields and name not in _LISTS}
+    data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
+    data["moved"] = {name[3:]: _number(text) for name, text in texts if name.startswith("at:")}
+    try:
+        trade = Trade.model_validate(data)
+        source = _source(request, trade.scenario)
+        offers = _offers(source, trade.detector, trade.side_m, trade.subject[0] if trade.subject else "")
+        moved = {key: value for key, value in trade.moved.items() if _is_moved(offers.inputs.get(key), value)}
+        return source, completed(trade.model_copy(update={"moved": moved}), offers), offers
+    except ValidationError as error:
+        raise Refused(422, [_at_slider(m) for m in mistakes_of(error, data)]) from error
+    except UsageError as error:
+        raise Refused(422, [FieldMistake(error.where or "", said(error))]) from error
+
+
+def _at_slider(mistake: FieldMistake) -> FieldMistake:
+    room, _, key = mistake.field.partition("moved.")
+    return mistake if room or not key else FieldMistake(f"at:{key}", mistake.message)
+
+
+def _is_moved(offer: Offer | None, value: float) -> bool:
+    return offer is None or not abs(value - offer.now) <= _UNMOVED * abs(offer.now)
 
 
 @router.get("/trade")
-def trade(request: Request) -> Response:
-    """The form, filled in with a study that runs as it stands."""
-    return _page(request, _FIRST)
+def desk(request: Request) -> Response:
+    """The desk, as its address says."""
+    mistakes, status = list[FieldMistake](), 200
+    try:
+        source, trade, offers = _asked(request, request.query_params)
+    except Refused as refusal:
+        mistakes, status = to_show(refusal), 422
+        name = request.query_params.get("scenario", _FIRST)
+        first = {"scenario": _FIRST if any(m.field == "scenario" for m in mistakes) else name}
+        source, trade, offers = _asked(request, QueryParams(first))
+    errors: dict[str, list[str]] = {}
+    for mistake in mistakes:
+        errors.setdefault(mistake.field, []).append(mistake.message)
+    ordered = list(offers.inputs.values())
+    shown = [
+        o for o in ordered
+        if o.is_slider and (o.group != "Target" or len(o.paths) > 1 or any(f"[{s}]" in o.key for s in trade.subject))
+    ]  # fmt: skip
+    runs = request.app.state.store.runs(session_of(request).owner, "prediction")
+    return page(
+        request, "trade.html.j2", status=status, trade=trade, offers=offers, errors=errors, sliders=shown,
+        groups=[(name, list(some)) for name, some in groupby(ordered, lambda o: o.group)],
+        scenarios={name: s.title or name for name, s in predefined().items() if not needs(s)}, runs=runs[:20],
+        kinds=KINDS, is_beside=not _goes_by_name(source),
+    )  # fmt: skip
+
+
+def _goes_by_name(source: str) -> bool:
+    return source in builtin_scenarios()
+
+
+@router.get("/trade/live")
+def live(request: Request) -> Response:
+    """The ROC where the sliders stand, with its interval where that is asked for."""
+    source, trade, _ = _asked(request, request.query_params)
+    told: Live = request.app.state.desk.ask(
+        "trade_live", source=source, trade=trade, with_limits="limits" in request.query_params
+    )
+    return JSONResponse(told._asdict())
+
+
+@router.get("/trade/curve")
+def curve(request: Request) -> Response:
+    """The curve or map, a line of JSON for each piece."""
+    source, trade, _ = _asked(request, request.query_params)
+    ask = request.app.state.desk.ask
+
+    def pieces() -> Iterator[str]:
+        number, before = 0, None
+        try:
+            while before is None or before.left:
+                before = told = Progress(*ask("trade_piece", source=source, trade=trade, number=number, before=before))
+                number += 1
+                yield (
+                    json.dumps(
+                        {"figure": told.figure, "needed": [words for _, words in told.needed], "left": told.left}
+                    )
+                    + "\n"
+                )
+        except Refused as refusal:  # what went before is sent already
+            yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
+
+    return StreamingResponse(pieces(), media_type="application/x-ndjson")
+
+
+def _texts(request: Request, given: QueryParams | FormData, *, exact: bool = False) -> dict[str, str]:
+    """The study, and the scenario's file beside it where it goes by no name."""
+    source, trade, _ = _asked(request, given)
+    by_name = _goes_by_name(source)
+    study = study_of(prepared(source, trade), trade, source if by_name else "scenario.yaml", exact=exact)
+    data = study.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    emulated = "atmosphere.engine" in study.settings
+    texts = {"study.yaml": (_NOTE if emulated else "") + yaml_text(data)}
+    if not by_name:
+        texts["scenario.yaml"] = yaml_text(plain(_scenario(request, trade.scenario)))
+    return texts
+
+
+def _scenario(request: Request, name: str) -> Scenario:
+    """A predefined scenario, or the checked one of a run (``run:ID``).
+
+    Raises
+    ------
+    Refused : there is none.
+    """
+    if name.startswith("run:"):
+        uploads = files_of(request.app.state.settings, session_of(request).owner)
+        return checked_scenario(scenario_of(request, name[4:]), request.app.state.settings.limits, uploads)
+    if name in predefined():
+        return predefined()[name]
+    raise Refused(422, [FieldMistake("scenario", f"one of {', '.join(predefined())}, or run: and the name of a run")])
+
+
+@router.get("/trade/{name}")
+def take_away(request: Request, name: str) -> Response:
+    """The study that gives the same numbers, the scenario beside it, or a notebook that runs it."""
+    texts = _texts(request, request.query_params)
+    if name == "trade.ipynb":
+        texts[name] = notebook(texts)
+    if name not in texts:
+        raise Refused(404, "there is no such file")
+    headers = {"content-disposition": f'attachment; filename="{name}"'}
+    return Response(texts[name], media_type="application/octet-stream", headers=headers)
 
 
 @router.post("/trade")
-async def trade_post(request: Request) -> Response:
-    """Add or remove a row, or run the study."""
-    given = texts_of(await request.form(max_fields=4000))
-    if given.get("action", ["run"])[0] != "run":
-        return await run_in_threadpool(lambda: _page(request, form_data(study_form(), with_action(given))))
-    return await run_in_threadpool(_run, request, given)
+async def keep(request: Request) -> Response:
+    """Run the study under the exact engine, and keep what comes of it."""
+    form = await request.form(max_fields=1000)
+    return await run_in_threadpool(_keep, request, form)
 
 
-def _run(request: Request, given: dict[str, list[str]]) -> Response:
-    data: dict[str, Any] = {}
-    try:
-        data = form_data(study_form(), given)
-        run = order_study(request, {"schema": 1, **data})
-    except Refused as refusal:
-        return _page(request, data, to_show(refusal), 422)
+def _keep(request: Request, form: FormData) -> Response:
+    from hyperval.config import parse_yaml
+
+    data = parse_yaml(_texts(request, form, exact=True)["study.yaml"])[0]
+    run = order_study(request, {**data, "scenario": form.get("scenario") or _FIRST})
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
-
-
-def _page(
-    request: Request, data: dict[str, Any], mistakes: list[FieldMistake] | None = None, status: int = 200
-) -> Response:
-    nodes = study_form().nodes(data, _FIRST)
-    titles = {node.path: node.title for node in walk(nodes)}
-    errors = marked(mistakes or [], titles)
-    runs = request.app.state.store.runs(session_of(request).owner, "prediction")
-    return page(
-        request, "trade.html.j2", status=status, parts=form_parts(nodes, errors, "to start with"), errors=errors,
-        scenarios=predefined(), runs=runs[:20], titles=titles,
-        most=request.app.state.settings.limits.points,
-    )  # fmt: skip
 
 
 def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
@@ -106,16 +233,8 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
     uploads = files_of(state.settings, owner)
-    name = study.scenario
-    if name.startswith("run:"):
-        scenario = checked_scenario(scenario_of(request, name[4:]), limits, uploads)
-    elif name in predefined():
-        scenario = predefined()[name]
-    else:
-        raise Refused(
-            422, [FieldMistake("scenario", f"one of {', '.join(predefined())}, or run: and the name of a run")]
-        )
-    mistakes = [*_of_size(study, limits), *_of_paths(study, scenario)]
+    scenario = _scenario(request, study.scenario)
+    mistakes = [*_of_size(study, limits), *_of_paths(study, scenario, limits, uploads)]
     if mistakes:
         raise Refused(422, mistakes)
     text = yaml_text(plain(scenario))
@@ -129,36 +248,41 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
 
 
 def _of_size(study: StudyFile, limits: Limits) -> Iterator[FieldMistake]:
-    states = 1
-    for item in study.inputs:
-        if any(m.path.startswith("atmosphere.") for m in item.targets):
-            states *= item.size if item.random is None else 7
+    sky = [i for i in study.inputs if any(m.path.startswith("atmosphere.") for m in i.targets)]
+    states = math.prod(i.size for i in sky)
+    if any(i.random for i in sky) or states > study.atmosphere.above:
+        states = math.prod(study.atmosphere.nodes if i.random else min(i.size, study.atmosphere.nodes) for i in sky)
     points = study.count * (1 + sum(q.scan + 40 for q in study.required) // 4)
     if points > limits.points:
         yield FieldMistake("inputs", f"{points:,} evaluations; this server takes at most {limits.points:,}")
-    if states > _MOST_STATES:
+    if states > _MOST_STATES and study.settings.get("atmosphere.engine") != "emulator":
         yield FieldMistake("inputs", f"{states} states of the atmosphere; this server takes at most {_MOST_STATES}")
 
 
-def _of_paths(study: StudyFile, scenario: Scenario) -> Iterator[FieldMistake]:
-    """Paths that lead nowhere, and values that cannot stand there."""
+def _of_paths(study: StudyFile, scenario: Scenario, limits: Limits, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
+    """Paths that lead nowhere, and values that cannot stand there: files of the server among them."""
     items: list[tuple[str, Input | Required]] = [(f"inputs.{i}", item) for i, item in enumerate(study.inputs)]
     items += [(f"required.{i}", item) for i, item in enumerate(study.required)]
-    for at, item in items:
-        first: Any = None
-        if isinstance(item, Required):
-            first = item.between[0]
-        elif item.values or item.grid:
-            first = item.values[0] if item.values else item.grid.start if item.grid else None
-        for move in item.targets:
-            is_entry = in_file(move.path) and move.path.partition(".")[0] in Scenario.model_fields
-            if not is_entry or first is None or isinstance(first, list):
-                continue
-            value = move.offset + move.factor * first if isinstance(first, int | float) else first
-            try:
-                with_settings(scenario, {move.path: value})
-            except UsageError as error:
-                yield FieldMistake(f"{at}.path", said(error)[:400])
     for path in study.settings:
         if path.partition(".")[0] not in _SETTABLE:
             yield FieldMistake("settings", f"{path!r} is not set from here")
+            return
+    tries = [("settings", study.settings)]
+    for at, item in items:
+        listed = (item.values or []) if isinstance(item, Input) else [item.between[0]]
+        if isinstance(item, Input) and item.grid:
+            listed = [item.grid.start]
+        words = [value for value in listed if not isinstance(value, int | float)]
+        for value in (words or listed)[:100]:
+            for k, move in enumerate(item.targets):
+                own = value[k] if isinstance(value, list) and len(item.moves) > 1 else value
+                own = move.offset + move.factor * own if isinstance(own, int | float) else own
+                if in_file(move.path) and move.path.partition(".")[0] in Scenario.model_fields and own is not None:
+                    tries.append((f"{at}.path", {move.path: own}))
+    for field, settings in tries:
+        try:
+            checked_scenario(plain(with_settings(scenario, settings)), limits, uploads)
+        except UsageError as error:
+            yield FieldMistake(field, said(error)[:400])
+        except Refused as refusal:
+            yield FieldMistake(field, str(refusal)[:400])

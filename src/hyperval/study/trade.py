@@ -1,0 +1,690 @@
+"""A trade by plain names: one or two inputs against an output, piece by piece, and the ROC where sliders stand.
+
+What is asked is a study (:func:`study_of`), whose YAML ``hyperval study`` runs unchanged to the same numbers.  The
+atmosphere comes from the emulator where it knows the scenario's, so that sliders of sun and haze answer at once; its
+error is told, and lies in the intervals.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from importlib import resources
+from itertools import product
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from hyperval.config import Model, parse_yaml
+from hyperval.data import LINEAR_DETECTORS
+from hyperval.errors import UsageError
+from hyperval.figures.spec import (
+    CURVES,
+    PREDICTED,
+    WAVELENGTH,
+    Axis,
+    ColourScale,
+    Figure,
+    Mark,
+    Panels,
+    Part,
+    statement,
+)
+from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
+from hyperval.model.intervals import Z95
+from hyperval.model.radiance import mean_radiance
+from hyperval.model.roc import detection_at
+from hyperval.model.stated import state_entries
+from hyperval.model.world import column_of, fits
+from hyperval.products import PredictedProducts
+from hyperval.scenario import Scenario, load_scenario
+from hyperval.sensor.specification import library_names
+from hyperval.settings import path_parts, with_settings
+from hyperval.study.evaluate import PFA, Evaluator, bands_of
+from hyperval.study.plan import answers
+from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
+from hyperval.study.tables import StudyPoints, moved
+
+Array = npt.NDArray[np.float64]
+POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
+_STRIDES = (8, 4, 2, 1)
+_MOST_LINES = 12
+Rule = tuple[Literal["x", "y"], float]
+_LIMITS_AT = 9  # values of the input at which an interval is predicted
+_SCAN = 17
+_ROC = np.geomspace(1e-6, 0.999, 73)
+_GROUND, _LEAST_GAS = 0.3, 0.1  # over and above which the error of the atmosphere is stated
+KINDS = {
+    "pd": "probability of detection P_D", "auc": "area under the ROC", "snr": "signal-to-noise ratio",
+    "radiance": "radiance",
+}  # fmt: skip
+
+
+class Trade(Model):
+    """What is asked of a scenario; inputs go by the keys of :class:`Offer`."""
+
+    scenario: str = Field("yellow-planks-asphalt", max_length=100)
+    x: str = Field("", max_length=300)
+    x_from: float | None = None
+    x_to: float | None = None
+    y: str = Field("", max_length=300)
+    y_from: float | None = None
+    y_to: float | None = None
+    output: Literal["pd", "auc", "snr", "radiance"] = "pd"
+    pfa: Probability = 1e-3
+    from_nm: float = Field(500.0, gt=0)
+    to_nm: float = Field(900.0, gt=0)
+    detector: str = Field("", max_length=40)
+    subject: list[str] = Field(default_factory=list, max_length=_MOST_LINES)
+    background: list[str] = Field(default_factory=list, max_length=_MOST_LINES)
+    sensor: list[str] = Field(default_factory=list, max_length=2)
+    side_m: float | None = Field(None, gt=0, le=100, description="of a target of fixed fill, so that it has a GSD")
+    wanted: float | None = Field(None, description="value of the output that is looked for along x")
+    moved: dict[str, float] = Field(default_factory=dict, max_length=20)
+
+    @property
+    def is_spectral(self) -> bool:
+        """Whether the output is a spectrum's."""
+        return self.output in ("snr", "radiance")
+
+
+class Offer(NamedTuple):
+    """An input that may be picked.
+
+    Attributes
+    ----------
+    key, group, name, unit, column : by which it is picked; where it stands, what it is called, also in a table
+    low, high, is_log : range of its axis and slider, and how they run
+    now : value in the scenario, NaN where it states none
+    paths : what it moves;  is_slider : whether the page has one for it
+    """
+
+    key: str
+    group: str
+    name: str
+    unit: str
+    column: str
+    low: float
+    high: float
+    is_log: bool
+    now: float
+    paths: tuple[str, ...]
+    is_slider: bool
+
+    @property
+    def words(self) -> str:
+        """Name with unit."""
+        return self.name + (f" [{self.unit}]" if self.unit != "1" else "")
+
+    def ends(self, low: float | None, high: float | None) -> tuple[float, float]:
+        """Ends of an axis where they are stated, else about the value in the scenario."""
+        near = self.is_log and self.now > 0.0
+        first, last = (max(self.low, self.now / 10), min(self.high, self.now * 10)) if near else (self.low, self.high)
+        return first if low is None else low, last if high is None else high
+
+
+class Offers(NamedTuple):
+    """What a scenario has to pick from; ``why``: why its atmosphere is not that of the emulator."""
+
+    inputs: Mapping[str, Offer]
+    targets: tuple[str, ...]
+    surfaces: tuple[str, ...]
+    backgrounds: tuple[str, ...]
+    detectors: tuple[str, ...]
+    sensors: tuple[str, ...]
+    has_fixed_fill: bool
+    why: str
+
+
+class Prepared(NamedTuple):
+    """A scenario read for a trade: its world, what was set in it, and what it offers."""
+
+    scenario: Scenario
+    world: World
+    settings: Mapping[str, Any]
+    offers: Offers
+
+
+@lru_cache(maxsize=1)
+def _table() -> dict[str, list[dict[str, Any]]]:
+    text = resources.files("hyperval.study").joinpath("trade.yaml").read_text("utf-8")
+    table: dict[str, list[dict[str, Any]]] = parse_yaml(text, "trade.yaml")[0]
+    return table
+
+
+@lru_cache(maxsize=8)
+def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prepared:
+    scenario, settings, why = load_scenario(source), dict[str, Any](), ""
+    own = [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
+    if scenario.scene.targets:
+        settings["processing.detectors"] = [detector or (own[0] if own else "cem")]
+    fixed = _fixed_fills(scenario)
+    if side_m is not None and fixed:
+        path, fill = fixed.get(of) or next(iter(fixed.values()))
+        geometry = {"side_m": side_m, "gsd_m": side_m / math.sqrt(max(fill, 1e-4)), "heading_deg": "random"}
+        settings[path] = {"geometry": geometry}
+    if scenario.atmosphere is not None:
+        try:
+            emulated = settings | {"atmosphere.engine": "emulator"}
+            world = _read(scenario, emulated)
+            world.stated.atmosphere.run({})
+            settings = emulated
+        except UsageError as error:
+            why = error.what
+    world = world if scenario.atmosphere is not None and not why else _read(scenario, settings)
+    scene = scenario.scene
+    sensors = tuple(dict.fromkeys((scenario.sensor, *library_names()))) if scenario.sensor is not None else ()
+    offers = Offers(
+        {offer.key: offer for offer in _offers(world) if not (why and offer.key.startswith("atmosphere."))},
+        tuple(p.name for t in scene.targets for p in t.populations),
+        tuple(s.name for s in (*scene.classes, *scene.panels)) if scenario.atmosphere else (),
+        tuple(c.name for c in scene.classes), LINEAR_DETECTORS, sensors, bool(fixed), why,
+    )  # fmt: skip
+    return Prepared(world.stated.scenario, world, settings, offers)
+
+
+def _read(scenario: Scenario, settings: Mapping[str, Any]) -> World:
+    return read(with_settings(scenario, settings) if settings else scenario, Origins(show_progress=False))
+
+
+def _fixed_fills(scenario: Scenario) -> dict[str, tuple[str, float]]:
+    """Population of a fixed fill -> path of the fill, and the fill."""
+    out = {}
+    for target in scenario.scene.targets:
+        for population in target.populations:
+            within = f".subjects.[{population.name}]" if target.subjects else ""
+            if population.fill is not None and population.fill.fixed is not None:
+                path = f"scene.targets.[{target.name}]{within}.fill"
+                out[population.name] = path, float(population.fill.fixed)
+    return out
+
+
+def prepared(source: str, trade: Trade) -> Prepared:
+    """A scenario by name or file, read once for what is asked of it."""
+    return _prepared(source, trade.detector, trade.side_m, trade.subject[0] if trade.subject else "")
+
+
+def _offers(world: World) -> Iterator[Offer]:
+    known, lit = every_path(world), world.stated.scenario.atmosphere is not None
+    for group, rows in _table().items():
+        for row in rows:
+            paths = [path for path in known if fits(row["path"], path)]
+            if not paths and "now" in row and (lit or row["path"] == PFA):
+                paths = [row["path"]]
+            sets = [tuple(paths)] if row.get("together") and paths else [(path,) for path in paths]
+            for own in sets:
+                yield _offer(world, group, row, own)
+
+
+def _offer(world: World, group: str, row: Mapping[str, Any], paths: tuple[str, ...]) -> Offer:
+    try:
+        now = float(np.ravel(value_at(world, paths[0]))[0])
+    except (UsageError, TypeError):
+        now = float(row.get("now", math.nan))
+    name = next((part for part in reversed(path_parts(paths[0])) if f"[{part}]" in paths[0]), "")
+    low, high, state = row["low"], row["high"], world.stated.scenario.atmosphere
+    if row["path"] == "atmosphere.sensor_altitude_km" and state is not None:
+        low = max(low, state.ground_altitude_km + 0.5)
+    if math.isfinite(now):
+        low, high = min(low, now), max(high, now)
+    column = row.get("column", row["path"].rpartition(".")[2])
+    return Offer(
+        paths[0], group, row["name"].replace("*", name), row.get("unit", "1"), column, float(low), float(high),
+        row.get("spacing") == "log", now, paths, bool(row.get("slider")),
+    )  # fmt: skip
+
+
+def completed(trade: Trade, offers: Offers) -> Trade:
+    """What is asked, with all that was left open filled in.
+
+    Raises
+    ------
+    UsageError : something that the scenario does not have; ``where`` names the field.
+    """
+    has_roc = bool(offers.targets)
+    output = trade.output if has_roc or trade.is_spectral else "snr"
+    spectral = output in ("snr", "radiance")
+    among = offers.surfaces if spectral else offers.targets
+    subject = [name for name in trade.subject if name in among] or list(among[:1])
+    if not subject:
+        raise UsageError("the scenario has nothing that this is asked of", where="output")
+    x = trade.x or _usual(offers, "" if spectral else f"[{subject[0]}]")
+    for field, key in (("x", x), ("y", trade.y)):
+        if (key or field == "x") and key not in offers.inputs:
+            raise UsageError("no input of this scenario", where=field)
+    for field, names, known in (
+        ("subject", trade.subject, offers.targets + offers.surfaces), ("sensor", trade.sensor, offers.sensors),
+        ("background", trade.background, offers.backgrounds), ("detector", [trade.detector], ("", *LINEAR_DETECTORS)),
+        ("moved", list(trade.moved), tuple(offers.inputs)),
+    ):  # fmt: skip
+        wrong = [name for name in names if name not in known]
+        if wrong:
+            raise UsageError(
+                f"{wrong[0]!r} is none of this scenario", where=field, expected="one of " + ", ".join(known)
+            )
+    if trade.y == x:
+        raise UsageError("is the first input already", where="y")
+    if not trade.from_nm < trade.to_nm:
+        raise UsageError(f"{trade.to_nm:g} nm lies not above {trade.from_nm:g} nm", where="to_nm")
+    whole = trade.model_copy(update={"output": output, "x": x, "subject": subject})
+    ends = dict[str, Any]()
+    for field, key in (("x", x), ("y", trade.y)):
+        if key:
+            offer = offers.inputs[key]
+            low, high = offer.ends(getattr(whole, f"{field}_from"), getattr(whole, f"{field}_to"))
+            if not low < high:
+                raise UsageError(f"{high:g} lies not above {low:g}", where=f"{field}_to")
+            if offer.is_log and low <= 0.0:
+                raise UsageError("a logarithmic axis starts above 0", where=f"{field}_from")
+            ends |= {f"{field}_from": low, f"{field}_to": high}
+    lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
+    if lines > _MOST_LINES:
+        raise UsageError(f"{lines} curves; at most {_MOST_LINES} are drawn together", where="subject")
+    return whole.model_copy(update=ends)
+
+
+def _usual(offers: Offers, target: str) -> str:
+    """The input to begin with: the first slider, of a target its own fill or GSD."""
+    sliders = [offer for offer in offers.inputs.values() if offer.is_slider]
+    own = [o for o in sliders if target and any(target in path for path in o.paths)]
+    return next((o.key for o in (*own, *sliders) if o in own or o.group != "Target"), "")
+
+
+def paths_of(offer: Offer, trade: Trade) -> tuple[str, ...]:
+    """What an input moves: of several targets together, those that are asked for."""
+    own = tuple(path for path in offer.paths if any(f"[{name}]" in path for name in trade.subject))
+    return own if len(offer.paths) > 1 and own else offer.paths
+
+
+def outputs_of(trade: Trade, is_moved: bool) -> list[Output]:
+    """The output of each subject; ``is_moved``: an input moves the false-alarm probability."""
+    label = KINDS[trade.output]
+    if trade.output == "pd" and not is_moved:
+        label += f" at P_FA {trade.pfa:g}"
+    if trade.is_spectral:
+        label += f", mean of {trade.from_nm:g} to {trade.to_nm:g} nm"
+    return [
+        Output(
+            name=trade.output if len(trade.subject) == 1 else f"{trade.output}-{i + 1}", kind=trade.output,
+            subject=name, label=f"{label}, {name}", pfa=None if trade.output != "pd" or is_moved else trade.pfa,
+            range_nm=(trade.from_nm, trade.to_nm) if trade.is_spectral else None,
+        )
+        for i, name in enumerate(trade.subject)
+    ]  # fmt: skip
+
+
+def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -> StudyFile:
+    """The study that asks the same: its table holds the numbers of the page.
+
+    Parameters
+    ----------
+    scenario : its name, or the file that lies beside the study
+    exact : under the engine that the scenario names in place of the emulator
+    """
+    axes = [(field, p.offers.inputs[key]) for field, key in (("y", trade.y), ("x", trade.x)) if key]
+    inputs = [*_overlays(p, trade), *(_input(trade, field, offer, len(axes)) for field, offer in axes)]
+    settings = {path: value for path, value in p.settings.items() if not (exact and path == "atmosphere.engine")}
+    settings |= _settings(p, trade)
+    of_sky = sum(offer.key.startswith("atmosphere.") for _, offer in axes)
+    atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
+    outputs = outputs_of(trade, PFA in (trade.x, trade.y))
+    x, family = inputs[-1], inputs[0].name if len(inputs) > len(axes) else None
+    scale = "log" if axes[-1][1].is_log else "linear"
+    more: dict[str, Any] = {"kind": "lines", "family": family}
+    if trade.y:
+        more = {"kind": "heat", "y": inputs[-2].name}
+    plots = [Plot(x=x.name, output=o.name, scale=scale, **more) for o in outputs]
+    data = {
+        "schema": 1, "name": "trade", "title": f"{KINDS[trade.output]} against {' and '.join(i.label for i in inputs)}",
+        "scenario": scenario, "settings": settings, "inputs": [i.model_dump(exclude_unset=True) for i in inputs],
+        "outputs": [o.model_dump(exclude_none=True, exclude_defaults=True) for o in outputs],
+        "plots": [plot.model_dump(exclude_none=True) for plot in plots],
+    }  # fmt: skip
+    return StudyFile.model_validate({**data, "atmosphere": atmosphere} if of_sky else data)
+
+
+def _input(trade: Trade, field: str, offer: Offer, axes: int) -> Input:
+    grid = Grid(
+        start=getattr(trade, f"{field}_from"), stop=getattr(trade, f"{field}_to"),
+        count=POINTS if axes == 1 else MAP_POINTS, spacing="log" if offer.is_log else "linear",
+    )  # fmt: skip
+    column = offer.column if trade.y == "" or field == "x" else f"{offer.column}-y"
+    moves = [Move(path=path) for path in paths_of(offer, trade)]
+    where: dict[str, Any] = {"path": moves[0].path} if len(moves) == 1 else {"moves": moves}
+    return Input(name=column, label=offer.name, unit=offer.unit, grid=grid, **where)
+
+
+def _overlays(p: Prepared, trade: Trade) -> list[Input]:
+    """Inputs whose values are curves over each other: backgrounds of the targets, and sensors."""
+    out = []
+    if trade.background and not trade.is_spectral:
+        targets = [t.name for t in p.scenario.scene.targets if {q.name for q in t.populations} & set(trade.subject)]
+        moves = [{"path": f"scene.targets.[{name}].host"} for name in targets]
+        out.append(Input.model_validate({"name": "background", "moves": moves, "values": trade.background}))
+    if trade.sensor:
+        out.append(Input.model_validate({"name": "sensor", "path": "sensor", "values": trade.sensor}))
+    return out
+
+
+def _constants(p: Prepared, trade: Trade) -> dict[str, float]:
+    """Path -> value of what sliders moved and no axis moves."""
+    keys = [key for key in trade.moved if key not in (trade.x, trade.y, PFA)]
+    return {path: trade.moved[key] for key in keys for path in paths_of(p.offers.inputs[key], trade)}
+
+
+def _settings(p: Prepared, trade: Trade) -> dict[str, Any]:
+    """The same as entries of the scenario's file, those left out that give way."""
+    constants, state = _constants(p, trade), p.scenario.atmosphere
+    sky = {path.partition(".")[2]: v for path, v in constants.items() if path.startswith("atmosphere.")}
+    out: dict[str, Any] = {path: v for path, v in constants.items() if not path.startswith("atmosphere.")}
+    if sky and state is not None:
+        out |= {f"atmosphere.{key}": value for key, value in state_entries(state, sky).items()}
+    return out
+
+
+def _columns(p: Prepared, trade: Trade, columns: Mapping[str, Any], count: int) -> dict[str, Any]:
+    return {**columns, **{path: np.full(count, value) for path, value in _constants(p, trade).items()}}
+
+
+def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
+    """Columns of the overlaid backgrounds and sensors, a row for each combination, and what each is called."""
+    inputs = _overlays(p, trade)
+    rows = list(product(*(i.values or [] for i in inputs)))
+    columns = {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)}
+    names = [", ".join(str(row[k]) for k, i in enumerate(inputs) if len(i.values or []) > 1) for row in rows]
+    return moved(inputs, columns), names
+
+
+def _labels(trade: Trade, names: Sequence[str]) -> list[str]:
+    """What the curves are called: rows of families, subjects within."""
+    several = len(trade.subject) > 1
+    return [", ".join(filter(None, (s if several or not n else "", n))) for n in names for s in trade.subject]
+
+
+def values_at(p: Prepared, trade: Trade, rows: npt.NDArray[np.intp]) -> Array:
+    """Outputs (n, O) at some points of the study of a trade."""
+    study = study_of(p, trade, trade.scenario)
+    columns = moved(study.inputs, StudyPoints(study).stretch(0, study.count))
+    some = _columns(p, trade, {path: column[rows] for path, column in columns.items()}, rows.size)
+    return Evaluator(p.world).values(some, study.outputs)[0]
+
+
+def _known(trade: Trade, stride: int) -> npt.NDArray[np.bool_]:
+    """(points of an input or (y, x)) which are known once every ``stride``-th is evaluated."""
+    at = np.arange(MAP_POINTS if trade.y else POINTS) % stride == 0
+    return np.outer(at, at).ravel() if trade.y else at
+
+
+Needed = tuple[float, str]  # the value of x that a curve needs for the wanted output, NaN without, and in words
+
+
+class Progress(NamedTuple):
+    """What stands after some pieces.
+
+    Attributes
+    ----------
+    values : (F, K, O) of families, points and subjects, NaN where not yet
+    limits : (F, K, O, 2) 95 % limits where the model gives them
+    needed : of each curve, once that was looked for
+    figure : what is to be drawn;  left : pieces that are still to come
+    """
+
+    values: Array
+    limits: Array
+    needed: tuple[Needed, ...]
+    figure: str
+    left: int
+
+
+def piece(source: str, trade: Trade, number: int, before: Progress | None = None) -> Progress:
+    """The next piece: points twice as dense as before, then the required values, then the limits of each family."""
+    p = prepared(source, trade)
+    columns, names = _families(p, trade)
+    steps = _steps(trade, len(names))
+    shape = len(names), _known(trade, 1).size, len(trade.subject)
+    values, limits, needed = np.full(shape, np.nan), np.full((*shape, 2), np.nan), tuple[Needed, ...]()
+    if before is not None:
+        values, limits, needed = before.values.copy(), before.limits.copy(), before.needed
+    what, step = steps[number]
+    if what == "points":
+        new = _known(trade, step)
+        if number:
+            new &= ~_known(trade, steps[number - 1][1])
+        rows = np.flatnonzero(np.tile(new, len(names)))
+        values.reshape(-1, shape[2])[rows] = values_at(p, trade, rows)
+    elif what == "required":
+        needed = _required(p, trade, columns, names)
+    else:
+        limits[step] = _limits(p, trade, {path: column[step] for path, column in columns.items()})
+    stride = _STRIDES[min(number, len(_STRIDES) - 1)]
+    drawn = _map(p, trade, values, stride) if trade.y else _curves(p, trade, values, limits, names)
+    return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1)
+
+
+def _steps(trade: Trade, families: int) -> list[tuple[str, int]]:
+    """What the pieces are: points of strides, required values, limits of the families by number."""
+    steps = [("points", stride) for stride in _STRIDES]
+    steps += [("required", 0)] if trade.wanted is not None else []
+    return steps + [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
+
+
+def axis_values(trade: Trade, offers: Offers, field: str = "x") -> Array:
+    """Values of an input at the points of its axis."""
+    key = trade.x if field == "x" else trade.y
+    listed = _input(trade, field, offers.inputs[key], 1 + bool(trade.y)).listed
+    assert listed is not None  # noqa: S101 - of a grid
+    return np.asarray(listed, float)
+
+
+def _required(p: Prepared, trade: Trade, columns: Mapping[str, Any], names: Sequence[str]) -> tuple[Needed, ...]:
+    """The value of x at which the output of each curve comes to what is wanted."""
+    trade = trade.model_copy(update={"y": ""})  # which stands as in the scenario, or where its slider does
+    offer, outputs, found = p.offers.inputs[trade.x], outputs_of(trade, trade.x == PFA), dict[tuple[int, int], Needed]()
+    some = _columns(p, trade, columns, len(names)) or {"line.offset": np.zeros(len(names))}
+    for k, o in enumerate(outputs):
+        question = Required(
+            name="required", between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
+            spacing="log" if offer.is_log else "linear", equals=float(trade.wanted or 0.0),
+            moves=[Move(path=path) for path in paths_of(offer, trade)],
+        )  # fmt: skip
+        answer = answers(Evaluator(p.world), some, question, outputs)
+        for i, value in enumerate(answer.solutions.tolist()):
+            why = answer.reasons.get(i, "").replace(o.name, KINDS[trade.output])
+            words = why.replace("no solution", "not reached in this range")
+            if math.isfinite(value):
+                unit = f" {offer.unit}" if offer.unit != "1" else ""
+                words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
+                words += f" ({why})" if why else ""
+            found[i, k] = value, words
+    each = zip(_labels(trade, names), (found[key] for key in sorted(found)), strict=True)
+    return tuple((value, f"{label}: {words}" if len(found) > 1 else words) for label, (value, words) in each)
+
+
+def _predicted(p: Prepared, trade: Trade, truth: Mapping[str, Any]) -> PredictedProducts:
+    origins = Origins(show_progress=False)
+    return predict(p.scenario, origins, truth={**_constants(p, trade), **truth}, object_curves=False)
+
+
+def _spectral_limits(p: Prepared, trade: Trade, truth: Mapping[str, Any]) -> Array:
+    """(subjects, 1, 2) 95 % limits of the mean of a spectrum over its bands in one truth; NaN without error."""
+    products, out = _predicted(p, trade, truth), np.full((len(trade.subject), 1, 2), np.nan)
+    for k, o in enumerate(outputs_of(trade, False)):
+        spectrum, bands = getattr(products, trade.output)[o.subject], bands_of(o, products.axis)
+        sd = math.sqrt(max(float(spectrum.error_covariance[np.ix_(bands, bands)].mean()), 0.0))
+        if sd > 0.0:
+            out[k, 0] = float(spectrum.mean[bands].mean()) + np.array([-Z95, Z95]) * sd
+    return out
+
+
+def _curve_limits(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
+    """(subjects, n, 2) 95 % limits of P_D at some P_FA in one truth; NaN where they are no interval."""
+    products, detector = _predicted(p, trade, truth), p.scenario.processing.detectors[0]
+    out = np.full((len(trade.subject), pfa.size, 2), np.nan)
+    for k, name in enumerate(trade.subject):
+        curve = products.roc[name, detector, "pixel"]
+        if np.nanmax(curve.pd_upper - curve.pd_lower) > 1e-12:
+            both = curve.pd_lower, curve.pd_upper
+            out[k] = [[float(detection_at(curve, at, limit)) for limit in both] for at in pfa]
+    return out
+
+
+def _limits(p: Prepared, trade: Trade, family: Mapping[str, Any]) -> Array:
+    """(K, O, 2) limits along x, predicted at some of its values and between them as the curve runs."""
+    offer, x = p.offers.inputs[trade.x], axis_values(trade, p.offers)
+    nodes = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int)
+    if trade.x == PFA:
+        return np.moveaxis(_curve_limits(p, trade, family, x), 0, 1)
+    at, pfa = np.full((nodes.size, len(trade.subject), 2), np.nan), np.array([trade.pfa])
+    for i, k in enumerate(nodes):
+        truth = {**family, **dict.fromkeys(paths_of(offer, trade), float(x[k]))}
+        try:
+            own = _spectral_limits(p, trade, truth) if trade.is_spectral else _curve_limits(p, trade, truth, pfa)
+            at[i] = own[:, 0]
+        except UsageError:  # that the value is not taken is seen in the curve
+            continue
+        if np.isnan(at[i]).all():
+            break
+    places = np.arange(x.size)
+    flat = at.reshape(nodes.size, -1)
+    return np.stack([np.interp(places, nodes, column) for column in flat.T], axis=1).reshape(x.size, -1, 2)
+
+
+def _x_axis(p: Prepared, trade: Trade, field: str = "x") -> Axis:
+    offer = p.offers.inputs[trade.x if field == "x" else trade.y]
+    ends = getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to")
+    return Axis(offer.words, "log" if offer.is_log else "linear", ends=ends)
+
+
+def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> tuple[Rule, ...]:
+    """A rule at the present value of an input, where it lies on its axis."""
+    offer = p.offers.inputs[trade.x if field == "x" else trade.y]
+    now = trade.pfa if offer.key == PFA else trade.moved.get(offer.key, offer.now)
+    low, high = getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to")
+    return ((field, now),) if math.isfinite(now) and low <= now <= high else ()
+
+
+def _y_axis(trade: Trade) -> Axis:
+    share = trade.output in ("pd", "auc")
+    unit = " [uW cm-2 sr-1 nm-1]" if trade.output == "radiance" else ""
+    return Axis(KINDS[trade.output] + unit, ends=(-0.03, 1.03) if share else None)
+
+
+def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: Array) -> tuple[Mark, ...]:
+    """Curves (x, y) with their limits (K, 2) where there are some; beyond six colours another dash."""
+    marks = []
+    for k, (label, (x, y)) in enumerate(zip(labels, lines, strict=True)):
+        known = np.isfinite(y)
+        columns = {"x": x[known], "y": y[known]}
+        if np.isfinite(bands[k]).any():
+            columns |= {"low": bands[k][known, 0], "high": bands[k][known, 1]}
+        colour = PREDICTED if len(labels) == 1 else CURVES[k % 6]
+        marks.append(Mark("line", columns, label, colour, "dashed" if k // 6 else "solid"))
+    return tuple(marks)
+
+
+def _curves(p: Prepared, trade: Trade, values: Array, limits: Array, names: Sequence[str]) -> Figure:
+    x, labels = axis_values(trade, p.offers), _labels(trade, names)
+    lines = [(x, line) for line in np.moveaxis(values, 1, 2).reshape(-1, x.size)]
+    marks = _lines(labels, lines, np.moveaxis(limits, 1, 2).reshape(-1, x.size, 2))
+    x_axis, rules = _x_axis(p, trade), _present(p, trade)
+    rules += (("y", trade.wanted),) if trade.wanted is not None else ()
+    view = Panels(x_axis, (Part(_y_axis(trade), marks, rules),))
+    return Figure("trade", "study", f"{KINDS[trade.output]} against {x_axis.label}", "", (view,))
+
+
+def _map(p: Prepared, trade: Trade, values: Array, stride: int) -> Figure:
+    x, y = (axis_values(trade, p.offers, field)[::stride] for field in ("x", "y"))
+    grid = values[0, :, 0].reshape(MAP_POINTS, MAP_POINTS)[::stride, ::stride]
+    (left, right), (bottom, top) = (_edges(v, p.offers.inputs[k].is_log) for v, k in ((x, trade.x), (y, trade.y)))
+    rows, columns = np.nonzero(np.isfinite(grid))
+    shown = grid[rows, columns]
+    low, high = (float(shown.min()), float(shown.max())) if shown.size else (0.0, 1.0)
+    scale = ColourScale("rising", low, max(high, low + 1e-12), KINDS[trade.output])
+    cells = {"left": left[columns], "right": right[columns], "bottom": bottom[rows], "top": top[rows], "value": shown}
+    part = Part(
+        _x_axis(p, trade, "y"), (Mark("cells", cells, scale=scale),), _present(p, trade) + _present(p, trade, "y")
+    )
+    title = f"{KINDS[trade.output]}, {trade.subject[0]}"
+    return Figure("trade", "study", title, "", (Panels(_x_axis(p, trade), (part,)),), legend_title=title)
+
+
+def _edges(at: Array, is_log: bool) -> tuple[Array, Array]:
+    scaled = np.log(at) if is_log else at
+    middle = 0.5 * (scaled[1:] + scaled[:-1])
+    edges = np.concatenate([scaled[:1], middle, scaled[-1:]])
+    edges = np.exp(edges) if is_log else edges
+    return edges[:-1], edges[1:]
+
+
+class Live(NamedTuple):
+    """Where the sliders stand: a figure, the output of each curve, and what the atmosphere's error is."""
+
+    figure: str
+    values: tuple[tuple[str, float | None], ...]
+    error: str
+
+
+def live(source: str, trade: Trade, with_limits: bool = False) -> Live:
+    """The ROC, or the spectrum of a spectral output, of every curve where the sliders stand."""
+    p = prepared(source, trade)
+    trade = trade.model_copy(update={"x": "", "y": ""})
+    columns, names = _families(p, trade)
+    world = with_values(p.world, _columns(p, trade, columns, len(names)) or {"line.offset": np.zeros(1)})
+    output = outputs_of(trade, False)
+    spectra, numbers = dict[tuple[int, int], tuple[Array, Array]](), np.full((len(names), len(output)), np.nan)
+    for index, e in evaluations(world):
+        for k, o in enumerate(output):
+            if trade.is_spectral:
+                rows = e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
+                at, numbers[index, k] = e.axis.centre_nm, rows[:, bands_of(o, e.axis)].mean(axis=1)
+            else:
+                scores = e.scores(o.subject, p.scenario.processing.detectors[0])
+                at, rows = _ROC, scores.detection(_ROC[None, :])
+                wanted = scores.auc() if trade.output == "auc" else scores.detection(np.array([[trade.pfa]]))[:, 0]
+                numbers[index, k] = wanted
+            spectra |= {(int(i), k): (at, row) for i, row in zip(index, rows, strict=True)}
+    labels = _labels(trade, names)
+    bands = np.full((len(labels), _ROC.size, 2), np.nan)
+    if with_limits and not trade.is_spectral:
+        truths = [{path: column[i] for path, column in columns.items()} for i in range(len(names))]
+        bands = np.concatenate([_curve_limits(p, trade, truth, _ROC) for truth in truths])
+    marks = _lines(labels, [spectra[key] for key in sorted(spectra)], bands)
+    told = zip(labels, numbers.ravel().tolist(), strict=True)
+    known = tuple((label, value if math.isfinite(value) else None) for label, value in told)
+    x, y, rules = Axis(WAVELENGTH), _y_axis(trade), tuple[Rule, ...]()
+    if not trade.is_spectral:
+        x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
+        rules = (("x", trade.pfa),)
+    figure = Figure("live", "roc", "", "", (Panels(x, (Part(y, marks, rules),)),))
+    return Live(statement(figure), known, _error(p, trade))
+
+
+def _error(p: Prepared, trade: Trade) -> str:
+    """How far the emulated atmosphere may be from that of the engine, in words."""
+    if p.scenario.atmosphere is None:
+        return "The scenario has no atmosphere."
+    if p.offers.why:
+        return f"The atmosphere is that of the engine, and is not moved by sliders: {p.offers.why}."
+    sky = {k.partition(".")[2]: v for k, v in _constants(p, trade).items() if k.startswith("atmosphere.")}
+    terms = p.world.stated.atmosphere.run(sky)
+    if terms.path_uncertainty is None:
+        return ""
+    part = 100.0 * terms.path_uncertainty / mean_radiance(terms, _GROUND, _GROUND)
+    part = part[terms.gas_transmittance > _LEAST_GAS]
+    return (
+        f"Atmosphere: emulator of 6S, standard error {np.median(part):.2g} % of the radiance over ground of {_GROUND:g}"
+        f" in the median band, {part.max():.2g} % in the worst."
+    )
+
+
+def notebook(files: Mapping[str, str]) -> str:
+    """A notebook that writes a study and what lies beside it, by name, and runs it by the API."""
+    text = resources.files("hyperval.study").joinpath("trade.ipynb").read_text("utf-8")
+    content: dict[str, Any] = json.loads(text)
+    for cell in content["cells"]:
+        cell["source"] = cell["source"].replace("FILES = {}", f"FILES = {dict(files)!r}")
+    return json.dumps(content, indent=1)
