@@ -12,4 +12,3 @@ from hyperval.api import predict
 prediction = predict("yellow-planks-asphalt")
 figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
 prediction.plot.spectra("reflectance", ax=axes)
-axes.legend(fontsize="small", ncols=2)
