@@ -9,7 +9,7 @@ import pytest
 import yaml
 from uncertain_scene import AXIS, engine, run, scenario
 
-from hyperval.attribute import NotInjectable, injected_errors, injected_prediction
+from hyperval.attribute import NotInjectable, errors_of_file, injected_errors, injected_prediction
 from hyperval.campaign import jobs_of, run_campaign
 from hyperval.errors import UsageError
 from hyperval.model import Origins, predict
@@ -139,6 +139,15 @@ def test_without_an_atmosphere_light_is_not_injected_and_the_line_is_that_of_the
             injected(name, s)
     found = injected("empirical line gain x 1.02", s).reflectance["grass"].mean
     np.testing.assert_allclose(found, 1.02 * run(s).reflectance["grass"].mean, rtol=1e-12)
+
+
+def test_errors_of_a_users_own_are_named_or_move_a_path(tmp_path):
+    (path := tmp_path / "own.yaml").write_text("noise x 1.6:\n")
+    with pytest.raises(UsageError, match=r"'noise x 1\.6' is no standard error"):
+        errors_of_file(path)
+    path.write_text("bright: {light.irradiance: 1.05}\nnoise x 1.5:\n")
+    found = injected_prediction(SCENE, errors_of_file(path)["bright"], Origins(axis=AXIS, engine=engine))[0]
+    np.testing.assert_allclose(found.radiance["panel"].mean, injected("sunlight x 1.05").radiance["panel"].mean)
 
 
 def test_an_error_of_a_path_that_leads_nowhere_names_it():

@@ -6,6 +6,7 @@ from .candidates import (
     NotInjectable,
     assumed_inputs,
     candidates,
+    errors_of_file,
     injected_errors,
     injected_prediction,
 )
@@ -19,6 +20,7 @@ from .posterior import (
     Whitened,
     budget_covariance,
     common_and_own,
+    kind_of,
     posterior,
     posteriors,
 )
@@ -40,6 +42,7 @@ __all__ = [
     "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "ComparedQuantity",
     "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf",
     "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "budget_covariance", "candidates", "causes_of",
-    "changed_scenarios", "common_and_own", "few_objects", "injected_errors", "injected_prediction", "posterior",
+    "changed_scenarios", "common_and_own", "errors_of_file", "few_objects", "injected_errors", "injected_prediction",
+    "kind_of", "posterior",
     "posteriors", "quantities", "reason_for", "sampled_covariance", "sensitivity_indices", "stacked",
 ]  # fmt: skip

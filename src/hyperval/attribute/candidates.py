@@ -13,13 +13,15 @@ from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.errors import UsageError
+from hyperval.config import load_yaml
+from hyperval.errors import UsageError, refuse
 from hyperval.model import (
     Origins,
     Truth,
@@ -284,6 +286,26 @@ def injected_errors() -> dict[str, Family]:
         "empirical line gain x 1.02": partial(_line, gain=1.02, offset=0.0),
         "empirical line offset + 0.005": partial(_line, gain=1.0, offset=0.005),
     }
+
+
+def errors_of_file(path: Path) -> dict[str, Family]:
+    """Errors of a user's own: name -> {path: value}, or the name alone of a standard one.
+
+    Raises
+    ------
+    UsageError : a name that is no standard error, or something else than paths and values.
+    """
+    (told, _), standard = load_yaml(path), injected_errors()
+    out: dict[str, Family] = {}
+    for name, values in told.items():
+        refuse(values is None and name not in standard, "attribution.error", path, name=name)
+        refuse(values is not None and not isinstance(values, dict), "attribution.errors", path)
+        out[str(name)] = standard[name] if values is None else partial(_stated_truth, values=values)
+    return out
+
+
+def _stated_truth(world: World, *, values: Truth) -> Truth:
+    return values
 
 
 def injected_prediction(

@@ -19,12 +19,13 @@ from hyperval.attribute.posterior import (
     NONE,
     NOTHING,
     Posterior,
+    Reasoner,
     Whitened,
     budget_covariance,
     posterior,
     posteriors,
-)
-from hyperval.attribute.residuals import POINTS, ComparedQuantity, Stack, quantities, stacked
+)  # fmt: skip
+from hyperval.attribute.residuals import POINTS, ComparedQuantity, ResidualBlock, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import Array, named, row, scientific
@@ -47,7 +48,7 @@ SMOOTH_PART = 0.03
 KNOTS_NM = np.array([400, 430, 460, 500, 550, 600, 650, 700, 800, 900, 1000, 1200, 1400, 1650, 2000, 2250, 2500], float)
 SINGLE_BANDS = 0.01
 FACTOR = 2.0  # a ratio of false alarms within it is good
-_EVERYTHING = "every input"
+_EVERYTHING, SINCE = "every input", "since the accepted run"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
 Key = tuple[str, str, str]  # background, detector, metric
@@ -101,6 +102,24 @@ class Causes:
         """(n, k) of what no candidate describes."""
         return self.stack.unstructured(self.predicted)
 
+    def reasoner(self) -> Reasoner:
+        """The same, whitened."""
+        data = Whitened(self.predicted, self.covariance)
+        return Reasoner({c: data.whiten(g) for c, g in self.columns.items()}, data.whiten(self.wide))
+
+    def by_quantity(self, residual: Array) -> dict[str, list[float]]:
+        """Residuals (n,) by the quantity that they are of, to four digits of its uncertainty."""
+        sd = np.sqrt(np.diag(self.covariance))
+        digits = 2 - np.floor(np.log10(sd)).astype(int)
+        told = [round(float(x), int(k)) for x, k in zip(residual, digits, strict=True)]
+        return {_quantity(block): told[at] for block, at in self.stack.placed()}
+
+    def stacked_again(self, told: Mapping[str, Sequence[float]]) -> Array | None:
+        """(n,) of :meth:`by_quantity`; None where other things were compared."""
+        each = [told.get(_quantity(block), []) for block, _ in self.stack.placed()]
+        sizes = [block.observed.size for block, _ in self.stack.placed()]
+        return np.concatenate(each) if [len(x) for x in each] == sizes else None
+
     def explained(self, residual: Array, evaluate: Evaluate) -> tuple[Causes, Posterior]:
         """What explains residuals (n,); between sizes the model is interpolated, and asked at those that are found."""
         columns = dict(self.columns)
@@ -117,6 +136,10 @@ class Causes:
             if not any(side is not None for side in more.values()):
                 break
         return replace(self, columns=columns), found
+
+
+def _quantity(block: ResidualBlock) -> str:
+    return f"{block.product} of {block.subject} {block.method}".strip()
 
 
 def _far(size: float, sizes: Sequence[float]) -> bool:
@@ -204,6 +227,7 @@ def attribute(
     options: AttributionOptions,
     *,
     budgeted: Products,
+    accepted: Mapping[str, Sequence[float]] | None = None,
     show_progress: bool | None = None,
 ) -> list[Result]:
     """Move every input, run every what-if, say how likely each is the reason.
@@ -220,6 +244,7 @@ def attribute(
     Parameters
     ----------
     worlds, budgeted : as of :func:`causes_of`
+    accepted : residuals of the accepted run by quantity: what came since is told by itself
 
     Raises
     ------
@@ -234,6 +259,10 @@ def attribute(
     residual = stack.observed - causes.predicted
     causes, _ = causes.explained(residual, evaluate)
     ranked = posteriors(stack, residual, causes.covariance, causes.columns, causes.wide, options.each)
+    before = causes.stacked_again(accepted or {})
+    if before is not None:
+        _, since = causes.explained(residual - before, evaluate)
+        ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     return [
         *(item for group in ranked for item in _posterior_rows(group)),
         *_left_rows(causes, residual, ranked[0]),
@@ -340,7 +369,7 @@ def _of_spectra(
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
     # The test of all products together concludes too, and informs.
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=r.conclusion, n=r.dof)
-    if r.too_wide or not r.passes:
+    if r.group != SINCE and (r.too_wide or not r.passes):
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
     tests = [whole, row("p_value", r.p_value, n=r.dof)]
     if r.best.causes:
@@ -369,9 +398,8 @@ def _left_rows(causes: Causes, residual: Array, r: Posterior) -> Iterator[Result
     for block, at in causes.stack.placed():
         own = causes.covariance[at, at]
         before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (residual, left))
-        subject = f"{block.product} of {block.subject} {block.method}".strip()
         found = row("reduced_chi_square", after, n=block.observed.size, reason=f"{before:.4g} before")
-        yield from named([found], "attribution", subject, first.name)
+        yield from named([found], "attribution", _quantity(block), first.name)
 
 
 def _sensitivity_rows(

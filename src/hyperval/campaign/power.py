@@ -8,16 +8,27 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 import hyperval
-from hyperval.attribute import Family, NotInjectable, injected_errors, injected_prediction
+from hyperval.attribute import (
+    Family,
+    NotInjectable,
+    causes_of,
+    errors_of_file,
+    injected_errors,
+    injected_prediction,
+    kind_of,
+)
 from hyperval.campaign import power_file
 from hyperval.campaign.job import Job, jobs_of
-from hyperval.campaign.power_file import Injected, PowerTable
-from hyperval.campaign.run import outcomes
-from hyperval.campaign.sides import collected, predicted_side
-from hyperval.errors import MissingDataError
+from hyperval.campaign.power_file import Injected, PowerTable, Reasons
+from hyperval.campaign.run import outcomes, scenario_model, worlds_of
+from hyperval.campaign.sides import Collected, collected, predicted_side
+from hyperval.errors import MissingDataError, UsageError
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.metrics import Evidence
 from hyperval.model import Truth, predict
@@ -25,6 +36,8 @@ from hyperval.products import PredictedProducts
 from hyperval.progress import track
 from hyperval.results import Outcome, Result
 from hyperval.storage import POWER, whole_folder, write_text
+
+SEED, WORLDS = 34, 40  # worlds for each kind of cause
 
 
 @dataclass(frozen=True)
@@ -62,6 +75,7 @@ def campaign_power(
     *,
     output: Path | None = None,
     accept: bool = False,
+    own: Path | None = None,
     show_progress: bool | None = None,
 ) -> list[Power]:
     """The power table of every campaign whose data are at hand; campaigns run side by side.
@@ -70,6 +84,7 @@ def campaign_power(
     ----------
     output : folder for the tables, NAME.yaml each, and power.csv with all of them
     accept : keep the tables in validation/power, where reports look for them
+    own : a file of errors to inject in place of the standard ones (:func:`hyperval.attribute.errors_of_file`)
 
     Raises
     ------
@@ -78,7 +93,9 @@ def campaign_power(
     jobs = jobs_of(*paths)
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         with workers(worker_count(len(jobs))) as where:
-            tables = list(track(in_order(where, _power, jobs), "campaigns", len(jobs), show=show_progress))
+            tables = list(
+                track(in_order(where, partial(_power, own=own), jobs), "campaigns", len(jobs), show=show_progress)
+            )
         for place in (*([folder] if folder is not None else []), *([power_file.ACCEPTED] if accept else [])):
             for item in tables:
                 if item.table is not None:
@@ -88,12 +105,15 @@ def campaign_power(
     return tables
 
 
-def _power(job: Job) -> Power:
+def _power(job: Job, own: Path | None) -> Power:
+    errors = errors_of_file(own) if own is not None else None
     name = job.outline.name
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        return Power(name, power_table(job, show_progress=False), accepted=power_file.accepted_table(name))
+        return Power(
+            name, power_table(job, errors=errors, show_progress=False), accepted=power_file.accepted_table(name)
+        )
     except MissingDataError as error:
         return Power(name, skipped=str(error))
 
@@ -127,9 +147,11 @@ def power_table(
             if len(refused) == len(scenarios):
                 return Injected(not_applicable=refused[0])
             predictions, truths = zip(*sides, strict=True)
-            return turned(before, outcomes(here, predicted_side(here, predictions, truths)))
+            found = turned(before, outcomes(here, predicted_side(here, predictions, truths)))
+            return found.model_copy(update={"reason": told.of(truths) if told else ""})
 
         before = outcomes(here, predicted_side(here, stated))
+        told = _Told(here, predicted_side(here, stated)) if job.campaign.attribution is not None else None
         named = track(errors.items(), "injected errors", len(errors), show=show_progress)
         rows = {name: injected(error) for name, error in named}
         gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
@@ -143,6 +165,50 @@ def power_table(
             disagreeing=disagreeing,
             stated=power_file.gate_values(before),
             errors=rows,
+            reasons=told.calibrated() if told else None,
+        )
+
+
+class _Told:
+    """What the attribution says of errors whose truth is known."""
+
+    def __init__(self, here: Collected, prediction: PredictedProducts) -> None:
+        model = scenario_model(here, False)
+        observed = here.observed.observation
+        self.causes, self.evaluate = causes_of(model, observed, worlds_of(here, False), prediction, False)
+        self.residual = self.causes.stack.observed - self.causes.predicted
+
+    def of(self, truths: Sequence[Truth]) -> str:
+        """Of an error that came to what is measured, beside what is there without it."""
+        try:
+            ((with_it, _),) = self.evaluate([truths], "injected error")
+        except UsageError:
+            return ""
+        _, found = self.causes.explained(with_it - self.causes.predicted, self.evaluate)
+        return " or ".join((found.first, *found.alike[:3])) + (", enough" if found.enough else "")
+
+    def calibrated(self) -> Reasons:
+        """Worlds drawn within the stated uncertainty, a fixed seed."""
+        _, stands = self.causes.explained(self.residual, self.evaluate)
+        drawn = list(self.causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS))
+        named: dict[str, Counter[str]] = {}
+        grouped: Counter[str] = Counter()
+        stated, wrong = [], 0
+        for kind, found in drawn:
+            first, group = kind_of(found.first), {kind_of(name) for name in (found.first, *found.alike)}
+            named.setdefault(kind, Counter())[first] += 1
+            grouped[kind] += kind in group
+            wrong += found.enough and kind not in group
+            stated.append((found.probability[found.first], first == kind))
+        steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
+        return Reasons(
+            first=stands.first,
+            worlds=len(drawn),
+            named={kind: dict(counts) for kind, counts in named.items()},
+            grouped=dict(grouped),
+            wrong_enough=wrong / len(drawn),
+            calibration=[(low + 0.1, round(sum(own) / len(own), 3), len(own)) for low, own in steps if own],
+            residuals=self.causes.by_quantity(self.residual),
         )
 
 

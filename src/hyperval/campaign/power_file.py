@@ -37,6 +37,7 @@ class Injected(Model):
     gates: tuple[str, ...] = Field((), description='gates that turn: "product | subject | method | metric"')
     informing: dict[str, int] = Field(default_factory=dict, description="informational rows that turn, by product")
     not_applicable: str | None = Field(None, description="why it cannot be injected")
+    reason: str = Field("", description="what the attribution says of it, beside what it says of the run as it stands")
 
     @property
     def sight(self) -> Sight:
@@ -68,6 +69,33 @@ class Injected(Model):
         return "; ".join(self.gates[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
 
 
+class Reasons(Model):
+    """What the attribution says where it is known what is wrong: of worlds drawn within the stated uncertainty."""
+
+    first: str = Field(description="what stands first with nothing injected")
+    worlds: int = Field(ge=1)
+    named: dict[str, dict[str, int]] = Field(description="kind of error -> what was named first, how often")
+    grouped: dict[str, int] = Field(description="kind of error -> how often it was first or not told apart from it")
+    wrong_enough: float = Field(description="share of all errors of which a wrong cause was called enough")
+    calibration: list[tuple[float, float, int]] = Field(description="stated probability, share that was right, worlds")
+    residuals: dict[str, list[float]] = Field(description="of the run as it stands, by quantity")
+
+    @property
+    def lines(self) -> list[str]:
+        """ "of 40 errors of sensor gain 31 are named first, 36 are in the first group; 5 are called sunlight" """
+        out = []
+        for kind, counts in self.named.items():
+            total, right = sum(counts.values()), counts.get(kind, 0)
+            others = sorted(((n, name) for name, n in counts.items() if name != kind), reverse=True)[:2]
+            words = f"of {total} errors of {kind} {right} are named first, {self.grouped.get(kind, 0)} are in its group"
+            out.append("; ".join([words, *(f"{n} are called {name}" for n, name in others)]))
+        parts = [f"{100 * p:.0f} % was right in {100 * share:.0f} % of {n}" for p, share, n in self.calibration]
+        out.append(
+            f"What was stated as likely: {'; '.join(parts)}. Wrong and called enough: {100 * self.wrong_enough:.1f} %."
+        )
+        return out
+
+
 class PowerTable(Model):
     """The power table of one campaign."""
 
@@ -81,6 +109,7 @@ class PowerTable(Model):
         default_factory=dict, description="criterion of the model -> its value without an injected error"
     )
     errors: dict[str, Injected] = Field(min_length=1)
+    reasons: Reasons | None = Field(None, description="of a campaign that asks for attribution")
 
     def named(self, *sights: Sight) -> list[str]:
         """Errors that are seen so far."""
@@ -107,8 +136,12 @@ class PowerTable(Model):
         elif moved := self.moved_gates(rows):
             stale = f"The table is old: {len(moved)} of its criteria had other values ({moved[0]})."
             stale += " Run hyperval power again."
-        errors = [(name, injected.words, injected.which) for name, injected in self.errors.items()]
-        return PowerWords(self.sentence, errors, self.version, stale)
+        errors = [
+            (name, i.words, "; ".join(filter(None, (i.which, i.reason and f"reason named: {i.reason}"))))
+            for name, i in self.errors.items()
+        ]
+        lines = [] if self.reasons is None else self.reasons.lines
+        return PowerWords(self.sentence, errors, self.version, stale, lines)
 
     @property
     def sentence(self) -> str:

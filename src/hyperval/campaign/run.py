@@ -30,7 +30,7 @@ from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, internal_error, refuse
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
-from hyperval.model import Truth, predict, predictions, read
+from hyperval.model import Truth, World, predict, predictions, read
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.products import PredictedProducts, Products
@@ -213,6 +213,21 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
     """
     if side.campaign.attribution is None:
         return []
+    accepted = accepted_table(side.campaign.name)
+    return attribute(
+        scenario_model(side, show_progress), side.observed.observation, worlds_of(side, show_progress),
+        side.campaign.attribution, budgeted=prediction, show_progress=show_progress,
+        accepted=accepted.reasons.residuals if accepted and accepted.reasons else {},
+    )  # fmt: skip
+
+
+def worlds_of(side: Collected, show_progress: bool | None) -> list[World]:
+    """What each scenario states."""
+    return [read(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
+
+
+def scenario_model(side: Collected, show_progress: bool | None) -> ScenarioModel:
+    """The scenarios of a campaign, to be asked with something moved, and its collection, to be measured again."""
     observation = side.observed.observation
     # Where every object is one pixel, the scores of pixels say the same.
     whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
@@ -250,15 +265,7 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
             changed.collection, detection, side.inputs.resolve, before=before, show_progress=show_progress
         ).observation
 
-    worlds = [read(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
-    return attribute(
-        ScenarioModel(side.scenarios, predicted, measured_again),
-        observation,
-        worlds,
-        side.campaign.attribution,
-        budgeted=prediction,
-        show_progress=show_progress,
-    )
+    return ScenarioModel(side.scenarios, predicted, measured_again)
 
 
 # What need not run again ----------------------------------------------------------------------------------------------

@@ -445,11 +445,12 @@ def power(
         Path | None, typer.Option("--output", "-o", help="Folder for the tables; replaced as a whole.")
     ] = None,
     accept: Annotated[bool, typer.Option("--accept", help="Take the tables as those that reports show.")] = False,
+    errors: Annotated[Path | None, typer.Option("--errors", help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
     from hyperval.campaign import campaign_power
 
-    tables = campaign_power(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
+    tables = campaign_power(campaigns, output=output, accept=accept, own=errors, show_progress=settings.show_progress)
     done = [item.table for item in tables if item.table is not None]
     names = list(dict.fromkeys(name for table in done for name in table.errors))
     print_table(

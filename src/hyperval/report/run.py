@@ -22,12 +22,14 @@ class PowerWords(NamedTuple):
     errors : (error, what detects it, by name)
     version : of the program that injected them
     stale : why this is not of the present run; empty where it is
+    reasons : how often the right cause of a drawn error is named, a line for each kind
     """
 
     sentence: str
     errors: Sequence[tuple[str, str, str]]
     version: str
     stale: str = ""
+    reasons: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

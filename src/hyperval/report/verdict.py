@@ -15,6 +15,7 @@ _MOST_NAMED = 9
 _MOST_KINDS = 5
 _LONGEST_NAME = 70
 _MOST_STEPS = 3
+SINCE = "since the accepted run"  # group of the attribution
 _KINDS = {
     Evidence.MODEL: ("acceptance criterion", "acceptance criteria"),
     Evidence.PIPELINE: ("check of the pipeline", "checks of the pipeline"),
@@ -151,7 +152,11 @@ def _reason(rows: Sequence[Result], subject: str) -> str:
         for row in rows
         if row.product == "attribution" and row.metric == "reduced_chi_square" and row.method == "every input"
     }
-    words = told.get("all") or told.get(subject, "")
+    words, since = told.get("all") or told.get(subject, ""), told.get(SINCE, "")
+    if since.startswith(("check", "none")):
+        words = f"{since}, since the accepted run"
+    elif since and words.startswith(("check", "none")):
+        words += "; so it stood in the accepted run"
     return f"{words[:1].upper()}{words[1:]}." if words else ""
 
 
