@@ -21,29 +21,21 @@ from hyperval.run import results_json
 # The command line: exit codes, streams, and that each command calls its function.
 
 
-@pytest.fixture(autouse=True)
-def places(no_data, monkeypatch):
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "100")
+pytestmark = pytest.mark.usefixtures("no_data")
 
 
 @pytest.fixture
 def calls(monkeypatch) -> dict[str, object]:
-    """Stand-ins for the rooms behind the commands: they record the call and do what `result` says."""
+    """Stand-ins for the rooms behind the commands: they give, or raise, `result`."""
     record: dict[str, object] = {"result": 0}
 
-    def stand_in(name: str):
-        def function(*args: object, **options: object) -> object:
-            record[name] = (args, options)
-            result = record["result"]
-            if isinstance(result, BaseException):
-                raise result
-            return result
-
-        return function
+    def stand_in(*args: object, **options: object) -> object:
+        if isinstance(record["result"], BaseException):
+            raise record["result"]
+        return record["result"]
 
     for name in ("predict_to_folder", "observe", "validate"):
-        monkeypatch.setattr(f"hyperval.campaign.{name}", stand_in(name))
+        monkeypatch.setattr(f"hyperval.campaign.{name}", stand_in)
     return record
 
 
@@ -56,8 +48,6 @@ def calls(monkeypatch) -> dict[str, object]:
         (EngineError("6S is missing"), 3),
         (KeyboardInterrupt(), 130),
         (ValueError("a bug"), 4),
-        (RecursionError("a bug"), 4),
-        (OSError(28, "No space left on device"), 4),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else str(value),
 )
@@ -113,13 +103,11 @@ def test_wrong_usage_is_exit_code_2(arguments, capsys):
     assert out or err.startswith("hyperval: ")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["validate", "--help"], ["data", "--help"], ["--version"]])
-def test_help_and_version_go_to_standard_output_without_colour_where_none_is_wanted(arguments, capsys):
+@pytest.mark.parametrize("arguments", [["--help"], ["data", "-h"], ["--version"]])
+def test_help_and_version_go_to_standard_output(arguments, capsys):
     assert cli.run(arguments) == 0
     out, err = capsys.readouterr()
-    assert out == f"hyperval {hyperval.__version__}\n" if "--version" in arguments else out
-    assert "\x1b[" not in out
-    assert err == ""
+    assert (out.startswith(("Usage: hyperval", f"hyperval {hyperval.__version__}\n")), err) == (True, "")
 
 
 def test_notes_go_to_standard_error_and_quiet_leaves_them_out(calls, capsys):

@@ -15,4 +15,4 @@ prediction.plot.spectra(ax=axes)
 
 # %%
 # The same numbers as a table, radiance by band and subject.
-prediction.to_xarray()["radiance"].to_series().unstack("radiance_subject").head()
+prediction.to_xarray()["radiance"].to_pandas().T.head()

@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 from hyperval.api import predict
 
 figure, axes = plt.subplots(figsize=(7, 5), layout="constrained")
-for (subject, detector, unit), curve in predict("yellow-planks-asphalt").roc.items():
-    if detector == "cem" and unit == "pixel":
-        axes.plot(curve.pfa, curve.pd, label=subject)
+curves = predict("yellow-planks-asphalt").roc.query("detector == 'cem' and unit == 'pixel'")
+for subject, curve in curves.groupby("subject"):
+    axes.plot(curve["pfa"], curve["pd"], label=subject)
 axes.set(xlabel="P_FA", ylabel="P_D", xscale="log", xlim=(1e-6, 1), ylim=(0, 1))
 axes.legend()

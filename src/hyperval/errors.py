@@ -7,6 +7,7 @@ command line prints the message alone; the Python API raises the exception.
 from __future__ import annotations
 
 import os
+import shlex
 import stat
 import traceback
 from collections.abc import Callable, Iterable
@@ -83,6 +84,11 @@ def refuse(wrong: object, name: str, where: object = None, /, **values: object) 
     """Raise the error of a name in ``refusals.yaml`` where something is wrong."""
     if wrong:
         raise refusal(name, where, **values)
+
+
+def as_typed(*words: object) -> str:
+    """A command of this program as a user types it: paths with blanks are quoted."""
+    return shlex.join(("hyperval", *map(str, words)))
 
 
 def one_of(names: Iterable[str], otherwise: str = "a name") -> str:

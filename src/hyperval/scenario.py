@@ -9,7 +9,7 @@ What a scenario says of the uncertainty of its inputs.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -25,8 +25,9 @@ from pydantic import (
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import Model, load_model, load_yaml
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
-from hyperval.errors import UsageError, reader
+from hyperval.errors import UsageError, as_typed, reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
+from hyperval.settings import with_settings
 
 
 def exactly_one(model: Model, names: tuple[str, ...]) -> None:
@@ -601,6 +602,19 @@ class Scenario(Model):
             value.check_subjects(surfaces, targets, {c.name for c in scene.classes})
         return value
 
+    def with_values(self, values: Mapping[str, Any]) -> Scenario:
+        """A copy with other values at dotted paths, checked as a file is; None takes an entry back.
+
+        >>> plain = load_scenario("yellow-planks-asphalt")
+        >>> plain.with_values({"scene.classes.grass.tail_dof": 5}).scene.classes[1].tail_dof
+        5.0
+
+        Raises
+        ------
+        UsageError : a path that leads nowhere, or values that contradict the rest.
+        """
+        return with_settings(self, values)
+
     @property
     def is_of_space(self) -> bool:
         """Whether it is looked at from above the atmosphere."""
@@ -621,6 +635,9 @@ def builtin_scenarios() -> tuple[str, ...]:
 @reader
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """A built-in scenario by name, or a scenario file by path.
+
+    >>> load_scenario("panels").sensor
+    'prospectir-vs'
 
     Raises
     ------
@@ -644,7 +661,7 @@ def _load(path: Path) -> Scenario:
     if "collection" in data and "scene" not in data:
         raise UsageError(
             "this is a campaign, not a scenario", where=str(path),
-            mend=f"hyperval validate {path} -o DIR runs all of it; predict takes the file of a scenario",
+            mend=f"predict takes the file of a scenario; all of it: {as_typed('validate', path, '-o', 'DIR')}",
         )  # fmt: skip
     scenario = load_model(Scenario, path)
     scenario._folder = path.resolve().parent

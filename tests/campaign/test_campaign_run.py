@@ -141,10 +141,10 @@ def test_pools_and_areas_are_predicted_and_compared(small):
          "at_least": 1, "reason": "closure"}
     )  # fmt: skip
     run = api.validate(small.write())
-    predicted = run.prediction.roc
+    predicted = run.prediction.products.roc
     parts = [predicted[s, "cem", "object"].pd for s in ("small-planks", "large-planks")]
     assert predicted["both", "cem", "object"].pd == pytest.approx((parts[0] + parts[1]) / 2, abs=1e-12)
-    assert run.observation.roc["both", "cem", "object"].n_target == 96
+    assert run.observation.products.roc["both", "cem", "object"].n_target == 96
     (row,) = run.results.where(subject="both", method="cem/object", metric="pd_inside_interval@1e-2")
     assert (row.value, row.outcome, row.cause) == (1.0, Outcome.UNDECIDED, Cause.COVERAGE)
     for subject in ("small-planks", "large-planks"):

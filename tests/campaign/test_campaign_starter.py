@@ -75,7 +75,7 @@ def test_what_cannot_be_guessed_is_left_to_be_filled_in(small, sources, capsys):
     state = yaml.safe_load((folder / "campaign.yaml").read_text())["scenarios"][0]["atmosphere"]
     assert [k for k, v in state.items() if str(v).startswith(FILL_IN)] == ["sensor_altitude_km", "time_utc"]
     assert state["latitude_deg"] == pytest.approx(42.9, abs=0.1)
-    assert "2 values to fill in" in capsys.readouterr().err
+    assert re.search(r"to fill in: .*time_utc: .*\(--time\)\n.*2 values to fill in", capsys.readouterr().err)
     assert cli.run(["validate", str(folder / "campaign.yaml"), "-o", str(folder / "out")]) == 2
 
 
@@ -176,9 +176,7 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys):
     assert cli.run(["init", "--cube", str(cube), "-o", str(draft)]) == 0
     (asked,) = (i for i in dry_run([draft / "campaign.yaml"]) if i.lacking)
     assert (asked.state, re.search("--[a-z]+", asked.detail)[0]) == ("to fill in", "--unit")
-    told = capsys.readouterr().err  # all of it at once
-    assert "then also needed: --spectra, --time, --altitude-km, --sensor" in told
-    assert "to fill in: collection.cube.unit: of the radiance" in told
+    assert "then also needed: --spectra, --time, --altitude-km, --sensor" in capsys.readouterr().err  # all at once
     assert cli.run(["init", "--cube", str(cube), "--unit", UNIT, "-o", str(folder)]) == 0
     assert "--spectra" in (folder / "campaign.yaml").read_text()
     before = (folder / "campaign.yaml").read_bytes()  # what is there is not replaced

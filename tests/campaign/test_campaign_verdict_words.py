@@ -58,8 +58,7 @@ def sites(tmp_path, monkeypatch) -> Sites:
 
 def attributed(run: Any) -> dict[str, Any]:
     """Group -> row of its reduced chi-square."""
-    rows = run.results if not hasattr(run.results, "rows") else run.results.rows
-    return {r.subject: r for r in rows if r.product == "attribution" and r.metric == "reduced_chi_square"}
+    return {r.subject: r for r in run.results if r.product == "attribution" and r.metric == "reduced_chi_square"}
 
 
 def test_a_calibration_that_the_sites_share_is_one_error_and_explains_itself(sites):

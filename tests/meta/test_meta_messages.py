@@ -3,14 +3,14 @@
 import ast
 import json
 import re
+import shlex
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from string import Formatter
 
-import click
 import yaml
 from parsed import parsed
+from typer.exceptions import TyperException
 from typer.main import get_command
 
 from hyperval.cli import app
@@ -23,35 +23,53 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 PROSE = re.compile(r"import|atmospheric|over|with|[a-z]+s")  # "hyperval serves", "hyperval statistics"
 
 
-@cache
-def commands() -> dict[str, click.Command]:
-    """ "data fetch" -> the command."""
-    root = get_command(app)
-    first = getattr(root, "commands", {})
-    second = {f"{n} {m}": inner for n, group in first.items() for m, inner in getattr(group, "commands", {}).items()}
-    return {"": root, **first, **second}
+PROGRAM = get_command(app)
+
+
+def refusal_of(words: list[str]) -> str:
+    """What the program's own parser says against words after its name; empty where it takes them."""
+    command, context, args = PROGRAM, None, words
+    try:
+        while hasattr(command, "resolve_command"):
+            context = command.make_context("hyperval", list(args), parent=context)
+            _, command, args = command.resolve_command(context, [*context._protected_args, *context.args])
+        command.make_context("hyperval", list(args), parent=context)
+    except TyperException as error:
+        return error.format_message()
+    return ""
 
 
 def wrong_commands(text: str) -> list[str]:
-    """Mentions of a command that is not there, or of an option that it does not have."""
-    known, wrong = commands(), []
-    for mention in re.finditer(r"\bhyperval ((?:-[qv] )*)([a-z][a-z-]*)((?: [^\s`\"'<>;)]+)*)", text):
-        words = [mention[2], *mention[3].split()]
-        if words[0] not in known:
-            wrong += [] if PROSE.fullmatch(words[0]) else [mention[0]]
-            continue
-        name = pair if (pair := " ".join(words[:2])) in known else words[0]
-        options = {o for c in ("", words[0], name) for p in known[c].params for o in (*p.opts, *p.secondary_opts)}
-        named = re.findall(r"(?<!\S)(--[a-z-]+)", " ".join(words).partition(", ")[0].partition(". ")[0])
-        wrong += [f"{mention[0]!r}: {o}" for o in named if o not in options | {"--help"}]
+    """Mentions of a command that the program refuses; a name alone, or dots, may stand for one that needs more."""
+    wrong = []
+    for mention in re.finditer(r"\bhyperval ([a-z][a-z-]*(?: (?:\"[^\"\n]*\"|[^\s`\"'<>;)]+))*)", text):
+        words = [word.rstrip(".,:…") or "..." for word in shlex.split(mention[1])]
+        last = max((i for i, word in enumerate(words) if word.startswith("-")), default=0)
+        # What follows may be the rest of a sentence: something up to its end is a command, with all its options.
+        said = [refusal_of(words[:n]) for n in range(len(words), last, -1) if "--help" not in words]
+        is_name = (not last or "..." in words) and any(answer.startswith(("Missing", "Usage")) for answer in said)
+        if said and not (is_name or "" in said or PROSE.fullmatch(words[0])):
+            wrong.append(f"{mention[0]!r}: {said[0]}")
     return wrong
 
 
+def test_examples_of_help_are_commands():
+    groups = (app, *(group.typer_instance for group in app.registered_groups))
+    for command in (command for group in groups for command in group.registered_commands):
+        lines = re.findall(r"^  hyperval (.*)$", command.epilog or "", re.MULTILINE)
+        assert lines, command.callback
+        assert [refusal_of(shlex.split(line)) for line in lines] == [""] * len(lines)
+
+
 def test_commands_that_are_named_are_there():
-    found = {p.name: wrong for p in (*SOURCES, *PAGES) if (wrong := wrong_commands(p.read_text("utf-8")))}
+    found = {
+        p.name: wrong
+        for p in (*SOURCES, *PAGES)
+        if (wrong := wrong_commands(re.sub(r"\{\{ (\w+) \}\}", r"{\1}", p.read_text("utf-8"))))
+    }
     assert found == {}
-    assert wrong_commands("run hyperval chekc x.yaml") == ["hyperval chekc x.yaml"]
-    assert wrong_commands("run hyperval check x.yaml --sensor y") == ["'hyperval check x.yaml --sensor y': --sensor"]
+    assert "No such command 'chekc'" in wrong_commands("run hyperval chekc x.yaml")[0]
+    assert "No such option: --sensor" in wrong_commands("run hyperval check x.yaml --sensor y")[0]
 
 
 def test_sections_that_are_named_are_there():

@@ -10,29 +10,12 @@
 ['campaign', 'product', 'subject', 'method', 'band_nm', 'metric']
 >>> run = api.validate("campaign.yaml")
 >>> run.to_xarray()["predicted"]["radiance"].dims
-('radiance_subject', 'band')
+('subject', 'wavelength')
 
 Every object has a short ``repr``, ``to_dataframe()``, ``to_xarray()`` and ``plot``; metrics have nothing to plot.
 """
 
-from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Study, Validation
-from hyperval.api.verbs import (
-    check,
-    compare,
-    explain,
-    load_campaign,
-    load_scenario,
-    metrics,
-    observe,
-    open,
-    predict,
-    simulate,
-    study,
-    validate,
-)
+import lazy_loader
 
-__all__ = [
-    "Collection", "Metrics", "Observation", "Prediction", "Results", "Study", "Validation", "check", "compare",
-    "explain", "load_campaign", "load_scenario", "metrics", "observe", "open", "predict", "simulate", "study",
-    "validate",
-]  # fmt: skip
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,28 +11,28 @@ import html
 import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import lazy_loader
 import numpy as np
-import pandas as pd
-import xarray as xr
 
-from hyperval import products
-from hyperval.compare.products import product_rows
 from hyperval.errors import UsageError
 from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
-from hyperval.imagery.cube import open_cube
-from hyperval.imagery.interchange import cube_to_xarray
 from hyperval.metrics import Metric
-from hyperval.model.intervals import Z95
+from hyperval.model import Z95, detection_at
+from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, Products
 from hyperval.results import ResultTable
-from hyperval.run import to_xarray
-from hyperval.simulate.collection import SimulatedCollection
+from hyperval.run import Run, to_xarray
 from hyperval.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray as xr
     from matplotlib.axes import Axes
+else:  # which take a second, when they are used
+    pandas, xr = lazy_loader.load("pandas"), lazy_loader.load("xarray")
 
 
 _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted")
@@ -79,10 +79,11 @@ class SidesPlot:
         UsageError : no side has the product.
         """
         sides = self._with(product)
-        subjects = list(dict.fromkeys(str(s) for d in sides.values() for s in d[f"{product}_subject"].to_numpy()))
+        subjects = list(dict.fromkeys(str(s) for d in sides.values() for s in _subjects(d, product)))
         marks = []
-        for dash, (side, data) in zip(_DASHES, sides.items(), strict=False):
-            for i, subject in enumerate(map(str, data[f"{product}_subject"].to_numpy())):
+        for dash, (side, whole) in zip(_DASHES, sides.items(), strict=False):
+            data = whole.sel(subject=_subjects(whole, product))
+            for i, subject in enumerate(map(str, data["subject"].to_numpy())):
                 half = Z95 * data[f"{product}_standard_uncertainty"].to_numpy()[i]
                 columns = {"x": data["wavelength"].to_numpy(), "y": data[product].to_numpy()[i], "half": half}
                 colour = SOURCES[subjects.index(subject) % len(SOURCES)]
@@ -114,6 +115,27 @@ class SidesPlot:
         return sides
 
 
+def _subjects(data: xr.Dataset, product: str) -> list[str]:
+    """The subjects that have a product, in their order; none without the product."""
+    if product not in data:
+        return []
+    there: list[str] = data["subject"].to_numpy()[data[product].notnull().any("wavelength")].tolist()  # noqa: PD004
+    return there
+
+
+def labelled(side: Products) -> xr.Dataset:
+    """A side over one ``subject`` and one ``wavelength``; a product is NaN for a subject that has none."""
+    whole = to_xarray(side)
+    own = {str(dim): [str(v) for v in whole.data_vars if dim in whole[v].dims]
+           for dim in whole.dims if str(dim).endswith("_subject") and not str(dim).startswith("roc")}  # fmt: skip
+    subjects = list(dict.fromkeys(s for dim in own for s in whole[dim].to_numpy().tolist()))
+    parts = [whole[names].rename({dim: "subject"}).reindex(subject=subjects) for dim, names in own.items()]
+    merged: xr.Dataset = xr.merge(
+        [whole.drop_dims(list(own)), *parts], combine_attrs="override", join="exact", compat="override"
+    )
+    return merged.swap_dims({d: w for d, w in (("band", "wavelength"), ("band_2", "wavelength_2")) if d in merged.dims})
+
+
 def _label(column: xr.DataArray) -> str:
     words, unit = column.attrs.get("long_name", column.name), column.attrs.get("units", "")
     return f"{words} [{unit}]" if unit and unit != "1" else str(words)
@@ -132,8 +154,8 @@ class _Shown:
         rows = rows.loc[:, ~(rows.isna() | (rows == "")).all()]
         return f"<pre>{html.escape(repr(self))}</pre>{rows.to_html(border=0, notebook=True)}"
 
-    def _first_rows(self: Any) -> pd.DataFrame:
-        frame: pd.DataFrame = self.to_dataframe()
+    def _first_rows(self: Any) -> pandas.DataFrame:
+        frame: pandas.DataFrame = self.to_dataframe()
         return frame
 
 
@@ -150,39 +172,135 @@ def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
     return "\n".join(lines)
 
 
-class _Side(_Shown):
-    """Views of one side of a comparison."""
+class _Tables(_Shown):
+    """Tables of the sides of a run, or of one side."""
 
-    def __repr__(self: Any) -> str:
+    sides: Mapping[str, xr.Dataset]
+
+    @property
+    def spectra(self) -> pandas.DataFrame:
+        """Means with their standard uncertainties: a row for each side, product, subject and band."""
+        parts = [pandas.DataFrame(columns=["side", "product", "subject", "band_nm", "value", "standard_uncertainty"])]
+        for side, data in self.sides.items():
+            for product in SPECTRA:
+                names = {product: "value", f"{product}_standard_uncertainty": "standard_uncertainty"}
+                for subject in _subjects(data, product):
+                    one = data.sel(subject=subject)
+                    columns = {words: one[name].to_numpy() for name, words in names.items()}
+                    about = {"side": side, "product": product, "subject": subject}
+                    parts.append(pandas.DataFrame({**about, "band_nm": one["wavelength"].to_numpy(), **columns}))
+        return pandas.concat(parts[1:] or parts, ignore_index=True)
+
+    @property
+    def roc(self) -> pandas.DataFrame:
+        """ROC curves with their 95 % limits: a row for each point."""
+        return self._entries("roc", ["pfa", "pd", "pd_lower", "pd_upper", "threshold"], ["subject", "detector", "unit"])
+
+    @property
+    def scores(self) -> pandas.DataFrame:
+        """Mean and standard deviation of each population's detector score."""
+        return self._entries("score", ["mean", "sd", "n"], ["subject", "detector"])
+
+    def _entries(self, name: str, values: list[str], names: list[str]) -> pandas.DataFrame:
+        parts = []
+        for side, data in self.sides.items():
+            if f"{name}_{values[0]}" in data:
+                frame = data[[f"{name}_{v}" for v in values]].to_dataframe().reset_index()
+                frame.columns = frame.columns.str.removeprefix(f"{name}_")
+                parts.append(frame.dropna(subset=values[:1]).assign(side=side)[["side", *names, *values]])
+        return pandas.concat(parts, ignore_index=True) if parts else pandas.DataFrame(columns=["side", *names, *values])
+
+
+class Probability(NamedTuple):
+    """A probability of detection with its 95 % limits."""
+
+    value: float
+    lower: float
+    upper: float
+
+
+class _Side(_Tables):
+    """One side of a comparison: ``products`` has all of it, and what is no table here goes by the same names.
+
+    >>> from hyperval.api import predict
+    >>> predict("panels").snr["grass"].mean.size
+    360
+    """
+
+    def __init__(self, side: Products):
+        self.products = side
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "products":  # of an object that is being made
+            raise AttributeError(name)
+        return getattr(self.products, name)
+
+    def __repr__(self) -> str:
         """Bands, and what there is of each product."""
-        nm = self.axis.centre_nm
+        nm = self.products.axis.centre_nm
         facts: dict[str, Iterable[object]] = {
-            name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self, name)})
-            for name in (*products.SPECTRA, "scores", "roc", "abundance", "classification")
+            name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self.products, name)})
+            for name in (*SPECTRA, "scores", "roc", "abundance", "classification")
         }
         return _card(f"{type(self).__name__} of {nm.size} bands, {nm[0]:.0f}-{nm[-1]:.0f} nm", facts)
 
-    def to_xarray(self: Any) -> xr.Dataset:
-        """Spectra, covariances, noise and curves as the group of ``products.nc`` has them."""
-        data: xr.Dataset = to_xarray(self)
-        return data
+    def pd(
+        self, subject: str, *, pfa: float = 1e-3, detector: str | None = None, unit: str | None = None
+    ) -> Probability:
+        """P_D of a subject at a probability of false alarm, with its 95 % limits.
 
-    def to_dataframe(self: Any) -> pd.DataFrame:
+        Parameters
+        ----------
+        detector, unit : of the curve; else the first that the subject has. ``unit`` is pixel or object
+
+        >>> from hyperval.api import predict
+        >>> predict("scenario.yaml").pd("large-planks", pfa=1e-2).value > 0.9
+        True
+
+        Raises
+        ------
+        UsageError : no such curve.
+        """
+        asked = (subject, detector, unit)
+        keys = [key for key in self.products.roc if all(a in (None, k) for a, k in zip(asked, key, strict=True))]
+        if not keys:
+            have = ", ".join("/".join(key) for key in self.products.roc)
+            raise UsageError(f"no ROC curve is of {subject!r}, {detector}, {unit}", expected=f"one of {have}")
+        curve = self.products.roc[keys[0]]
+        limits = (curve.pd, curve.pd_lower, curve.pd_upper)
+        return Probability(*(float(detection_at(curve, pfa, values)) for values in limits))
+
+    @cached_property
+    def sides(self) -> Mapping[str, xr.Dataset]:  # type: ignore[override]
+        """This one, by its name."""
+        return {"predicted" if isinstance(self, Prediction) else "observed": self.to_xarray()}
+
+    def to_xarray(self) -> xr.Dataset:
+        """Spectra, covariances and noise over one ``subject`` and one ``wavelength``, and curves."""
+        return labelled(self.products)
+
+    def to_dataframe(self) -> pandas.DataFrame:
         """Spectra by band, score moments, P_D at decades of P_FA and areas: a row each, as in ``results.csv``."""
-        return ResultTable(product_rows(self, type(self).__name__.lower())).frame()
+        from hyperval.compare.products import product_rows
+
+        return ResultTable(product_rows(self.products, type(self).__name__.lower())).frame()
 
     @property
-    def plot(self: Any) -> SidesPlot:
+    def plot(self) -> SidesPlot:
         """``plot.spectra()``, ``plot.roc()``; ``plot()`` draws what there is."""
-        return SidesPlot({type(self).__name__.lower(): self.to_xarray()})
+        return SidesPlot(self.sides)
 
 
-class Prediction(_Side, products.PredictedProducts):
+class Prediction(_Side):
     """The products as the model gives them."""
 
+    products: PredictedProducts
 
-class Observation(_Side, products.ObservedProducts):
+
+class Observation(_Side):
     """The products as the collection gives them."""
+
+    products: ObservedProducts
 
 
 class Results(_Shown, ResultTable):
@@ -197,7 +315,7 @@ class Results(_Shown, ResultTable):
         }
         return _card(f"Results of {len(frame)} rows", {"campaigns": frame["campaign"].unique(), **counts})
 
-    def to_dataframe(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pandas.DataFrame:
         """The rows in the columns of ``results.csv``."""
         return self.frame()
 
@@ -223,26 +341,44 @@ class Results(_Shown, ResultTable):
 
 
 @dataclass(frozen=True, repr=False)
-class Validation(_Shown):
+class Validation(_Tables):
     """A campaign that was run, now or earlier.
 
     Attributes
     ----------
     name : of the campaign
-    results : every planned comparison, a row each
-    sides : "predicted" and "observed" as datasets
-    provenance : inputs, versions, command
+    run : its results, as a finished run's folder has them
     notes : assumptions, what was left out
-    prediction, observation : the sides as objects; None for one that was not made
     """
 
     name: str
-    results: Results
-    sides: Mapping[str, xr.Dataset]
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    run: Run
     notes: tuple[str, ...] = ()
-    prediction: Prediction | None = None
-    observation: Observation | None = None
+
+    @cached_property
+    def results(self) -> Results:
+        """Every planned comparison, a row each."""
+        return Results(self.run.table)
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """Inputs, versions, command."""
+        return self.run.provenance
+
+    @cached_property
+    def prediction(self) -> Prediction | None:
+        """What the model gave; None where it was not asked."""
+        return None if self.run.pair[0] is None else Prediction(self.run.pair[0])
+
+    @cached_property
+    def observation(self) -> Observation | None:
+        """What the collection gave; None where it was not observed."""
+        return None if self.run.pair[1] is None else Observation(self.run.pair[1])
+
+    @cached_property
+    def sides(self) -> Mapping[str, xr.Dataset]:  # type: ignore[override]
+        """The sides there are, "predicted" and "observed", as datasets."""
+        return {name: data for side in (self.prediction, self.observation) if side for name, data in side.sides.items()}
 
     def __repr__(self) -> str:
         """The campaign, and its rows by outcome."""
@@ -252,36 +388,22 @@ class Validation(_Shown):
             "sides": list(self.sides),
         }
         for name, data in self.sides.items():
-            subjects = data.get("radiance_subject", data.get("reflectance_subject"))
-            facts[name] = [] if subjects is None else subjects.to_numpy().tolist()
+            facts[name] = _subjects(data, "radiance") or _subjects(data, "reflectance")
         return _card(f"Run of {self.name}", facts)
 
-    def to_dataframe(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pandas.DataFrame:
         """The rows in the columns of ``results.csv``."""
         return self.results.to_dataframe()
 
-    def _first_rows(self) -> pd.DataFrame:
+    def _first_rows(self) -> pandas.DataFrame:
         """What was judged."""
         return self.summary
 
     @property
-    def summary(self) -> pd.DataFrame:
+    def summary(self) -> pandas.DataFrame:
         """The planned comparisons alone, as ``summary.csv`` has them: the outcome of each, and by how much."""
         frame = self.results.to_dataframe()
         return frame[frame["outcome"] != "none"].reset_index(drop=True)
-
-    @property
-    def spectra(self) -> pd.DataFrame:
-        """Means with their standard uncertainties: a row for each side, product, subject and band."""
-        parts = []
-        for side, data in self.sides.items():
-            for product in (name for name in products.SPECTRA if name in data):
-                names = [product, f"{product}_standard_uncertainty"]
-                part = data[names].rename({names[0]: "value", names[1]: "standard_uncertainty"})
-                frame = part.rename({f"{product}_subject": "subject"}).to_dataframe().reset_index()
-                parts.append(frame.assign(side=side, product=product).rename(columns={"wavelength": "band_nm"}))
-        columns = ["side", "product", "subject", "band_nm", "value", "standard_uncertainty"]
-        return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
 
     def measurand(self, side: str, product: str, subject: str) -> xr.Dataset:
         """One spectrum with its standard uncertainty and the correlation of errors, named as CoMet's obsarray does.
@@ -295,15 +417,15 @@ class Validation(_Shown):
         ------
         UsageError : no such side, product or subject, or a product whose covariance is not kept.
         """
-        whole, names = self.sides.get(side), f"{product}_subject"
-        if whole is None or f"{product}_error_covariance" not in whole or subject not in whole[names]:
-            have = [f"{k} {n} {s}" for k, d in self.sides.items() for n in products.SPECTRA
-                    if f"{n}_error_covariance" in d for s in d[f"{n}_subject"].to_numpy()]  # fmt: skip
+        matrix = f"{product}_error_covariance"
+        have = [f"{side} {name} {one}" for side, data in self.sides.items() for name in SPECTRA
+                if f"{name}_error_covariance" in data for one in _subjects(data, name)]  # fmt: skip
+        if f"{side} {product} {subject}" not in have:
             raise UsageError(f"no {side} {product} of {subject!r} with a covariance", expected=", ".join(have))
-        one = whole.sel({names: subject}, drop=True)
+        one = self.sides[side].sel(subject=subject, drop=True)
         u = one[f"{product}_standard_uncertainty"].to_numpy()
         scale = np.where(u > 0, u, 1.0)
-        correlation = one[f"{product}_error_covariance"].to_numpy() / np.outer(scale, scale)
+        correlation = one[matrix].to_numpy() / np.outer(scale, scale)
         np.fill_diagonal(correlation, 1.0)
         unit, matrix = one[product].attrs["units"], f"err_corr_{product}"
         of_u = {
@@ -316,28 +438,9 @@ class Validation(_Shown):
                 f"u_{product}": ("band", u, of_u),
                 matrix: (("band", "band_2"), correlation, {"units": "1"}),
             },
-            {"wavelength": one["wavelength"]},
+            {"wavelength": ("band", one["wavelength"].to_numpy())},
             {"subject": subject, "side": side},
         )
-
-    @property
-    def roc(self) -> pd.DataFrame:
-        """ROC curves with their 95 % limits: a row for each point."""
-        return self._entries("roc", ["pfa", "pd", "pd_lower", "pd_upper", "threshold"], ["subject", "detector", "unit"])
-
-    @property
-    def scores(self) -> pd.DataFrame:
-        """Mean and standard deviation of each population's detector score."""
-        return self._entries("score", ["mean", "sd", "n"], ["subject", "detector"])
-
-    def _entries(self, name: str, values: list[str], names: list[str]) -> pd.DataFrame:
-        parts = []
-        for side, data in self.sides.items():
-            if f"{name}_{values[0]}" in data:
-                frame = data[[f"{name}_{v}" for v in values]].to_dataframe().reset_index()
-                frame.columns = frame.columns.str.removeprefix(f"{name}_")
-                parts.append(frame.dropna(subset=values[:1]).assign(side=side)[["side", *names, *values]])
-        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["side", *names, *values])
 
     def to_xarray(self) -> xr.DataTree:
         """Both sides as the groups of ``products.nc``."""
@@ -375,7 +478,7 @@ class Study(_Shown):
                 facts[str(name)] = sorted(set(map(str, column.to_numpy())))
         return _card(f"Study of {self.table.sizes['point']} points", facts)
 
-    def to_dataframe(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pandas.DataFrame:
         """A row for each point."""
         return self.table.to_dataframe()
 
@@ -405,24 +508,32 @@ class Study(_Shown):
         )
 
 
-class Collection(SimulatedCollection):
-    """A simulated collection on disk."""
+class Collection(_Shown):
+    """A simulated collection on disk: ``folder``, ``cube``, ``targets``, and its other files by their names."""
+
+    folder: Path
+    cube: Path
+    targets: Path
+
+    def __init__(self, **files: Any):
+        vars(self).update(files)
 
     def __repr__(self) -> str:
         """Where it is, and its files."""
-        cube = open_cube(self.cube, quantity="radiance", unit=RADIANCE_UNIT)
-        paths = [getattr(self, f.name) for f in fields(self)]
-        files = [path.name for path in paths if isinstance(path, Path) and path != self.folder]
-        size = f"{cube.lines} lines, {cube.samples} samples, {cube.bands} bands"
-        return _card(f"Collection of {size}", {"folder": [self.folder], "files": files})
+        sizes = self.to_xarray()["radiance"].shape
+        files = [path.name for path in vars(self).values() if isinstance(path, Path) and path != self.folder]
+        size = "Collection of {} lines, {} samples, {} bands".format(*sizes)
+        return _card(size, {"folder": [self.folder], "files": files})
 
     def to_xarray(self) -> xr.Dataset:
         """The cube, read where it is asked for: radiance over lines, samples and bands."""
+        from hyperval.imagery import cube_to_xarray, open_cube
+
         return xr.Dataset({"radiance": cube_to_xarray(open_cube(self.cube, quantity="radiance", unit=RADIANCE_UNIT))})
 
-    def to_dataframe(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pandas.DataFrame:
         """The list of targets."""
-        return pd.read_csv(self.targets)
+        return pandas.read_csv(self.targets)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """The bands nearest to 660, 550 and 470 nm, each stretched from its 2nd to its 98th percentile."""
@@ -453,10 +564,10 @@ class Metrics(_Shown):
         kinds = self.to_dataframe()["kind"].value_counts(sort=False)
         return _card(f"Metrics: {len(self.rows)}", {"kinds": [f"{n} {kind}" for kind, n in kinds.items()]})
 
-    def to_dataframe(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pandas.DataFrame:
         """A row for each metric, by name."""
         names = [f.name for f in fields(Metric) if f.name not in ("tolerance", "usual")]
-        return pd.DataFrame([{n: getattr(m, n) for n in names} for m in self.rows.values()]).set_index("name")
+        return pandas.DataFrame([{n: getattr(m, n) for n in names} for m in self.rows.values()]).set_index("name")
 
     def to_xarray(self) -> xr.Dataset:
         """The columns as variables over the names."""

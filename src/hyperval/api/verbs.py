@@ -6,37 +6,20 @@ from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-import xarray as xr
-
-from hyperval import metrics as metrics_table
 from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Study, Validation
-from hyperval.baseline import DEFAULT_FOLDER
-from hyperval.baseline import check as check_numbers
-from hyperval.campaign import Job, collected, job_of, jobs_of, run_campaign
-from hyperval.compare import compare_products
-from hyperval.envi_header import header_beside
-from hyperval.hdf5 import check_hdf5
-from hyperval.imagery import EnviRaster, needs_header, open_raster, record
-from hyperval.model import Origins
-from hyperval.model import predict as predict_scenario
-from hyperval.products import Products
-from hyperval.report.outputs import write_outputs
-from hyperval.results import of_campaign
-from hyperval.run import Run, to_xarray
+from hyperval.run import Run
 from hyperval.scenario import Scenario, load_scenario
-from hyperval.simulate import simulate as simulate_scene
-from hyperval.simulate.schema import SceneFile
-from hyperval.spectra import read_records
-from hyperval.storage import whole_folder
-from hyperval.study.run import study_to_folder
+
+if TYPE_CHECKING:
+    from hyperval.campaign import Job
+    from hyperval.simulate.schema import SceneFile
 
 __all__ = [
     "check", "compare", "explain", "load_campaign", "load_scenario", "metrics", "observe", "open", "predict",
     "simulate", "study", "validate",
 ]  # fmt: skip
-Side = TypeVar("Side", Prediction, Observation)
 
 
 def load_campaign(path: Path | str) -> Job:
@@ -49,6 +32,8 @@ def load_campaign(path: Path | str) -> Job:
     ------
     InputError, UsageError : of the file.
     """
+    from hyperval.campaign import job_of
+
     return job_of(Path(path))
 
 
@@ -70,6 +55,10 @@ def explain(
     ------
     InputError, UsageError : neither, or damaged; in the words of the reader.
     """
+    from hyperval.envi_header import header_beside
+    from hyperval.imagery import EnviRaster, needs_header, open_raster, record
+    from hyperval.spectra import read_records
+
     path = Path(file)
     if header is not None or path.is_dir() or path.suffix == ".hdr" or header_beside(path) or not needs_header(path):
         raster = open_raster(path, header=header, variable=key)
@@ -101,9 +90,11 @@ def predict(
     ------
     InputError, UsageError, EngineError : of the scenario.
     """
+    from hyperval.model import Origins
+    from hyperval.model import predict as predict_scenario
+
     known = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
-    products = predict_scenario(known, Origins(**origins), objects=objects, object_curves=object_curves)
-    return _side(Prediction, products)
+    return Prediction(predict_scenario(known, Origins(**origins), objects=objects, object_curves=object_curves))
 
 
 def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) -> Observation:
@@ -116,13 +107,15 @@ def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) ->
     ------
     InputError, UsageError : of the campaign; MissingDataError where its data are not at hand.
     """
+    from hyperval.campaign import collected
+
     with collected(_job(campaign, compares=False), show_progress=show_progress) as collection:
-        return _side(Observation, collection.observed.observation)
+        return Observation(collection.observed.observation)
 
 
 def compare(
-    prediction: Products | Scenario | Path | str,
-    observation: Products | Job | Path | str,
+    prediction: Prediction | Scenario | Path | str,
+    observation: Observation | Job | Path | str,
     *,
     name: str = "comparison",
     method: str = "model",
@@ -139,9 +132,12 @@ def compare(
     ------
     UsageError : the two sides are not on the same bands.
     """
-    measured = observation if isinstance(observation, Products) else observe(observation)
-    known = prediction if isinstance(prediction, Products) else predict(prediction, axis=measured.axis)
-    return Results(of_campaign(compare_products(known, measured, method=method), name))
+    from hyperval.compare import compare_products
+    from hyperval.results import of_campaign
+
+    measured = (observation if isinstance(observation, Observation) else observe(observation)).products
+    known = prediction if isinstance(prediction, Prediction) else predict(prediction, axis=measured.axis)
+    return Results(of_campaign(compare_products(known.products, measured, method=method), name))
 
 
 def validate(
@@ -159,12 +155,16 @@ def validate(
     ------
     InputError, UsageError, EngineError : of the campaign.  Data that are not at hand make its rows SKIPPED.
     """
+    from hyperval.campaign import run_campaign
+    from hyperval.report.outputs import write_outputs
+    from hyperval.storage import whole_folder
+
     report = run_campaign(_job(campaign), show_progress=show_progress)
     if output is not None:
         with whole_folder(Path(output)) as folder:
             write_outputs(report, folder)
     sides = {"predicted": report.prediction, "observed": report.observation}
-    return _validation(report.campaign, Run(report.table, report.provenance, sides), tuple(report.notes))
+    return Validation(report.campaign, Run(report.table, report.provenance, sides), tuple(report.notes))
 
 
 def study(path: Path | str, *, output: Path | str | None = None, show_progress: bool | None = None) -> Study:
@@ -178,6 +178,8 @@ def study(path: Path | str, *, output: Path | str | None = None, show_progress: 
     ------
     UsageError, InputError, EngineError : of the study or its scenario.
     """
+    from hyperval.study import study_to_folder
+
     with TemporaryDirectory(prefix="hyperval-study-") as scratch:
         folder = Path(scratch) / "study" if output is None else Path(output)
         study_to_folder(Path(path), folder, show_progress=show_progress)
@@ -188,7 +190,7 @@ def check(
     campaigns: Path | str | Iterable[Path | str] = (),
     sensors: str | Iterable[str] = (),
     *,
-    baselines: Path | str = DEFAULT_FOLDER,
+    baselines: Path | str | None = None,
     show_progress: bool | None = None,
 ) -> Results:
     """Compare campaigns and sensors with the accepted numbers; ``exit_code()`` of the rows is that of the command.
@@ -200,9 +202,14 @@ def check(
     ------
     UsageError, InputError : of the campaigns, sensors or baselines.
     """
+    from hyperval.baseline import DEFAULT_FOLDER
+    from hyperval.baseline import check as check_numbers
+
     files = [campaigns] if isinstance(campaigns, Path | str) else list(campaigns)
     names = [sensors] if isinstance(sensors, str) else list(sensors)
-    outcome = check_numbers([Path(f) for f in files], names, baselines=Path(baselines), show_progress=show_progress)
+    outcome = check_numbers(
+        [Path(f) for f in files], names, baselines=Path(baselines or DEFAULT_FOLDER), show_progress=show_progress
+    )
     return Results(outcome.table)
 
 
@@ -216,6 +223,9 @@ def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress
     ------
     UsageError, InputError, EngineError : of the scene.
     """
+    from hyperval.simulate import simulate as simulate_scene
+    from hyperval.simulate.schema import SceneFile
+
     known = scene if isinstance(scene, SceneFile) else Path(scene)
     made = simulate_scene(known, Path(output), show_progress=show_progress)
     return Collection(**{f.name: getattr(made, f.name) for f in fields(made)})
@@ -236,7 +246,7 @@ def open(folder: Path | str) -> Validation | Study:
     if (folder / "table.nc").is_file():
         return _study(folder)
     run = Run.open(folder)
-    return _validation(next((row.campaign for row in run.table), folder.name), run)
+    return Validation(next((row.campaign for row in run.table), folder.name), run)
 
 
 def metrics() -> Metrics:
@@ -245,37 +255,28 @@ def metrics() -> Metrics:
     >>> metrics().to_dataframe().loc["bias_ratio", "unit"]
     '1'
     """
-    return Metrics(metrics_table.table())
+    from hyperval.metrics import table
+
+    return Metrics(table())
 
 
 def _job(campaign: Job | Path | str, *, compares: bool = True) -> Any:
     """The campaign as it is, or that of a file of one run; ``compares`` as for :func:`jobs_of`."""
+    from hyperval.campaign import Job, jobs_of
+
     if isinstance(campaign, Job):
         return campaign
     jobs = jobs_of(Path(campaign), compares=compares)
     return jobs[0] if len(jobs) == 1 else load_campaign(campaign)  # which says what is wrong with several
 
 
-def _side(kind: type[Side], products: Products) -> Side:
-    return kind(**{f.name: getattr(products, f.name) for f in fields(products)})
-
-
 def _study(folder: Path) -> Study:
+    import xarray as xr
+
+    from hyperval.hdf5 import check_hdf5
+
     check_hdf5(folder / "table.nc")
     with xr.open_dataset(folder / "table.nc", engine="h5netcdf") as data:
         table = data.load()
     run = Run.open(folder)
     return Study(table=table, results=Results(run.table), provenance=run.provenance)
-
-
-def _validation(name: str, run: Run, notes: tuple[str, ...] = ()) -> Validation:
-    predicted, observed = run.pair
-    return Validation(
-        name=name,
-        results=Results(run.table),
-        sides={side: to_xarray(products) for side, products in run.sides.items()},
-        provenance=run.provenance,
-        notes=notes,
-        prediction=None if predicted is None else _side(Prediction, predicted),
-        observation=None if observed is None else _side(Observation, observed),
-    )

@@ -36,7 +36,7 @@ from hyperval.baseline.accepted import (
 from hyperval.campaign import Job, jobs_of, validate
 from hyperval.campaign.provenance import command_without_output, source_revision
 from hyperval.config import FILL_IN
-from hyperval.errors import refuse
+from hyperval.errors import as_typed, refuse
 from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.verdict import accepted_words
@@ -117,9 +117,9 @@ class RunNumbers:
 
     def acceptance(self, baselines: Path) -> str:
         """The command that takes the numbers of this run for accepted, in the folder ``baselines``."""
-        named = self.reference if self.kind == "campaign" else f"--sensors {self.reference}"
-        where = "" if baselines == DEFAULT_FOLDER else f" --baselines {baselines}"
-        return f'hyperval baseline accept {named}{where} --reason "..."'
+        named = [self.reference] if self.kind == "campaign" else ["--sensors", self.reference]
+        where = [] if baselines == DEFAULT_FOLDER else ["--baselines", baselines]
+        return as_typed("baseline", "accept", *named, *where) + ' --reason "..."'
 
     def baseline(self, reason: str, before: Mapping[str, Accepted]) -> Baseline:
         """Its numbers as accepted today; tolerances that stand in ``before`` are kept."""
@@ -304,7 +304,7 @@ def _against(run: RunNumbers, folder: Path) -> Checked:
     else:
         candidate = candidate_path(folder, run.kind, run.name)
         run.baseline(f"{FILL_IN}: why these numbers are right", {}).write(candidate)
-        how = f"{run.acceptance(folder)} makes them one"
+        how = f"to make them one: {run.acceptance(folder)}"
         words = f"no baseline ({path}); the numbers of this run are in {candidate}; {how}"
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.NONE
     names = (run.owner, "baseline", run.name, run.kind, "baseline")

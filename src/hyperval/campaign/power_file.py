@@ -209,5 +209,5 @@ def write_power_table(path: Path, table: PowerTable) -> None:
     """Write one table as YAML."""
     data = table.model_dump(mode="json", by_alias=True, exclude_defaults=True)
     head = f"# What the campaign {table.campaign} can tell: errors injected into its model, and the gates that turn.\n"
-    head += "# `hyperval power --accept` renews it.\n"
+    head += "# `hyperval power CAMPAIGN.yaml --accept` renews it.\n"
     write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))

@@ -29,6 +29,7 @@ from hyperval.cli.shared import (
     Output,
     Scheduler,
     app,
+    command,
     finished,
     note,
     print_table,
@@ -36,7 +37,7 @@ from hyperval.cli.shared import (
     say_warnings,
     settings,
 )
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, as_typed
 
 if TYPE_CHECKING:
     from hyperval.baseline import Checked
@@ -57,7 +58,7 @@ Finished = Annotated[
 ]
 
 
-@app.command()
+@command("check campaigns/*/campaign.yaml --sensors all", "check campaign.yaml --from results --junit check.xml")
 def check(
     campaigns: Campaigns = None,
     sensors: Sensors = None,
@@ -84,9 +85,7 @@ def check(
     )
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
     compared = [row for item in outcome.checked if item.is_compared for row in item.rows if everything or row.reason]
-    others = [row for item in outcome.checked if not item.is_compared for row in item.rows]
-    lonely = [(row.campaign, row.metric, "", "", "", "", str(row.outcome)) for row in others]
-    print_table(header, [*map(_cells, compared), *lonely])
+    print_table(header, list(map(_cells, compared)))
     skipped: dict[str, list[str]] = {}
     for item in outcome.checked:
         _tell(item, baselines or DEFAULT_FOLDER)
@@ -104,19 +103,21 @@ def _cells(row: Result) -> tuple[str, ...]:
 
     accepted, width = (row.limit_high + row.limit_low) / 2.0, (row.limit_high - row.limit_low) / 2.0
     numbers = (f"{accepted:.6g}", f"{row.value:.6g}", f"{row.value - accepted:+.3g}", f"{width:.3g}")
-    return (row.campaign, key_of(row), *("-" if "nan" in text else text for text in numbers), str(row.outcome))
+    outcome = row.reason or str(row.outcome)
+    return (row.campaign, key_of(row), *("-" if "nan" in text else text for text in numbers), outcome)
 
 
 def _tell(item: Checked, baselines: Path) -> None:
-    """One line of summary, and each number that is not as accepted in words."""
+    """One line of summary; what was not compared, and is in no table, says why."""
     from hyperval.results import Outcome
 
     wrong = [row for row in item.rows if row.outcome is Outcome.DISAGREES]
-    for row in wrong:
-        print(f"{row.campaign}: {row.product} {row.subject} {row.method}: {row.reason}", file=sys.stderr)
-    if item.is_compared and not wrong:
+    if not item.is_compared:
+        for row in wrong:
+            print(f"{row.campaign}: {row.reason}", file=sys.stderr)
+    elif not wrong:
         note(f"{item.run.owner}: {len(item.rows)} numbers as accepted")
-    elif item.is_compared:
+    else:
         note(f"{item.run.owner}: {len(wrong)} of {len(item.rows)} numbers are not as accepted")
         causes = _likely_causes(item)
         note(f"  likely cause: {causes}")
@@ -143,7 +144,12 @@ def baseline() -> None:
     """Accepted numbers of campaigns and sensors."""
 
 
-@baseline_app.command("accept")
+@command(
+    "baseline accept campaign.yaml --reason 'another atmosphere engine'",
+    "baseline accept --sensors mine.yaml --reason 'first numbers'",
+    of=baseline_app,
+    name="accept",
+)
 def baseline_accept(
     reason: Annotated[str, typer.Option(help="Why the new numbers are right.")],
     campaigns: Campaigns = None,
@@ -190,7 +196,7 @@ data_app = typer.Typer(help="Public data sets: list, fetch, verify.", no_args_is
 app.add_typer(data_app, name="data")
 
 
-@data_app.command("list")
+@command("data list", of=data_app, name="list")
 def data_list() -> int:
     """List the registered data sets and whether they are on this machine."""
     from hyperval.datasets import files_at_hand, missing, registry
@@ -210,7 +216,7 @@ def data_list() -> int:
     return 0
 
 
-@data_app.command("fetch")
+@command("data fetch hysu", of=data_app, name="fetch")
 def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data sets.")]) -> int:
     """Bring data sets into the user's cache; every file is checked against its digest."""
     from hyperval.datasets import cache_dir, dataset, fetch
@@ -222,7 +228,7 @@ def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data se
     return 0
 
 
-@data_app.command("verify")
+@command("data verify hysu", of=data_app, name="verify")
 def data_verify(
     names: Annotated[list[str] | None, typer.Argument(help="Names of data sets; all when none is named.")] = None,
 ) -> int:
@@ -238,7 +244,7 @@ def data_verify(
     return 0 if all(check.state == "ok" for _, check in checks) else InputError.exit_code
 
 
-@app.command()
+@command("compare before after -o moved")
 def compare(
     one: Annotated[Path, typer.Argument(metavar="A", help="A folder of results.")],
     other: Annotated[Path, typer.Argument(metavar="B", help="Another, of the same campaign.")],
@@ -250,7 +256,7 @@ def compare(
     return finished(compare_runs(one, other, output), output)
 
 
-@app.command()
+@command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
 def drift(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders that validate wrote.")],
     metric: Annotated[str, typer.Option(help="Which number is followed.")] = "bias_ratio",
@@ -286,7 +292,7 @@ def drift(
     return {Outcome.AGREES: 0, Outcome.DISAGREES: 1}.get(outcome, 5)
 
 
-@app.command()
+@command("figures results -o figures --format svg --style journal")
 def figures(
     run: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
     output: Output,
@@ -303,7 +309,7 @@ def figures(
     return finished(figures_to_folder(run, output, Print(kind, style == "journal"), spread_curves), output)
 
 
-@app.command()
+@command("metrics", "metrics bias_ratio")
 def metrics(
     name: Annotated[str | None, typer.Argument(help="One metric, with everything the table says of it.")] = None,
 ) -> int:
@@ -317,7 +323,7 @@ def metrics(
     return 0
 
 
-@app.command()
+@command("explain line1_rad.img", "explain scene.mat --key data")
 def explain(
     file: Annotated[Path, typer.Argument(help="An image, or a file of spectra.")],
     header: Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")] = None,
@@ -331,7 +337,7 @@ def explain(
     return 0
 
 
-@app.command()
+@command("init --cube line1_rad.img --regions rois.xml --targets planks.csv --spectra spectra -o mine")
 def init(
     cube: Annotated[Path, typer.Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for campaign.yaml; made where it is not.")],
@@ -370,11 +376,12 @@ def init(
     asked = placeholders(*parse_yaml(text), str(path))
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
-    note(f"{path}: {f'{len(asked)} values to fill in, then' if asked else 'now'}: hyperval validate --dry-run {path}")
+    then = as_typed("validate", "--dry-run", path)
+    note(f"{path}: {f'{len(asked)} values to fill in, then' if asked else 'now'}: {then}")
     return 0
 
 
-@app.command()
+@command("schema campaign -o campaign.schema.json")
 def schema(
     kind: Annotated[Literal["campaign", "scenario", "scene", "study", "sensor"], typer.Argument(help="Kind of file.")],
     output: Annotated[Path | None, typer.Option("--output", "-o", help="The file to write.")] = None,
@@ -391,7 +398,7 @@ def schema(
     return 0
 
 
-@app.command()
+@command("study study.yaml -o traded")
 def study(
     study_file: Annotated[Path, typer.Argument(metavar="STUDY", help="A study file.")],
     output: Output,
@@ -404,7 +411,7 @@ def study(
     return finished(code, output)
 
 
-@app.command()
+@command("benchmark campaigns/*/campaign.yaml -o ranks", "benchmark campaign.yaml --scores net=net.npy -o ranks")
 def benchmark(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: Output,
@@ -438,7 +445,7 @@ def benchmark(
     return finished(code, output)
 
 
-@app.command()
+@command("power campaign.yaml -o detected")
 def power(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: Annotated[
@@ -471,7 +478,7 @@ def power(
     return 1 if not accept and any(item.changes for item in tables) else 0
 
 
-@app.command()
+@command("predict yellow-planks-asphalt -o out", "predict scenario.yaml -o out")
 def predict(
     scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of a built-in scenario.")],
     output: Output,
@@ -482,7 +489,7 @@ def predict(
     return finished(predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
 
 
-@app.command()
+@command("observe campaign.yaml -o out --write-reflectance envi")
 def observe(
     campaign: Annotated[Path, typer.Argument(help="A campaign file.")],
     output: Output,
@@ -499,7 +506,7 @@ def observe(
     return finished(code, output)
 
 
-@app.command()
+@command("validate --dry-run campaign.yaml", "validate campaign.yaml -o results")
 def validate(
     campaigns: Annotated[list[Path], typer.Argument(help="Campaign files.")],
     output: AnyOutput = None,
@@ -537,7 +544,7 @@ def validate(
     return code
 
 
-@app.command()
+@command("simulate scene.yaml -o collection")
 def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], output: Output) -> int:
     """Write a simulated collection with its truth."""
     from hyperval.simulate import simulate_to_folder
@@ -563,7 +570,7 @@ sensor_app = typer.Typer(help="Sensors: those of the package, and new ones.", no
 app.add_typer(sensor_app, name="sensor")
 
 
-@sensor_app.command("list")
+@command("sensor list", of=sensor_app, name="list")
 def sensor_list() -> int:
     """List the sensors that come with the package."""
     from hyperval.sensor.specification import library_names, load_sensor
@@ -577,7 +584,7 @@ def sensor_list() -> int:
     return 0
 
 
-@sensor_app.command("show")
+@command("sensor show prospectir-vs", of=sensor_app, name="show")
 def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")]) -> int:
     """Print a sensor's specification as YAML: every number with its source."""
     import yaml
@@ -589,7 +596,7 @@ def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, 
     return 0
 
 
-@sensor_app.command("check")
+@command("sensor check mine.yaml -o mine-check", of=sensor_app, name="check")
 def sensor_check(
     name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")],
     output: Annotated[
@@ -615,7 +622,7 @@ def sensor_check(
     return finished(check.exit_code, output) if output is not None else check.exit_code
 
 
-@sensor_app.command("new")
+@command("sensor new mine --arms VNIR,SWIR", of=sensor_app, name="new")
 def sensor_new(
     name: Annotated[str, typer.Argument(help="Short name of the sensor.")],
     output: Annotated[
@@ -629,14 +636,14 @@ def sensor_new(
 
     path = unwritten(output or Path(f"{name}.yaml"))
     write_draft(path, "sensor", new_sensor_file(name, [arm.strip() for arm in arms.split(",")]))
-    note(f"{path}: replace every FILL_IN, then: hyperval sensor check {path}")
+    note(f"{path}: replace every FILL_IN, then: {as_typed('sensor', 'check', path)}")
     return 0
 
 
 _MB = 1_000_000
 
 
-@app.command()
+@command("serve", "serve --campaigns campaigns --data data --port 8080")
 def serve(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8000,
     host: Annotated[str, typer.Option(help="Address that it listens at; this machine alone by default.")] = "127.0.0.1",

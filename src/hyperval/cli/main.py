@@ -47,10 +47,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         code = INTERRUPTED
     except _Terminated:
         code = TERMINATED
-    except SystemExit:
+    except SystemExit as ended:
         # typer stops with 1 when the reader of our output went away (`hyperval ... | head`), but 1 would
-        # mean that a comparison failed.
-        return OUTPUT_CLOSED
+        # mean that a comparison failed; with 0 once it has completed a word for a shell.
+        return OUTPUT_CLOSED if ended.code else 0
     except BrokenPipeError:
         # The same, met at the last flush: nothing more can be written.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -84,6 +84,9 @@ def _usage(error: TyperException) -> int:
     if not text:  # no command given: typer raises with the help already printed
         return 2
     command = context.command_path if context is not None else "hyperval"
+    if context is not None and hasattr(error, "param_type"):  # one is missing: the first of perhaps several
+        missing = [p for p in context.command.params if p.required and p.name not in context.params]
+        text = "missing: " + ", ".join(p.get_error_hint() for p in missing)
     _error(f"{text}\n  to mend it: see {command} --help")
     return 2
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -16,10 +16,16 @@ from hyperval import __version__
 app = typer.Typer(
     help="Does the model of a hyperspectral imager agree with what it measured?",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    rich_markup_mode=None,  # rich takes as long to load as all else that help needs
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
 )
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def command(*examples: str, of: typer.Typer = app, name: str | None = None) -> Callable[[F], F]:
+    """A command whose help ends with examples."""
+    return of.command(name, epilog="\n".join(("\b", "Examples:", *(f"  hyperval {example}" for example in examples))))
 
 
 @dataclass

@@ -76,7 +76,7 @@ _MOST_PIXELS = 1_000_000
 
 def warm() -> None:
     """Load what a first prediction and its charts would wait for."""
-    answer = api.predict("yellow-planks-asphalt")
+    answer = api.predict("yellow-planks-asphalt").products
     charts_of({"predicted": answer})
 
 
@@ -120,7 +120,7 @@ def _number(value: Any) -> float | None:
 def _predicted(folder: str) -> PredictedProducts:
     scenario = load_model(Scenario, Path(folder) / "scenario.yaml")
     scenario._folder = Path(folder)
-    return api.predict(scenario)
+    return api.predict(scenario).products
 
 
 def draw(folder: str, earlier: str | None = None) -> None:
