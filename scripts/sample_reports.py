@@ -3,23 +3,57 @@
 python scripts/sample_reports.py            (make sample-report)
 
 Runs four campaigns, which need their data (HYPERVAL_DATA or hyperval data fetch), and keeps of each the page, the
-planned comparisons and the JUnit file.  The same files and versions give the same bytes.
+planned comparisons and the JUnit file.  The same files and versions give the same bytes.  In these pages figures are
+pictures, as in print: the library that draws them in the page of a run is not copied into the repository.
 """
 
 from __future__ import annotations
 
+import base64
+import html
+import io
 import os
+import re
 import shutil
 import sys
 import tempfile
 from pathlib import Path
 
+from PIL import Image
+
 from hyperval import cli
+from hyperval.campaign import spread_curves
+from hyperval.figures.print import Print
+from hyperval.report.html import run_drawings
 
 SAMPLE = Path("reports") / "sample"
 CAMPAIGNS = ("hysu-2018", "pasadena-2017", "radcalnet-baotou-2018", "share2012-independent")
 KEPT = ("report.html", "summary.csv", "junit.xml")
+WIDEST, COLOURS = 900, 32  # pixels and colours of a picture
 NOT_MET = 1  # a criterion that is not met is a result
+
+
+def with_pictures(run: Path) -> str:
+    """The page of a run with each of its figures as a picture, and without what would draw them."""
+    pictures = {}
+    for drawing in run_drawings(run, Print("png", False), spread_curves):
+        small = io.BytesIO()
+        image = Image.open(io.BytesIO(drawing.content)).convert("RGB")
+        image.thumbnail((WIDEST, 3 * WIDEST))
+        image.quantize(COLOURS).save(small, "png", optimize=True)
+        source = base64.b64encode(small.getvalue()).decode("ascii")
+        picture = f'<div class="card"><img src="data:image/png;base64,{source}" alt="{html.escape(drawing.alt)}"></div>'
+        pictures.setdefault(drawing.name.removesuffix("-1"), picture)
+
+    def drawn(found: re.Match[str]) -> str:
+        return pictures.get(found[1], "<p>hyperval draws this figure in the page of a run.</p>")
+
+    page = (run / "report.html").read_text("utf-8")
+    page = re.sub(
+        r'(?s)<section><h2>[^<]*</h2>\s*<figure>\s*<div class="chart" id="chart-worst".*?</section>', "", page
+    )
+    page = re.sub(r'(?s)<div class="chart" id="chart-([^"]*)".*?</noscript>', drawn, page)
+    return re.sub(r'(?s)<script type="text/plain" class="library">.*(?=</body>)', "", page)
 
 
 def main() -> int:
@@ -33,7 +67,8 @@ def main() -> int:
                 return code
             shutil.rmtree(SAMPLE / name, ignore_errors=True)
             (SAMPLE / name).mkdir(parents=True)
-            for kept in KEPT:
+            (SAMPLE / name / KEPT[0]).write_text(with_pictures(out), "utf-8")
+            for kept in KEPT[1:]:
                 shutil.copy(out / kept, SAMPLE / name / kept)
         size = sum(path.stat().st_size for path in (SAMPLE / name).iterdir())
         print(f"{name}: {size / 1e6:.1f} MB")
