@@ -29,7 +29,7 @@ from hyperval.report.html import run_drawings
 SAMPLE = Path("reports") / "sample"
 CAMPAIGNS = ("hysu-2018", "pasadena-2017", "radcalnet-baotou-2018", "share2012-independent")
 KEPT = ("report.html", "summary.csv", "junit.xml")
-WIDEST, COLOURS = 900, 32  # pixels and colours of a picture
+WIDEST, COLOURS = 900, 64  # pixels and colours of a picture
 NOT_MET = 1  # a criterion that is not met is a result
 
 
@@ -40,7 +40,7 @@ def with_pictures(run: Path) -> str:
         small = io.BytesIO()
         image = Image.open(io.BytesIO(drawing.content)).convert("RGB")
         image.thumbnail((WIDEST, 3 * WIDEST))
-        image.quantize(COLOURS).save(small, "png", optimize=True)
+        image.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(small, "png", optimize=True)
         source = base64.b64encode(small.getvalue()).decode("ascii")
         picture = f'<div class="card"><img src="data:image/png;base64,{source}" alt="{html.escape(drawing.alt)}"></div>'
         pictures.setdefault(drawing.name.removesuffix("-1"), picture)

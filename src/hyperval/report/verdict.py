@@ -165,9 +165,7 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
     steps = []
     criteria = [row for row in told if row.gates]
     if any(row.outcome is Outcome.DISAGREES for row in criteria) and reason.startswith("Check"):
-        steps.append(
-            f"{reason.partition(': reduced')[0]}: measure again, or state a larger uncertainty with its reason."
-        )
+        steps.append(f"{reason.partition(' (')[0]}: measure again, or state a larger uncertainty with its reason.")
     elif reason.startswith("None"):
         steps.append("Look beyond the causes that were tried.")
     unsure = [
