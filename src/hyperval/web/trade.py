@@ -49,7 +49,8 @@ def _source(request: Request, name: str) -> str:
     if name not in predefined():
         raise Refused(422, [FieldMistake("scenario", "no scenario goes by that name")])
     if missing := needs(predefined()[name]):
-        raise Refused(422, [FieldMistake("scenario", f"this server lacks the data set {missing}")])
+        words = "; ".join(f"this server lacks the data set {name}: {how}" for name, how in missing.items())
+        raise Refused(422, [FieldMistake("scenario", words)])
     return name if name in builtin_scenarios() else str(resources.files("hyperval.web") / "scenarios" / f"{name}.yaml")
 
 
