@@ -59,7 +59,7 @@ def test_a_file_that_the_library_follows_for_ever_is_refused(before, tmp_path, m
         read_table,
         lambda path: read_statistics_library(path, "grass"),
         read_records,  # of HYPERNETS
-        lambda path: api.open(path.parent),
+        lambda path: api.open(path.parent).to_xarray(),
     ],
 )
 def test_every_reader_of_hdf5_asks_first(read, tmp_path, monkeypatch):

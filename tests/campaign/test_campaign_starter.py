@@ -170,8 +170,10 @@ def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path
     assert any("detection on radiance needs an empirical line" in str(i) for i in wrong)
 
 
-def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys):
-    cube = small.collection / "small_rad.hdr"
+def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_path):
+    cube = tmp_path / "small_rad.hdr"  # one that states no unit
+    (tmp_path / "small_rad.img").symlink_to(small.collection / "small_rad.img")
+    cube.write_text(re.sub(r"(?m)^data units.*\n", "", (small.collection / cube.name).read_text()))
     draft, folder = small.folder / "draft", small.folder / "alone"
     assert cli.run(["init", "--cube", str(cube), "-o", str(draft)]) == 0
     (asked,) = (i for i in dry_run([draft / "campaign.yaml"]) if i.lacking)

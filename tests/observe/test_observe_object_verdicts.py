@@ -88,10 +88,11 @@ def test_false_alarms_of_a_true_background(world):
 
 @pytest.mark.slow
 def test_heavy_tails_show_and_a_fitted_tail_mends_them(world):
-    collection(world, 24, dof=3.0)
-    normal, fitted = rows_of(world), rows_of(world, tail="measured")
-    # Fixed seed, and draws that are the same on every processor: over eight seeds the ratio is 0.21 to 0.74, 0.70 here.
-    assert normal["pfa_ratio@1e-2"].upper < 1.0
-    ratio = fitted["pfa_ratio@1e-2"]
-    assert ratio.lower < 1.0 < ratio.upper
-    assert abs(np.log(ratio.value)) < abs(np.log(normal["pfa_ratio@1e-2"].value))
+    # Six worlds; intervals that hold the truth in 0.95 hold it in four or more in all but 0.2 % of runs.
+    held = []
+    for seed in range(24, 30):
+        collection(world, seed, dof=3.0)
+        normal, fitted = (rows_of(world, tail=tail)["pfa_ratio@1e-2"] for tail in (None, "measured"))
+        assert normal.upper < 1.0
+        held.append(fitted.lower < 1.0 < fitted.upper)
+    assert sum(held) >= 4

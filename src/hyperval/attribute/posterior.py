@@ -285,6 +285,11 @@ class Posterior:
     alike : names that the data cannot tell from the first
     parts : of all residuals, what spectra share and what they differ in: each a test of its own
     level : p-value below which the residuals are not explained; shared out among the groups of one attribution
+
+    Examples
+    --------
+    >>> Posterior("all", 2.1, 2, 0.35, (), (), {NOTHING: 0.9, NONE: 0.1}).conclusion
+    'nothing to explain: reduced chi-square 1.05 of 2 residuals (p = 0.35)'
     """
 
     group: str
@@ -385,6 +390,13 @@ class Reasoner:
     columns : candidate -> (n, k) whitened change of the prediction: for a unit of each direction, at each of the
         sizes, or by each alternative
     wide : (n, k) the same of what no candidate describes
+
+    Examples
+    --------
+    >>> water, gain = (Candidate(name, "input", "0.1", True) for name in ("water", "gain"))
+    >>> known = Reasoner({water: np.eye(3)[:, :1], gain: np.ones((3, 1))}, np.eye(3))
+    >>> known.posterior("all", np.array([9.0, 0.3, -0.2])).first
+    'water'
     """
 
     def __init__(self, columns: Mapping[Candidate, Array], wide: Array):

@@ -140,6 +140,7 @@ Mask = npt.NDArray[np.bool_]
 LEAST_DEPTH = 0.15  # of an absorption under the line between its shoulders
 LEAST_BANDS = 3  # in a feature
 MOST_GAP = 2.5  # widest step between bands of a feature, in their usual step: bands left out hide its centre
+LEAST_LEVEL = 0.8  # of the infrared's, in the last band before 770 nm
 LEAST_PLANT = 3.0  # reflectance at 785 nm over that at 675 nm
 _STEPS = 20
 _SAMPLING = 0.08  # part of the band spacing by which a centre of few bands is uncertain
@@ -264,7 +265,10 @@ def _line(w: Array, y: Array, before: Mask, inside: Mask, after: Mask) -> Array:
 
 
 def red_edge(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike) -> float:
-    """Wavelength [nm] at half of the rise from the red to the infrared; NaN where nothing rises as plants do."""
+    """Wavelength [nm] at half of the rise from the red to the infrared; NaN where nothing rises as plants do.
+
+    Dyed fabrics rise there too, but have not reached the infrared's level before 770 nm.
+    """
     w, y = np.asarray(wavelength_nm, dtype=float), np.asarray(reflectance, dtype=float)
     red, infrared = (w >= 650.0) & (w <= 700.0), (w >= 770.0) & (w <= 800.0)
     if not red.any() or not infrared.any():
@@ -273,7 +277,8 @@ def red_edge(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike) -> float:
     rise = np.flatnonzero((w >= 670.0) & (w <= 780.0))
     half = 0.5 * (low + high)
     crossed = np.flatnonzero((y[rise][:-1] < half) & (y[rise][1:] >= half))
-    if low <= 0.0 or high < LEAST_PLANT * low or crossed.size != 1:
+    still_rising = float(y[w < 770.0][-1]) < LEAST_LEVEL * high
+    if low <= 0.0 or high < LEAST_PLANT * low or crossed.size != 1 or still_rising:
         return float("nan")
     k = rise[crossed[0]]
     return float(w[k] + (half - y[k]) / (y[k + 1] - y[k]) * (w[k + 1] - w[k]))
