@@ -32,7 +32,7 @@ html_css_files = ["dark.css"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["html_image"]
 # Files of the repository that are named by the documents and are not documents themselves.
-suppress_warnings = ["myst.xref_missing", "myst.header", "config.cache"]
+suppress_warnings = ["myst.xref_missing", "myst.header", "config.cache", "ref.python"]
 # The notebook is kept without outputs, and runs here.
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
