@@ -282,7 +282,7 @@ class Posterior:
     fits : each candidate alone, the likeliest first
     hypotheses : the likeliest first
     probability : name -> of its being the first cause; :data:`NONE` and :data:`NOTHING` among them
-    alike : names that the data cannot tell from the first
+    alike : causes that cannot be distinguished from the first
     parts : of all residuals, what spectra share and what they differ in: each a test of its own
     level : p-value below which the residuals are not explained; shared out among the groups of one attribution
 
@@ -374,7 +374,7 @@ class Posterior:
         first, *more = self.best.causes
         part = max(1.0 - self.best.left[0] / self.chi_square, 0.0)
         words = f"check the {first.name} ({first.in_words} explains {100.0 * part:.0f} % of the difference"
-        words += f"; not told apart from {' and '.join(self.alike[:3])})" if self.alike else ")"
+        words += f"; not distinguished from {' and '.join(self.alike[:3])})" if self.alike else ")"
         words += "".join(f", then the {c.name} ({c.in_words})" for c in more if c.candidate is not None)
         if any(c.candidate is None for c in more):
             return f"{words}; not enough, the rest is none of the causes that were tried"
