@@ -140,8 +140,8 @@ def numbers(p: Any) -> dict[Key, np.ndarray]:
         for product in ("radiance", "snr", "reflectance")
         for name, e in getattr(p, product).items()
     }
-    for name, e in p.radiance.items():
-        out["spread", name] = np.sqrt(np.diag(e.pixel_covariance))
+    spread = {name: e.pixel_covariance for name, e in p.radiance.items() if e.pixel_covariance is not None}
+    out |= {("spread", name): np.sqrt(np.diag(covariance)) for name, covariance in spread.items()}
     for key, score in p.scores.items():
         out["score mean", *key], out["score sd", *key] = np.array([score.mean]), np.array([score.sd])
     for key, curve in p.roc.items():

@@ -439,13 +439,12 @@ class Reasoner:
         """
         n = len(self.wide)
         for _ in range(times):
-            effects = {c: _drawn(rng, effect) for c, effect in zip(self.columns, self._effects, strict=True)}
+            effects = {c: g[:, rng.integers(g.shape[1])] for c, g in self.columns.items()}
             kinds = list(dict.fromkeys(kind_of(c.name) for c in self.columns))
             for kind in (*kinds, NONE):
                 some = [made for c, made in effects.items() if kind_of(c.name) == kind and np.any(made)]
-                made = self.wide @ rng.normal(size=self.wide.shape[1]) + 0.1 * np.linalg.norm(self.wide) * rng.normal(
-                    size=n
-                )
+                far = 0.1 * np.linalg.norm(self.wide)
+                made = self.wide @ rng.normal(size=self.wide.shape[1]) + far * rng.normal(size=n)
                 if kind != NONE:
                     if not some:
                         continue
@@ -496,12 +495,6 @@ class Reasoner:
 
 SEEN = 3.6  # length of a whitened effect that a directed test sees in 95 % of cases
 SUFFICES = 0.3  # of a cause that leaves less than chance does, no second one is looked for
-
-
-def _drawn(rng: np.random.Generator, effect: Effect) -> Array:
-    """(n,) an effect of a cause, of any length."""
-    k = effect.columns.shape[1]
-    return np.asarray(effect.columns[:, rng.integers(k)])
 
 
 def kind_of(name: str) -> str:

@@ -128,12 +128,12 @@ class Causes:
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate and f.candidate.asked}
             sizes = {c: a for c, a in sizes.items() if _far(a, c.sizes)}
-            more = {c: _asked(evaluate, [c.at(0, a)]) for c, a in sizes.items()} if last else {}
-            for c, side in more.items():
+            more = _asked(evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
+            for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
-                    wider = np.column_stack([columns.pop(c), side[0][0] - self.predicted])
-                    columns[replace(c, sizes=(*c.sizes, sizes[c]))] = wider
-            if not any(side is not None for side in more.values()):
+                    wider = np.column_stack([columns.pop(c), side[0] - self.predicted])
+                    columns[replace(c, sizes=(*c.sizes, a))] = wider
+            if not any(side is not None for side in more):
                 break
         return replace(self, columns=columns), found
 
@@ -147,12 +147,13 @@ def _far(size: float, sizes: Sequence[float]) -> bool:
     return min(abs(size - s) for s in (0.0, *sizes)) > 0.005 * abs(size) + 1e-4
 
 
-def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array]] | None:
+def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array] | None]:
     """What the model says; None of what cannot be, such as a sun below the horizon."""
     try:
-        return evaluate(truths, "reasons: larger errors")
+        return [*evaluate(truths, "reasons: larger errors")]
     except UsageError:
-        return None
+        half = len(truths) // 2
+        return [*_asked(evaluate, truths[:half]), *_asked(evaluate, truths[half:])] if half else [None]
 
 
 def causes_of(
@@ -199,19 +200,18 @@ def causes_of(
     # Each value of the atmosphere takes a run of the engine for each scenario.
     few = len(worlds) <= MOST_SCENARIOS
     further = [c for c in further_candidates(worlds) if c.name not in taken and (few or c.kind != ATMOSPHERE)]
-    for c in [*moved, *further]:
-        if c.kind == ATMOSPHERE and c.sizes and not few:
-            columns[replace(c, sizes=c.sizes[:2])] = columns.pop(c)
-            continue
-        if c.sizes or c.labels:
-            known = columns.pop(c, np.zeros((predicted.size, 0)))
-            places, n = c.sizes or tuple(range(len(c.labels))), known.shape[1]
-            asked = [(z, _asked(evaluate, [c.at(0, z)])) for z in places[n:]]
-            there = [*places[:n], *(z for z, side in asked if side is not None)]
-            changes = [side[0][0] - predicted for _, side in asked if side is not None]
-            kept = {"sizes": tuple(there)} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in there)}
-            if there:
-                columns[replace(c, **kept)] = np.column_stack([known, *changes])
+    places = {c: c.sizes or tuple(range(len(c.labels))) for c in [*moved, *further] if c.sizes or c.labels}
+    places |= {c: c.sizes[:2] for c in moved if c.sizes and c.kind == ATMOSPHERE and not few}
+    known = {c: columns.pop(c, np.zeros((predicted.size, 0))) for c in places}
+    larger = [(c, z) for c, at in places.items() for z in at[known[c].shape[1] :]]
+    asked = dict(zip(larger, _asked(evaluate, [c.at(0, z) for c, z in larger]), strict=True)) if larger else {}
+    for c, at in places.items():
+        n = known[c].shape[1]
+        sides = {z: side[0] - predicted for z in at[n:] if (side := asked[c, z]) is not None}
+        there = (*at[:n], *sides)
+        kept = {"sizes": there} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in there)}
+        if there:
+            columns[replace(c, **kept)] = np.column_stack([known[c], *sides.values()])
     classes = {c.name for s in model.scenarios for c in s.scene.classes}
     columns |= _of_spectra(stack, predicted, base, observed, classes)
     for c in moved:  # of a field spectrum, each band by itself too

@@ -25,7 +25,6 @@ from hyperval.model.inputs import (
     inputs_of,
     interpolation_input,
     spectrum_errors,
-    spectrum_inputs,
 )
 from hyperval.model.objects import (
     HOST,
@@ -208,8 +207,11 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     }
 
 
-def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors) -> PredictedProducts:
-    """All spectra of one truth with their errors (3.7-3.20); scores and curves come later (:func:`detect`)."""
+def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) -> PredictedProducts:
+    """All spectra of one truth with their errors (3.7-3.20); scores and curves come later (:func:`detect`).
+
+    ``errors`` : None: mean spectra alone, whose matrices are 0
+    """
     stated, world, v = e.stated, e.world.rows(np.array([u])), int(e.which[u])
     out: dict[str, Any] = {p: {} for p in ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")}
     bands, populations = len(e.axis), [p.name for _, _, p in stated.populations]
@@ -226,6 +228,12 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors) -> Predic
             out["full_scale"] = {name: light.noise.full_scale_fraction(level) for name, level in levels.items()}
         out["noise"] = {n: asdict(light.noise.breakdown(x)) for n, x in levels.items() if n not in populations}
         notes += [*stated.notes, *saturation_notes(out["full_scale"], e.axis)]
+    out["distribution"] = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
+    out |= {"notes": tuple(notes), "provenance": provenance_of(stated, terms)}
+    if errors is None:
+        for (product, key), mean in means.items():
+            out[product][key] = SpectralEstimate(mean, np.broadcast_to(0.0, (bands, bands)))
+        return PredictedProducts(e.axis, **out)
     pixels = {
         name: _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
         for name in each
@@ -250,8 +258,7 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors) -> Predic
                     total, budget = combined(own, shapes, bands)
                     estimate = SpectralEstimate(means[product, key], total, pixel, None, budget)
                     out[product][key] = replace(estimate, errors={} if product == "snr" else own)
-    out["distribution"] = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
-    return PredictedProducts(e.axis, **out, notes=tuple(notes), provenance=provenance_of(stated, terms))
+    return PredictedProducts(e.axis, **out)
 
 
 def _of_surface(world: World, name: str) -> tuple[Array, float]:
@@ -405,7 +412,8 @@ def predictions(
 ) -> Iterator[PredictedProducts]:
     """Predictions of truths in which something is moved, in their order, each without a budget of its own.
 
-    Spectra are read once; truths are evaluated together.
+    Spectra are read once; truths are evaluated together.  Mean spectra, scores and curves: matrices (B, B) of each
+    subject would take most of the time, and a hundred times the memory.
 
     Parameters
     ----------
@@ -420,11 +428,10 @@ def _predictions(
     certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
     world = replace(world, stated=replace(world.stated, scenario=certain, kept={}))
     waiting, errors = iter(truths), spectrum_errors(world)
-    of_spectra = spectral_errors(world, spectrum_inputs(world))
     while some := list(islice(waiting, _TOGETHER)):
         out: dict[int, PredictedProducts] = {}
         for index, e in evaluations(with_truths(world, some), errors):
-            spectra = [spectral_prediction(e, u, of_spectra) for u in range(len(e))]
+            spectra = [spectral_prediction(e, u, None) for u in range(len(e))]
             found = detect(e, object_curves=object_curves, points=range(len(e)), spectra=spectra)
             for u, (number, prediction) in enumerate(zip(index.tolist(), found, strict=True)):
                 if objects and prediction.roc:
