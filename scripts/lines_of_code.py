@@ -143,7 +143,7 @@ def check() -> int:
         print(f"over budget: {problem}", file=sys.stderr)
     if problems:
         print(
-            "  to mend it: take lines out elsewhere; a commit that raises a budget says in its message\n"
+            "  to fix it: take lines out elsewhere; a commit that raises a budget says in its message\n"
             "  'Budget: raises ROOM.lines; lowers OTHER.lines', and lowers that one",
             file=sys.stderr,
         )

@@ -10,7 +10,7 @@ VENV=${VENV:-.venv}
 
 stop() {
     printf 'setup: %s\n' "$1" >&2
-    printf '  to mend it: %s\n' "$2" >&2
+    printf '  to fix it: %s\n' "$2" >&2
     exit 2
 }
 

@@ -65,7 +65,7 @@ def test_a_full_disk_is_called_so_without_a_log(calls, capsys, tmp_path, monkeyp
     calls["result"] = OSError(28, "No space left on device", "out/products.nc")
     assert cli.run(["predict", "panels", "-o", "out"]) == 4
     err = capsys.readouterr().err
-    assert err.startswith("hyperval: [Errno 28] No space left on device: 'out/products.nc'\n  to mend it: free space")
+    assert err.startswith("hyperval: [Errno 28] No space left on device: 'out/products.nc'\n  to fix it: free space")
     assert list(tmp_path.iterdir()) == []
 
 

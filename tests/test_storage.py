@@ -201,7 +201,7 @@ def test_what_the_user_put_there_is_refused_and_stays(tmp_path):
         ("link", lambda p: p.symlink_to("elsewhere")),
     ):
         make(path / name)
-        refused(path, f"holds files that no run wrote there: {name}")
+        refused(path, f"holds files that are not results of a run: {name}")
         assert {k: v for k, v in files(path).items() if k != name} == held
         (path / name).unlink()
     run(path)
@@ -209,7 +209,7 @@ def test_what_the_user_put_there_is_refused_and_stays(tmp_path):
     other = tmp_path / "thesis"
     fill(other, results_json='{"mine": 1}', thesis_tex="years of work")
     before = files(other)
-    refused(other, "holds files that no run wrote there")
+    refused(other, "holds files that are not results of a run")
     assert files(other) == before
     assert not (other / storage.LOCK).exists()
 
@@ -250,7 +250,7 @@ def test_a_damaged_list_loses_nothing(tmp_path):
 @pytest.mark.parametrize("name", ["file", "file/out", "n" * 300, "n" * 200 + "/" + "n" * 300])
 def test_places_where_no_folder_can_be_are_the_users_to_mend(tmp_path, name):
     (tmp_path / "file").write_text("mine")
-    refused(tmp_path / name, r"is a file|no folder can be made here")
+    refused(tmp_path / name, r"is a file|cannot create the folder")
     assert (tmp_path / "file").read_text() == "mine"
 
 

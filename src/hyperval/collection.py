@@ -342,7 +342,7 @@ class EmpiricalLineSource(Model):
             raise ValueError("darkest_pixel and path_radiance give the path part, which intercept: false says is none")
         lines = [entry.line for entry in self.path_radiance]
         if len(set(lines)) < len(lines):
-            raise ValueError("path_radiance: a flight line stands twice")
+            raise ValueError("path_radiance: a flight line occurs twice")
         return self
 
 
@@ -469,7 +469,7 @@ class Classification(Model):
     def _names_differ(self) -> Classification:
         for names in (self.classes, [f.name for f in self.features]):
             if twice := _twice(names):
-                raise ValueError(f"{twice[0]!r} stands twice")
+                raise ValueError(f"{twice[0]!r} occurs twice")
         return self
 
 

@@ -211,7 +211,7 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
             key = str(key_node.value)
             if key in out:
                 raise UsageError(
-                    f"the key {key!r} stands twice (first on line {lines[(*at, key)]})",
+                    f"the key {key!r} occurs twice (first on line {lines[(*at, key)]})",
                     where=f"{name}:{line}",
                 )
             lines[(*at, key)] = line

@@ -249,7 +249,7 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
         if key not in entries:
             line_of[key], entries[key] = number, value
         elif _squeezed(entries[key]) == _squeezed(value):
-            notes.append(f"header: {key!r} stands twice and says the same (lines {line_of[key]} and {number})")
+            notes.append(f"header: {key!r} occurs twice with the same value (lines {line_of[key]} and {number})")
         else:
             told = _difference(entries[key], value)
             raise refusal("header.twice", f"{name}:{number}", key=key, first=line_of[key], told=told)

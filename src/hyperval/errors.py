@@ -1,6 +1,6 @@
 """The errors a user can meet, each with the exit code of the command-line contract.
 
-Every message says what is wrong, where, what was expected and how to mend it.  The
+Every message says what is wrong, where, what was expected and how to fix it.  The
 command line prints the message alone; the Python API raises the exception.
 """
 
@@ -33,7 +33,7 @@ class HypervalError(Exception):
         if expected:
             parts.append(f"expected: {expected}")
         if mend:
-            parts.append(f"to mend it: {mend}")
+            parts.append(f"to fix it: {mend}")
         super().__init__("\n  ".join(parts))
 
 

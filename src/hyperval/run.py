@@ -362,7 +362,7 @@ def junit_xml(rows: Iterable[Result]) -> str:
             names = {"classname": _in_xml(f"{row.campaign}.{row.product}"), "name": _in_xml(row_name(row))}
             case = ElementTree.SubElement(suite, "testcase", names)
             if element := _ELEMENTS.get(row.outcome):
-                undecided = f"undecided: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
+                undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
                 ElementTree.SubElement(case, element, message=_in_xml(undecided + _why(row)))
     ElementTree.indent(root, " ")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
@@ -541,12 +541,12 @@ OBJECT_QUANTILES = (0.001, 0.005, 0.01, 0.025, 0.05, *np.round(np.arange(0.1, 0.
 _LAW_VALUES = 1000
 _TARGET = ("subject", "detector")
 _PARTS = {
-    "subject": "what is looked for or seen",
+    "subject": "target or background",
     "detector": "detector",
-    "unit": "what is counted: pixels or objects",
-    "classes": "classes told apart",
+    "unit": "unit counted: pixels or objects",
+    "classes": "classes distinguished",
     "features": "features of the classifier",
-    "range": "which area, and its range of P_FA",
+    "range": "kind of area, and its range of P_FA",
     "name": "object",
 }
 

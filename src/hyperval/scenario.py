@@ -280,7 +280,7 @@ class Uncertainty(Model):
         for name in ("fills", "fractions"):  # field_spectra: entries of a subject add up
             subjects = [item.subject for item in getattr(self, name)]
             if len(set(subjects)) < len(subjects):
-                raise ValueError(f"{name}: a subject stands twice")
+                raise ValueError(f"{name}: a subject occurs twice")
         return self
 
     def check_atmosphere(self, atmosphere: object) -> None:
@@ -473,7 +473,7 @@ class Scene(Model):
         names += [p.name for t in self.targets for p in t.populations]
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
-            raise ValueError(f"names of subjects stand twice: {', '.join(twice)}")
+            raise ValueError(f"names of subjects occur twice: {', '.join(twice)}")
         classes = {c.name for c in self.classes}
         for target in self.targets:
             if target.host not in classes:

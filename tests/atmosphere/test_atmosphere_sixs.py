@@ -260,9 +260,9 @@ def test_a_table_of_four_decimals_gives_what_is_solved_to_a_hundred_thousandth()
 def test_asterisks_and_nan_are_refused(word, engine_cache):
     printed = run_sixs(sixs._TRIAL, engine_cache)
     assert 0.9 < sixs.parse_monochromatic(printed)["up"] < 1.0
-    with pytest.raises(EngineError, match="where numbers belong"):
+    with pytest.raises(EngineError, match="in place of numbers"):
         sixs.parse_monochromatic(re.sub(r'(total  sca\.   "    :\s+\S+\s+)\S+', rf"\g<1>{word}", printed))
-    with pytest.raises(EngineError, match="where numbers belong"):
+    with pytest.raises(EngineError, match="in place of numbers"):
         sixs.parse_steps(f"*0.3500 0.9962 0.7 0.7 0.7 0.7\n*0.3525 {word} 0.7 0.7 0.7 0.7\n")
 
 

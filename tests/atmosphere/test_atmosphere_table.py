@@ -355,7 +355,7 @@ def test_a_folder_of_channel_files_is_a_table(tmp_path):
     [
         (lambda f: (f / HAZY).unlink(), r"not complete: aot550 0\.3, water_vapour_g_cm2 1"),
         (lambda f: (f / "AOT550-0.5.chn").write_text(channels()), "different parts"),
-        (lambda f: (f / "AOT550-0.5_WIND-1.0.chn").write_text(channels()), "'WIND' is no axis"),
+        (lambda f: (f / "AOT550-0.5_WIND-1.0.chn").write_text(channels()), "'WIND' is not an axis"),
         (lambda f: (f / "AOT550-0.30_H2OSTR-1.0.chn").write_text(channels()), "a node twice"),
         (lambda f: (f / "runs_template.json").unlink(), "0 run templates"),
         (lambda f: channel_folder(f, lambda case: case["GEOMETRY"].pop("PARM2")), "PARM2|sun is not stated"),

@@ -143,7 +143,7 @@ def test_without_an_atmosphere_light_is_not_injected_and_the_line_is_that_of_the
 
 def test_errors_of_a_users_own_are_named_or_move_a_path(tmp_path):
     (path := tmp_path / "own.yaml").write_text("noise x 1.6:\n")
-    with pytest.raises(UsageError, match=r"'noise x 1\.6' is no standard error"):
+    with pytest.raises(UsageError, match=r"'noise x 1\.6' is not a standard injected error"):
         errors_of_file(path)
     path.write_text("bright: {light.irradiance: 1.05}\nnoise x 1.5:\n")
     found = injected_prediction(SCENE, errors_of_file(path)["bright"], Origins(axis=AXIS, engine=engine))[0]

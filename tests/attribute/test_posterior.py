@@ -34,16 +34,16 @@ def _posterior(residual, columns=COLUMNS, covariance=None):
     [
         (WAVE, "nothing to explain"),
         (0.5 * WAVE, "stated uncertainty at least 2 times too wide"),
-        (3.0 + WAVE, "check the gain (x 1.03 explains 100 % of the difference); enough"),
-        (6.0 + 9.5 * (X - 0.5) + WAVE, "then the tilt (+9.5 times its stated uncertainty); together enough"),
-        (3.0 + 20 * WAVE, "not enough, the rest is none of the causes"),
-        (10.0 * np.sin(9.0 * X) * np.exp(-3.0 * X) + WAVE, "none of the causes that were tried"),
+        (3.0 + WAVE, "check the gain (x 1.03 explains 100 % of the difference); sufficient"),
+        (6.0 + 9.5 * (X - 0.5) + WAVE, "then the tilt (+9.5 times the stated uncertainty); together sufficient"),
+        (3.0 + 20 * WAVE, "not sufficient: the remainder has none of the causes"),
+        (10.0 * np.sin(9.0 * X) * np.exp(-3.0 * X) + WAVE, "none of the causes tried"),
     ],
 )
 def test_a_residual_and_what_is_said_of_it(residual, conclusion):
     found = _posterior(residual)
     assert conclusion in found.conclusion
-    assert ("enough" in conclusion and "not" not in conclusion) == found.enough
+    assert ("sufficient" in conclusion and "not" not in conclusion) == found.enough
 
 
 def test_a_noise_that_is_wrong_is_named_where_the_sum_of_all_residuals_passes():

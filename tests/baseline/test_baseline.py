@@ -278,7 +278,7 @@ def test_a_run_with_an_error_is_no_baseline(small, place, capsys):
     given = [str(small.write()), "--from", "run"]
     assert cli.run(["-q", "validate", given[0], "-o", "run"]) == 1
     assert cli.run(["-q", "baseline", "accept", *given, "--reason", "Anyway"]) == 2
-    assert "is no baseline" in capsys.readouterr().err
+    assert "cannot become a baseline" in capsys.readouterr().err
     assert cli.run(["-q", "check", *given]) == 1
     assert "this run cannot become one" in capsys.readouterr().err
     assert [*place.rglob("*.yaml")] == []
@@ -287,7 +287,7 @@ def test_a_run_with_an_error_is_no_baseline(small, place, capsys):
 def test_a_finished_run_of_other_files_or_another_source_is_refused(small, finished, place, capsys):
     small.data["title"] = "Another title"
     assert cli.run(["check", str(small.write()), "--from", str(finished)]) == 2
-    assert "was made with another campaign.yaml" in capsys.readouterr().err
+    assert "was made with a different campaign.yaml" in capsys.readouterr().err
     small.data["name"] = "other"
     assert cli.run(["check", str(small.write()), "--from", str(finished)]) == 3
     assert "no run of campaign 'other'" in capsys.readouterr().err

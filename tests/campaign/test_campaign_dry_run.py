@@ -131,7 +131,7 @@ def test_mistakes_in_what_is_read_are_named(places, tmp_path, name, old, new, wo
 
 @pytest.mark.parametrize("runs", [[], "a", [{}], ["a"], [{"line": str(i)} for i in range(101)]])
 def test_runs_that_are_none(places, tmp_path, runs):
-    with pytest.raises(UsageError, match="no list of runs"):
+    with pytest.raises(UsageError, match="not a list of runs"):
         read_jobs(written(tmp_path, {**CAMPAIGN, "runs": runs}, SCENARIO))
 
 

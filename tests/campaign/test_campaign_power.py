@@ -72,7 +72,7 @@ def test_the_sentence_names_what_goes_unseen():
         "The criteria detect 1 of 3 injected model errors. Informational comparisons alone detect: blur x 1.5. "
         "Undetected: noise x 1.5. Not applicable: tails left out."
     )
-    assert table(disagreeing=2).sentence.endswith("2 criteria that are not met already cannot detect any.")
+    assert table(disagreeing=2).sentence.endswith("2 criteria that are already not met cannot detect any.")
 
 
 def test_a_table_is_stored_and_read_back_and_says_what_is_younger(tmp_path):
@@ -116,14 +116,14 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     page = report_page(run, [])
     assert "Undetected: noise x 1.5." in page[: page.index("<nav")]
     assert "The table is" not in page
-    assert "What this campaign could have found is not known" in report_page(replace(run, power=None), [])
+    assert "Which errors this campaign would detect is not known" in report_page(replace(run, power=None), [])
     place = tmp_path / "validation/power/small.yaml"
     known, inputs = campaign.accepted_table("small", place.parent), run.provenance["inputs"]
     changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in inputs]
     younger = report_page(replace(run, power=known.told(changed, run.table)), [])
     assert "The table is older than campaign.yaml" in younger[: younger.index("<nav")]
     old = known.model_copy(update={"stated": dict.fromkeys(known.stated, 0.5)})
-    assert old.told(inputs, run.table).stale.startswith("The table is old: 2 of its criteria had other values")
+    assert old.told(inputs, run.table).stale.startswith("The table is outdated: 2 of its criteria had different values")
     errors = {BRIGHT: campaign.Injected(), "another": campaign.Injected(), TAILS: known.errors[TAILS]}
     campaign.write_power_table(place, known.model_copy(update={"errors": errors}))
     capsys.readouterr()

@@ -89,7 +89,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch, caps
         capsys.readouterr()
         assert validate(two, out) == code, where
         said = capsys.readouterr().err
-        assert [n for n in ("small", "other") if f"{n}: nothing changed" not in said] == again, where
+        assert [n for n in ("small", "other") if f"{n}: unchanged" not in said] == again, where
         assert files_of(out) == files_of(tmp_path / "whole"), where
         assert sorted(p.name for p in tmp_path.iterdir() if p.name.startswith(out.name)) == [out.name], where
 
@@ -130,7 +130,7 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, quick, tmp_path, m
         return sorted(quick)
 
     assert ran() == []
-    assert capsys.readouterr().err.count("nothing changed") == 2
+    assert capsys.readouterr().err.count("unchanged") == 2
     assert files_of(out) == first
     (cube,) = path.parent.rglob("small_rad.img")
     record = out / "small" / RECORD

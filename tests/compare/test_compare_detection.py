@@ -196,7 +196,7 @@ def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
     # 200 alarms of 20,000, each of both counts by the root of 95 %.
     alarms, joint, found = rows["far_measured@1e-2"], rows["joint_pfa@1e-2"], rows["joint_pd@1e-2"]
     assert (alarms.lower, alarms.upper) == pytest.approx(np.array(model.clopper_pearson(200, 20_000)) * 20_000 / KM2)
-    assert alarms.reason == "200 alarms on 0.08 km2"
+    assert alarms.reason == "200 alarms in 0.08 km2"
     assert (joint.lower, joint.upper) == pytest.approx(
         [float(x) for x in model.clopper_pearson(200, 20_000, np.sqrt(0.95))]
     )
@@ -226,7 +226,7 @@ def test_what_is_not_known_is_skipped_with_its_reason():
     one = roc(model_curve(2.5), measured_curve(2.5, targets=1))
     assert one["pd_inside_joint_region@1e-2"].outcome is Outcome.SKIPPED
     unreached = roc(curve([1e-3, 1.0], [0.95, 1.0], 0.02), measured_curve(2.5))["far_predicted@pd0.5"]
-    assert "does not pass P_D 0.5" in unreached.reason
+    assert "does not reach P_D 0.5" in unreached.reason
 
 
 def test_the_joint_region_holds_the_truth_though_the_background_sets_the_threshold():
@@ -270,7 +270,7 @@ def test_a_predicted_curve_that_ends_inside_the_rectangle_goes_on_to_nothing():
 def test_equivalent_different_or_undecided():
     for predicted, half, code, word in (
         (0.62, 0.05, 1.0, "equivalent"),
-        (0.66, 0.02, 1.0, "equivalent, though not the same"),
+        (0.66, 0.02, 1.0, "equivalent, though significantly different"),
         (0.62, 0.2, 0.0, "undecided"),
         (0.9, 0.2, -1.0, "different"),
         (0.3, 0.2, -1.0, "different"),

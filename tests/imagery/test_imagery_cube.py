@@ -141,8 +141,8 @@ def test_what_is_no_cube_and_pixels_outside_are_refused(tmp_path, cube_file):
     with pytest.raises(InputError, match="is a folder"):
         open_cube(tmp_path, quantity="reflectance")
     for thing, message in (
-        (7, "is no cube"),
-        (np.zeros((3, 4, 5)), "is no cube"),
+        (7, "is not a cube"),
+        (np.zeros((3, 4, 5)), "is not a cube"),
         ("GTIFF_DIR:1:a", "not a path of a l"),
     ):
         with pytest.raises(UsageError, match=message):
@@ -429,7 +429,7 @@ def test_a_key_that_stands_twice_and_says_the_same_is_noted():
     text = header_text(a="{x[ 1,2 ],  y}") + "a = {x[1, 2],\n y}\n"
     header = parse_header(text, NAME)
     assert header.text("a") == "x[ 1,2 ],  y"
-    assert header.notes == ("header: 'a' stands twice and says the same (lines 9 and 10)",)
+    assert header.notes == ("header: 'a' occurs twice with the same value (lines 9 and 10)",)
     with pytest.raises(InputError, match=r"a\.hdr:10: .*'x\[1,2\],y' against 'x\[1,3\],y'"):
         parse_header(text.replace("[1, 2]", "[1, 3]"), NAME)
 

@@ -88,9 +88,9 @@ def masked(out):
     ("spoil", "change", "message"),
     [
         ({"wavelength_units": "inches"}, None, "in 'inches' cannot be used"),
-        ({"wavelength": "blue"}, None, "that are no positive numbers"),
-        ({"wavelength": "nan"}, None, "that are no positive numbers"),
-        ({"fwhm": "-1"}, None, "'fwhm' of the bands that are no positive numbers"),
+        ({"wavelength": "blue"}, None, "that are not positive numbers"),
+        ({"wavelength": "nan"}, None, "that are not positive numbers"),
+        ({"fwhm": "-1"}, None, "'fwhm' of the bands that are not positive numbers"),
         ({}, two_wavelengths, "the bands have two wavelengths"),
         ({}, masked, "mask or alpha band"),
     ],

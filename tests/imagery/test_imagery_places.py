@@ -199,7 +199,7 @@ def test_tables_of_another_size_or_without_places(tmp_path, bent, axis):
     assert table is None
     assert notes[0].startswith("warning: f01_rdn_igm lies beside the cube and is left aside: 60 lines")
     imagery.write_cube(tmp_path / "empty", np.zeros((*BENT, 2)), data_type=4)
-    with pytest.raises(InputError, match="no pixel has a place"):
+    with pytest.raises(InputError, match="no pixel has coordinates"):
         imagery.location_table(imagery.open_raster(tmp_path / "empty"), BENT)
     with pytest.raises(InputError, match="two bands: x and y"):
         imagery.location_table(imagery.open_raster(tmp_path / "f01_rdn_igm"), (BENT[0], BENT[1] + 1))

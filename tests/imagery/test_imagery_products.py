@@ -284,7 +284,7 @@ def test_stac_item_beside_a_geotiff(tmp_path):
     [
         ("<level_X>", "<!DOCTYPE a><level_X>", "DOCTYPE"),
         ("</level_X>", "", "not valid XML"),
-        ("423.0", "blue", "wavelengthCenterOfBand: 'blue' is no number"),
+        ("423.0", "blue", "wavelengthCenterOfBand: 'blue' is not a number"),
         ('<bandID number="4">', '<other number="4">', "not valid XML"),
         ('number="3"', 'number="2"', "4 bands whose numbers are not 1 to 4"),
     ],

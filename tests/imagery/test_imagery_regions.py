@@ -184,7 +184,7 @@ def test_what_a_mask_marks_as_no_data_is_no_region(tmp_path, fill, count):
     found = read_regions(write_raster(tmp_path / "m.tif", stored, transform=TRANSFORM, nodata=fill), SHAPE)
     assert list(found) == (["m"] if count == 1 else ["band-1", "band-2"])
     assert all(np.array_equal(region.mask, expected()) for region in found.values())
-    for values, message in ((np.ones((9, 12, 1)), "9 lines and 12"), (np.full((10, 12, 1), 1.5), "no class num")):
+    for values, message in ((np.ones((9, 12, 1)), "9 lines and 12"), (np.full((10, 12, 1), 1.5), "not class num")):
         with pytest.raises(InputError, match=message):
             read_regions(write_cube(tmp_path / "c.img", values), SHAPE)
 

@@ -157,7 +157,7 @@ def test_what_a_comparison_could_have_seen_stands_beside_it():
 
 def test_a_choice_after_the_data_says_what_it_was_before():
     for half in ({"chosen_after": True}, {"before": "at most 0.05"}):
-        with pytest.raises(ValueError, match="stand together"):
+        with pytest.raises(ValueError, match="need each other"):
             gate(**half)
     assert gate(chosen_after=True, before="at most 0.05", at_most=0.06).before == "at most 0.05"
 
@@ -199,25 +199,25 @@ def test_a_skipped_comparison_counts_as_open_in_a_pool():
     ("slip", "message"),
     [
         ({"at_most": None}, "a limit is missing"),
-        ({"at_least": 0.1}, "one limit only"),
+        ({"at_least": 0.1}, "more than one limit"),
         ({"at_most": 1e9}, "100 % or more"),
         ({"at_most": 1.0}, "100 % or more"),
         ({"at_most": math.nan}, "finite number"),
         ({"at_most": math.inf}, "finite number"),
-        ({"at_most": None, "within": (0.1, 0.1)}, "holds no range"),
-        ({"at_most": None, "within": (0.1, -0.1)}, "holds no range"),
+        ({"at_most": None, "within": (0.1, 0.1)}, "is an empty range"),
+        ({"at_most": None, "within": (0.1, -0.1)}, "is an empty range"),
         ({"at_most": None, "within": (math.nan, 0.1)}, "finite number"),
         ({"metric": "median_abs_difference_ratio_vnir", "at_most": None, "at_least": 0.0}, "can never fail"),
         ({"metric": "p_value_full", "at_most": None, "at_least": 0.0}, "can never fail"),
         ({"metric": "p_value_full", "at_most": 1.0}, "can never fail"),
-        ({"metric": "p_value_full", "at_most": 0.5}, "its level is 'at_least'"),
+        ({"metric": "p_value_full", "at_most": 0.5}, "state its level as 'at_least'"),
         ({"metric": "median_abs_diference_ratio_windows"}, "is not a metric"),
         ({"metric": "pd_difference@1e-2", "at_most": 1.0}, "can never fail"),
         ({"metric": "chi2_reduced_full", "at_most": 1e12}, "accepts anything"),
         ({"metric": "spectral_angle", "at_most": 90.0}, "can never fail"),
         ({"fraction_at_least": 0.0}, "greater than 0"),
         ({"fraction_at_least": 1.1}, "less than or equal to 1"),
-        ({"bands_nm": (900.0, 400.0)}, "holds no range"),
+        ({"bands_nm": (900.0, 400.0)}, "is an empty range"),
         ({"reason": ""}, "at least 1 character"),
         ({"subjects": []}, "at least 1 item"),
         ({"metric": ""}, "at least 1 character"),

@@ -87,7 +87,7 @@ def test_setup_says_what_is_lacking(tmp_path, script, message):
     )  # fmt: skip
     assert done.returncode == 2
     assert message in done.stderr
-    assert script is None or "to mend it:" in done.stderr
+    assert script is None or "to fix it:" in done.stderr
     assert not (tmp_path / "venv").exists()
 
 

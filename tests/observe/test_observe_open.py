@@ -238,7 +238,7 @@ def test_where_no_size_is_known_no_area_is_compared(world):
     assert ("paint", "cem") in found.observation.abundance
     assert not found.detected.nominal_area_m2
     world.detection["unmixing"] = {"background": "corner", "targets": [{"target": "paint"}]}
-    with pytest.raises(UsageError, match="does not say how large the targets of 'paint' are"):
+    with pytest.raises(UsageError, match="does not state the size of the targets of 'paint'"):
         world.observe()
     del world.detection["unmixing"]
     drawn(world, {"file": "mask.img", "side_m": 2.0})

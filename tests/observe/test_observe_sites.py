@@ -178,7 +178,7 @@ def test_a_campaign_over_a_day(day, monkeypatch):
     # The state's aerosol is uncertain, and the stand-in does not know it: rounding alone is left.
     assert row["value"] == pytest.approx((0.1 + 0.72 * 0.25 / (1.0 - 0.2 * 0.25)) / 0.29 - 1.0)
     for other, template, error, message in (
-        ({"radcalnet": "day.output"}, TEMPLATE, InputError, "top of the atmosphere"),
+        ({"radcalnet": "day.output"}, TEMPLATE, InputError, "top-of-atmosphere"),
         ({"times": ["19:00"]}, TEMPLATE, UsageError, "19:00 holds no value"),
         ({}, TEMPLATE.replace("us-standard-1962", "polar"), UsageError, r"half-hour\.yaml: atmosphere\.model"),
     ):

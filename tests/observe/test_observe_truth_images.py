@@ -101,7 +101,7 @@ def test_a_scenario_takes_the_fills_of_the_truth(finer):
     assert pixels_of_object(fill) == plank.part.sum()
     untouched = scenario({"fixed": 0.4})
     assert with_fills_of_truth([untouched], place, detection) == [untouched]
-    with pytest.raises(UsageError, match=r"does not tell the fills(?s:.*)state its fill"):
+    with pytest.raises(UsageError, match=r"does not hold the fill fractions(?s:.*)state its fill"):
         with_fills_of_truth([scenario({"truth": True})], None, detection)
     with pytest.raises(UsageError, match="run it within that campaign"):
         fill_distribution(scenario({"truth": True}).scene.targets[0].fill)

@@ -185,7 +185,7 @@ def test_sides_without_a_difference_have_none_drawn(run):
     assert figures.spectra_figure((run.prediction, dataclasses.replace(run.observation, snr={})), "snr") is None
     one = dataclasses.replace(run.prediction, snr={"grass": run.prediction.snr["grass"]})
     compared = figures.spectra_figure((one, run.observation), "snr")
-    assert compared.title.endswith("; 1 of 2 are drawn, all are in products.nc")
+    assert compared.title.endswith("; 1 of 2 shown, all in products.nc")
     assert ("grass" in compared.alt, "lawn" in compared.alt) == (True, False)
 
 
@@ -196,7 +196,7 @@ def test_the_subject_that_disagrees_stands_first_and_their_number_is_bounded(run
     many = make_run(bands=6, subjects=[f"s{i}" for i in range(30)], curves=0, shape=(4, 4))
     figure = figures.spectra_figure((many.prediction, many.observation), "snr")
     assert len(figure.views) == figures.MOST_SUBJECTS
-    assert figure.title.endswith("; 24 of 30 are drawn, all are in products.nc")
+    assert figure.title.endswith("; 24 of 30 shown, all in products.nc")
 
 
 def test_a_side_alone(run):
@@ -251,7 +251,7 @@ def test_statements_hold_the_numbers_and_a_view_each(charts):
     many = dataclasses.replace(charts["unmixing-areas"], views=charts["unmixing-areas"].views * 30)
     sheets = figures.drawings_of([many], simulated=False)
     assert [sheet.name for sheet in sheets] == ["unmixing-areas-1", "unmixing-areas-2"]
-    assert all(sheet.title.endswith("; 24 of 30 are drawn, all are in products.nc") for sheet in sheets)
+    assert all(sheet.title.endswith("; 24 of 30 shown, all in products.nc") for sheet in sheets)
 
 
 def test_reasons_are_told_by_shape_and_number_not_by_colour_alone(charts, drawings):
@@ -295,7 +295,7 @@ def test_many_objects_are_a_map_and_a_histogram_and_groups_are_judged_together_a
     counted, expected, below = scores["marks"]
     assert counted["columns"]["top"].sum() == len(dots["words"]) == 50
     assert expected["columns"]["y"][:-1].sum() == pytest.approx(50.0)
-    assert (dots["linked"], below["linked"]) == (True, True), "what is chosen in one stands out in the other"
+    assert (dots["linked"], below["linked"]) == (True, True), "a selection in one is highlighted in the other"
     few = dataclasses.replace(score_map, outlines=dict(list(outlines.items())[:40]))
     for name, maps in (("planks-cem", few), ("planks-ace", score_map)):  # a list has room; another detector's map
         assert figures.many_objects_figure({name: maps}, sides) is None

@@ -207,7 +207,7 @@ def test_pages_of_one_side_do_not_call_themselves_validations():
     rows = ResultTable([Result("s", "roc", "t", "cem/pixel", "pd@1e-2", 0.5)])
     text = Page(report.report_page(report.RunReport("s", "S", "", False, rows, kind="Prediction of scenario"), [])).text
     assert not re.search("alidat|Verdict|Campaign|simulated", text)
-    assert "One side alone: nothing is compared here." in text
+    assert "Prediction or observation only: nothing is compared." in text
 
 
 def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix():
@@ -235,7 +235,7 @@ def test_nothing_at_all_is_undecided(tmp_path):
     predicted, observed = PredictedProducts(axis(5)), ObservedProducts(axis(5))
     for number, sides in enumerate([(None, None), (predicted, observed), (predicted, None)]):
         files = written(report.RunReport("empty", "Empty", "", False, ResultTable(), *sides), tmp_path / str(number))
-        assert "nothing is compared here" in Page(files["report.html"].decode()).text
+        assert "nothing is compared" in Page(files["report.html"].decode()).text
         assert not any(name.startswith(("figures/", "scores/")) for name in files)
     alone = page_of(subjects=("grass",), change={"observation": None, "score_maps": {}, "quicklook": None})
     names = {attributes.get("id") for _, attributes in alone.tags if attributes.get("role") == "group"}
@@ -344,7 +344,7 @@ def test_a_stored_table_is_read_back_as_it_was(folders, tmp_path):
 def test_a_verdict_that_turned_stands_first(folders, tmp_path):
     assert cli.run(["-q", "compare", str(folders / "a"), str(folders / "b"), "-o", str(tmp_path / "out")]) == 0
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    changed = page[page.index("Outcomes that changed") : page.index("What moved")]
+    changed = page[page.index("Outcomes that changed") : page.index("Values that changed")]
     assert "disagrees" in changed
     assert not re.search(r'(src|href)="https?:', page)
     assert 'class="chart"' not in page, "the curves are the same"

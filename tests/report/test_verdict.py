@@ -68,7 +68,7 @@ def test_subjects_that_nothing_was_fitted_on_stand_apart():
         "gr*": f"grass; unseen: 1 not met ({WHAT}: lawn)",
     }.items():
         assert f"Budget and settings were fitted on {told}." in first_screen(told_apart(rows, [names])).asides
-    with pytest.raises(UsageError, match="no row is of subject 'lot'"):
+    with pytest.raises(UsageError, match="no comparison has the subject 'lot'"):
         told_apart(rows, ["lawn", "lot"])
 
 
@@ -111,7 +111,7 @@ def test_the_sentence_of_a_page_says_what_the_table_says(small, tmp_path):
     small.gate("radiance")["at_most"] = 0.002  # some of it does not hold, some cannot be told
     cli.run(["-q", "validate", str(small.write()), "-o", str(tmp_path / "out")])
     page = (tmp_path / "out" / "report.html").read_text()
-    (sentence,) = re.findall(r"<summary>All of it in words</summary><p>(.*?)</p>", page, re.DOTALL)
+    (sentence,) = re.findall(r"<summary>In full</summary><p>(.*?)</p>", page, re.DOTALL)
     with (tmp_path / "out" / "results.csv").open(newline="") as stream:
         model = [r for r in csv.DictReader(stream) if r["role"] == "gate" and r["evidence"] == "model"]
     said = re.search(r"\d+ acceptance criteri.*?\)\.", sentence)[0]

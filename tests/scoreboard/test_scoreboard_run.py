@@ -139,7 +139,7 @@ def test_a_function_an_estimator_and_a_map_made_elsewhere_have_rows_and_what_is_
     monkeypatch.setattr("hyperval.pixels.detect.MOST_VALUES", 1000)
     assert run(path, "--extend", tmp_path / "own.py", "-o", tmp_path / "too-large") == 0
     refused = {r["method"]: r["reason"] for r in rows_of(tmp_path / "too-large") if r["outcome"] == "skipped"}
-    assert "see the image at once" in refused["of-the-image/object"]
+    assert "need the whole image at once" in refused["of-the-image/object"]
 
 
 OF_ALL_KINDS = """

@@ -220,7 +220,7 @@ def test_spectral_evolution_is_as_long_as_it_says(tmp_path, title, factor):
     for end in (len(body), -2):  # only the end of the line lacks
         assert np.allclose(read(tmp_path, head + body[:end], "a.sed").values, RHO)
     for text, message in (
-        (head + body[: body.rindex("\r\n", 0, -2) + 2], "3 rows\n  expected: 4, as it states"),
+        (head + body[: body.rindex("\r\n", 0, -2) + 2], "3 rows\n  expected: 4, as stated in the file"),
         (head.replace("Channels: 4", "Channels: x4") + body, "4 rows\n  expected: x4"),
         (head.replace("[4]", "[5]") + body, "4 columns under 4 titles\n  expected: 5 of both"),
         (head + body[:-4], "the last line is cut: '700.0 7.0"),

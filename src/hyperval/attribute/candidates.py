@@ -180,7 +180,7 @@ class Candidate:
         number, _, unit = self.step.partition(" ")
         if not self.sizes or self.budgeted or not unit:
             size = f"{amplitudes[0]:+.2g}" if amplitudes.size == 1 else f"{np.sqrt(np.mean(amplitudes**2)):.2g}"
-            return f"{size} times its {self.unit}"
+            return f"{size} times the {self.unit}"
         value = float(amplitudes[0]) * float(number)
         return f"x {1.0 + value / 100.0:.3g}" if unit == "%" else f"{value:+.2g} {unit}"
 

@@ -359,13 +359,13 @@ class Posterior:
             return f"nothing to explain: {before} (p = {self.p_value:.2g})"
         if self.first == NOTHING and self.p_value >= self.level:
             names = " and ".join(f"{r.group} (p = {r.p_value:.2g})" for r in self.parts if r.p_value < self.level)
-            return f"the sum hides what its parts show: {before} (p = {self.p_value:.2g}), but not explained: {names}"
+            return f"consistent in total, not in parts: {before} (p = {self.p_value:.2g}); inconsistent: {names}"
         if self.first == NOTHING:
-            return f"no input explains anything: {before} (p = {self.p_value:.2g})"
+            return f"no input explains the differences: {before} (p = {self.p_value:.2g})"
         if self.first == NONE:
             nearest = max(self.fits, key=lambda f: f.evidence, default=None)
             near = f" (the nearest: {nearest.name}, {nearest.in_words})" if nearest and nearest.evidence > 0.0 else ""
-            return f"none of the causes that were tried{near}: {before}"
+            return f"none of the causes tried{near}: {before}"
         return f"{self._causes}: {before}, {self.left / self.dof:.3g} after"
 
     @property
@@ -377,8 +377,8 @@ class Posterior:
         words += f"; not distinguished from {' and '.join(self.alike[:3])})" if self.alike else ")"
         words += "".join(f", then the {c.name} ({c.in_words})" for c in more if c.candidate is not None)
         if any(c.candidate is None for c in more):
-            return f"{words}; not enough, the rest is none of the causes that were tried"
-        sure = "enough" if self.enough else "not sure to be enough"
+            return f"{words}; not sufficient: the remainder has none of the causes tried"
+        sure = "sufficient" if self.enough else "possibly not sufficient"
         return f"{words}; {'together ' if more else ''}{sure}"
 
 

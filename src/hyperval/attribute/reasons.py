@@ -381,11 +381,11 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         yield from named([row("probability", r.probability[name], n=r.dof)], "attribution", r.group, name)
     for place, item in enumerate(r.fits, start=1):
         assert item.candidate is not None  # noqa: S101 - of a candidate
-        unit = item.candidate.unit + ("" if item.candidate.budgeted else ", none is stated")
+        unit = item.candidate.unit + ("" if item.candidate.budgeted else " (none is stated)")
         own = [
             row("probability", r.probability[item.name], reason=f"rank {place}: {item.in_words}", n=r.dof),
             row("likelihood_gain", max(2.0 * item.evidence, 0.0), reason=f"rank {place}: {item.in_words}", n=r.dof),
-            row("needed_uncertainty", abs(item.units), reason=f"in units of its {unit}"),
+            row("needed_uncertainty", abs(item.units), reason=f"in units of the {unit}"),
         ]
         yield from named(own, "attribution", r.group, item.name)
 
@@ -410,7 +410,7 @@ def _sensitivity_rows(
         change = 0.5 * float(up[place] - down[place])
         closes = round(gap / change, 12) if change else math.inf
         reason = f"gap {gap:.4g}"
-        reason += f" closed by {closes:+.3g} units" if math.isfinite(closes) else ", not closed by this input"
+        reason += f", closed by {closes:+.3g} units" if math.isfinite(closes) else ", which this input cannot close"
         first, total = (float(x[place]) for x in shares.get(candidate, np.full((2, place + 1), math.nan)))
         if math.isfinite(total):  # no stated input moves some quantities
             reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
@@ -544,7 +544,7 @@ def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
     --------
     >>> r = [row("pfa_ratio@1e-2", v, (v / 2, v * 2)) for v in (6.0, 1.5, 4.0)]
     >>> reason_for(r[0], [("local", r[1]), ("tails", r[2])])
-    "off by a factor of 6; 'local' leaves 1.5: it would explain it"
+    "off by a factor of 6; 'local' leaves 1.5, which would explain it"
     >>> reason_for(r[1], [("tails", r[2])])
     'within a factor of two'
     """
@@ -552,12 +552,12 @@ def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
         return "within a factor of two"
     size = f"off by a factor of {math.exp(_off(before)):.2g}"
     if before.lower <= FACTOR and before.upper >= 1.0 / FACTOR:
-        size += ", within what its interval allows"
+        size += ", within its interval"
     name, best = min(tried, key=lambda item: _off(item[1]), default=("", before))
     if _off(best) >= _off(before):
-        return f"{size}; no what-if brings it nearer"
-    end = "it would explain it" if _off(best) <= math.log(FACTOR) else "the nearest, and not enough"
-    return f"{size}; {name!r} leaves {best.value:.2g}: {end}"
+        return f"{size}; no what-if reduces it"
+    end = "which would explain it" if _off(best) <= math.log(FACTOR) else "the largest reduction, not sufficient"
+    return f"{size}; {name!r} leaves {best.value:.2g}, {end}"
 
 
 def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:

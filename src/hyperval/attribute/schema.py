@@ -13,9 +13,9 @@ class WhatIf(Model):
     """A named experiment: the same comparison with something assumed otherwise."""
 
     name: str = Field(min_length=1)
-    question: str = Field(min_length=1, description="what the experiment asks, for the report")
+    question: str = Field(min_length=1, description="the question that the experiment answers, for the report")
     scenario: dict[str, Any] = Field(
-        default_factory=dict, description="dotted path -> value, in every scenario that has the path's names"
+        default_factory=dict, description="dotted path -> value, in every scenario that has this path"
     )
     observe: dict[str, Any] = Field(
         default_factory=dict,
@@ -28,7 +28,7 @@ class WhatIf(Model):
             raise ValueError("give scenario or observe: a what-if changes something")
         for path in self.observe:
             if path.split(".")[0] not in ("collection", "detection"):
-                raise ValueError(f"observe: {path!r} lies in neither collection nor detection")
+                raise ValueError(f"observe: {path!r} is in neither collection nor detection")
         return self
 
 
@@ -36,7 +36,7 @@ class AttributionOptions(Model):
     """Which reasons are looked for where prediction and data disagree."""
 
     each: list[str] = Field(
-        default_factory=list, description="subjects that are ranked by themselves too; * and ? allowed"
+        default_factory=list, description="subjects that are also ranked separately; * and ? allowed"
     )
     totals: bool = Field(True, description="first and total sensitivities, from pairs of inputs changed together")
     what_ifs: list[WhatIf] = Field(default_factory=list)

@@ -64,7 +64,7 @@ class Accepted(Model):
 
     accepted: float | None = Field(description="the number, null where the comparison could not be made")
     tolerance: float = Field(description="how far it may move")
-    of: Of = Field(description="what the tolerance is a part of: the value, half its 95 % interval, or its unit")
+    of: Of = Field(description="what the tolerance is a fraction of: the value, half its 95 % interval, or its unit")
     half_width: float | None = Field(None, gt=0, description="half of the 95 % interval when it was accepted")
     outcome: Literal["agrees", "disagrees", "undecided", "skipped", "none"] = Field(
         "none", description="what the comparison concluded"

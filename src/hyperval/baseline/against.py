@@ -208,14 +208,14 @@ def _stale(job: Job, provenance: Mapping[str, Any]) -> str | None:
     several = bool(job.words)  # runs in one file, of which another may have changed
     said = (provenance.get("configuration") or {}).get("campaign")
     if several and job.waits is None and said != json_value(job.campaign.model_dump(mode="json", by_alias=True)):
-        return f"was made with another {job.path.name}"
+        return f"was made with a different {job.path.name}"
     for item in provenance.get("inputs", ()):
         reference = str(item.get("reference"))
         path = job.path.parent / reference
         if ":" in reference or (several and path == job.path) or not path.is_file():  # of a data set, or simulated
             continue
         if sha256_of(path) != item.get("sha256"):
-            return f"was made with another {reference}"
+            return f"was made with a different {reference}"
     return None
 
 
@@ -318,7 +318,7 @@ def _write(outcome: Checks, folder: Path) -> None:
         RunReport(
             campaign=item.run.owner,
             title=f"{item.run.title}: against the accepted numbers",
-            description="Each number of this run beside the one that was accepted; it fails beyond its tolerance.",
+            description="Each number of this run beside the accepted one; it fails beyond its tolerance.",
             simulated=item.run.simulated,
             kind="Accepted numbers of",
             sentence=accepted_words(item.rows) if item.is_compared else next(row.reason for row in item.rows),

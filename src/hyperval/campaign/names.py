@@ -162,7 +162,7 @@ def _undecided(job: Job) -> list[Item]:
             COMPARISON,
             NEVER_MET if row.never_met else INCONCLUSIVE,
             f"{row.product} {row_name(row)}",
-            f"it takes {words}",
+            f"to decide it: {words}",
         )
         for row, words in undecided_by(job)
     ]
@@ -172,7 +172,7 @@ def _file(reference: Reference, job: Job) -> list[Item]:
     path = reference.path
     if path is None:
         holder = set_on_request(reference.text)
-        place = f"to stand below HYPERVAL_DATA (--data-dir); {holder.name} is not public" if holder else ""
+        place = f"expected below HYPERVAL_DATA (--data-dir); {holder.name} is not public" if holder else ""
         return [Item("", FILE, MISSING, reference.text, place or reference.problem)]
     try:
         check_copy(reference.text, path)
@@ -479,4 +479,4 @@ def _measured(lookup: Lookup, at: Location, region: str, regions: Sequence[str] 
     if regions:
         lookup.one(at, region, regions, "region ")
     else:
-        lookup.add(at, "nothing is measured in reflectance: a cube in radiance needs collection.empirical_line")
+        lookup.add(at, "no reflectance is measured: a cube in radiance needs collection.empirical_line")

@@ -37,7 +37,7 @@ class Injected(Model):
     gates: tuple[str, ...] = Field((), description='gates that turn: "product | subject | method | metric"')
     informing: dict[str, int] = Field(default_factory=dict, description="informational rows that turn, by product")
     not_applicable: str | None = Field(None, description="why it cannot be injected")
-    reason: str = Field("", description="what the attribution says of it, beside what it says of the run as it stands")
+    reason: str = Field("", description="what the attribution concludes with it, compared with the unperturbed run")
 
     @property
     def sight(self) -> Sight:
@@ -72,13 +72,13 @@ class Injected(Model):
 class Reasons(Model):
     """What the attribution says where it is known what is wrong: of worlds drawn within the stated uncertainty."""
 
-    first: str = Field(description="what stands first with nothing injected")
+    first: str = Field(description="first cause without an injected error")
     worlds: int = Field(ge=1)
-    named: dict[str, dict[str, int]] = Field(description="kind of error -> what was named first, how often")
-    grouped: dict[str, int] = Field(description="kind of error -> how often it was first or not told apart from it")
-    wrong_enough: float = Field(description="share of all errors of which a wrong cause was called enough")
+    named: dict[str, dict[str, int]] = Field(description="kind of error -> first cause named, how often")
+    grouped: dict[str, int] = Field(description="kind of error -> how often it was first, or in one group with it")
+    wrong_enough: float = Field(description="share of all errors for which a wrong cause was called sufficient")
     calibration: list[tuple[float, float, int]] = Field(description="stated probability, share that was right, worlds")
-    residuals: dict[str, list[float]] = Field(description="of the run as it stands, by quantity")
+    residuals: dict[str, list[float]] = Field(description="of the unperturbed run, by quantity")
 
     @property
     def lines(self) -> list[str]:
@@ -89,9 +89,9 @@ class Reasons(Model):
             others = sorted(((n, name) for name, n in counts.items() if name != kind), reverse=True)[:2]
             words = f"of {total} errors of {kind} {right} are named first, {self.grouped.get(kind, 0)} are in its group"
             out.append("; ".join([words, *(f"{n} are called {name}" for n, name in others)]))
-        parts = [f"{100 * p:.0f} % was right in {100 * share:.0f} % of {n}" for p, share, n in self.calibration]
+        parts = [f"{100 * p:.0f} % was correct in {100 * share:.0f} % of {n}" for p, share, n in self.calibration]
         out.append(
-            f"What was stated as likely: {'; '.join(parts)}. Wrong and called enough: {100 * self.wrong_enough:.1f} %."
+            f"Stated probabilities: {'; '.join(parts)}. Wrong but called sufficient: {100 * self.wrong_enough:.1f} %."
         )
         return out
 
@@ -134,7 +134,7 @@ class PowerTable(Model):
         if changed := self.changed_files(inputs):
             stale = f"The table is older than {', '.join(changed)}: run hyperval power again."
         elif moved := self.moved_gates(rows):
-            stale = f"The table is old: {len(moved)} of its criteria had other values ({moved[0]})."
+            stale = f"The table is outdated: {len(moved)} of its criteria had different values ({moved[0]})."
             stale += " Run hyperval power again."
         errors = [
             (name, i.words, "; ".join(filter(None, (i.which, i.reason and f"reason named: {i.reason}"))))
@@ -157,7 +157,7 @@ class PowerTable(Model):
             parts.append(f"Not applicable: {', '.join(absent)}.")
         if self.disagreeing:
             some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
-            parts.append(f"{self.disagreeing} {some} not met already cannot detect any.")
+            parts.append(f"{self.disagreeing} {some} already not met cannot detect any.")
         return " ".join(parts)
 
 

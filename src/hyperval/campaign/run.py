@@ -45,7 +45,7 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
 INTERNAL_ERROR = 4
-UNCHANGED = "{}: nothing changed since the earlier run, taken from it (--again runs it)"
+UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
 Done = tuple[RunReport, int | None]
 Form = Literal["envi", "cog"]
 
@@ -85,7 +85,7 @@ def run_campaign(
             raise
         sets = job.missing_sets  # all that the campaign lacks, and not the first that was asked for
         remedy = f"hyperval data fetch {' '.join(sets)}" if len(sets) > 1 else error.mend or ""
-        reason = f"{error.where}: {error.what}\n  to mend it: {remedy}"
+        reason = f"{error.where}: {error.what}\n  to fix it: {remedy}"
         return replace(unfinished(job, Outcome.SKIPPED, reason), remedy=remedy)
 
 

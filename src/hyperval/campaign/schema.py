@@ -164,8 +164,8 @@ def _words(day: RadCalNetDay, time: str, file: str, model: str, where: Path) -> 
 class Choice(Model):
     """A budget, a fit or a range that was set after the data of its own campaign were seen."""
 
-    what: str = Field(min_length=1, description="what was chosen, and what it gave")
-    before: str = Field(min_length=1, description="what it was before, and what that gave")
+    what: str = Field(min_length=1, description="the choice, and its result")
+    before: str = Field(min_length=1, description="the earlier choice, and its result")
 
 
 class Outline(Model):
@@ -177,19 +177,19 @@ class Outline(Model):
     description: str
     simulated: bool | Literal["dirsig"] = Field(
         False,
-        description="true: by the scene that collection.simulate names; dirsig: by DIRSIG, whose files it reads",
+        description="true: from the scene named by collection.simulate; dirsig: by DIRSIG, whose files are read",
     )
     references: list[str] = Field(default_factory=list)
     assumptions: list[str] = Field(default_factory=list, description="stated in the report")
     chosen_after: list[Choice] = Field(
         default_factory=list,
-        description="choices made after the data were seen, save those of comparisons, which say so themselves",
+        description="choices made after the data were seen, except those of comparisons, which state it themselves",
     )
     fitted_on: list[str] = Field(
         default_factory=list,
-        description="subjects that budget and settings were chosen on, names or patterns; others are told apart",
+        description="subjects that budget and settings were fitted on, names or patterns; the others count as unseen",
     )
-    comparisons: list[Gate] = Field(default_factory=list, description="what validate judges; observe alone needs none")
+    comparisons: list[Gate] = Field(default_factory=list, description="what validate compares; observe needs none")
 
     @property
     def computed(self) -> bool:
@@ -216,7 +216,7 @@ class Campaign(Outline):
         None,
         gt=0,
         lt=1,
-        description="difference of P_D that is no difference for the purpose; adds pd_equivalence rows",
+        description="difference of P_D that is negligible for the purpose; adds pd_equivalence rows",
     )
     scenarios: list[ScenarioSource] = Field(
         default_factory=list,
@@ -224,7 +224,7 @@ class Campaign(Outline):
         "alone needs none",
     )
 
-    attribution: AttributionOptions | None = Field(None, description="look for the reasons where the sides differ")
+    attribution: AttributionOptions | None = Field(None, description="attribute the differences to causes")
 
     @property
     def computed(self) -> bool:
@@ -241,7 +241,7 @@ class Campaign(Outline):
             raise ValueError("detection needs a cube")
         by_number = self.collection.cube is not None and self.collection.cube.by_number
         if by_number and (self.classification or (self.detection and self.detection.bands == "windows")):
-            raise ValueError("by_number knows no windows of the atmosphere: detection.bands is good or all")
+            raise ValueError("by_number: atmospheric windows need wavelengths; set detection.bands to good or all")
         if self.classification and not self.collection.cube:
             raise ValueError("classification needs a cube")
         named = [(g.product, g.metric, g.method, g.bands_nm, s) for g in self.comparisons for s in g.subjects]

@@ -113,7 +113,7 @@ class Draft:
                 row -= re.match(rf"[- ]*{at[-1]}:", lines[row]) is None  # what begins below its key
                 indent = len(lines[row]) - len(lines[row].lstrip())
                 comments[row] = comments.get(row, "") + f"{' ' * indent}# guess: {because}\n"
-        head = "# Written by hyperval init. What stands after 'guess' was not stated by any file: look it over.\n"
+        head = "# Written by hyperval init. What follows 'guess' was not stated by any file: check it.\n"
         return head + "".join(f"{comments.get(row, '')}{line}\n" for row, line in enumerate(lines))
 
 
@@ -157,7 +157,7 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
         "name": name,
         "title": f"{name}: {quantity or 'unknown'} of {sources.cube.name}",
         "description": f"{(quantity or 'unknown').capitalize()} image of {lines} lines, {samples} samples "
-        f"and {bands} bands; written from its files, not yet looked over.",
+        f"and {bands} bands; drafted from its files, not yet reviewed.",
         "assumptions": [],
         "collection": {"cube": cube, "regions": [{"file": draft.reference(path)} for path in sources.regions]},
     }

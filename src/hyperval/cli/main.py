@@ -87,7 +87,7 @@ def _usage(error: TyperException) -> int:
     if context is not None and hasattr(error, "param_type"):  # one is missing: the first of perhaps several
         missing = [p for p in context.command.params if p.required and p.name not in context.params]
         text = "missing: " + ", ".join(p.get_error_hint() for p in missing)
-    _error(f"{text}\n  to mend it: see {command} --help")
+    _error(f"{text}\n  to fix it: see {command} --help")
     return 2
 
 
@@ -99,11 +99,11 @@ def _internal(error: Exception) -> int:
         return INTERNAL_ERROR
     if isinstance(error, OSError) and error.errno in _PLACES and error.filename:
         name = os.fsdecode(error.filename)[:300]
-        _error(f"{name}: {error.strerror}\n  to mend it: name another file or folder")
+        _error(f"{name}: {error.strerror}\n  to fix it: name another file or folder")
         return UsageError.exit_code
     if isinstance(error, OSError) and error.errno in _FULL:
         _error(
-            f"{error}\n  to mend it: free space there, or name another folder with --output; "
+            f"{error}\n  to fix it: free space there, or name another folder with --output; "
             f"temporary files stand in {tempfile.gettempdir()} (TMPDIR)"
         )
         return INTERNAL_ERROR

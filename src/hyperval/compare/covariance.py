@@ -124,7 +124,7 @@ def sampled(predicted: Products, observed: Products, subject: str, quantity: str
         return None
     bands, n = compared_bands(p, o, observed.axis), o.n
     if n < FEWEST_PIXELS or not bands.any():
-        return f"{n} pixels and {int(bands.sum())} bands say nothing of a covariance"
+        return f"{n} pixels and {int(bands.sum())} bands are too few for a covariance"
     at = np.ix_(bands, bands)
     first, second = np.asarray(p.pixel_covariance)[at], np.asarray(o.pixel_covariance)[at]
     first = first + np.diag(np.broadcast_to(o.rounding, bands.shape)[bands])
@@ -165,7 +165,7 @@ def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
     expected = band.eigenvalues.mean(axis=0)
     for k, value in enumerate(measured.eigenvalues):
         ends = low[k] / value, high[k] / value
-        reason = f"measured {value:.4g}, expected of {n} pixels of the prediction {expected[k]:.4g}"
+        reason = f"measured {value:.4g}, expected for {n} pixels of the prediction {expected[k]:.4g}"
         yield _row(f"eigenvalue_ratio@{k + 1}", expected[k] / value, ends, n, reason)
     inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
     yield row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
@@ -193,7 +193,7 @@ def _distance_rows(sample: Sampled) -> Iterator[Result]:
     yield row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
     excess = found - float(drawn.mean())
     low, high = pixels.band_limits(drawn - drawn.mean())
-    reason = f"sampling alone gives {drawn.mean():.3g}, {found:.3g} was found"
+    reason = f"sampling alone gives {drawn.mean():.3g}, measured {found:.3g}"
     ends = excess - float(high), excess - float(low)
     yield _row("bhattacharyya_covariance_excess", excess, ends, sample.n, reason)
 
@@ -219,7 +219,7 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     )
     low, high = (part.factor + sign * Z95 * part.uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
-        yield from skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")
+        yield from skipped(Cause.FEW_PIXELS, "noise and texture cannot be separated in these pixels", "noise_ratio")
         return
     why = f"noise is {np.median(noise / np.diag(first)):.2g} of the predicted variance (median over bands)"
     yield row("noise_ratio", part.factor**-0.5, (high**-0.5, low**-0.5), n=sample.n, reason=why)

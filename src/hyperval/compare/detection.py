@@ -109,16 +109,16 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
         beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
         words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{ratio.predicted:.3g}, "
         words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
-        words += f"; its law is known to a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
-        words += f", and errs as its pixels do (correlation {ratio.together:.2f})" if ratio.together else ""
+        words += f"; fitted law uncertain by a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
+        words += f", correlated with that of the pixels ({ratio.together:.2f})" if ratio.together else ""
         factor = math.nan if observed.half_image is None else float(observed.half_image[at])
         if observed.half_image is not None:
-            words += f"; one half of the image misses the other by a factor of {factor:.2g}"
+            words += f"; halves of the image differ by a factor of {factor:.2g}"
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
         if predicted.influence is not None:
             yield _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted.influence)
         if np.isfinite(factor):
-            why = f"of {round(measured * n)} alarms; half of the random halves differ less"
+            why = f"of {round(measured * n)} alarms; median over random halves"
             yield row(f"pfa_repeatability@{label}", factor, n=observed.n, reason=why)
 
 
@@ -130,7 +130,7 @@ def _without_part(metric: str, ratio: float, threshold: float, parts: Influence)
     part = int(np.argmin(np.abs(np.log(without))))
     ends = [(at.min(), at.max()) for at in np.nonzero(number == part)]
     far, rest = abs(math.log(ratio)), abs(math.log(without[part]))
-    words = "" if far > 2.0 * rest or far < math.log(1.25) else "no part carries it alone: "
+    words = "" if far > 2.0 * rest or far < math.log(1.25) else "no single part is responsible: "
     words += f"without {pixels[part]} of {pixels.sum()} pixels (lines {ends[0][0]} to {ends[0][1]}, samples "
     words += f"{ends[1][0]} to {ends[1][1]}), which hold {100.0 * alarms[part] / max(alarms.sum(), 1):.0f} % of the "
     words += f"alarms, the ratio is {without[part]:.2f} in place of {ratio:.2f}"
@@ -297,10 +297,10 @@ def _inside_rows(u: Array, reference: Array, wide: Array, note: str) -> Iterator
     inside, n, expected = int(np.sum(central(u))), u.size, central(reference).sum(axis=1)
     low, high = np.quantile(expected, [0.025, 0.975], method="nearest") / n
     lower, upper = map(float, clopper_pearson(inside, n))
-    why = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{note}"
+    why = f"the model expects {low:.3g} to {high:.3g}; the interval treats objects as independent{note}"
     yield row(OF_ALL[0], inside / n, (lower, upper), n=n, reason=why)
     about = Effect(inside / n, lower, upper, partial(drawn_range, expected / n, 1.0, 0.0), decides=False)
-    width, why = _width_found(-expected, -central(wide).sum(axis=2)), f"that so few lie inside, by the model{note}"
+    width, why = _width_found(-expected, -central(wide).sum(axis=2)), f"of so few inside, by the model{note}"
     yield row(OF_ALL[1], _tail(-inside, -expected), n=n, detectable=width, reason=why, about=about)
 
 
@@ -323,7 +323,7 @@ def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Resu
     """
     half, n = x.shape[0] // 2, z.size
     if n > MOST_JOINED:
-        why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
+        why = f"{n} objects; the model's draws resolve the joint distribution of at most {MOST_JOINED}"
         yield from skipped(Cause.FEW_PIXELS, why, "joint_distance_p_value")
         return
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
@@ -547,12 +547,12 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     else:
         area = observed.background_area_km2 or math.nan
         ends = tuple(float(x) * density for x in clopper_pearson(alarms, n))
-        yield row(f"far_measured@{label}", alarms / area, ends, n=n, reason=f"{alarms} alarms on {area:.4g} km2")
+        yield row(f"far_measured@{label}", alarms / area, ends, n=n, reason=f"{alarms} alarms in {area:.4g} km2")
     if not m:
         return
     detected = round(float(observed.pd[at[-1]]) * m)
     region = joint_region(detected, m, alarms, n)
-    why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; both at 95 % together"
+    why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; joint coverage 95 %"
     span = region.pfa_lower, region.pfa_upper
     yield row(f"joint_pfa@{label}", region.pfa, span, n=n, reason=why)
     yield row(f"joint_pd@{label}", region.pd, (region.pd_lower, region.pd_upper), n=m, reason=why)
@@ -595,7 +595,7 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
         if math.isnan(density):
             yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names[1])
             continue
-        why = f"{point.alarms} alarms on {observed.background_area_km2:.4g} km2; at this threshold as it stands "
+        why = f"{point.alarms} alarms in {observed.background_area_km2:.4g} km2; with the threshold taken as exact "
         why += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
         if point.alarms == 0 and observed.n_background:
             why += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
@@ -606,7 +606,7 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
             continue
         p, low, high = (_pfa_at(predicted, y, point.pd) for y in (predicted.pd, predicted.pd_upper, predicted.pd_lower))
         if math.isnan(p):
-            why = f"the predicted curve does not pass P_D {point.pd:g} within its range of P_FA"
+            why = f"the predicted curve does not reach P_D {point.pd:g} within its range of P_FA"
             (left,) = skipped(Cause.BEYOND_CURVE, why, names[0])
         else:
             # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
@@ -642,7 +642,7 @@ def first_detection_rows(observed: RocCurve) -> Iterator[Result]:
     """
     if observed.alarms_before_first is not None:
         why = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
-        why += "favours targets of many pixels or pieces"
+        why += "favours targets with many pixels or parts"
         yield row("alarms_before_first", observed.alarms_before_first, n=observed.n_target, reason=why)
 
 
@@ -664,7 +664,7 @@ def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) ->
         return skipped(Cause.FEW_ALARMS, f"{why}; {LEAST_EXPECTED_ALARMS:g} are needed", metric)[0]
     if math.isnan(value := curve_area(observed, area)):
         return skipped(Cause.BEYOND_CURVE, "the measured curve does not reach its range of P_FA", metric)[0]
-    return row(metric, value, n=observed.n_target, reason="of the curve without its scores: no interval")
+    return row(metric, value, n=observed.n_target, reason="no interval: the scores behind the curve are not known")
 
 
 def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator[Result]:
@@ -737,7 +737,7 @@ def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
     """
     apart = interval[0] > 0.0 or interval[1] < 0.0
     if equivalent(interval, margin):
-        return 1.0, "equivalent, though not the same" if apart else "equivalent"
+        return 1.0, "equivalent, though significantly different" if apart else "equivalent"
     return (-1.0, "different") if apart else (0.0, "undecided")
 
 

@@ -242,8 +242,8 @@ def would_decide(item: Result, predicted: Products, observed: Products) -> str:
     """
     times, metric = item.shortfall, metric_of(item.metric)
     if metric.kind is Kind.TEST:
-        found = metric.departure or "what it is for"
-        return f"all that is stated known {times:.2g} times better, to detect {found}" if times > 1 else ""
+        found = metric.departure or "its alternative"
+        return f"every stated uncertainty {times:.2g} times smaller, to detect {found}" if times > 1 else ""
     joint = _behind(item, predicted, observed)
     ends = [end for end in (item.limit_low, item.limit_high) if math.isfinite(end)]
     half = 0.5 * (item.upper - item.lower)
@@ -251,9 +251,9 @@ def would_decide(item: Result, predicted: Products, observed: Products) -> str:
         return ""
     wanted = min(abs(item.value - end) for end in ends) / half  # of the half width that is there
     if wanted <= 0.0:
-        return "another collection: the value stands at the end of its range"
+        return "another collection: the value is at the limit of its range"
     if joint is None:
-        more = f"{item.n} counted would have to be {math.ceil(item.n / wanted**2)}; or " if item.n else ""
+        more = f"a count of {math.ceil(item.n / wanted**2)} in place of {item.n}; or " if item.n else ""
         return f"{more}an interval {1.0 / wanted:.2g} times narrower"
     return deciding(joint.budget, wanted, joint.scales, len(joint.subjects))
 
@@ -313,4 +313,4 @@ def deciding(
     own = budget.get(OWN, 0.0) ** 2 + budget.get(REST, 0.0) ** 2
     if subjects > 1 and wanted**2 * total > total - own:
         out.append(f"{math.ceil(subjects * own / (wanted**2 * total - (total - own)))} subjects in place of {subjects}")
-    return " or ".join(out) or "more than this collection can give: every source would have to be known better"
+    return " or ".join(out) or "more than this collection can provide: every source would need a smaller uncertainty"

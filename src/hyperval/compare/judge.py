@@ -51,10 +51,10 @@ class Gate(Model):
     ]  # fmt: skip
     metric: str = Field(
         min_length=1,
-        description="as in results.csv (hyperval metrics lists them); * and ? allowed; without @P for every P",
+        description="as in results.csv (hyperval metrics lists them); * and ? allowed; without @P: at every P",
     )
     subjects: tuple[str, ...] = Field(
-        default=("*",), min_length=1, description="names or patterns with * and ?; each must be met by a row"
+        default=("*",), min_length=1, description="names or patterns with * and ?; each must match a row"
     )
     method: str = Field("*", description="name or pattern, such as cem/object")
     bands_nm: tuple[float, float] | None = Field(None, description="for metrics by band: band centres from, to [nm]")
@@ -69,9 +69,9 @@ class Gate(Model):
     )
     gate: bool = Field(True, description="false: informational")
     chosen_after: bool = Field(
-        False, description="true: set after the data of this campaign were seen; the report says so"
+        False, description="true: set after the data of this campaign were seen; the report states it"
     )
-    before: str = Field("", description="with chosen_after: what it was before")
+    before: str = Field("", description="with chosen_after: the earlier range")
     reason: str = Field(min_length=1, description="why the range, or why it is informational")
 
     @model_validator(mode="after")
@@ -309,7 +309,7 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
             kept = kept or tail_probability(out[i]) >= part
             shares[i] = share
             if kept and out[i].outcome is Outcome.DISAGREES:
-                why = f"its part of the level is {part:.2g}, one of {len(order)} criteria"
+                why = f"its share of the level is {part:.2g}, among {len(order)} criteria"
                 why = _joined(why, out[i].reason)
                 out[i] = replace(out[i], outcome=Outcome.UNDECIDED, cause=Cause.MULTIPLICITY, reason=why)
     return [told_as_effect(row, shares.get(i, math.nan)) for i, row in enumerate(out)]

@@ -501,7 +501,7 @@ def shifted_rows(observed: Products) -> Iterator[Result]:
             name, ends = f"wavelength_shift@{shift.feature.replace(' ', '-')}", (shift.nm - half, shift.nm + half)
             yield row(
                 name, shift.nm, ends, n=count, role=Role.GATE, outcome=Outcome.DISAGREES, limit_low=0.0, limit_high=0.0,
-                about=Effect(shift.nm, *ends, lambda _: (0.0, 0.0)), reason="what depends on wavelengths says nothing",
+                about=Effect(shift.nm, *ends, lambda _: (0.0, 0.0)), reason="comparisons by wavelength are not valid",
             )  # fmt: skip
 
 
@@ -622,7 +622,7 @@ def _consistency(
         why = "neither side states an uncertainty beyond rounding in some bands"
         yield from skipped(Cause.NO_UNCERTAINTY, why, *_TESTS)
     elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):  # such as a panel that a line of two panels goes through
-        why = "both sides are equal to rounding: one was made from the other, which is no evidence"
+        why = "both sides are equal to rounding: one was derived from the other"
         yield from skipped(Cause.CIRCULAR, why, *_TESTS)
     else:
         tested = whitening(cov, [part.bands(window) for part in (*predicted.estimated, *observed.estimated)])

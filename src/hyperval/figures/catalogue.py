@@ -109,7 +109,7 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     marks = []
     for colour, label, own in (
         (_STATED, "uncertainty stated", [i for i, name in enumerate(names) if name in stated]),
-        (_UNSTATED, "none stated: usual step", [i for i, name in enumerate(names) if name not in stated]),
+        (_UNSTATED, "none stated: standard step", [i for i, name in enumerate(names) if name not in stated]),
     ):
         if own:
             at, ends = np.array(own, float), np.array([max(rows[i].value, 0.1) for i in own])
@@ -121,10 +121,10 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     best = rows[0]
     alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
-    legend = "twice the gain in log-likelihood (2 Δ ln L) when that input may move; dotted: 1 in 1000 by luck"
-    legend += "; a number in brackets is one of several independent shapes of an error" if _numbered(names) else ""
-    x = Axis("how much better it explains the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
-    title = "Which input, were it less well known, would explain the differences"
+    legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
+    legend += "; a number in brackets: one of several independent shapes of an error" if _numbered(names) else ""
+    x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
+    title = "Inputs that would explain the differences if they were less certain"
     y = row_names(names, _LONGEST)
     return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
 
@@ -185,7 +185,7 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
     legend += left_out(len(subjects), len(every), "results.csv")
     tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
-    title, alt = "The same for each subject by itself", f"For each subject the input that gains most: {tops}."
+    title, alt = "The same for each subject", f"For each subject the input that gains most: {tops}."
     names = row_names(inputs, _LONGEST), row_names(subjects, _LONGEST)
     return of_rows("attribution-subjects", "attribution", title, alt, *names, marks, legend)
 
@@ -216,12 +216,12 @@ def _effects(rows: Sequence[Result]) -> Figure:
     largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
     alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
     alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
-    legend = "one unit: the stated standard uncertainty of an input, or a usual step where none is stated; "
+    legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
     legend += "gap: predicted less measured; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:.2g})" for q in shown]
     ways = row_names(names, _LONGEST), row_names(quantities, 56)
-    title = "What one unit of each input moves"
+    title = "Change by one unit of each input"
     return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
 
 
@@ -231,7 +231,7 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
         return None
     before = np.array([_leading_number(r.reason) for r in rows])
     after, at = np.array([r.value for r in rows]), np.arange(float(len(rows)))
-    marks = [Mark("dots", {"x": before, "y": at}, "as the campaign has it", marker="circle", hollow=True)]
+    marks = [Mark("dots", {"x": before, "y": at}, "as in the campaign", marker="circle", hollow=True)]
     for own, label, colour, marker in (
         (after < before, "after, closer", MET, "left"), (~(after < before), "after, farther", NOT_MET, "right")
     ):  # fmt: skip
@@ -244,7 +244,7 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
     each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
-    alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, which the uncertainties allow"
+    alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
     return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
 
 

@@ -186,13 +186,13 @@ def exceedance_figure(sides: Sides) -> Figure | None:
             at = int(np.argmin(np.abs(np.log(p) - math.log(1e-2))))
             model = float(np.exp(np.interp(x[at], law.threshold, np.log(law.probability))))
             words += f": at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}"
-        y = Axis("part of the background above", "log", ends=(floor, 1.0))
+        y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
         return Panels(Axis("score", ends=span), (Part(y, tuple(marks)),), ", ".join(key)), words
 
     legend = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
     return a_view_each(
         "exceedance", "scores", "False-alarm probability against the threshold",
-        "Part of the background above each score, predicted (dashed) and measured.",
+        "Fraction of the background above each score, predicted (dashed) and measured.",
         [key for key in both_first(predicted, measured) if key in predicted], view, "results.csv",
         legend=legend if measured else "",
     )  # fmt: skip
@@ -338,7 +338,7 @@ def transform_figure(sides: Sides) -> Figure | None:
 
     return a_view_each(
         "object-transforms", "scores",
-        "Predicted probability of a lower score than measured, all objects: uniform where predictions are right",
+        "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction",
         "Probability integral transforms of the objects' scores in order against the uniform distribution with its "
         "95 % band for independent objects, and their histogram with that of a uniform sample. Objects share "
         "errors of the inputs, which the band leaves out.", list(by_detector), view,
@@ -384,10 +384,10 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
     found = {name: own for name, one in maps.items() if (own := _map_objects(name, one, sides)) is not None}
     return a_view_each(
         "objects", "scores",
-        "Score of each object, measured minus predicted median, at its place, and the scores of all: what is "
-        "chosen in one stands out in the other",
+        "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
+        "in one is highlighted in the other",
         "Map of the objects coloured by measured minus predicted score, and a histogram of the measured scores "
-        "with what the prediction expects, a view for each score map.", list(found)[:_MOST_MAPS], found.__getitem__,
+        "with the prediction, a view for each score map.", list(found)[:_MOST_MAPS], found.__getitem__,
     )  # fmt: skip
 
 

@@ -57,7 +57,7 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     title = "Scene with its regions of interest" + (f" (red, green, blue: {bands})" if quicklook.band_nm else "")
     cut = _cut(rgb.shape, view)
     title += f"; {cut}" if cut else ""
-    size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f", of which {cut} are shown" if cut else "")
+    size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f", {cut} of them shown" if cut else "")
     alt = f"Picture of the scene, {size}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
     return canvas.drawing("scene", "scene", title, alt, _numbered_names(quicklook.regions))
 
@@ -85,8 +85,8 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
             expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MOST_PIXELS)
             shown.append((
                 f"score-map-{number}-expected", f"Expected score {name}",
-                f"What the model expects of {name}, in the colours of the measured map: the mean score of each "
-                "class of ground and kind of target; blank where the campaign does not say what lies there",
+                f"Model expectation of {name}, in the colours of the measured map: the mean score of each "
+                "class of ground and kind of target; blank where the campaign does not state the ground",
                 f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}", expected,
             ))  # fmt: skip
         for file, heading, title, alt, own in shown:

@@ -348,7 +348,7 @@ def shortened(text: str, length: int = 34) -> str:
 
 def left_out(shown: int, every: int, where: str = "products.nc") -> str:
     """What a caption adds when a figure does not show everything; empty when it does."""
-    return "" if shown == every else f"; {shown} of {every} are drawn, all are in {where}"
+    return "" if shown == every else f"; {shown} of {every} shown, all in {where}"
 
 
 def count_text(n: int) -> str:

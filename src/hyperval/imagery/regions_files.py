@@ -325,7 +325,7 @@ def _united(drawings: Drawings, features: Iterable[Feature], place: Placing, gri
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     out = dict(pairs)
     if len(out) < len(pairs):
-        raise ValueError("a key stands twice in one object")
+        raise ValueError("a key occurs twice in one object")
     return out
 
 

@@ -53,7 +53,7 @@ _USUAL: Mapping[Of, float] = {"interval": 0.1, "value": 0.01}
 
 @dataclass(frozen=True)
 class FieldUnit:
-    """How a number of a metric is told as an effect in units of the field: factor (number - origin) [unit].
+    """How a number of a metric is effect in units of the field: factor (number - origin) [unit].
 
     ``ideal`` : the number where both sides are equal; the metric's agreement where it is None
     """
@@ -261,10 +261,10 @@ def facts(m: Metric) -> dict[str, str]:
         "better": m.better,
         "judged as": m.kind,
         "95 % interval": "" if m.interval == "none" else m.interval,
-        "told as an effect in": m.effect.unit if m.effect else "",
-        "judged unasked by": _span(*m.usual) if m.usual else "",
-        "power wanted against": m.departure,
-        "moves with": "the prediction" if m.evidence == "model" else "the pipeline alone",
+        "effect in": m.effect.unit if m.effect else "",
+        "default range": _span(*m.usual) if m.usual else "",
+        "80 % power against": m.departure,
+        "moves with": "the prediction" if m.evidence == "model" else "the pipeline only",
         "tolerance": ", without one ".join(f"{n:g}{parts[of]}" for of, n in m.tolerance.items()),
         "reference": m.reference,
         "example": value if m.example else f"in the docstring of `hyperval.{m.function}`",

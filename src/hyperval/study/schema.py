@@ -280,7 +280,7 @@ class StudyFile(Model):
         names = [x.name for x in named] + [f"{q.name}.{r}" for q in self.required for r in q.report]
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
-            raise ValueError(f"names stand twice: {', '.join(twice)}")
+            raise ValueError(f"names occur twice: {', '.join(twice)}")
         inputs, outputs = {i.name: i for i in self.inputs}, {o.name for o in self.outputs}
         results = outputs | {q.name for q in self.required}
 

@@ -154,7 +154,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
     for field, path in pairs:
         if files.setdefault(path.name, (field, path)) != (field, path):
-            mistakes.append(FieldMistake(field, f"{path.name}: stands twice"))
+            mistakes.append(FieldMistake(field, f"{path.name}: was given twice"))
     return _order(request, form, files, mistakes)
 
 
