@@ -32,7 +32,7 @@ from hyperval.config import Model, parse_yaml, validate
 from hyperval.errors import HypervalError, MissingDataError, refusal, refuse
 from hyperval.paths import checked_store, is_pattern, matching, nearest
 from hyperval.progress import track
-from hyperval.storage import has_digest, scratch_folder, sha256_of, size_of, whole_file
+from hyperval.storage import has_digest, sha256_of, size_of, whole_file
 
 ATTEMPTS = 3
 TIMEOUT_S = 60
@@ -57,31 +57,21 @@ def download(address: str, target: Path, *, size: int, digest: str, pack: bool =
     InputError : no connection, another content, or no room to write; nothing stands at ``target`` then.
     """
     # Imported here: only a download needs a network client, and its import is slow.
-    import pooch
     import requests
 
-    pooch.get_logger().setLevel("WARNING")
-
-    def attempt(url: str, output: str, _: Any) -> None:
-        _stream(url, output, size, mend)
-        if not has_digest(Path(output), digest):
-            raise ValueError("another content")
-
     try:
-        with scratch_folder("fetch", target.parent) as folder:
-            # A folder for this process alone: others may fetch the same file at this moment.
-            store = pooch.create(
-                folder,
-                base_url="",
-                registry={"published": None},  # checked above: git's digest is none of pooch's
-                urls={"published": address},
-                retry_if_failed=ATTEMPTS - 1,
-            )
-            published = Path(store.fetch("published", downloader=attempt))
-            with whole_file(target) as temporary:
-                # No time in the header: the same content gives the same bytes.
-                content = published.read_bytes()
-                temporary.write_bytes(gzip.compress(content, mtime=0) if pack else content)
+        with whole_file(target) as temporary:
+            for left in reversed(range(ATTEMPTS)):
+                try:
+                    _stream(address, temporary, size, mend)
+                    if has_digest(temporary, digest):
+                        break
+                    raise ValueError("another content")
+                except (requests.RequestException, ValueError):
+                    if not left:
+                        raise
+            if pack:  # no time in the header: the same content gives the same bytes
+                temporary.write_bytes(gzip.compress(temporary.read_bytes(), mtime=0))
     except requests.RequestException as error:
         raise refusal("data.download", address, why=_reason(error), mend=mend) from error
     except ValueError as error:
@@ -91,7 +81,7 @@ def download(address: str, target: Path, *, size: int, digest: str, pack: bool =
     return target
 
 
-def _stream(address: str, output: str, size: int, mend: str) -> None:
+def _stream(address: str, output: Path, size: int, mend: str) -> None:
     """Write the answer to ``output``.
 
     An answer longer than ``size`` bytes is cut off with ValueError, one that comes at less than

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import reader, refusal, refuse
-from hyperval.storage import decoded
+from hyperval.storage import decoded, number_of
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_KEYS = 1000
@@ -121,7 +121,7 @@ class EnviHeader:
             parts = tuple(parts[0].split())
         if parts[-1] == "" and len(parts) > 1:  # a comma before the closing brace
             parts = parts[:-1]
-        out = np.array([_number(part) for part in parts])
+        out = np.array([number_of(part) for part in parts])
         for i in np.flatnonzero(~np.isfinite(out)):
             kind = "finite" if np.isinf(out[i]) or "nan" in parts[i].lower() else "a number"
             raise refusal("header.item", self.where(key), item=i + 1, key=key, kind=kind, text=parts[i][:40])
@@ -132,7 +132,7 @@ class EnviHeader:
     def number(self, key: str) -> float | None:
         """A single number, None when the entry is absent; NaN and infinity are passed on."""
         value = self.text(key)
-        number = None if value is None else _number(_bare(value))
+        number = None if value is None else number_of(_bare(value))
         if value is not None and number != number and "nan" not in value.lower():
             raise refusal("header.number", self.where(key), key=key, text=value[:40])
         return number
@@ -302,11 +302,3 @@ def _difference(first: str, second: str) -> str:
 def _bare(value: str) -> str:
     """A one-word value without a trailing comment."""
     return value.split(";")[0].strip()
-
-
-def _number(text: str) -> float:
-    """The number of a text, NaN where it is none; Python's digit grouping is no number elsewhere."""
-    try:
-        return float(text) if "_" not in text else np.nan
-    except ValueError:
-        return np.nan

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
@@ -141,6 +142,14 @@ def decoded(raw: bytes) -> str:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         return raw.decode("latin-1")
+
+
+def number_of(text: str | None) -> float:
+    """The number that a text is, NaN where it is none; Python's digit grouping is no number elsewhere."""
+    try:
+        return float(text) if text is not None and "_" not in text else math.nan
+    except ValueError:
+        return math.nan
 
 
 def sha256_of(path: Path) -> str:

@@ -50,7 +50,7 @@ from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.progress import track
-from hyperval.storage import last_line, scratch_folder, sha256_of
+from hyperval.storage import last_line, number_of, scratch_folder, sha256_of
 from hyperval.units import radiance_per_wavelength, radiance_to_internal
 
 Array = npt.NDArray[np.float64]
@@ -126,11 +126,9 @@ def _row(line: str, ends: list[int], where: str, blank: float | None) -> list[fl
     values = []
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
         text = line[start:end].strip()
-        try:
-            value = blank if blank is not None and not text else float(text)
-        except ValueError as error:
-            raise refusal("modtran.number", where, text=text, first=start + 1, last=end) from error
-        refuse(text and not np.isfinite(value), "modtran.infinite", where, first=start + 1, last=end)
+        value = blank if blank is not None and not text else number_of(text)
+        wrong = (text or blank is None) and not np.isfinite(value)
+        refuse(wrong, "modtran.number", where, text=text, first=start + 1, last=end)
         values.append(value)
     return values
 
@@ -195,10 +193,7 @@ def _tape7_run(table: _Table) -> ModtranRun:
     nu, emissivity = table.columns["FREQ"], table.columns["DIR_EM"]
     falling = ~(np.diff(nu, prepend=-np.inf) > 0)
     refuse(falling.any(), "modtran.wavenumber", table.at(falling), value=nu[falling])
-    try:
-        albedo = float(table.head[0][_SURREF] if table.head else "")
-    except ValueError:
-        albedo = np.nan
+    albedo = number_of(table.head[0][_SURREF]) if table.head else np.nan
     if not 0.0 <= albedo <= 1.0:
         constant = np.all(np.isfinite(emissivity)) and np.ptp(emissivity) <= 1e-4
         albedo = round(float(1.0 - np.median(emissivity)), 4) if constant else np.nan

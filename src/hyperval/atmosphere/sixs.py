@@ -56,7 +56,7 @@ from hyperval.atmosphere.state import (
 from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
 from hyperval.errors import EngineError, refusal, refuse
 from hyperval.progress import track
-from hyperval.storage import last_line, sha256_of
+from hyperval.storage import last_line, number_of, sha256_of
 
 Array = npt.NDArray[np.float64]
 
@@ -175,10 +175,7 @@ def _table_rows(text: str) -> Array:
 
 
 def _numbers(words: tuple[str, ...]) -> list[float]:
-    try:
-        values = [float(w) for w in words]
-    except ValueError:
-        values = [np.nan]
+    values = [number_of(word) for word in words]
     refuse(not np.all(np.isfinite(values)), "sixs.numbers", words=" ".join(words))
     return values
 

@@ -30,6 +30,7 @@ from hyperval.figures.spec import (
     row_names,
 )
 from hyperval.results import Result, ResultTable
+from hyperval.storage import number_of
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:
@@ -258,10 +259,7 @@ def _stated(table: ResultTable) -> set[str]:
 
 
 def _leading_number(text: str) -> float:
-    try:
-        return float(text.split()[0].rstrip(",;"))
-    except (IndexError, ValueError):
-        return math.nan
+    return number_of((text.split() or [""])[0].rstrip(",;"))
 
 
 def _gap(row: Result) -> float:

@@ -23,6 +23,7 @@ from hyperval.envi_header import EnviHeader
 from hyperval.errors import HypervalError, UsageError, reader, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
+from hyperval.storage import number_of
 from hyperval.units import (
     PLAUSIBLE_NM,
     RADIANCE_UNIT,
@@ -409,10 +410,7 @@ def _gain_file(path: Path, bands: int) -> Scale:
     if len(rows) != bands:
         raise refusal("gain.rows", path, what=f"{len(rows)} rows for {bands} bands", bands=bands)
     for band, (number, cells) in enumerate(rows):
-        try:
-            out[band], channel = float(cells[0]), int(cells[1]) if len(cells) > 1 else band + 1
-        except ValueError:
-            out[band], channel = np.nan, 0
+        out[band], channel = number_of(cells[0]), number_of(cells[1]) if len(cells) > 1 else band + 1
         if not (np.isfinite(out[band]) and out[band] > 0 and channel == band + 1):
             raise refusal("gain.rows", f"{path}:{number}", what=repr(" ".join(cells)[:40]), bands=bands)
     return Scale(1.0 / out, 0.0, f"stored values / those of {path.name}", RADIANCE_UNIT)

@@ -27,6 +27,7 @@ from hyperval.imagery.description import crs_of_wkt, equals
 from hyperval.imagery.drawing import ImageGrid, Placing, RegionDrawing, named_crs
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
+from hyperval.storage import number_of
 
 Array = npt.NDArray[np.float64]
 Drawings = dict[str, RegionDrawing]
@@ -88,10 +89,8 @@ def _xml_geometries(element: ElementTree.Element, where: str) -> Iterator[dict[s
 
 def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
     text = " ".join(part.text or "" for part in element.iter("Coordinates"))
-    try:
-        values = np.array([float(v) for v in text.split()])
-    except ValueError:
-        raise refusal("roi.coordinates", where) from None
+    values = np.array([number_of(v) for v in text.split()])
+    refuse(np.isnan(values).any(), "roi.coordinates", where)
     refuse(values.size == 0 or values.size % 2, "roi.pairs", where, count=values.size)
     return values.reshape(-1, 2)
 

@@ -16,6 +16,7 @@ from hyperval.errors import refusal, refuse
 from hyperval.imagery.description import Description, ListedBands, Scale, is_radiance
 from hyperval.imagery.products import ProductLayout, layouts, median_angle
 from hyperval.paths import checked_file, read_xml
+from hyperval.storage import number_of
 
 MAX_XML_BYTES = 64 << 20
 MAX_JSON_BYTES = 4 << 20
@@ -130,10 +131,7 @@ def _angle(root: ElementTree.Element, tag: str | None) -> float | None:
 
 def _number(text: str | None, what: str, path: Path) -> float:
     """The first number of a text, as DESIS lists one for each temperature."""
-    try:
-        number = float((text or "").split(",")[0])
-    except ValueError:
-        number = np.nan
+    number = number_of((text or "").split(",")[0])
     if not np.isfinite(number):
         raise refusal("sidecar.number", path, what=what, text=(text or "")[:40])
     return number

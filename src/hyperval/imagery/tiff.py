@@ -33,6 +33,7 @@ from hyperval.imagery.description import (
 from hyperval.imagery.envi import crs_of, transform_of
 from hyperval.imagery.sidecars import NO_MAP, described_beside
 from hyperval.paths import checked_file
+from hyperval.storage import number_of
 
 MAX_BANDS = 20_000
 MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
@@ -162,10 +163,7 @@ def _lower(tags: Mapping[str, str]) -> dict[str, str]:
 def _numbers(texts: Mapping[str, Sequence[str]], key: str, path: Path) -> npt.NDArray[np.float64] | None:
     if key not in texts:
         return None
-    try:
-        values = np.array([float(text) for text in texts[key]])
-    except ValueError:
-        values = np.zeros(1)
+    values = np.array([number_of(text) for text in texts[key]])
     if not np.all((values > 0.0) & (values < np.inf)):  # NaN is none either
         raise refusal("tiff.tags", path, key=key)
     return values

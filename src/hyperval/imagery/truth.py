@@ -17,6 +17,7 @@ from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, outsi
 from hyperval.imagery.placing import LookupTable
 from hyperval.imagery.regions import Region, guard, patches, window_of
 from hyperval.paths import checked_file, read_table
+from hyperval.storage import number_of
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -263,10 +264,7 @@ def _number(text: str | None, key: str, where: str) -> float:
     """The number of a cell, NaN where it is empty."""
     if text is None or not text.strip():
         return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.inf
+    value = number_of(text)
     refuse(not math.isfinite(value), "target.number", where, key=key, text=text[:40])
     return value
 

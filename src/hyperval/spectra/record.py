@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import refusal, refuse
+from hyperval.storage import number_of
 from hyperval.units import (
     PLAUSIBLE_NM,
     irradiance_to_internal,
@@ -91,10 +92,7 @@ class FieldSpectrum:
 def reflectance_factor(unit: str) -> float:
     """What multiplies a reflectance in ``unit`` ("fraction", "percent", "scaled:F") to give a fraction."""
     head, _, tail = unit.partition(":")
-    try:
-        scale = {"fraction": 1.0, "1": 1.0, "percent": 100.0, "%": 100.0}.get(unit) or float(tail)
-    except ValueError:
-        scale = np.nan
+    scale = {"fraction": 1.0, "1": 1.0, "percent": 100.0, "%": 100.0}.get(unit) or number_of(tail)
     wrong = (tail and head.strip() != "scaled") or not (np.isfinite(scale) and scale > 0)
     refuse(wrong, "spectrum.reflectance_unit", unit=unit)
     return 1.0 / scale
