@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hyperval.config import Model, RadianceUnit, WavelengthUnit
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
-from hyperval.scenario import SpectrumSource, exactly_one
+from hyperval.scenario import SpectrumSource
 
 _SELF_DESCRIBING = (".nc", ".nc4", ".h5", ".hdf5", ".he5", ".hdf", ".zarr", ".xml", ".tif", ".tiff")
 Fwhm = Annotated[float, Field(ge=0, le=8)]
@@ -112,6 +112,7 @@ class Half(Model):
 class Ring(Model):
     """The ground around another region, by the distance of pixel centres from its nearest pixel."""
 
+    one_of = ("outer_m", "outer_pixels")
     of: str = Field(description="a region that stands above in the list")
     inner_m: float = Field(0.0, ge=0, le=100_000, description="beyond this distance [m]")
     outer_m: float | None = Field(None, gt=0, le=100_000, description="up to this distance [m]")
@@ -120,7 +121,6 @@ class Ring(Model):
 
     @model_validator(mode="after")
     def _one_unit(self) -> Ring:
-        exactly_one(self, ("outer_m", "outer_pixels"))
         if self.inner_pixels if self.outer_pixels is None else self.inner_m:
             raise ValueError("inner and outer distance are in one unit: metres, or pixels")
         inner, outer = self.inner_pixels or self.inner_m, self.outer_pixels or self.outer_m
@@ -141,6 +141,7 @@ class VectorSource(Model):
 class RegionSource(VectorSource):
     """One region of interest, or every region of a file."""
 
+    one_of = ("file", "rectangle", "normalized_difference", "whole_image", "half", "ring")
     name: str | None = Field(None, description="None: take the names of the file")
     file: str | None = None
     classes: dict[str, int] = Field(
@@ -165,7 +166,6 @@ class RegionSource(VectorSource):
 
     @model_validator(mode="after")
     def _one_source(self) -> RegionSource:
-        exactly_one(self, ("file", "rectangle", "normalized_difference", "whole_image", "half", "ring"))
         if self.name is None and self.file is None:
             raise ValueError("a region that is not read from a file needs a name")
         if self.classes and (self.file is None or self.name is not None):
@@ -213,6 +213,8 @@ class BandRange(Model):
 class FinerTruth(Model):
     """Targets and the fills of their pixels by a map of classes, or a picture, finer than the cube."""
 
+    one_of = ("registration_m", "registration_pixels")  # 0 where there is none
+    together = ("corner", "times_finer")
     image: str = Field(description="ENVI or GeoTIFF, its sides along those of the cube")
     classes: dict[str, int | BandRange] = Field(
         min_length=1, description="material: value of the first band, or {band, above, below} of a picture"
@@ -232,13 +234,6 @@ class FinerTruth(Model):
         "patches", description="what one object is: cells that touch, or all of a class"
     )
 
-    @model_validator(mode="after")
-    def _placed(self) -> FinerTruth:
-        if (self.corner is None) != (self.times_finer is None):
-            raise ValueError("corner and times_finer go together")
-        exactly_one(self, ("registration_m", "registration_pixels"))  # 0 where there is none
-        return self
-
 
 class AbundanceTruth(Model):
     """Targets by the bands of a truth image that hold the part of each pixel that a material fills (DIRSIG)."""
@@ -255,6 +250,7 @@ class AbundanceTruth(Model):
 class TargetTruth(Model):
     """Where the target objects are."""
 
+    one_of = ("regions", "rasters", "csv", "finer", "abundances")
     regions: list[TargetRegions] = Field(default_factory=list)
     rasters: TargetRasters | None = None
     csv: str | None = None
@@ -272,7 +268,6 @@ class TargetTruth(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> TargetTruth:
-        exactly_one(self, ("regions", "rasters", "csv", "finer", "abundances"))
         if self.csv is None and self.pixels == "centre":
             raise ValueError("only a list (csv) says where a target's centre is: pixels must be 'touched'")
         return self
@@ -349,6 +344,7 @@ class EmpiricalLineSource(Model):
 class CalibrationUncertainty(Model):
     """Relative standard uncertainty of the collected radiance, common to all pixels."""
 
+    one_of = ("relative", "file")
     relative: float | None = Field(None, ge=0, lt=1)
     file: str | None = Field(None, description="text table: wavelength nm, relative standard uncertainty")
     correlation_nm: float | None = Field(
@@ -361,15 +357,11 @@ class CalibrationUncertainty(Model):
         None, gt=0, lt=1, description="besides: a relative standard uncertainty of each band by itself"
     )
 
-    @model_validator(mode="after")
-    def _one_source(self) -> CalibrationUncertainty:
-        exactly_one(self, ("relative", "file"))
-        return self
-
 
 class CollectionSection(Model):
     """What was collected."""
 
+    one_of = ("cube", "spectra", "radcalnet")
     simulate: str | None = Field(
         None, description="scene file: the collection is generated; its files are 'simulated:NAME' below"
     )
@@ -396,7 +388,6 @@ class CollectionSection(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> CollectionSection:
-        exactly_one(self, ("cube", "spectra", "radcalnet"))
         if self.detector is not None and not (self.spectra and all(site.pixels for site in self.spectra)):
             raise ValueError("detector is for spectra, each of which states its pixels: a cube shows its own noise")
         line = self.empirical_line

@@ -7,10 +7,10 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
 from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
@@ -69,9 +69,25 @@ def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
 
 
 class Model(BaseModel):
-    """Base of every configuration model: unknown keys, NaN and infinity are refused."""
+    """Base of every configuration model: unknown keys, NaN and infinity are refused.
+
+    ``one_of``: entries of which exactly one is given;  ``together``: those that are given all or none.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_told)
+    one_of: ClassVar[tuple[str, ...]] = ()
+    together: ClassVar[tuple[str, ...]] = ()
+
+    @model_validator(mode="after")
+    def _of_what_is_given(self) -> Self:
+        entries = {name: getattr(self, name) for name in (*self.one_of, *self.together)}
+        given = {name for name, value in entries.items() if value not in (None, [], ()) and value is not False}
+        one, joined = [n for n in self.one_of if n in given], given.intersection(self.together)
+        if self.one_of and len(one) != 1:
+            raise ValueError(f"give exactly one of {', '.join(self.one_of)}" + (f": {one} are given" if one else ""))
+        if joined and len(joined) < len(self.together):
+            raise ValueError(f"{' and '.join(self.together)} go together")
+        return self
 
 
 def _unit_known_to(factor: Callable[[str], float]) -> AfterValidator:

@@ -30,13 +30,6 @@ from hyperval.sensor.specification import SensorChanges, SensorOperation
 from hyperval.settings import with_settings
 
 
-def exactly_one(model: Model, names: tuple[str, ...]) -> None:
-    """Raise ValueError unless exactly one of the fields is given."""
-    given = [n for n in names if getattr(model, n) not in (None, [])]
-    if len(given) != 1:
-        raise ValueError(f"give exactly one of {', '.join(names)}" + (f": {given} are given" if given else ""))
-
-
 class Replicates(Model):
     """Several spectra of one surface, whose mean, covariance and number are taken.
 
@@ -66,6 +59,7 @@ class Replicates(Model):
 class SpectrumSource(Model):
     """A reflectance spectrum: built in, constant, from a file, or measured on the imagery."""
 
+    one_of = ("builtin", "constant", "file", "replicates", "library", "measured")
     builtin: str | None = Field(None, title="built-in surface")
     constant: float | None = Field(None, title="constant reflectance", ge=0, le=1.5, description="in every band [1]")
     file: str | None = Field(None, title="spectrum file", description="field spectrum or library file")
@@ -85,7 +79,6 @@ class SpectrumSource(Model):
 
     @model_validator(mode="after")
     def _check(self) -> SpectrumSource:
-        exactly_one(self, ("builtin", "constant", "file", "replicates", "library", "measured"))
         if self.file is None and (self.wavelength_unit or self.reflectance_unit):
             raise ValueError("record and units belong to a file")
         if self.file is None and self.library is None and self.record is not None:
@@ -98,6 +91,7 @@ class SpectrumSource(Model):
 class CovarianceSource(Model):
     """Spread from pixel to pixel: built in, measured, none, or a relative one with a correlation length."""
 
+    one_of = ("builtin", "replicates", "library", "measured", "relative_sd")
     builtin: str | None = Field(None, title="built-in surface")
     replicates: Replicates | None = Field(None, description="field spectra of one surface")
     library: str | None = Field(None, description="statistics library (NetCDF)")
@@ -111,7 +105,6 @@ class CovarianceSource(Model):
 
     @model_validator(mode="after")
     def _check(self) -> CovarianceSource:
-        exactly_one(self, ("builtin", "replicates", "library", "measured", "relative_sd"))
         if self.record is not None and self.library is None:
             raise ValueError("record belongs to a library")
         return self
@@ -140,6 +133,7 @@ class SpectralForm(Model):
 class SpectrumUncertainty(SpectralForm):
     """Standard uncertainty of the field spectrum of one subject."""
 
+    one_of = ("relative", "absolute", "from_file")
     subject: str = Field(description="entries of the same subject are independent and add up")
     relative: float | None = Field(None, gt=0, lt=1, description="as a part of the reflectance")
     absolute: float | None = Field(None, gt=0, lt=1, description="in reflectance")
@@ -147,12 +141,6 @@ class SpectrumUncertainty(SpectralForm):
     divisor: Literal["standard_error", "spread"] = Field(
         "spread", description="with from_file: divide by the root of the file's n, or not"
     )
-
-    @model_validator(mode="after")
-    def _check(self) -> SpectrumUncertainty:
-        if sum([self.relative is not None, self.absolute is not None, self.from_file]) != 1:
-            raise ValueError("give exactly one of relative, absolute, from_file")
-        return self
 
 
 class FineStructure(SpectralForm):
@@ -375,6 +363,8 @@ class Geometry(Model):
 class Fill(Model):
     """Part of a pixel that the target fills: fixed, by moments, or from geometry."""
 
+    one_of = ("fixed", "mean", "geometry", "truth", "listed")
+    together = ("mean", "sd")
     fixed: Fraction | None = Field(None, title="fill fraction", description="the same in every pixel")
     mean: Fraction | None = Field(None, title="mean fill fraction", description="with sd: a beta distribution")
     sd: float | None = Field(None, title="standard deviation of the fill fraction", gt=0, lt=0.5)
@@ -385,13 +375,6 @@ class Fill(Model):
     listed: list[Annotated[list[Fraction], Field(min_length=1, max_length=4096)]] | None = Field(
         None, min_length=1, max_length=4096, description="of the pixels of each of some equally likely objects"
     )
-
-    @model_validator(mode="after")
-    def _check(self) -> Fill:
-        exactly_one(self, ("fixed", "mean", "geometry", "truth", "listed"))
-        if (self.mean is None) != (self.sd is None):
-            raise ValueError("mean and sd go together")
-        return self
 
 
 class TargetSubject(Model):
@@ -416,6 +399,7 @@ class Illumination(Model):
 class Target(Surface):
     """A target material on its host class, in one or several fills."""
 
+    one_of = ("fill", "subjects")
     host: str = Field(title="host class", description="background that fills the rest of the pixel")
     gain: float = Field(1.0, title="factor on the covariance", ge=0, description="g_T")
     fill: Fill | None = Field(None, description="short for one subject with the target's own name")
@@ -424,12 +408,6 @@ class Target(Surface):
     filter_spectrum: SpectrumSource | None = Field(
         None, title="spectrum sought", description="by the detector, when it is not the target's own"
     )
-
-    @model_validator(mode="after")
-    def _check(self) -> Target:
-        if (self.fill is None) == (not self.subjects):
-            raise ValueError("give either fill or subjects")
-        return self
 
     @property
     def populations(self) -> list[TargetSubject]:
@@ -503,13 +481,9 @@ class DarkestPixel(Model):
 class Features(Model):
     """Linear features in place of bands (Psi of 3.21), from the statistics that the filter is built on."""
 
+    one_of = ("pca", "mnf")
     pca: int | None = Field(None, title="principal components", ge=1, le=5000)
     mnf: int | None = Field(None, title="minimum-noise-fraction components", ge=1, le=5000)
-
-    @model_validator(mode="after")
-    def _check(self) -> Features:
-        exactly_one(self, ("pca", "mnf"))
-        return self
 
 
 class BandChoice(Model):

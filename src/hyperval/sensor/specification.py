@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -38,19 +38,7 @@ Array = npt.NDArray[np.float64]
 Source = Annotated[str, Field(min_length=3)]
 
 
-class _OneOf(Model):
-    """Entries of which exactly one is given."""
-
-    one_of: ClassVar[tuple[str, ...]] = ()
-
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        if sum(getattr(self, name) not in (None, ()) for name in self.one_of) != 1:
-            raise ValueError(f"give either {', '.join(self.one_of[:-1])} or {self.one_of[-1]}")
-        return self
-
-
-class Quantity(_OneOf):
+class Quantity(Model):
     """A number, or a table over wavelength, with its source."""
 
     one_of = ("value", "table")
@@ -94,7 +82,7 @@ class StatedGap(Model):
     source: Source
 
 
-class Bands(_OneOf):
+class Bands(Model):
     """The band set: a table of [centre nm, FWHM nm, good 0/1], evenly spaced bands, or such bands part by part."""
 
     one_of = ("table", "regular", "parts")
@@ -188,7 +176,7 @@ class Throughput(Model):
         return aperture_throughput(first, 1e-3 * rest[0], obscuration=self.obscuration, convention=self.convention)
 
 
-class Blur(_OneOf):
+class Blur(Model):
     """Point spread function in two directions, by widths or by MTF: pairs (along, across) the track."""
 
     one_of = ("fwhm_pixels", "mtf_at_nyquist")
@@ -216,6 +204,7 @@ class Blur(_OneOf):
 class SpectralShift(Model):
     """Where the bands of a range truly stand: true minus nominal centre, and the smile across the track."""
 
+    together = ("smile_nm", "columns")
     range_nm: tuple[float, float] | None = Field(None, description="bands it holds for; None: all")
     shift_nm: float = Field(0.0, ge=-50, le=50, description="at the middle of the track [nm]")
     smile_nm: tuple[float, ...] = Field(
@@ -223,12 +212,6 @@ class SpectralShift(Model):
     )
     columns: int | None = Field(None, ge=2, description="samples across the track; with smile_nm")
     source: Source
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        if bool(self.smile_nm) != (self.columns is not None):
-            raise ValueError("smile_nm and columns go together")
-        return self
 
     def at(self, column: float | None) -> float:
         """Shift [nm] at a sample, counted from 0; None is the middle of the track.
@@ -415,7 +398,7 @@ def _groups(values: npt.ArrayLike, count: int) -> Array:
     return np.asarray(x[:whole].reshape(-1, count))
 
 
-class Arm(_OneOf):
+class Arm(Model):
     """One spectrometer: its range and everything of (3.13)-(3.19) that belongs to it."""
 
     one_of = ("full_well_electrons", "saturation_radiance", "lsb_electrons")
@@ -450,7 +433,7 @@ class MeasuredNoise(Model):
         return self
 
 
-class SensorSpecification(_OneOf):
+class SensorSpecification(Model):
     """One sensor file."""
 
     one_of = ("arms", "measured_noise")

@@ -65,6 +65,7 @@ class Panel(PaintedArea):
 class TargetGroup(Model):
     """Square planks of one material and size on a grid in one area."""
 
+    one_of = ("fill", "side_m")
     name: Name
     material: str = Field(description="built-in surface of the planks")
     host: str = Field(description="built-in surface they lie on")
@@ -82,9 +83,7 @@ class TargetGroup(Model):
     heading_deg: float | Literal["random"] = 0.0
 
     @model_validator(mode="after")
-    def _one_size(self) -> TargetGroup:
-        if (self.fill is None) == (self.side_m is None):
-            raise ValueError("give exactly one of fill, side_m")
+    def _of_room(self) -> TargetGroup:
         columns = (self.area.samples[1] - self.area.samples[0]) // self.spacing_pixels
         rows = (self.area.lines[1] - self.area.lines[0]) // self.spacing_pixels
         if self.count > rows * columns:

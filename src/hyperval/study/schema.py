@@ -13,7 +13,6 @@ from pydantic import Field, PrivateAttr, model_validator
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError, reader
 from hyperval.model.world import column_of
-from hyperval.scenario import exactly_one
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$", max_length=60)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
@@ -41,6 +40,7 @@ class Grid(Model):
 class Random(Model):
     """A distribution that a random design draws from."""
 
+    one_of = ("uniform", "log_uniform", "normal")
     uniform: tuple[float, float] | None = None
     log_uniform: tuple[float, float] | None = None
     normal: tuple[float, float] | None = Field(None, description="mean and standard deviation")
@@ -48,7 +48,6 @@ class Random(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Random:
-        exactly_one(self, ("uniform", "log_uniform", "normal"))
         if (self.within is not None) != (self.normal is not None):
             raise ValueError("within and normal go together: a normal distribution is cut at stated ends")
         low, high = self.ends
@@ -88,7 +87,7 @@ class Moving(Model):
     moves: list[Move] = Field(default_factory=list, description="in place of path: several entries together")
 
     @model_validator(mode="after")
-    def _one_of(self) -> Self:
+    def _entries(self) -> Self:
         if (self.path is None) == (not self.moves):
             raise ValueError("give either path or moves")
         return self
@@ -107,6 +106,7 @@ class Moving(Model):
 class Input(Moving):
     """What moves: one entry of the scenario or several together, over values, a grid, or a distribution."""
 
+    one_of = ("values", "grid", "random")
     values: list[Value] | None = Field(
         None, min_length=1, description="as they stand; with moves, a list with one value for each is also taken"
     )
@@ -115,7 +115,6 @@ class Input(Moving):
 
     @model_validator(mode="after")
     def _check(self) -> Input:
-        exactly_one(self, ("values", "grid", "random"))
         plain = all(m.factor == 1.0 and m.offset == 0.0 for m in self.moves)
         if self.values is not None and not plain and not all(isinstance(v, int | float) for v in self.values):
             raise ValueError("factor and offset go with numbers")
@@ -170,9 +169,9 @@ class Output(Model):
     @model_validator(mode="after")
     def _check(self) -> Output:
         spectral = self.kind in ("snr", "radiance")
-        if spectral:
-            exactly_one(self, ("band_nm", "range_nm"))
-        elif self.band_nm is not None or self.range_nm is not None:
+        if spectral and (self.band_nm is None) == (self.range_nm is None):
+            raise ValueError("give exactly one of band_nm, range_nm")
+        if not spectral and (self.band_nm is not None or self.range_nm is not None):
             raise ValueError("snr and radiance are asked at a band_nm or over a range_nm, and nothing else is")
         if self.kind in ("log10-pfa", "auc", "log-auc") and self.by == "object":
             raise ValueError(f"{self.kind} is of pixels")
