@@ -1,4 +1,4 @@
-"""What is known of spectra: statistics of classes, of samples, and names of detectors."""
+"""What is known of spectra: statistics of classes, of samples, and names of detectors; kinds of arrays."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from hyperval.errors import UsageError
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
+Counts = npt.NDArray[np.int64]
 
 LINEAR_DETECTORS = ("cem", "matched-filter", "smf", "cem-correlation")  # scores that are linear in the pixel
 NUMERICAL_DETECTORS = ("ace",)  # scores whose law has no closed form
@@ -104,7 +107,7 @@ class Components:
     def __len__(self) -> int:
         return self.weights.size
 
-    def at(self, bands: npt.NDArray[np.intp]) -> Components:
+    def at(self, bands: Index) -> Components:
         """The components on some bands alone."""
         if bands.size == self.offsets.shape[1]:
             return self

@@ -15,7 +15,7 @@ import os
 import re
 import stat
 import zlib
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
@@ -23,6 +23,7 @@ from xml.etree import ElementTree
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.storage import decoded
 
+Resolve = Callable[[str], Path]  # the path that a reference of a file leads to
 MAX_MATCHES = 1000
 MAX_TEXT_BYTES = 32 << 20
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")

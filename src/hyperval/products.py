@@ -14,10 +14,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.data import Errors
+from hyperval.data import Array, Counts, Errors, Mask
 from hyperval.spectra.axis import SpectralAxis
-
-Array = npt.NDArray[np.float64]
 
 
 class EstimatedPart(NamedTuple):
@@ -38,7 +36,7 @@ class EstimatedPart(NamedTuple):
     sample: Array | None = None
     sample_dof: float = math.nan
 
-    def bands(self, use: npt.NDArray[np.bool_]) -> EstimatedPart:
+    def bands(self, use: Mask) -> EstimatedPart:
         """The same in some of the bands."""
         return self.of_each(lambda c: c[np.ix_(use, use)])
 
@@ -184,7 +182,7 @@ class RocCurve:
     n_target: int | None = None
     n_background: int | None = None
     background_area_km2: float | None = None
-    alarms: npt.NDArray[np.int64] | None = field(default=None, compare=False, repr=False)
+    alarms: Counts | None = field(default=None, compare=False, repr=False)
     areas: Mapping[str, AreaEstimate] = field(default_factory=dict, compare=False)
     at_detection: tuple[AlarmsAtDetection, ...] = ()
     preset_pfa: Array | None = None

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.data import MOST_COMPONENTS, ClassStatistics, Components, statistics_of
+from hyperval.data import MOST_COMPONENTS, Array, ClassStatistics, Components, statistics_of
 from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
@@ -32,7 +32,6 @@ from hyperval.storage import whole_file
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = npt.NDArray[np.float64]
 
 MAX_BYTES = 512 << 20
 MAX_BANDS, MAX_CLASSES = 5000, 1000

@@ -17,10 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import logsumexp, ndtr
 
+from hyperval.data import Array
 from hyperval.errors import UsageError
 from hyperval.model.filters import PositiveDefinite
-
-Array = npt.NDArray[np.float64]
 
 # Scores at which probabilities are evaluated: even in atanh of the cosine, which spreads both ends.
 _SCORES = np.tanh(np.linspace(1e-3, 4.0, 240)) ** 2

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained, principal_components
@@ -28,8 +29,6 @@ from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, Target, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
-
-Array = npt.NDArray[np.float64]
 
 
 def bhattacharyya_distance(
@@ -68,9 +67,6 @@ def classification_error(distance: float, prior_1: float = 0.5) -> tuple[float, 
     lower = 0.5 - 0.5 * np.sqrt(max(1.0 - 4.0 * product * np.exp(-2.0 * distance), 0.0))
     upper = min(np.sqrt(product) * np.exp(-distance), prior_1, 1.0 - prior_1)
     return float(ndtr(-np.sqrt(2.0 * max(distance, 0.0)))), float(lower), float(upper)
-
-
-Labels = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +111,7 @@ class GaussianClassifier:
         self._laws = [(law.mean, PositiveDefinite(law.covariance)) for law in laws]
         self._offsets = [-0.5 * float(np.linalg.slogdet(law.covariance)[1]) for law in laws]
 
-    def classify(self, pixels: npt.ArrayLike) -> Labels:
+    def classify(self, pixels: npt.ArrayLike) -> Index:
         """Index (n,) of the class of each pixel (n, F)."""
         x = np.asarray(pixels, dtype=float)
         likelihoods = [
@@ -137,7 +133,7 @@ def predicted_error(laws: Sequence[ClassLaw], rng: np.random.Generator, draws: i
     return with_distances(ClassificationError(wrong / n, float(lower), float(upper), n), laws)
 
 
-def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Sequence[Labels]) -> ClassificationError:
+def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Sequence[Index]) -> ClassificationError:
     """Error of the classifier trained on ``laws`` on pixels that had no part in them.
 
     Neighbours err together, so the binomial interval is that of as many independent pixels as give the spread of
@@ -191,9 +187,7 @@ def with_distances(error: ClassificationError, laws: Sequence[ClassLaw]) -> Clas
     )
 
 
-def feature_bands(
-    centre_nm: Array, usable: npt.NDArray[np.bool_], wavelengths_nm: Sequence[float]
-) -> npt.NDArray[np.intp]:
+def feature_bands(centre_nm: Array, usable: Mask, wavelengths_nm: Sequence[float]) -> Index:
     """Indices of the usable bands nearest to some wavelengths, or of all usable bands where none is named.
 
     Raises
@@ -271,7 +265,7 @@ def predicted_areas(
     truth: Truth,
     prediction: PredictedProducts,
     subjects: Iterable[UnmixedSubject],
-    bands: npt.NDArray[np.bool_],
+    bands: Mask,
     covariances: Mapping[str, Array | None],
     pixel_area_m2: float,
     *,
@@ -322,7 +316,7 @@ def _objects(
     item: UnmixedSubject,
     prediction: PredictedProducts,
     world: World,
-    index: npt.NDArray[np.intp],
+    index: Index,
     draws: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
@@ -373,9 +367,7 @@ def _from_pool(law: ClassLaw, shape: tuple[int, ...], rng: np.random.Generator) 
     return law.pixels(pool[some])[place.reshape(shape)]
 
 
-def _errors(
-    item: UnmixedSubject, axis: SpectralAxis, index: npt.NDArray[np.intp], draws: int, rng: np.random.Generator
-) -> Array:
+def _errors(item: UnmixedSubject, axis: SpectralAxis, index: Index, draws: int, rng: np.random.Generator) -> Array:
     """(draws, F) error of the endmember as a picture of the target."""
     sd = item.relative_uncertainty * item.spectrum[index]
     shape = correlation(axis, item.correlation_nm)[np.ix_(index, index)]

@@ -13,10 +13,9 @@ from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
-from hyperval.data import LINEAR_DETECTORS
+from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 from hyperval.model.fill import FillDistribution, Fills
@@ -43,8 +42,6 @@ from hyperval.spectra.axis import SpectralAxis, in_window
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 RocKey = tuple[str, str, str]
 
 
@@ -381,7 +378,7 @@ def evaluations(
     return sorted(out, key=lambda numbered: int(numbered[0][0]))
 
 
-def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: Mask) -> Index:
     """Indices of the bands that the detectors use (Psi of unit rows, 3.21).
 
     ``usable`` (B,) is False where a spectrum or the light is lacking.  Raises UsageError when none is left.

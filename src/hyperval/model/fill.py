@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.scenario import Fill, Geometry
 from hyperval.spectra.axis import SIGMA_PER_FWHM
 
-Array = npt.NDArray[np.float64]
 Kind = TypeVar("Kind", bound=np.generic)
 
 # Positions sampled: a Fibonacci lattice, whose 377 points integrate fills a hundred times better than a
@@ -136,7 +136,7 @@ def touched_pixel_fill(geometry: TargetGeometry) -> FillDistribution:
     return FillDistribution(values, np.full(values.size, 1.0 / values.size))
 
 
-def touched_counts(geometry: TargetGeometry) -> npt.NDArray[np.intp]:
+def touched_counts(geometry: TargetGeometry) -> Index:
     """(K,) number of pixels that the target's outline meets (f of 3.10), for K equally likely positions."""
     return np.asarray(_around(geometry)[1].sum(axis=(1, 2)))
 
@@ -165,7 +165,7 @@ def _ranked_fills(geometry: TargetGeometry) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _around(geometry: TargetGeometry) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _around(geometry: TargetGeometry) -> tuple[Array, Mask]:
     """(K, P, P) fills of the pixels around the target at each sampled position, and which its outline meets."""
     random = geometry.phase == "random"
     i = np.arange(count := PHASES if random or geometry.heading_deg is None else 1)
@@ -176,7 +176,7 @@ def _around(geometry: TargetGeometry) -> tuple[Array, npt.NDArray[np.bool_]]:
     return _fixed(fills, _met(geometry, offset, heading, fills.shape[1]))
 
 
-def _met(geometry: TargetGeometry, offset: Array, heading_deg: Array, size: int) -> npt.NDArray[np.bool_]:
+def _met(geometry: TargetGeometry, offset: Array, heading_deg: Array, size: int) -> Mask:
     """(K, P, P) True for pixels whose square and the target overlap: no axis of either tells them apart."""
     a, b = 0.5 * geometry.length_m / geometry.gsd_m, 0.5 * geometry.width_m / geometry.gsd_m
     pixels = np.arange(size, dtype=float) - size // 2
@@ -501,7 +501,7 @@ def whole_object_fills(fill: Fill, thesis: bool) -> Fills:
     return Fills(places.reshape(1, -1), np.zeros((1, places.size)), (places.shape[0], places.shape[1]))
 
 
-def stacked_fills(each: Sequence[Fills], which: npt.NDArray[np.intp]) -> Fills:
+def stacked_fills(each: Sequence[Fills], which: Index) -> Fills:
     """The fills of several evaluations, of which (n,) ``which`` names those of each.
 
     Raises

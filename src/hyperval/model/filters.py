@@ -27,12 +27,11 @@ import scipy
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dsfrk, dtfttr, dtrttf
 
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.model.radiance import Background, Seen, latest, of_truth
 from hyperval.model.stated import Stated
 from hyperval.scenario import Features
-
-Array = npt.NDArray[np.float64]
 
 # Beyond this the float64 solve keeps fewer than about three correct digits.
 MAX_CONDITION = 1e13
@@ -54,7 +53,7 @@ def unpacked(values: Array, size: int) -> Array:
 
 
 @lru_cache(maxsize=32)
-def diagonal_places(size: int) -> npt.NDArray[np.intp]:
+def diagonal_places(size: int) -> Index:
     """(F,) where the diagonal stands."""
     return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
 
@@ -162,7 +161,7 @@ class LinearFilter(NamedTuple):
         """Scores (...) of pixels (..., B) by one filter."""
         return np.asarray(np.asarray(x, dtype=float) @ self.weights - self.offset)
 
-    def rows(self, index: npt.NDArray[np.intp]) -> LinearFilter:
+    def rows(self, index: Index) -> LinearFilter:
         """Some of several filters."""
         return LinearFilter(self.weights[index], self.offset[index])
 
@@ -352,14 +351,14 @@ class Mixtures:
     choice : features of the bands
     """
 
-    def __init__(self, chosen: npt.NDArray[np.bool_], choice: Features | None):
+    def __init__(self, chosen: Mask, choice: Features | None):
         self._chosen, self._choice = chosen, choice
         self._kept: dict[str, tuple[bytes, Array]] = {}
         self._latest: tuple[Array, ...] = ()
         self._still: Array | None = None  # the covariance of the latest truth over the slopes, but for the noise
 
     @staticmethod
-    def of(stated: Stated, bands: npt.NDArray[np.intp]) -> Mixtures:
+    def of(stated: Stated, bands: Index) -> Mixtures:
         """Those of a scenario on some bands; what they keep serves its next truths."""
         processing = stated.scenario.processing
         chosen = np.array([not processing.filter_classes or n in processing.filter_classes for n in stated.classes])

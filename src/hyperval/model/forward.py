@@ -13,10 +13,9 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.data import Errors
+from hyperval.data import Array, Errors, Index
 from hyperval.errors import UsageError
 from hyperval.model.detection import Evaluation, RocKey, detect, evaluations
 from hyperval.model.inputs import (
@@ -69,7 +68,6 @@ from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
 from hyperval.spectra.axis import SpectralAxis
 
-Array = npt.NDArray[np.float64]
 SpectralErrors = Mapping[tuple[str, str], Mapping[str, Errors]]  # (product, subject) -> source -> its errors
 _DIRECTIONS = 32  # directions whose spectra are in memory at once
 _ROUNDING = 1e-9  # of an error: what rounding leaves where nothing follows
@@ -128,7 +126,7 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     return out
 
 
-def shares_at(world: World, number: int) -> tuple[list[Shares], npt.NDArray[np.intp]] | None:
+def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
     """The different shares of an object's pixels at its place, and which (U,) of them each truth has; None where there
     is no place, or the printed form.
     """

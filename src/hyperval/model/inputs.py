@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperval.data import Array, Mask
 from hyperval.errors import UsageError
 from hyperval.model.stated import SurfaceStatistics, Truth, correlation
 from hyperval.model.world import NEUTRAL, SHIFT, World, find, value_at
@@ -21,8 +21,6 @@ from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
 from hyperval.spectra.axis import SpectralAxis
-
-Array = npt.NDArray[np.float64]
 
 # Directions that hold less than this part of the variance, all together, are left out: where whole curves follow each,
 # and where a spectrum's covariance is inverted in a test, which sees what is small.
@@ -75,7 +73,7 @@ def form_in_words(form: SpectralForm) -> str:
     }[form.correlation]
 
 
-def _arms(axis: SpectralAxis, sensor: Sensor | None) -> list[npt.NDArray[np.bool_]]:
+def _arms(axis: SpectralAxis, sensor: Sensor | None) -> list[Mask]:
     w, groups = axis.centre_nm, []
     arms = sensor.specification.arms if sensor is not None else ()
     if not arms:

@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from hyperval.data import Array, Mask
 from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
 _HALVINGS = 50
 _MISSED = 1e-6  # of the probability: farther from it is no quantile

@@ -28,9 +28,9 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtri
 
+from hyperval.data import Array, Index
 from hyperval.model.detection import Evaluation, Responses
 from hyperval.model.fill import (
     PHASES,
@@ -47,9 +47,6 @@ from hyperval.model.roc import Host
 from hyperval.model.stated import correlation
 from hyperval.products import ObjectScores
 from hyperval.scenario import Geometry, Target, TargetSubject, Uncertainty
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 ROWS = 1600
 # The blur's distribution stands on this many equally likely widths.

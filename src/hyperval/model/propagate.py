@@ -12,10 +12,10 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, interpolated_terms
+from hyperval.data import Array
 from hyperval.model.detection import Evaluation, RocKey, class_scores
 from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
@@ -28,7 +28,6 @@ from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
 
-Array = npt.NDArray[np.float64]
 Key = tuple[str, ...]
 Changes = tuple[Array, Array]  # (D, K) by one standard uncertainty up, and down, along each direction
 _CURVES = 2048  # drawn for the limits of a ROC curve

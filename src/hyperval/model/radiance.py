@@ -34,13 +34,12 @@ import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.model.stated import Law
 from hyperval.model.world import World
 from hyperval.scenario import DarkestPixel, ElmPanels
 from hyperval.sensor.noise import NoiseModel, recorded_noise
-
-Array = npt.NDArray[np.float64]
 
 
 def average_reflectance(fractions: npt.ArrayLike, means: npt.ArrayLike) -> Array:
@@ -388,7 +387,6 @@ def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.Array
     return np.asarray(0.5 * (low + high))
 
 
-Index = npt.NDArray[np.intp]
 T = TypeVar("T")
 
 
@@ -546,7 +544,7 @@ class Light:
         """(..., B) change of the signal per change of the surroundings (D_B of 3.11)."""
         return adjacency_slope(self.terms, reflectance, self.average, self.formulation)
 
-    def lit(self) -> npt.NDArray[np.bool_]:
+    def lit(self) -> Mask:
         """(..., B) True where light of the ground reaches the sensor."""
         return np.asarray(self.terms.direct > 1e-9 * self.terms.direct.max(axis=-1, keepdims=True))
 
@@ -784,7 +782,7 @@ def seen_classes(whole: Light, world: World, bands: Index) -> Seen:
     return Seen(light, of, line.gain, line.offset, slope, around, means, noise, looked_for)
 
 
-def usable_bands(world: World, light: Light) -> npt.NDArray[np.bool_]:
+def usable_bands(world: World, light: Light) -> Mask:
     """(U or 1, B) bands with light, on which all that the detectors need is known (3.21)."""
     names = [*world.stated.classes, *world.stated.names["target"]]
     usable = light.lit()[:, 0] & np.isfinite(world.mean[:, [world.surface(n) for n in names]]).all(axis=1)

@@ -30,11 +30,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.model.stated import distinct
 from hyperval.products import RocCurve, ScoreDistribution
 
-Array = npt.NDArray[np.float64]
 SMALLEST_SD = 1e-12
 _LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
 _STEPS = 80
@@ -60,11 +60,11 @@ class ClassScores:
     sd: Array
     dof: Array
 
-    def rows(self, index: npt.NDArray[np.intp]) -> ClassScores:
+    def rows(self, index: Index) -> ClassScores:
         """The evaluations that ``index`` names."""
         return ClassScores(self.fraction[index], self.mean[index], self.sd[index], self.dof[index])
 
-    def of(self, laws: npt.NDArray[np.intp]) -> ClassScores:
+    def of(self, laws: Index) -> ClassScores:
         """The classes that ``laws`` names."""
         return ClassScores(*(a[:, laws] for a in (self.fraction, self.mean, self.sd, self.dof)))
 
@@ -293,13 +293,13 @@ class Host:
     variance: Array
     laws: ClassScores
 
-    def rows(self, index: npt.NDArray[np.intp]) -> Host:
+    def rows(self, index: Index) -> Host:
         """The evaluations that ``index`` names."""
         share = self.share if self.share.shape[0] == 1 else self.share[index]
         return Host(share, self.mean[index], self.variance[index], self.laws.rows(index))
 
     @property
-    def normal(self) -> npt.NDArray[np.bool_]:
+    def normal(self) -> Mask:
         """(n,) whether the class is one normal law."""
         one = self.laws.dof.shape[1] == 1
         return np.isinf(self.laws.dof[:, 0]) if one else np.zeros(self.mean.size, dtype=bool)
@@ -416,9 +416,6 @@ def log10_false_alarm_at(curve: RocCurve, pd: float) -> float:
     """log10 P_FA at which a curve reaches the detection probability ``pd``, by the same reading; NaN outside it."""
     known = np.clip(curve.pd, 1e-300, 1.0 - 1e-16)
     return float(np.log10(ndtr(np.interp(ndtri(pd), ndtri(known), ndtri(curve.pfa), np.nan, np.nan))))
-
-
-Index = npt.NDArray[np.intp]
 
 
 def detection_probability(

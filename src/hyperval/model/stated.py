@@ -27,10 +27,10 @@ from hyperval.atmosphere.physics import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, 
 from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
-from hyperval.data import ClassStatistics, Components, statistics_of
+from hyperval.data import Array, ClassStatistics, Components, Index, statistics_of
 from hyperval.errors import UsageError
 from hyperval.model.intervals import Z95
-from hyperval.paths import MAX_MATCHES, matching
+from hyperval.paths import MAX_MATCHES, Resolve, matching
 from hyperval.progress import track
 from hyperval.scenario import (
     BackgroundClass,
@@ -50,12 +50,9 @@ from hyperval.spectra import FieldSpectrum, read_records, read_spectrum
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
 from hyperval.statistics_library import builtin_class, on_bands, read_statistics_library
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Values = npt.NDArray[Any]
 Truth = Mapping[str, Any]  # dotted path -> what stands there, of one truth; what is not named is as stated
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
-Resolve = Callable[[str], Path]
 Read = dict[object, Any]  # spectra of files, by the file and how it is read
 Made = TypeVar("Made")
 

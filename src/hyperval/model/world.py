@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST_KM
 from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.data import Array, Index
 from hyperval.errors import UsageError
 from hyperval.model.fill import (
     Fills,
@@ -48,9 +49,6 @@ from hyperval.scenario import ElmPanels, Fill, Scenario, Target
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import SensorChanges, SensorOperation
 from hyperval.settings import item_number, numbers_of, path_parts, setting, with_settings
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 class Path(NamedTuple):

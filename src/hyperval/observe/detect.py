@@ -11,7 +11,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from scipy import ndimage
 
 from hyperval import pixels as px
 from hyperval.collection import Detection, DetectionTarget, Unmixing
-from hyperval.data import statistics_of
+from hyperval.data import Array, Index, Mask, statistics_of
 from hyperval.errors import InputError, UsageError, one_of, refusal
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects
@@ -28,14 +27,11 @@ from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
 from hyperval.model import PositiveDefinite, Sources, UnmixedSubject, fully_constrained, labelled, own_mean_sampling
 from hyperval.model.filters import whitened
 from hyperval.observe.open import IMAGE, SCENE, Place, number_rows
+from hyperval.paths import Resolve
 from hyperval.products import ANOMALIES, Abundance, ObjectScores, ScoreDistribution, background_of
 from hyperval.progress import track, watch_lines
 from hyperval.spectra import in_window
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-Indices = npt.NDArray[np.intp]
-Resolve = Callable[[str], Path]
 Groups = dict[str, list[TargetObject]]
 
 BACKGROUND = "detector background"
@@ -566,7 +562,7 @@ class _Footprints(NamedTuple):
     """
 
     pixels: Array
-    place: Indices
+    place: Index
     background: Array
     ring: int
 
@@ -640,7 +636,7 @@ def _footprints(
     fits = ndimage.binary_erosion(region, target.part, origin=(-(size[0] // 2), -(size[1] // 2)))
     free = np.argwhere(fits)
     corners = [np.array(target.corner), *free[rng.choice(len(free), min(PLACES, len(free)), replace=False)]]
-    parts: list[Indices] = []
+    parts: list[Index] = []
     for corner in corners:
         near = ring + corner
         near = near[np.all((near >= 0) & (near < region.shape), axis=1)]

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,22 +19,18 @@ import numpy.typing as npt
 
 from hyperval import pixels as px
 from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
-from hyperval.data import ClassStatistics, Components, SampleStatistics, statistics_of
+from hyperval.data import Array, ClassStatistics, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal
 from hyperval.imagery import Cube
 from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe import sites
 from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, painted, scored_pixels, target_groups, unmix
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
+from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.products import ClassificationError, EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scenario import BackgroundClass, Scenario
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-Index = npt.NDArray[np.intp]
-Resolve = Callable[[str], Path]
 
 CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
 MOST_PIXELS = 20_000  # of a region, drawn at random: what memory should hold

@@ -14,7 +14,7 @@ exact for cells whose sides run along those of the pixels.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -42,23 +42,18 @@ from hyperval.collection import (
     TargetTruth,
     VectorSource,
 )
-from hyperval.data import SampleStatistics
+from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import InputError, UsageError, one_of, reader, refusal
 from hyperval.imagery import Cube, LookupTable, Raster, Region, TargetObject
 from hyperval.imagery.drawing import outside_error
 from hyperval.imagery.regions import patches
 from hyperval.imagery.truth import cut_out
 from hyperval.model.fill import aperture_weights
-from hyperval.paths import checked_file
+from hyperval.paths import Resolve, checked_file
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
 from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table
 from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-Index = npt.NDArray[np.intp]
-Resolve = Callable[[str], Path]
 
 SCENE = "scene"
 IMAGE = "image"
@@ -527,7 +522,7 @@ def registration_shifts(error_pixels: float, count: int = SHIFTS) -> Array:
 
 
 def image_targets(
-    truth: FinerTruth | AbundanceTruth, cube: Cube, pixel_area_m2: float | None, resolve: Callable[[str], Path]
+    truth: FinerTruth | AbundanceTruth, cube: Cube, pixel_area_m2: float | None, resolve: Resolve
 ) -> tuple[list[TargetObject], list[str]]:
     """The targets of a truth image with the fills of their pixels, and what is to be said of them.
 

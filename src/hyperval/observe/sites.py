@@ -6,7 +6,7 @@ Spectra of sites where no cube is held, their reflectance by each other, or as a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
@@ -24,18 +24,17 @@ from hyperval.collection import (
     RadCalNetSource,
     SpectrumCollection,
 )
+from hyperval.data import Array
 from hyperval.errors import InputError, UsageError, one_of, refusal
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.observe.open import Place, read_band_table
+from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels, MeasuredPanel, fit_elm
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
 from hyperval.scenario import SpectrumSource, Surface, Uncertainty, load_scenario
 from hyperval.sensor.specification import Sensor, load_sensor
 from hyperval.spectra import TOP, FieldSpectrum, SpectralAxis, band_average, read_radcalnet, read_spectrum
 from hyperval.units import RADIANCE_UNIT
-
-Array = npt.NDArray[np.float64]
-Resolve = Callable[[str], Path]
 
 BLACK = "black ground"
 WHERE = "collection.empirical_line"

@@ -15,6 +15,7 @@ import rasterio.shutil
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
+from hyperval.data import Mask
 from hyperval.errors import refusal
 from hyperval.imagery import Cube, EnviRaster, envi_writer
 from hyperval.pixels import EmpiricalLine
@@ -22,7 +23,6 @@ from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file
 
-Array = npt.NDArray[np.float64]
 Stored = npt.NDArray[np.int16]
 Form = Literal["envi", "cog"]
 
@@ -75,7 +75,7 @@ def write_reflectance(
     return path, note
 
 
-def _blocks(cube: Cube, elm: EmpiricalLine, good: npt.NDArray[np.bool_]) -> Iterator[tuple[range, tuple[Stored, int]]]:
+def _blocks(cube: Cube, elm: EmpiricalLine, good: Mask) -> Iterator[tuple[range, tuple[Stored, int]]]:
     """Stored numbers (lines, samples, B) of the blocks in order, and how many good values did not fit."""
     step = max(1, _BLOCK_VALUES // (cube.samples * cube.bands))
     for first in range(0, cube.lines, step):

@@ -34,7 +34,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from hyperval.data import LINEAR_DETECTORS
+from hyperval.data import LINEAR_DETECTORS, Array, Mask
 from hyperval.errors import HypervalError, UsageError, refusal
 from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
 from hyperval.pixels.line import EmpiricalLine
@@ -43,8 +43,6 @@ from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 MOST_VALUES = 50_000_000  # of what detectors see of an image at once: 0.4 GB, twice that while they score it
 LEAST_PIXELS = 10  # fewer make no mean to speak of; the global one stands in
 _VALUES_AT_ONCE = 1_000_000  # of the pixels of a strip and what the window reaches beyond them

@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.pixels.detect import PixelDetector, register_detector
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 BLOCK = 16  # side of the squares that halve the background [pixels]
 MOST_LEARNED = 20_000  # pixels of the background that an estimator is fitted to
 
@@ -29,7 +28,7 @@ class ImageTruth(NamedTuple):
     """
 
     background: Mask
-    objects: npt.NDArray[np.intp]
+    objects: Index
 
     @property
     def second_half(self) -> Mask:

@@ -25,12 +25,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
 
-from hyperval.data import Components
+from hyperval.data import Array, Components, Index
 from hyperval.errors import UsageError, refusal
 from hyperval.pixels.statistics import EigenDirections
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 LEAST_DOF = 2.05  # of a t law: the covariance is finite; a heavier tail is held just above it
 MOST_DOF = 200.0  # beyond, nobody tells it from the normal law

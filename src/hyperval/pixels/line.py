@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from hyperval.data import Array, Mask
 from hyperval.errors import UsageError, refusal
 from hyperval.products import EstimatedPart
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 MINIMUM_CONTRAST = 0.1  # reflectance between the darkest and the brightest panel
 MINIMUM_GAIN_SNR = 5.0  # gain over its standard uncertainty

@@ -33,6 +33,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, special
 
+from hyperval.data import Array, Counts, Index, Mask
 from hyperval.errors import UsageError, refusal
 from hyperval.model.intervals import (
     Z95,
@@ -49,10 +50,6 @@ from hyperval.products import AlarmsAtDetection, AreaEstimate, ExceedanceCurve, 
 if TYPE_CHECKING:
     from scipy import sparse
 
-Array = npt.NDArray[np.float64]
-Counts = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
-Indices = npt.NDArray[np.intp]
 # First line and sample of a window of the image, and the mask of an object within it.
 Placed = tuple[tuple[int, int], Mask]
 
@@ -812,7 +809,7 @@ def empirical_roc(
     )
     alarms = np.where(k >= n, n, n - np.searchsorted(b, threshold, side="right"))
 
-    def above(at: Array, everything: npt.NDArray[np.bool_]) -> Counts:
+    def above(at: Array, everything: Mask) -> Counts:
         """How many targets lie above the threshold; all of them where ``everything`` is declared, -inf included."""
         return np.where(everything, m, m - np.searchsorted(t, at, side="right"))
 
@@ -969,7 +966,7 @@ def footprint(mask: npt.NDArray[Any], halo: int = 0) -> Mask:
 
 def footprint_tiles(
     score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None
-) -> tuple[Array, Indices, Indices]:
+) -> tuple[Array, Index, Index]:
     """Scores under each placement of an object's footprint on the background.
 
     The image is tiled by the footprint's bounding box, without overlap, so that the placements are separate

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import Array
 from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
 
 _TOGETHER = 2048  # pixels whose distances from their mean are in memory at once
-
-Array = npt.NDArray[np.float64]
 
 
 def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:

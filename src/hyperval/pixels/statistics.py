@@ -42,7 +42,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft, special
 
-from hyperval.data import SampleStatistics
+from hyperval.data import Array, Counts, Index, Mask, SampleStatistics
 from hyperval.errors import UsageError, refusal
 from hyperval.executors import available_cores, single_blas_thread
 from hyperval.model.intervals import Z95
@@ -50,10 +50,6 @@ from hyperval.model.intervals import Z95
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-Index = npt.NDArray[np.intp]
-Counts = npt.NDArray[np.int64]
 Result = TypeVar("Result")
 Watch = Callable[[Iterator[Any]], Iterator[Any]]
 

@@ -21,10 +21,9 @@ import numpy.typing as npt
 import scipy
 from scipy import special
 
+from hyperval.data import Array, Mask
 from hyperval.model.intervals import Z95
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
-
-Array = npt.NDArray[np.float64]
 
 # The two branches of the band: share, centre and spread [nm]. Fitted to MODTRAN 6 in channels of 5.7 nm, rms 0.003
 # of up to 0.47 absorbed.
@@ -134,8 +133,6 @@ def _rest(columns: Array, values: Array) -> float:
     """Sum of squares that columns (n, p) leave of values (n,)."""
     return float(np.sum((values - columns @ np.linalg.lstsq(columns, values)[0]) ** 2))
 
-
-Mask = npt.NDArray[np.bool_]
 
 LEAST_DEPTH = 0.15  # of an absorption under the line between its shoulders
 LEAST_BANDS = 3  # in a feature

@@ -15,10 +15,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import Array
 from hyperval.errors import UsageError
 from hyperval.spectra.axis import SIGMA_PER_FWHM
-
-Array = npt.NDArray[np.float64]
 
 PLANCK_J_S = 6.62607015e-34  # exact, SI 2019
 LIGHT_M_S = 299792458.0  # exact

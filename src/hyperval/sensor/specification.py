@@ -22,6 +22,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from hyperval.config import Model, load_model
+from hyperval.data import Array, Index
 from hyperval.errors import UsageError, reader
 from hyperval.sensor.noise import (
     NoiseModel,
@@ -34,7 +35,6 @@ from hyperval.sensor.noise import (
 )
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 
-Array = npt.NDArray[np.float64]
 Source = Annotated[str, Field(min_length=3)]
 
 
@@ -586,7 +586,7 @@ class Sensor:
             calibration, None, tuple(self._assumptions()), lsb * 2.0**bits / g,
         )  # fmt: skip
 
-    def arm_index(self, wavelength_nm: Array) -> npt.NDArray[np.intp]:
+    def arm_index(self, wavelength_nm: Array) -> Index:
         """Number of the arm (B,) that sees each wavelength (B,); UsageError for one far outside all arms."""
         # An airborne cube's axis may reach a little beyond the nominal range: the nearest arm serves there.
         ranges = np.array([a.range_nm for a in self.specification.arms])

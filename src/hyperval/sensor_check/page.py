@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperval.campaign.provenance import record_of
+from hyperval.data import Array, Index, Mask
 from hyperval.datasets import InputLog
 from hyperval.figures.print import drawings_of
 from hyperval.figures.spec import (
@@ -47,8 +47,6 @@ from hyperval.sensor_check.suite import (
 )
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis, in_window
 from hyperval.storage import installed_file, whole_folder
-
-Array = npt.NDArray[np.float64]
 
 _MOST_RESPONSES = 12
 _SOURCES = {
@@ -156,14 +154,14 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     )  # fmt: skip
 
 
-def _few_bands(axis: SpectralAxis) -> npt.NDArray[np.intp]:
+def _few_bands(axis: SpectralAxis) -> Index:
     if len(axis) <= _MOST_RESPONSES:
         return np.arange(len(axis))
     first = int(np.clip(np.argmin(np.abs(axis.centre_nm - 550.0)) - 5, 0, len(axis) - _MOST_RESPONSES))
     return np.arange(first, first + _MOST_RESPONSES)
 
 
-def _shown(axis: SpectralAxis) -> npt.NDArray[np.bool_]:
+def _shown(axis: SpectralAxis) -> Mask:
     keep = axis.good & in_window(axis.centre_nm)
     return keep if keep.any() else np.ones(len(axis), bool)
 

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import constants
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.compare import regions
+from hyperval.data import Array, Mask
 from hyperval.errors import HypervalError, UsageError
 from hyperval.model import Origins, predict
 from hyperval.model.radiance import mean_radiance
@@ -46,8 +46,6 @@ from hyperval.spectra.axis import CUT_SIGMA, SIGMA_PER_FWHM, SPECTRAL_REGIONS_NM
 from hyperval.statistics_library import builtin_mean
 
 METHOD = "sensor check"
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
 
 DARK, MIDDLE, BRIGHT = 0.05, 0.25, 0.60

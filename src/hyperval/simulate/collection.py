@@ -22,6 +22,7 @@ from affine import Affine
 from rasterio import features
 from rasterio.crs import CRS
 
+from hyperval.data import Array, Mask
 from hyperval.errors import refusal
 from hyperval.executors import in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
@@ -29,14 +30,13 @@ from hyperval.progress import track
 from hyperval.sensor import NoiseModel
 from hyperval.simulate import schema
 from hyperval.simulate.inputs import SimulationInputs, load_inputs
-from hyperval.simulate.layout import GroundLayout, Mask, lay_out, regions
+from hyperval.simulate.layout import GroundLayout, lay_out, regions
 from hyperval.simulate.schema import SceneFile, load_scene
 from hyperval.simulate.surface import SurfaceRenderer
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import builtin_mean
 from hyperval.storage import COLLECTION, whole_folder, write_text
 
-Array = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Above this many electrons a Poisson count is drawn from the normal law of the same mean and
@@ -140,9 +140,7 @@ class Detector:
         return counts.astype("<i2"), clipped
 
 
-def detector(
-    inputs: SimulationInputs, average_reflectance: npt.NDArray[np.float64], counts_per_radiance: float
-) -> Detector:
+def detector(inputs: SimulationInputs, average_reflectance: Array, counts_per_radiance: float) -> Detector:
     """The detector over a scene of the given area-average reflectance (B,).
 
     L = L_a + (A rho + B rho_ave) / (1 - S rho_ave) (3.7), so the black pixel has L_a + B rho_ave / (1 - S rho_ave).

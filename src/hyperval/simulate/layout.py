@@ -14,11 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, optimize
 
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError, refusal
 from hyperval.simulate import schema
 from hyperval.simulate.schema import SceneFile, TargetGroup
-
-Array = npt.NDArray[np.float64]
 
 SUPERSAMPLING = 32  # fine cells per pixel side
 _CUT_SIGMA = 5.0  # the Gaussian beyond holds 6e-7 of its area
@@ -118,8 +117,6 @@ def side_for_fill(fill: float, psf_fwhm_pixels: float, cells: int = SUPERSAMPLIN
     return float(optimize.bisect(lambda side: centred_fill(side, psf_fwhm_pixels, cells) - fill, 0.0, high, xtol=1e-15))
 
 
-Mask = npt.NDArray[np.bool_]
-
 SMALLEST_FILL = 1e-4  # a plank that gives less of a pixel's signal is left out of it
 
 
@@ -136,8 +133,8 @@ class Plank:
     centre_sample: float
     side_pixels: float
     heading_deg: float
-    lines: npt.NDArray[np.intp]
-    samples: npt.NDArray[np.intp]
+    lines: Index
+    samples: Index
     fills: Array
 
 

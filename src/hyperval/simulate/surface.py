@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, special
 
-from hyperval.data import ClassStatistics
+from hyperval.data import ClassStatistics, Mask
 from hyperval.simulate import schema
 from hyperval.simulate.layout import SMALLEST_FILL, GroundLayout, pixel_weights
 from hyperval.simulate.schema import Admixture, SceneFile
@@ -43,7 +43,7 @@ def texture_factor(scene: SceneFile) -> Field | None:
     return np.asarray(np.maximum(1.0 + np.float32(texture.relative_sd) * field, np.float32(0.1)))
 
 
-def illumination(scene: SceneFile, open_sky: npt.NDArray[np.bool_]) -> Field | None:
+def illumination(scene: SceneFile, open_sky: Mask) -> Field | None:
     """(lines, samples) share of the ground signal left by shade, None without; 1 where ``open_sky``.
 
     The patches are where a smooth field falls under its own quantile, blurred by the point spread function.
