@@ -3,7 +3,7 @@
 python benchmarks/roc_speed.py
 
 All but the bootstrap is one sort.  On AMD's Zen 4 NumPy 2.4 sorts five times as fast by AVX2 (6 ms) as by AVX-512
-(32 ms), and the limits are met there by the former alone: NPY_DISABLE_CPU_FEATURES=X86_V4 python benchmarks/roc_speed.py
+(32 ms), and the limits are met there by it alone: NPY_DISABLE_CPU_FEATURES=X86_V4 python benchmarks/roc_speed.py
 """
 
 from __future__ import annotations
