@@ -65,12 +65,8 @@ def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
     """The unit, nm or um, in which all of the wavelengths are plausible; None where both are, or neither is."""
     numbers = np.asarray(values, dtype=float)
     low, high = PLAUSIBLE_NM
-    fits = [
-        unit
-        for unit in ("nm", "um")
-        if numbers.size
-        and np.all((numbers * _WAVELENGTH_TO_NM[unit] >= low) & (numbers * _WAVELENGTH_TO_NM[unit] <= high))
-    ]
+    each = {unit: numbers * _WAVELENGTH_TO_NM[unit] for unit in ("nm", "um") if numbers.size}
+    fits = [unit for unit, nm in each.items() if nm.min() >= low and nm.max() <= high]
     return fits[0] if len(fits) == 1 else None
 
 
@@ -97,19 +93,30 @@ def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_c
     band response is applied.
     """
     nu = np.asarray(wavenumber_cm, dtype=float)
-    return np.asarray(
-        np.asarray(radiance_per_wavenumber, dtype=float) * nu**2 * _RADIANCE_TO_INTERNAL["W m-2 sr-1 um-1"]
-    )
+    per_wavelength = np.asarray(radiance_per_wavenumber, dtype=float) * nu**2
+    return np.asarray(per_wavelength * _RADIANCE_TO_INTERNAL["W m-2 sr-1 um-1"])
+
+
+def in_nm(unit: str | None) -> float | None:
+    """Nanometres of one of a unit; None where it is none of wavelengths."""
+    return _known(_WAVELENGTH_TO_NM, (unit or "").strip().lower())
+
+
+def is_radiance(unit: str | None) -> bool:
+    """Whether a unit is one of spectral radiance."""
+    return _known(_RADIANCE_TO_INTERNAL, unit or "") is not None
+
+
+def _known(table: dict[str, float], unit: str) -> float | None:
+    wanted = _parts(unit)
+    return table.get(unit) or next((factor for name, factor in table.items() if wanted == _parts(name)), None)
 
 
 def _factor(table: dict[str, float], unit: str, quantity: str) -> float:
-    if unit in table:
-        return table[unit]
-    wanted = _parts(unit)
-    for name, factor in table.items():
-        if wanted == _parts(name):
-            return factor
-    raise UsageError(f"unknown {quantity} unit {unit!r}", expected="one of " + ", ".join(table))
+    factor = _known(table, unit)
+    if factor is None:
+        raise UsageError(f"unknown {quantity} unit {unit!r}", expected="one of " + ", ".join(table))
+    return factor
 
 
 def _parts(unit: str) -> frozenset[tuple[str, int]] | None:

@@ -1,6 +1,5 @@
 """Accepted numbers: their files, and hyperval check and baseline accept from end to end."""
 
-import json
 import math
 import re
 import shlex
@@ -287,19 +286,16 @@ def test_a_run_with_an_error_is_no_baseline(small, place, capsys):
 def test_a_finished_run_of_other_files_or_another_source_is_refused(small, finished, place, capsys):
     small.data["title"] = "Another title"
     assert cli.run(["check", str(small.write()), "--from", str(finished)]) == 2
-    assert "was made with a different campaign.yaml" in capsys.readouterr().err
+    assert "was made with other files, another program" in capsys.readouterr().err
     small.data["name"] = "other"
     assert cli.run(["check", str(small.write()), "--from", str(finished)]) == 3
     assert "no run of campaign 'other'" in capsys.readouterr().err
     assert cli.run(["check", str(small.write()), "--from", "nowhere"]) == 3
     small.data |= {"title": "A small campaign", "name": "small"}
     record = finished / "provenance.json"
-    content = json.loads(record.read_text())
-    revision = {"commit": "a" * 40, "changed": False}
-    for said, code in ((content["source_revision"], 1), (None, 1), (revision, 2)):
-        record.write_text(json.dumps(content | {"source_revision": said}))
+    for added, code in (("", 1), (" ", 2)):
+        record.write_text(record.read_text() + added)
         assert cli.run(["check", str(small.write()), "--from", str(finished)]) == code
-    assert "made by commit aaaa" in capsys.readouterr().err
 
 
 def test_lacking_data_are_skipped(small, place, no_data, capsys):

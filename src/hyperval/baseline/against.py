@@ -34,17 +34,18 @@ from hyperval.baseline.accepted import (
     versions,
 )
 from hyperval.campaign import Job, jobs_of, validate
-from hyperval.campaign.provenance import command_without_output, source_revision
+from hyperval.campaign.provenance import command_without_output
+from hyperval.campaign.run import as_before
 from hyperval.config import FILL_IN
 from hyperval.errors import as_typed, refuse
 from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.verdict import accepted_words
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role, paired
-from hyperval.run import Run, file_stems, is_run, json_value, junit_xml
+from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check.suite import Engine
-from hyperval.storage import scratch_folder, sha256_of, whole_folder, write_text
+from hyperval.storage import RECORD, scratch_folder, sha256_of, whole_folder, write_text
 
 
 def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:
@@ -185,8 +186,9 @@ def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     run = Run.open(inner if is_run(inner) else source)
     table = run.table.where(campaign=name)
     refuse(not len(table), "baseline.absent", source, name=name)
-    why = _stale(job, run.provenance) if finished else None
-    refuse(why, "baseline.stale", run.folder, name=name, why=why)
+    folder = run.folder or source
+    stale = finished and (folder / RECORD).is_file() and as_before(job, folder) is None
+    refuse(stale, "baseline.stale", folder, name=name)
     packages = run.provenance.get("packages")
     return RunNumbers(
         "campaign",
@@ -198,25 +200,6 @@ def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
         bool(job.outline.simulated),
         str(job.path),
     )
-
-
-def _stale(job: Job, provenance: Mapping[str, Any]) -> str | None:
-    """Why a finished run does not tell what the files and the source of now would give; None when it may."""
-    then, now = provenance.get("source_revision"), source_revision()
-    if then and now and then.get("commit") != now["commit"]:
-        return f"was made by commit {str(then.get('commit'))[:12]}, the source is at {now['commit'][:12]}"
-    several = bool(job.words)  # runs in one file, of which another may have changed
-    said = (provenance.get("configuration") or {}).get("campaign")
-    if several and job.waits is None and said != json_value(job.campaign.model_dump(mode="json", by_alias=True)):
-        return f"was made with a different {job.path.name}"
-    for item in provenance.get("inputs", ()):
-        reference = str(item.get("reference"))
-        path = job.path.parent / reference
-        if ":" in reference or (several and path == job.path) or not path.is_file():  # of a data set, or simulated
-            continue
-        if sha256_of(path) != item.get("sha256"):
-            return f"was made with a different {reference}"
-    return None
 
 
 @dataclass(frozen=True)

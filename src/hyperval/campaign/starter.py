@@ -30,7 +30,7 @@ from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra import SpectralAxis, in_window, read_records
 from hyperval.storage import write_text
-from hyperval.units import radiance_to_internal
+from hyperval.units import is_radiance
 
 _REFLECTANCE_UNITS = ("fraction", "percent", "scaled:1000", "scaled:10000")
 _RING_PIXELS = 4.0
@@ -552,11 +552,7 @@ def stated_quantity(raster: Raster) -> str | None:
 def _stated_unit(raster: Raster) -> str | None:
     """The radiance unit that a header entry states, None where none is understood."""
     for key, text in raster.description.entries.items():
-        if re.search(r"unit", key) and "wavelength" not in key:
-            try:
-                radiance_to_internal(text.strip())
-            except HypervalError:
-                continue
+        if "unit" in key and "wavelength" not in key and is_radiance(text.strip()):
             return text.strip()
     return None
 

@@ -122,8 +122,9 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     best = rows[0]
     alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
+    numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
     legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
-    legend += "; a number in brackets: one of several independent shapes of an error" if _numbered(names) else ""
+    legend += "; a number in brackets: one of several independent shapes of an error" if numbered else ""
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Inputs that would explain the differences if they were less certain"
     y = row_names(names, _LONGEST)
@@ -200,7 +201,7 @@ def _effects(rows: Sequence[Result]) -> Figure:
         return f"{r.subject}, {what}" + (f" {way}" if way else "")
 
     every = list(dict.fromkeys(label(r) for r in rows))
-    gaps = {label(r): _gap(r) for r in rows}
+    gaps = {label(r): abs(_leading_number(r.reason.partition("gap ")[2])) for r in rows}
     shown = sorted(every, key=lambda q: -gaps[q])[:_MOST_QUANTITIES]
     by = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
     names = list(dict.fromkeys(r.method.partition(" / ")[0] for r in rows))
@@ -249,10 +250,6 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
 
 
-def _numbered(names: Sequence[str]) -> bool:
-    return any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
-
-
 def _stated(table: ResultTable) -> set[str]:
     rows = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
     return {r.method for r in rows if "none is stated" not in r.reason}
@@ -260,8 +257,3 @@ def _stated(table: ResultTable) -> set[str]:
 
 def _leading_number(text: str) -> float:
     return number_of((text.split() or [""])[0].rstrip(",;"))
-
-
-def _gap(row: Result) -> float:
-    """The gap that the row's reason tells, as a size."""
-    return abs(_leading_number(row.reason.partition("gap ")[2]))

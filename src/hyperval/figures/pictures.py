@@ -129,7 +129,8 @@ class _Canvas:
         self._end = _LEFT + width, _TOP + height
         right = _BAR_ROOM if limits else _RIGHT
         self._image = Image.new("P", (self._end[0] + right, max(self._end[1] + _FOOT, 330)), _WHITE)
-        self._image.putpalette(_palette(colours))
+        own = [*colours, *[0] * (3 * _OWN - len(colours))][: 3 * _OWN]  # of the picture, then of lines and letters
+        self._image.putpalette(own + [int(colour[at : at + 2], 16) for colour in _LINES for at in (1, 3, 5)])
         self._image.paste(Image.fromarray(picture).resize((width, height), Image.Resampling.NEAREST), (_LEFT, _TOP))
         self._pen = ImageDraw.Draw(self._image)
         words, room = title + (" (simulated collection)" if simulated else ""), self._image.width - 16
@@ -207,12 +208,6 @@ class _Canvas:
 @functools.cache
 def _font(height: int) -> Any:
     return ImageFont.load_default(height)
-
-
-def _palette(colours: Sequence[int]) -> list[int]:
-    """256 colours: those of the picture, then those of lines and letters."""
-    own = [*colours, *[0] * (3 * _OWN - len(colours))][: 3 * _OWN]
-    return own + [int(colour[at : at + 2], 16) for colour in _LINES for at in (1, 3, 5)]
 
 
 def _ticks(along: slice) -> list[float]:

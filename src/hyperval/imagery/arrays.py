@@ -33,9 +33,8 @@ from hyperval.imagery.description import (
     Raster,
     crs_of_wkt,
     gdal_transform,
-    in_nm,
-    is_radiance,
 )
+from hyperval.units import in_nm, is_radiance
 
 if TYPE_CHECKING:
     import xarray as xr

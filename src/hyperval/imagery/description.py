@@ -20,13 +20,14 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.envi_header import EnviHeader
-from hyperval.errors import HypervalError, UsageError, reader, refusal, refuse
+from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.storage import number_of
 from hyperval.units import (
     PLAUSIBLE_NM,
     RADIANCE_UNIT,
+    in_nm,
     only_wavelength_unit,
     radiance_to_internal,
     wavelength_to_nm,
@@ -360,22 +361,6 @@ def _stated_unit(in_file: str | None, given: str | None, values: Array, where: s
     if given is not None and wavelength_to_nm(given) != factor:
         raise refusal("bands.units", where, stated=text, given=given)
     return text, ()
-
-
-def in_nm(unit: str | None) -> float | None:
-    """Nanometres of one of a unit; None where it is none of wavelengths."""
-    try:
-        return wavelength_to_nm(unit or "")
-    except UsageError:
-        return None
-
-
-def is_radiance(unit: str | None) -> bool:
-    """Whether a unit is one of spectral radiance."""
-    try:
-        return radiance_to_internal(unit or "") > 0
-    except UsageError:
-        return False
 
 
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:

@@ -39,11 +39,10 @@ from hyperval.imagery.description import (
     Scale,
     crs_of_wkt,
     gdal_transform,
-    is_radiance,
     some_lines,
 )
 from hyperval.imagery.envi import crs_of, transform_of
-from hyperval.units import radiance_to_internal
+from hyperval.units import is_radiance, radiance_to_internal
 
 Array = npt.NDArray[np.float64]
 MAX_BANDS = 20_000

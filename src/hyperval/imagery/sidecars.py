@@ -13,10 +13,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hyperval.errors import refusal, refuse
-from hyperval.imagery.description import Description, ListedBands, Scale, is_radiance
+from hyperval.imagery.description import Description, ListedBands, Scale
 from hyperval.imagery.products import ProductLayout, layouts, median_angle
 from hyperval.paths import checked_file, read_xml
 from hyperval.storage import number_of
+from hyperval.units import is_radiance
 
 MAX_XML_BYTES = 64 << 20
 MAX_JSON_BYTES = 4 << 20

@@ -27,13 +27,13 @@ from hyperval.imagery.description import (
     ListedBands,
     Raster,
     Scale,
-    in_nm,
     wavelengths_in_names,
 )
 from hyperval.imagery.envi import crs_of, transform_of
 from hyperval.imagery.sidecars import NO_MAP, described_beside
 from hyperval.paths import checked_file
 from hyperval.storage import number_of
+from hyperval.units import in_nm
 
 MAX_BANDS = 20_000
 MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
