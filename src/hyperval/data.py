@@ -199,21 +199,13 @@ class SampleStatistics:
     mean : (B,)
     covariance : (B, B) unbiased, divisor n - 1
     n : pixels used
-    n_left_out : pixels of the region left out as invalid or not finite
     fourth : sum over pixels of |x - mean|^4, for the shrinkage intensity; NaN where it was not summed
     """
 
     mean: Array
     covariance: Array
     n: int
-    n_left_out: int = 0
     fourth: float = 0.0
-
-    @property
-    def rank(self) -> int:
-        """Number of eigenvalues above rounding error."""
-        values = np.linalg.eigvalsh(self.covariance)
-        return int(np.sum(values > max(values[-1], 0.0) * values.size * np.finfo(float).eps))
 
     @property
     def shrinkage(self) -> float:
@@ -245,7 +237,7 @@ class SampleStatistics:
         return replace(self, covariance=(1.0 - intensity) * s + intensity * level * np.eye(s.shape[0]))
 
 
-def statistics_of(pixels: npt.ArrayLike, *, left_out: int = 0) -> SampleStatistics:
+def statistics_of(pixels: npt.ArrayLike) -> SampleStatistics:
     """Statistics of pixels (n, B) that are at hand at once; n >= 2, all finite.
 
     Pixels are taken relative to the first one and then to the mean, which keeps every digit on bright flat scenes.
@@ -258,4 +250,4 @@ def statistics_of(pixels: npt.ArrayLike, *, left_out: int = 0) -> SampleStatisti
     z -= mean
     length = np.einsum("ij,ij->i", z, z)
     covariance = z.T @ z / (len(z) - 1)
-    return SampleStatistics(x[0] + mean, (covariance + covariance.T) / 2.0, len(z), left_out, float(length @ length))
+    return SampleStatistics(x[0] + mean, (covariance + covariance.T) / 2.0, len(z), float(length @ length))

@@ -20,7 +20,6 @@ from hyperval.model.intervals import (
     clopper_pearson,
     difference_ratio,
     difference_ratio_uncertainty,
-    joint_region,
     zero_count_upper_limit,
 )
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at
@@ -527,7 +526,8 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
 
     ``joint_pfa``, ``joint_pd`` and ``pd_inside_joint_region`` ``@1e-2``: the rectangle of the first two intervals
     holds the true (P_FA, P_D) of the measured threshold with 95 % probability: two independent statements at level
-    sqrt(0.95) each.  The last row is 1 where the predicted curve (without its band) passes through the rectangle.
+    sqrt(0.95) each (Kerekes, IEEE GRSL 5(2), 251-255, 2008).  The last row is 1 where the predicted curve (without
+    its band) passes through the rectangle.
 
     Examples
     --------
@@ -551,22 +551,23 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     if not m:
         return
     detected = round(float(observed.pd[at[-1]]) * m)
-    region = joint_region(detected, m, alarms, n)
+    span, (least, most) = (
+        tuple(map(float, clopper_pearson(k, of, math.sqrt(0.95)))) for k, of in ((alarms, n), (detected, m))
+    )
     why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; joint coverage 95 %"
-    span = region.pfa_lower, region.pfa_upper
-    yield row(f"joint_pfa@{label}", region.pfa, span, n=n, reason=why)
-    yield row(f"joint_pd@{label}", region.pd, (region.pd_lower, region.pd_upper), n=m, reason=why)
+    yield row(f"joint_pfa@{label}", alarms / n, span, n=n, reason=why)
+    yield row(f"joint_pd@{label}", detected / m, (least, most), n=m, reason=why)
     if predicted is None:
         return
     name = f"pd_inside_joint_region@{label}"
-    if region.pd_upper - region.pd_lower > WIDEST_INTERVAL:
+    if most - least > WIDEST_INTERVAL:
         why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"
         yield from skipped(Cause.VACUOUS, why, name)
         return
     first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
     ends = tuple(0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in span)
     # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
-    yield row(name, ends[1] >= region.pd_lower and ends[0] <= region.pd_upper, n=m)
+    yield row(name, ends[1] >= least and ends[0] <= most, n=m)
 
 
 def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator[Result]:

@@ -534,10 +534,8 @@ def compare_spectra(
         yield from skipped(Cause.CIRCULAR, observed.circular)
         return
     usable, n = comparable_bands(predicted, observed, axis), observed.n
-    ratio, covariance = (
-        difference_ratio(predicted.mean, observed.mean),
-        difference_ratio_covariance(predicted, observed),
-    )
+    ratio = difference_ratio(predicted.mean, observed.mean)
+    covariance = difference_ratio_covariance(predicted, observed)
     half = Z95 * np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     half = np.where(half > 0.0, half, np.nan)  # no error is stated: no interval
     difference = predicted.mean - observed.mean

@@ -75,7 +75,6 @@ from .intervals import (
     difference_ratio_uncertainty,
     jackknife_directions,
     jeffreys_limits,
-    joint_region,
     mid_p_limits,
     zero_count_upper_limit,
 )
@@ -240,7 +239,6 @@ __all__ = [
     "inputs_of",
     "jackknife_directions",
     "jeffreys_limits",
-    "joint_region",
     "labelled",
     "lattice_positions",
     "log10_false_alarm_at",

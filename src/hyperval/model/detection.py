@@ -246,10 +246,8 @@ class Evaluation(Keeps):
     def filters(self) -> Mapping[tuple[str, str], tuple[LinearFilter, Array, Array]]:
         """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
         seen, linear, shape = self.seen, self.stated.linear_detectors, (self.at.size, self.bands.size)
-        mixtures, wanted = (
-            Mixtures.of(self.stated, self.bands),
-            {(t.name, d): seen.looked_for[t.name] for t in self.targets for d in linear},
-        )
+        mixtures = Mixtures.of(self.stated, self.bands)
+        wanted = {(t.name, d): seen.looked_for[t.name] for t in self.targets for d in linear}
         made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
         for v in range(self.at.size):
             try:
@@ -343,10 +341,8 @@ class Evaluation(Keeps):
 
         def made() -> tuple[Index, Responses]:
             first, rows = self.world.distinct([self.targets[holds].name])
-            filters, material = (
-                self.filters[self.targets[looks_for].name, detector][0],
-                self.material(holds, self.world.rows(first)),
-            )
+            filters = self.filters[self.targets[looks_for].name, detector][0]
+            material = self.material(holds, self.world.rows(first))
             return rows, target_scores(self.seen, filters, material, self.which[first])
 
         return self.once(("responses", looks_for, detector, holds), made)
@@ -469,12 +465,8 @@ def _ace_truth(
     e: Evaluation, u: int, target: int, pfa: Array
 ) -> tuple[Exceedance, Array, float, Callable[[float], Exceedance]]:
     """One truth: exceedance of the background, thresholds, error of P_FA, and target pixels at a fill."""
-    processing, named, v, seen = (
-        e.scenario.processing,
-        e.targets[target],
-        int(e.which[u]),
-        e.seen.rows(e.which[u : u + 1]),
-    )
+    processing, named = e.scenario.processing, e.targets[target]
+    v, seen = int(e.which[u]), e.seen.rows(e.which[u : u + 1])
     of, base, looked_for = seen.of, Mixtures.of(e.stated, e.bands).base(e.seen, v), seen.looked_for[named.name][0]
     space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
     slope, surroundings = seen.slope[0], e.seen.of.covariance(v)

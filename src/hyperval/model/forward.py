@@ -16,7 +16,6 @@ import numpy as np
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import Array, Errors, Index
-from hyperval.errors import UsageError
 from hyperval.model.detection import Evaluation, RocKey, detect, evaluations
 from hyperval.model.inputs import (
     UncertainInput,
@@ -170,8 +169,7 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     """Errors of the mean spectra of one truth: half the difference of up and down along each direction of each input,
     the rest held.
     """
-    out: dict[tuple[str, str], dict[str, list[Array]]] = {}
-    scales: dict[str, tuple[float, str, str]] = {}
+    out: dict[tuple[str, str], dict[str, tuple[list[Array], tuple[float, str, str]]]] = {}
     state = world.stated.scenario.atmosphere
     day = str(state.time_utc or "")[:10] if state is not None else ""
     for item in inputs:
@@ -193,14 +191,10 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 if of_spectrum and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
                 name = "field spectrum" if of_spectrum else item.name
-                draw = day if item.path.startswith("atmosphere.") else ""
-                scales[f"{name} {key[1]}" if of_spectrum else name] = (*item.scale, draw)
-                out.setdefault(key, {}).setdefault(name, []).append(np.nan_to_num(rows))
+                scale = *item.scale, day if item.path.startswith("atmosphere.") else ""
+                out.setdefault(key, {}).setdefault(name, ([], scale))[0].append(np.nan_to_num(rows))
     return {
-        key: {
-            name: Errors(np.concatenate(r), np.inf, *scales.get(name, scales.get(f"{name} {key[1]}", (np.nan, "", ""))))
-            for name, r in each.items()
-        }
+        key: {name: Errors(np.concatenate(rows), np.inf, *scale) for name, (rows, scale) in each.items()}
         for key, each in out.items()
     }
 
@@ -367,12 +361,8 @@ def predict(
     world = settled(with_truths(read(scenario, source), [truth or {}]))[0][1]
     world = replace(world, stated=replace(world.stated, before=None))
     inputs, lit = inputs_of(world), scenario.atmosphere is not None
-    linear, between, errors = (
-        [i for i in inputs if lit or not i.of_light],
-        interpolation_input(world),
-        spectrum_errors(world),
-    )
-    of_spectra = spectral_errors(world, [*linear, *between])
+    linear = [i for i in inputs if lit or not i.of_light]
+    errors, of_spectra = spectrum_errors(world), spectral_errors(world, [*linear, *interpolation_input(world)])
     products, changes = _prediction(world, of_spectra, errors, linear, objects, object_curves, source, truth or {})
     drawn = inputs if truth is None else []
     u, made = scenario.uncertainty, None
@@ -380,8 +370,6 @@ def predict(
     far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
     draws = Draws({}, {}, 0)
     if drawn and (u.method != "linear" or far):
-        if u.samples < 40:
-            raise UsageError(f"{u.samples} draws have no 95 % interval", expected="40 or more")
         world_of_draws = world
         if lit:
             moves = any(i.path == SHIFT for i in drawn)

@@ -5,8 +5,6 @@ The difference ratio of two sides and its error: of spectra by band, of areas.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 from scipy import special
@@ -174,39 +172,6 @@ def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[flo
     upper = clopper_pearson(np.arange(v.size + 1), v.size, level)[1]
     steps = np.diff(upper)
     return float(1.0 - upper[0] - steps @ (1.0 - v)), float(upper[0] + steps @ v[::-1])
-
-
-@dataclass(frozen=True)
-class JointRegion:
-    """A rectangle that holds (P_FA, P_D) of one threshold with the stated probability."""
-
-    pfa: float
-    pd: float
-    pfa_lower: float
-    pfa_upper: float
-    pd_lower: float
-    pd_upper: float
-    level: float
-
-
-def joint_region(detected: int, targets: int, alarms: int, background: int, level: float = 0.95) -> JointRegion:
-    """Joint confidence rectangle of (P_FA, P_D) at a threshold chosen without these data.
-
-    Targets and background are independent samples, so two exact intervals of level sqrt(level) hold
-    together with probability ``level``.  Source: Kerekes, IEEE GRSL 5(2), 251-255, 2008.
-    """
-    each = float(np.sqrt(level))
-    pd_low, pd_high = clopper_pearson(detected, targets, each)
-    pfa_low, pfa_high = clopper_pearson(alarms, background, each)
-    return JointRegion(
-        alarms / background,
-        detected / targets,
-        float(pfa_low),
-        float(pfa_high),
-        float(pd_low),
-        float(pd_high),
-        level,
-    )
 
 
 def _check(k: Array, n: Array, level: float) -> None:

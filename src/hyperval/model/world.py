@@ -330,18 +330,9 @@ class World:
 
     def made(self) -> World:
         """Itself, with what follows from all that was moved; what contradicts itself is refused."""
-        for name in (
-            "fraction",
-            "law_fraction",
-            "law_dof",
-            "kappa",
-            "stretch",
-            "surroundings",
-            "sensor_noise",
-            "of_light",
-            "pixel_fills",
-        ):
-            getattr(self, name)
+        for name, part in vars(World).items():
+            if isinstance(part, cached_property):
+                getattr(self, name)
         return self
 
     def rows(self, index: Index) -> World:

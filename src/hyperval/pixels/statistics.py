@@ -356,9 +356,7 @@ def _statistics(cube: Cube, name: str, own: Mask, sums: Mapping[int, Sums], left
         raise UsageError(f"region {name!r} has no valid pixel ({missing} left out as invalid)", expected="one or more")
     mean, covariance = joined.mean_and_covariance()
     gain = cube.gain
-    return SampleStatistics(
-        gain * mean + cube.offset, covariance * np.outer(gain, gain), joined.n, missing, float("nan")
-    )
+    return SampleStatistics(gain * mean + cube.offset, covariance * np.outer(gain, gain), joined.n, float("nan"))
 
 
 def darkest_values(cube: Cube) -> Array:
