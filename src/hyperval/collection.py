@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hyperval.config import Model, RadianceUnit, WavelengthUnit
+from hyperval.config import Model, OneOf, RadianceUnit, WavelengthUnit
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
 from hyperval.scenario import SpectrumSource
 
@@ -109,7 +109,7 @@ class Half(Model):
     which: Literal["first", "second"] = Field(description="first: the lower line numbers, or sample numbers")
 
 
-class Ring(Model):
+class Ring(OneOf):
     """The ground around another region, by the distance of pixel centres from its nearest pixel."""
 
     one_of = ("outer_m", "outer_pixels")
@@ -138,7 +138,7 @@ class VectorSource(Model):
     name_field: str | None = Field(None, description="attribute that names the drawings")
 
 
-class RegionSource(VectorSource):
+class RegionSource(VectorSource, OneOf):
     """One region of interest, or every region of a file."""
 
     one_of = ("file", "rectangle", "normalized_difference", "whole_image", "half", "ring")
@@ -210,7 +210,7 @@ class BandRange(Model):
     below: float | None = None
 
 
-class FinerTruth(Model):
+class FinerTruth(OneOf):
     """Targets and the fills of their pixels by a map of classes, or a picture, finer than the cube."""
 
     one_of = ("registration_m", "registration_pixels")  # 0 where there is none
@@ -247,7 +247,7 @@ class AbundanceTruth(Model):
     )
 
 
-class TargetTruth(Model):
+class TargetTruth(OneOf):
     """Where the target objects are."""
 
     one_of = ("regions", "rasters", "csv", "finer", "abundances")
@@ -341,7 +341,7 @@ class EmpiricalLineSource(Model):
         return self
 
 
-class CalibrationUncertainty(Model):
+class CalibrationUncertainty(OneOf):
     """Relative standard uncertainty of the collected radiance, common to all pixels."""
 
     one_of = ("relative", "file")
@@ -358,7 +358,7 @@ class CalibrationUncertainty(Model):
     )
 
 
-class CollectionSection(Model):
+class CollectionSection(OneOf):
     """What was collected."""
 
     one_of = ("cube", "spectra", "radcalnet")

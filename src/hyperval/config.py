@@ -69,12 +69,14 @@ def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
 
 
 class Model(BaseModel):
-    """Base of every configuration model: unknown keys, NaN and infinity are refused.
-
-    ``one_of``: entries of which exactly one is given;  ``together``: those that are given all or none.
-    """
+    """Base of every configuration model: unknown keys, NaN and infinity are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_told)
+
+
+class OneOf(Model):
+    """Has entries ``one_of`` which exactly one is given, and others that are given ``together`` or not at all."""
+
     one_of: ClassVar[tuple[str, ...]] = ()
     together: ClassVar[tuple[str, ...]] = ()
 

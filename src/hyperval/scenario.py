@@ -23,7 +23,7 @@ from pydantic import (
 )
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.config import Model, load_model, load_yaml
+from hyperval.config import Model, OneOf, load_model, load_yaml
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
 from hyperval.errors import UsageError, as_typed, reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
@@ -56,7 +56,7 @@ class Replicates(Model):
         return (self.files,) if isinstance(self.files, str) else tuple(self.files)
 
 
-class SpectrumSource(Model):
+class SpectrumSource(OneOf):
     """A reflectance spectrum: built in, constant, from a file, or measured on the imagery."""
 
     one_of = ("builtin", "constant", "file", "replicates", "library", "measured")
@@ -88,7 +88,7 @@ class SpectrumSource(Model):
         return self
 
 
-class CovarianceSource(Model):
+class CovarianceSource(OneOf):
     """Spread from pixel to pixel: built in, measured, none, or a relative one with a correlation length."""
 
     one_of = ("builtin", "replicates", "library", "measured", "relative_sd")
@@ -130,7 +130,7 @@ class SpectralForm(Model):
         return self
 
 
-class SpectrumUncertainty(SpectralForm):
+class SpectrumUncertainty(SpectralForm, OneOf):
     """Standard uncertainty of the field spectrum of one subject."""
 
     one_of = ("relative", "absolute", "from_file")
@@ -360,7 +360,7 @@ class Geometry(Model):
         return self
 
 
-class Fill(Model):
+class Fill(OneOf):
     """Part of a pixel that the target fills: fixed, by moments, or from geometry."""
 
     one_of = ("fixed", "mean", "geometry", "truth", "listed")
@@ -396,7 +396,7 @@ class Illumination(Model):
     sky_view: Fraction = Field(1.0, title="sky view factor", description="part of the sky's light that reaches it")
 
 
-class Target(Surface):
+class Target(Surface, OneOf):
     """A target material on its host class, in one or several fills."""
 
     one_of = ("fill", "subjects")
@@ -478,7 +478,7 @@ class DarkestPixel(Model):
     reflectances: ClassVar = (0.0, 0.6)  # what it is taken for, and that of the bright panel
 
 
-class Features(Model):
+class Features(OneOf):
     """Linear features in place of bands (Psi of 3.21), from the statistics that the filter is built on."""
 
     one_of = ("pca", "mnf")

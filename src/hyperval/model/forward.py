@@ -192,7 +192,8 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                     continue
                 name = "field spectrum" if of_spectrum else item.name
                 scale = *item.scale, day if item.path.startswith("atmosphere.") else ""
-                out.setdefault(key, {}).setdefault(name, ([], scale))[0].append(np.nan_to_num(rows))
+                before, _ = out.setdefault(key, {}).get(name, ([], scale))
+                out[key][name] = [*before, np.nan_to_num(rows)], scale
     return {
         key: {name: Errors(np.concatenate(rows), np.inf, *scale) for name, (rows, scale) in each.items()}
         for key, each in out.items()

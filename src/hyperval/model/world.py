@@ -365,12 +365,6 @@ class World:
                 columns.append(values)
         return distinct(columns, self.size)
 
-    @cached_property
-    def of_light(self) -> tuple[World, Index]:
-        """The truths with other light, sensor and classes, and which (U,) of these each truth has."""
-        first, which = self.distinct()
-        return self.rows(first), which
-
     def column(self, name: str) -> Array:
         """(U or 1, items) of a field, or (U or 1, B or 1) where it is one for all items."""
         if name in NEUTRAL:
@@ -481,6 +475,25 @@ class World:
         """(U,) of a field of targets."""
         return np.broadcast_to(self.column(name)[:, target], (self.size,))
 
+    # ---- light and sensor ----------------------------------------------------------------------------------
+
+    @cached_property
+    def sensor_noise(self) -> tuple[list[NoiseModel], Index]:
+        """The different noise models (3.13)-(3.20), none without a sensor, and which (U,) of them each truth has."""
+        stated = self.stated
+        if stated.noise is None or stated.scenario.atmosphere is None:
+            return [], np.zeros(self.size, int)
+        columns = {p: np.broadcast_to(v, (self.size,)) for p, _, v in self.fields("sensor")}
+        first, which = distinct(columns.values(), self.size)
+        each = [{p: plain(v[u]) for p, v in columns.items() if v[u] is not None} for u in first]
+        return [_noise(stated, moved) if moved else stated.noise for moved in each], which
+
+    @cached_property
+    def of_light(self) -> tuple[World, Index]:
+        """The truths with other light, sensor and classes, and which (U,) of these each truth has."""
+        first, which = self.distinct()
+        return self.rows(first), which
+
     # ---- fills ---------------------------------------------------------------------------------------------
 
     def of_fill(self, number: int) -> dict[str, tuple[str, slice, Values]]:
@@ -566,19 +579,6 @@ class World:
             return make(stated, thesis)
         models, which = self.fill_models(number)
         return stacked_fills([make(fill, thesis) for fill in models], which)
-
-    # ---- light and sensor ----------------------------------------------------------------------------------
-
-    @cached_property
-    def sensor_noise(self) -> tuple[list[NoiseModel], Index]:
-        """The different noise models (3.13)-(3.20), none without a sensor, and which (U,) of them each truth has."""
-        stated = self.stated
-        if stated.noise is None or stated.scenario.atmosphere is None:
-            return [], np.zeros(self.size, int)
-        columns = {p: np.broadcast_to(v, (self.size,)) for p, _, v in self.fields("sensor")}
-        first, which = distinct(columns.values(), self.size)
-        each = [{p: plain(v[u]) for p, v in columns.items() if v[u] is not None} for u in first]
-        return [_noise(stated, moved) if moved else stated.noise for moved in each], which
 
 
 def _noise(stated: Stated, moved: Truth) -> NoiseModel:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from hyperval.config import Model, load_model
+from hyperval.config import Model, OneOf, load_model
 from hyperval.data import Array, Index
 from hyperval.errors import UsageError, reader
 from hyperval.sensor.noise import (
@@ -38,7 +38,7 @@ from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 Source = Annotated[str, Field(min_length=3)]
 
 
-class Quantity(Model):
+class Quantity(OneOf):
     """A number, or a table over wavelength, with its source."""
 
     one_of = ("value", "table")
@@ -82,7 +82,7 @@ class StatedGap(Model):
     source: Source
 
 
-class Bands(Model):
+class Bands(OneOf):
     """The band set: a table of [centre nm, FWHM nm, good 0/1], evenly spaced bands, or such bands part by part."""
 
     one_of = ("table", "regular", "parts")
@@ -176,7 +176,7 @@ class Throughput(Model):
         return aperture_throughput(first, 1e-3 * rest[0], obscuration=self.obscuration, convention=self.convention)
 
 
-class Blur(Model):
+class Blur(OneOf):
     """Point spread function in two directions, by widths or by MTF: pairs (along, across) the track."""
 
     one_of = ("fwhm_pixels", "mtf_at_nyquist")
@@ -201,7 +201,7 @@ class Blur(Model):
         return float(along), float(across)
 
 
-class SpectralShift(Model):
+class SpectralShift(OneOf):
     """Where the bands of a range truly stand: true minus nominal centre, and the smile across the track."""
 
     together = ("smile_nm", "columns")
@@ -398,7 +398,7 @@ def _groups(values: npt.ArrayLike, count: int) -> Array:
     return np.asarray(x[:whole].reshape(-1, count))
 
 
-class Arm(Model):
+class Arm(OneOf):
     """One spectrometer: its range and everything of (3.13)-(3.19) that belongs to it."""
 
     one_of = ("full_well_electrons", "saturation_radiance", "lsb_electrons")
@@ -433,7 +433,7 @@ class MeasuredNoise(Model):
         return self
 
 
-class SensorSpecification(Model):
+class SensorSpecification(OneOf):
     """One sensor file."""
 
     one_of = ("arms", "measured_noise")

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from hyperval.atmosphere.state import AtmosphericState
-from hyperval.config import Model, load_model
+from hyperval.config import Model, OneOf, load_model
 from hyperval.errors import reader
 
 PLACEMENT, TARGET_SPECTRA, FIELDS, SURFACE, NOISE, FIELD_SPECTRA = range(6)
@@ -62,7 +62,7 @@ class Panel(PaintedArea):
     border_pixels: int = Field(default=1, ge=0, description="pixels left out along the border of the region")
 
 
-class TargetGroup(Model):
+class TargetGroup(OneOf):
     """Square planks of one material and size on a grid in one area."""
 
     one_of = ("fill", "side_m")

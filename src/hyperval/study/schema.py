@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, PrivateAttr, model_validator
 
-from hyperval.config import Model, load_model
+from hyperval.config import Model, OneOf, load_model
 from hyperval.errors import UsageError, reader
 from hyperval.model.world import column_of
 
@@ -37,7 +37,7 @@ class Grid(Model):
         return self
 
 
-class Random(Model):
+class Random(OneOf):
     """A distribution that a random design draws from."""
 
     one_of = ("uniform", "log_uniform", "normal")
@@ -103,7 +103,7 @@ class Moving(Model):
         return (self.label or self.name) + (f" [{self.unit}]" if self.unit != "1" else "")
 
 
-class Input(Moving):
+class Input(Moving, OneOf):
     """What moves: one entry of the scenario or several together, over values, a grid, or a distribution."""
 
     one_of = ("values", "grid", "random")
