@@ -34,7 +34,8 @@ from hyperval.model import (
     spectral_input,
     value_at,
 )
-from hyperval.model.inputs import AEROSOL, SURROUNDINGS, WATER, Kind, field_spectrum_of, form_in_words
+from hyperval.model.inputs import Kind, field_spectrum_of, form_in_words
+from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario, SpectralForm
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean

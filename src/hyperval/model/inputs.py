@@ -6,7 +6,7 @@ set of factors (:data:`hyperval.model.world.PATHS`).  Budgets, draws, attributio
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -16,7 +16,17 @@ import numpy as np
 from hyperval.data import Array, Mask
 from hyperval.errors import UsageError
 from hyperval.model.stated import SurfaceStatistics, Truth, correlation
-from hyperval.model.world import NEUTRAL, SHIFT, World, find, value_at
+from hyperval.model.world import (
+    NEUTRAL,
+    NOT_WITHOUT_LIGHT,
+    PATHS,
+    SHIFT,
+    SURROUNDINGS,
+    World,
+    find,
+    fits,
+    value_at,
+)
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
@@ -242,51 +252,33 @@ TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the b
 ENGINE, ENGINE_LINES, ENGINE_PATH = (
     "radiative-transfer engine", "engine's fine structure", "engine's path radiance"
 )  # fmt: skip
-AEROSOL, WATER, SURROUNDINGS, BLUR = (
-    "aerosol optical depth", "water vapour", "surroundings", "blur (PSF width)"
-)  # fmt: skip
-# Numbers: name for users, kind, path, field of ``uncertainty``.
-_NUMBERS: tuple[tuple[str, Kind, str, str], ...] = (
-    (AEROSOL, "atmosphere", "atmosphere.aot550", "aot550"),
-    ("meteorological range", "atmosphere", "atmosphere.meteorological_range_km", "meteorological_range_km"),
-    ("Angstrom exponent", "atmosphere", "atmosphere.angstrom_exponent", "angstrom_exponent"),
-    ("share of aerosol below the sensor", "atmosphere", "atmosphere.aerosol_share_below", "aerosol_share_below"),
-    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", "water_vapour_g_cm2"),
-    ("ozone", "atmosphere", "atmosphere.ozone_atm_cm", "ozone_atm_cm"),
-    ("solar zenith angle", "atmosphere", "atmosphere.solar_zenith_deg", "solar_zenith_deg"),
-    ("solar azimuth", "atmosphere", "atmosphere.solar_azimuth_deg", "solar_azimuth_deg"),
-    ("view zenith angle", "atmosphere", "atmosphere.view_zenith_deg", "view_zenith_deg"),
-    ("view azimuth", "atmosphere", "atmosphere.view_azimuth_deg", "view_azimuth_deg"),
-    ("sensor altitude", "atmosphere", "atmosphere.sensor_altitude_km", "sensor_altitude_km"),
-    ("ground height", "atmosphere", "atmosphere.ground_altitude_km", "ground_altitude_km"),
-    ("solar irradiance", "atmosphere", "light.irradiance", "solar_irradiance_relative"),
-    (SURROUNDINGS, "scene", "light.surroundings", "adjacency_reflectance_relative"),
-)
+BLUR = "blur (PSF width)"
 
 
-# Over wavelength, of the sensor: name, path, field of ``uncertainty``, whether it needs light.
-_SENSOR: tuple[tuple[str, str, str, bool], ...] = (
-    ("sensor gain", "sensor.gain", "sensor_gain", False),
-    ("sensor offset", "sensor.offset", "sensor_offset", False),
-    ("noise", "sensor.noise", "noise", True),
-    ("electrons per radiance", "sensor.electrons", "electrons", True),
-    ("wavelength shift", "sensor.wavelength_shift_nm", "wavelength_shift", False),
-    ("reflectance of the dark panel", "line.dark", "elm_panels", False),
-    ("reflectance of the bright panel", "line.bright", "elm_panels", False),
-)
-
-
-def inputs_of(world: World, *, shapes: bool = True) -> list[UncertainInput]:
+def inputs_of(world: World) -> list[UncertainInput]:
     """The uncertain inputs in the order in which budgets list them: light, surfaces, sensor.
-
-    ``shapes=False`` leaves out the errors of engine and field spectra, whose covariances a prediction uses as they
-    stand.
 
     Raises
     ------
     UsageError : an uncertainty of what the scenario does not have.
     """
-    return [*_of_light(world, shapes), *_of_scene(world, shapes), *_of_sensor(world)]
+    stated = list(_stated(world))
+    light, sensor = ([i for i in stated if (i.kind == "sensor") is of_sensor] for of_sensor in (False, True))
+    return [*light, *_of_engine(world), *spectrum_inputs(world), *_of_scene(world), *sensor, *_of_image(world)]
+
+
+def _stated(world: World) -> Iterator[UncertainInput]:
+    """What the scenario states an uncertainty of, as :data:`hyperval.model.PATHS` names it."""
+    scenario = world.stated.scenario
+    for path, entry in PATHS.items():
+        form = getattr(scenario.uncertainty, entry.stated) if entry.stated else None
+        if form is None or (scenario.atmosphere is None and any(fits(p, path) for p in NOT_WITHOUT_LIGHT)):
+            continue
+        if isinstance(form, SpectralForm):
+            sd = form.relative if hasattr(form, "relative") else getattr(form, "absolute", 0.0)
+            yield spectral_input(world, entry.name, "sensor", path, sd, form)
+        else:
+            yield number_input(world, entry.name, "scene" if entry.name == SURROUNDINGS else "atmosphere", path, form)
 
 
 def field_spectrum_of(subject: str) -> str:
@@ -325,68 +317,47 @@ def spectrum_errors(world: World) -> dict[str, Array]:
     return {subject: np.concatenate(each) for subject, each in rows.items()}
 
 
-def _of_light(world: World, shapes: bool) -> list[UncertainInput]:
-    """Atmosphere, sun and view; the engine's errors on the ground-reflected radiance and on the path."""
-    u = world.stated.scenario.uncertainty
-    if world.stated.scenario.atmosphere is None:
-        return []
-    inputs = [
-        number_input(world, name, kind, path, spread)
-        for name, kind, path, field in _NUMBERS
-        if (spread := getattr(u, field)) is not None
-    ]
-    if u.engine is None or not shapes:
-        return inputs
-    haze = u.engine.per_aerosol_depth
+def _of_engine(world: World) -> Iterator[UncertainInput]:
+    """The engine's errors on the ground-reflected radiance and on the path."""
+    atmosphere, u = world.stated.scenario.atmosphere, world.stated.scenario.uncertainty.engine
+    if atmosphere is None or u is None:
+        return
+    haze = u.per_aerosol_depth
     if haze > 0:
-        haze *= world.stated.scenario.atmosphere.aerosol_optical_depth
-    for name, part, more in ((ENGINE, u.engine, haze), (ENGINE_LINES, u.engine.fine_structure, 0.0)):
+        haze *= atmosphere.aerosol_optical_depth
+    for name, part, more in ((ENGINE, u, haze), (ENGINE_LINES, u.fine_structure, 0.0)):
         if part is None or not (part.relative + more > 0 or part.per_optical_depth > 0):
             continue
         sd = np.full(len(world.stated.axis), part.relative + more)
         if part.per_optical_depth > 0:  # greater where gases absorb
             gas = world.stated.atmosphere({}, 1).gas_transmittance[0, 0]
             sd = sd - part.per_optical_depth * np.log(np.clip(gas, 1e-6, 1.0))
-        inputs.append(spectral_input(world, name, "engine", "light.ground", sd, part))
-    if u.engine.path_relative > 0:
-        inputs.append(spectral_input(world, ENGINE_PATH, "engine", "light.path", u.engine.path_relative, u.engine))
-    return inputs
+        yield spectral_input(world, name, "engine", "light.ground", sd, part)
+    if u.path_relative > 0:
+        yield spectral_input(world, ENGINE_PATH, "engine", "light.path", u.path_relative, u)
 
 
-def _of_scene(world: World, shapes: bool) -> list[UncertainInput]:
-    """Surfaces, then fills and fractions."""
+def _of_scene(world: World) -> Iterator[UncertainInput]:
+    """Fills and fractions."""
     u = world.stated.scenario.uncertainty
-    inputs = spectrum_inputs(world) if shapes else []
-    for item in u.fills:
-        inputs.append(number_input(world, f"fill of {item.subject}", "scene", f"fill.[{item.subject}]", item.absolute))
-    for item in u.fractions:
-        name = f"area fraction of {item.subject}"
-        inputs.append(number_input(world, name, "scene", f"fraction.[{item.subject}]", item.absolute))
-    return inputs
+    for words, path, items in (("fill", "fill", u.fills), ("area fraction", "fraction", u.fractions)):
+        for item in items:
+            yield number_input(world, f"{words} of {item.subject}", "scene", f"{path}.[{item.subject}]", item.absolute)
 
 
-def _of_sensor(world: World) -> list[UncertainInput]:
-    """Gain, offset, noise, electrons, places of the bands, panels of the line, blur; the image's compensation."""
-    u, light = world.stated.scenario.uncertainty, world.stated.scenario.atmosphere is not None
-    inputs = []
-    for name, path, field, needs_light in _SENSOR:
-        form = getattr(u, field)
-        if form is not None and (light or not needs_light):
-            sd = form.relative if hasattr(form, "relative") else form.absolute
-            inputs.append(spectral_input(world, name, "sensor", path, sd, form))
-    widths = [p.fill.geometry for t in world.stated.scenario.scene.targets for p in t.populations]
-    if u.psf_fwhm_pixels is not None and any(g is not None for g in widths):
-        inputs.append(number_input(world, BLUR, "sensor", "blur", u.psf_fwhm_pixels))
+def _of_image(world: World) -> Iterator[UncertainInput]:
+    """Blur, and what the reflectance of an image is off by that was compensated before."""
+    scenario = world.stated.scenario
+    u, fills = scenario.uncertainty, [p.fill for t in scenario.scene.targets for p in t.populations]
+    if u.psf_fwhm_pixels is not None and any(fill.geometry is not None for fill in fills):
+        yield number_input(world, BLUR, "sensor", "blur", u.psf_fwhm_pixels)
     stated = u.collected_reflectance
-    if stated is not None and not light:  # what the image's reflectance is off by
-        form = SpectralForm(correlation_nm=stated.correlation_nm)
-        for name, path, sd in (
-            ("compensation (gain)", "sensor.gain", stated.relative),
-            ("compensation (offset)", "sensor.offset", stated.absolute),
-        ):
-            if sd > 0:
-                inputs.append(spectral_input(world, name, "sensor", path, sd, form))
-    return inputs
+    if stated is None or scenario.atmosphere is not None:
+        return
+    form = SpectralForm(correlation_nm=stated.correlation_nm)
+    for part, sd in (("gain", stated.relative), ("offset", stated.absolute)):
+        if sd > 0:
+            yield spectral_input(world, f"compensation ({part})", "sensor", f"sensor.{part}", sd, form)
 
 
 def interpolation_input(world: World) -> list[UncertainInput]:

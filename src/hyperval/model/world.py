@@ -60,6 +60,7 @@ class Path(NamedTuple):
     of : what its star names: class, target or surface
     shape : of a value: a number, or a spectrum or list of numbers (vector)
     low, high : between which it can be
+    name, stated : what it is called, and the entry of a scenario's ``uncertainty`` that says how far it may be off
     item, populations : of a scenario, what its star names, by number; and of fills the populations that it moves, by
         number, with the part of its values that is of each
     """
@@ -70,51 +71,63 @@ class Path(NamedTuple):
     shape: str = "number"
     low: float = -np.inf
     high: float = np.inf
+    name: str = ""
+    stated: str = ""
     item: int = 0
     populations: Mapping[int, slice] = {}
 
 
 _RADIANCE = "uW cm-2 sr-1 nm-1"
-# Field of the state: lowest, highest value.
-STATE_RANGES: dict[str, tuple[float, float]] = {
-    "aot550": (0.0, 5.0),
-    "meteorological_range_km": (SHORTEST_KM, LONGEST_KM),
-    "water_vapour_g_cm2": (0.01, 10.0),
-    "ozone_atm_cm": (0.01, 1.0),
-    "angstrom_exponent": (-1.0, 3.0),
-    "aerosol_share_below": (1e-3, 1.0),
-    "solar_zenith_deg": (-MAX_SOLAR_ZENITH_DEG, MAX_SOLAR_ZENITH_DEG - 0.1),
-    "solar_azimuth_deg": (-720.0, 720.0),
-    "view_zenith_deg": (-70.0, 70.0),
-    "view_azimuth_deg": (-720.0, 720.0),
-    "sensor_altitude_km": (0.01, 100_000.0),
-    "ground_altitude_km": (0.0, 5.0),
+AEROSOL, WATER, SURROUNDINGS = "aerosol optical depth", "water vapour", "surroundings"
+# Field of the state: what it is called, lowest and highest value.
+STATE: dict[str, tuple[str, float, float]] = {
+    "aot550": (AEROSOL, 0.0, 5.0),
+    "meteorological_range_km": ("meteorological range", SHORTEST_KM, LONGEST_KM),
+    "angstrom_exponent": ("Angstrom exponent", -1.0, 3.0),
+    "aerosol_share_below": ("share of aerosol below the sensor", 1e-3, 1.0),
+    "water_vapour_g_cm2": (WATER, 0.01, 10.0),
+    "ozone_atm_cm": ("ozone", 0.01, 1.0),
+    "solar_zenith_deg": ("solar zenith angle", -MAX_SOLAR_ZENITH_DEG, MAX_SOLAR_ZENITH_DEG - 0.1),
+    "solar_azimuth_deg": ("solar azimuth", -720.0, 720.0),
+    "view_zenith_deg": ("view zenith angle", -70.0, 70.0),
+    "view_azimuth_deg": ("view azimuth", -720.0, 720.0),
+    "sensor_altitude_km": ("sensor altitude", 0.01, 100_000.0),
+    "ground_altitude_km": ("ground height", 0.0, 5.0),
 }
 WIDEST_BLUR = 5.0  # [pixels]
 # Pattern -> where it leads; a star stands for a name, two for the rest.  The first that fits is taken.
 PATHS: Mapping[str, Path] = {
     # a number of the state of the atmosphere, sun and view
-    **{f"atmosphere.{key}": Path("atmosphere", low=low, high=high) for key, (low, high) in STATE_RANGES.items()},
+    **{
+        f"atmosphere.{key}": Path("atmosphere", low=low, high=high, name=name, stated=key)
+        for key, (name, low, high) in STATE.items()
+    },
     "atmosphere.*": Path("atmosphere"),
     # factors on all light, the path radiance (and added to it), the light reflected by the ground, the spherical
     # albedo, and the reflectance of the surroundings
-    "light.irradiance": Path("irradiance", shape="vector", low=0.01),
+    "light.irradiance": Path(
+        "irradiance", shape="vector", low=0.01, name="solar irradiance", stated="solar_irradiance_relative"
+    ),
     "light.path": Path("path", shape="vector", low=0.0),
     "light.path_error": Path("path_error", unit=_RADIANCE, shape="vector"),
     "light.ground": Path("ground", shape="vector", low=0.0),
     "light.spherical_albedo": Path("albedo", shape="vector", low=0.0),
-    "light.surroundings": Path("surroundings", shape="vector", low=0.01),
+    "light.surroundings": Path(
+        "surroundings", shape="vector", low=0.01, name=SURROUNDINGS, stated="adjacency_reflectance_relative"
+    ),
     # what is recorded is gain L + offset; where there is no atmosphere, the reflectance of all that was not measured
     # on the imagery.  Factors on the noise and on the electrons per radiance; added to the true band centres
-    "sensor.gain": Path("gain", shape="vector"),
-    "sensor.offset": Path("offset", unit=_RADIANCE, shape="vector"),
-    "sensor.noise": Path("noise", shape="vector", low=1e-3),
-    "sensor.electrons": Path("electrons", shape="vector", low=1e-3),
-    "sensor.wavelength_shift_nm": Path("", unit="nm", shape="vector"),
+    "sensor.gain": Path("gain", shape="vector", name="sensor gain", stated="sensor_gain"),
+    "sensor.offset": Path("offset", unit=_RADIANCE, shape="vector", name="sensor offset", stated="sensor_offset"),
+    "sensor.noise": Path("noise", shape="vector", low=1e-3, name="noise", stated="noise"),
+    "sensor.electrons": Path("electrons", shape="vector", low=1e-3, name="electrons per radiance", stated="electrons"),
+    "sensor.wavelength_shift_nm": Path(
+        "", unit="nm", shape="vector", name="wavelength shift", stated="wavelength_shift"
+    ),
     # for the detectors, as what the line says of collected reflectance is the collection's: factors on the true
     # reflectance of a panel, which the line takes for what is stated; it gives gain rho + offset for rho
-    "line.dark": Path("dark", shape="vector", low=0.0),
-    "line.bright": Path("bright", shape="vector", low=0.0),
+    "line.dark": Path("dark", shape="vector", low=0.0, name="reflectance of the dark panel", stated="elm_panels"),
+    "line.bright": Path("bright", shape="vector", low=0.0, name="reflectance of the bright panel", stated="elm_panels"),
     "line.gain": Path("line_gain", shape="vector"),
     "line.offset": Path("line_offset", shape="vector"),
     # mean reflectance, factor on its standard deviation, degrees of freedom of the tails of a class, part of a
@@ -153,7 +166,7 @@ NEUTRAL = {
          "line_gain"), 1.0),
     **dict.fromkeys(("path_error", "offset", "line_offset"), 0.0),
 }  # fmt: skip
-_NOT_WITHOUT_LIGHT = ("light.*", "sensor.noise", "sensor.electrons", "atmosphere.*")
+NOT_WITHOUT_LIGHT = ("light.*", "sensor.noise", "sensor.electrons", "atmosphere.*")
 _OF_SENSOR = ("sensor_operation", "sensor_changes")
 # What leaves light, sensor and classes alone, and with them the filters.
 _OF_TARGETS = ("tail", "fill", "fill entry", "blur", "target_gain", "beam", "sky_view", "fine_texture")
@@ -203,7 +216,7 @@ def _found(stated: Stated, path: str) -> Path:
     entry, parts, scenario = PATHS[pattern], path_parts(path), stated.scenario
     again = PATHS["**"]
     if scenario.atmosphere is None:
-        if any(fits(p, path) for p in _NOT_WITHOUT_LIGHT[:3]):
+        if any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:3]):
             raise UsageError(f"{path}: the scenario has no atmosphere")
         if entry.field in ("atmosphere", "sensor"):
             return again
@@ -281,7 +294,7 @@ def value_at(world: World, path: str) -> Any:
         return np.concatenate([np.atleast_1d((g and g.psf_fwhm_pixels) or 0.0) for g in fills])[None].astype(float)
     if path == SHIFT:
         return np.zeros(1)
-    if parts[0] == "atmosphere" and len(parts) == 2 and parts[1] in STATE_RANGES and stated.scenario.atmosphere:
+    if parts[0] == "atmosphere" and len(parts) == 2 and parts[1] in STATE and stated.scenario.atmosphere:
         return np.array([state_value(stated.scenario.atmosphere, parts[1])])
     try:
         return column_of([setting(stated.scenario, path)])
