@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
-from hyperval.model.fill import FillDistribution, Fills
+from hyperval.model.fill import FillDistribution
 from hyperval.model.filters import LinearFilter, Mixtures
 from hyperval.model.radiance import (
     Background,
@@ -274,16 +274,11 @@ class Evaluation(Keeps):
             at.column("sky_view")[:, target], error,
         )  # fmt: skip
 
-    def fills(self, number: int, objects: bool = False) -> Fills:
+    def fills(self, number: int, objects: bool = False) -> FillDistribution:
         """Fills of the pixels of a population, or of the pixels of its objects."""
         if not objects:
             return self.world.pixel_fills[number]
         return self.once(("fills", number), lambda: self.world.fills(number, True))
-
-    def fill_of(self, u: int, number: int) -> FillDistribution:
-        """Fill of a population in a truth."""
-        fills = self.fills(number)
-        return FillDistribution(of_truth(fills.values, u), of_truth(fills.weights, u))
 
     def scores(self, population: str, detector: str, objects: bool = False) -> RocScores:
         """What the ROC of a target population needs in each truth (3.26-3.29), pixel by pixel; ``objects``: where an
@@ -436,7 +431,7 @@ def ace_curves(e: Evaluation, target: int, pfa: Array, units: Sequence[str]) -> 
     for u in range(len(e)):
         background, thresholds[u], alarm_error, at_fill = _ace_truth(e, u, target, pfa)
         behind.append(_distribution(background))
-        fills, whole = {i: e.fill_of(u, i) for i in of}, {i: _objects(e, u, i) for i in of}
+        fills, whole = {i: e.fills(i).of(u) for i in of}, {i: _objects(e, u, i) for i in of}
         # Those of whole objects too, even where their curve is not asked for.
         every = np.concatenate([*(f.values for f in fills.values()), *(w[1].ravel() for w in whole.values())])
         nodes = _nodes(float(every.min()), float(every.max()))

@@ -33,16 +33,22 @@ _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 @dataclass(frozen=True)
 class FillDistribution:
-    """A discrete distribution of the fill fraction f.
+    """A discrete distribution of the fill fraction f, or n of them.
 
     Attributes
     ----------
-    values : (K,) fill fractions [1]
-    weights : (K,) probabilities, sum 1
+    values : (K,) fill fractions [1]; of n evaluations (n, K), of all alike (1, K)
+    weights : likewise, probabilities, sum 1
+    shape : (places, pixels) of objects, whose pixels lie along K without weights; None where a pixel is an object
     """
 
     values: Array
     weights: Array
+    shape: tuple[int, int] | None = None
+
+    def of(self, u: int) -> FillDistribution:
+        """That of one of the evaluations."""
+        return FillDistribution(*(x[u if len(x) > 1 else 0] for x in (self.values, self.weights)))
 
     @property
     def mean(self) -> float:
@@ -471,37 +477,22 @@ def moments(fill: Fill, thesis: bool) -> FillDistribution:
     return fixed_fill(distribution.mean) if thesis else distribution
 
 
-@dataclass(frozen=True)
-class Fills:
-    """Fills of the pixels of one population in n evaluations, or in all of them.
-
-    Attributes
-    ----------
-    values, weights : (n or 1, K) fills and their probabilities
-    shape : (places, pixels) of objects, whose pixels lie along K without weights; None where a pixel is an object
-    """
-
-    values: Array
-    weights: Array
-    shape: tuple[int, int] | None = None
-
-
-def fills_of_population(fill: Fill, thesis: bool) -> Fills:
+def fills_of_population(fill: Fill, thesis: bool) -> FillDistribution:
     """Fills of the pixels of a population."""
     distribution = moments(fill, thesis)
-    return Fills(distribution.values[None], distribution.weights[None])
+    return FillDistribution(distribution.values[None], distribution.weights[None])
 
 
-def whole_object_fills(fill: Fill, thesis: bool) -> Fills:
+def whole_object_fills(fill: Fill, thesis: bool) -> FillDistribution:
     """Fills of the pixels of its objects, one after the other; those of its pixels where an object is one pixel."""
     alone = fills_of_population(fill, thesis)
     places = np.array([[float(alone.weights[0] @ alone.values[0])]]) if thesis else fills_of_objects(fill)
     if places.shape[1] == 1 and alone.values.size >= places.shape[0]:
         return alone
-    return Fills(places.reshape(1, -1), np.zeros((1, places.size)), (places.shape[0], places.shape[1]))
+    return FillDistribution(places.reshape(1, -1), np.zeros((1, places.size)), (places.shape[0], places.shape[1]))
 
 
-def stacked_fills(each: Sequence[Fills], which: Index) -> Fills:
+def stacked_fills(each: Sequence[FillDistribution], which: Index) -> FillDistribution:
     """The fills of several evaluations, of which (n,) ``which`` names those of each.
 
     Raises
@@ -516,7 +507,7 @@ def stacked_fills(each: Sequence[Fills], which: Index) -> Fills:
     values, weights = (
         np.array([np.pad(getattr(e, n)[0], (0, width - e.values.size)) for e in each]) for n in ("values", "weights")
     )
-    return Fills(values[which], weights[which], each[0].shape)
+    return FillDistribution(values[which], weights[which], each[0].shape)
 
 
 def with_mean(fill: Fill, offset: float) -> Fill:

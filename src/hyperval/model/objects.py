@@ -35,7 +35,6 @@ from hyperval.model.detection import Evaluation, Responses
 from hyperval.model.fill import (
     PHASES,
     Neighbour,
-    fill_distribution,
     fills_of_objects,
     geometry_of,
     moments,
@@ -290,7 +289,7 @@ def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tup
     shape = (blur.size, objects.columns)
     geometry = population.fill.geometry
     if thesis or (geometry is None and population.fill.listed is None):
-        fill = moments(population.fill, thesis) if thesis else fill_distribution(population.fill)
+        fill = moments(population.fill, thesis)
         alone = fill.values[:, None]
         return alone, np.zeros((*alone.shape, 0)), rng.choice(fill.values.size, shape, p=fill.weights)
     own, others, places, count = [], [], np.empty(shape, int), 0
@@ -416,7 +415,7 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     for number, (t, _, population) in enumerate(e.stated.populations):
         material = e.material(t, first)
         lit = e.seen.light.rows(np.array([v])).surface(material.mean, material.beam, material.sky)[0][0, 0]
-        fill = e.fill_of(0, number).mean
+        fill = e.fills(number).of(0).mean
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
     view = e.seen.light.row(v)
     seen = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))

@@ -25,7 +25,7 @@ from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Index
 from hyperval.errors import UsageError
 from hyperval.model.fill import (
-    Fills,
+    FillDistribution,
     fill_distribution,
     fills_of_population,
     pixels_of_object,
@@ -568,11 +568,11 @@ class World:
         return out
 
     @cached_property
-    def pixel_fills(self) -> list[Fills]:
+    def pixel_fills(self) -> list[FillDistribution]:
         """Fills of the pixels of each population (f of 3.10) in each truth."""
         return [self.fills(number) for number in range(len(self.stated.populations))]
 
-    def fills(self, number: int, objects: bool = False) -> Fills:
+    def fills(self, number: int, objects: bool = False) -> FillDistribution:
         """Fills of the pixels of a population (f of 3.10) in each truth, or of the pixels of its objects.
 
         Raises
@@ -586,7 +586,7 @@ class World:
             values = np.nan_to_num(_numbers(column), nan=stated.fixed)[:, None]
             if not np.all((values >= 0.0) & (values <= 1.0)):
                 raise UsageError(f"fill {values.min():g} to {values.max():g}", expected="0 to 1")
-            return Fills(values, np.ones((1, 1)))
+            return FillDistribution(values, np.ones((1, 1)))
         make = whole_object_fills if objects else fills_of_population
         if not moved:
             return make(stated, thesis)

@@ -55,11 +55,6 @@ FALSE_ALARM = 1e-3
 _GRID_NM = np.arange(300.0, 2700.5, 1.0)
 STEP = 1.25  # by which time, aperture and C_R are raised
 
-ARM_QUANTITIES = (
-    "optical_transmittance", "quantum_efficiency", "degradation", "integration_time_s", "fixed_noise_electrons",
-    "full_well_electrons", "saturation_radiance", "lsb_electrons", "bit_error_rate",
-)  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Number:
@@ -84,8 +79,7 @@ def numbers(spec: SensorSpecification) -> list[Number]:
     for arm in spec.arms:
         light = f"{arm.throughput.value_cm2_sr:.3g} cm2 sr ({arm.throughput.convention})"
         out.append(Number(f"{arm.name}.throughput", light, arm.throughput.source))
-        quantities = ((name, getattr(arm, name)) for name in ARM_QUANTITIES)
-        out += [_number(f"{arm.name}.{name}", q, q.value != 0.0) for name, q in quantities if q is not None]
+        out += [_number(f"{arm.name}.{name}", q, q.value != 0.0) for name, q in arm if isinstance(q, Quantity)]
         out.append(Number(f"{arm.name}.bits", str(arm.bits), arm.bits_source or "not stated", varies=False))
     if (measured := spec.measured_noise) is not None:
         rows = f"{len(measured.table)} rows of a, b, c"
