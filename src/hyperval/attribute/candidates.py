@@ -26,7 +26,6 @@ from hyperval.model import (
     Origins,
     Truth,
     UncertainInput,
-    World,
     inputs_of,
     number_input,
     predict,
@@ -35,7 +34,7 @@ from hyperval.model import (
     value_at,
 )
 from hyperval.model.inputs import Kind, field_spectrum_of, form_in_words
-from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER
+from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario, SpectralForm
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
