@@ -64,7 +64,7 @@ class Desk:
         Refused : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
         """
         with self._lock:
-            own = sum(self.store.known(run_id).owner == owner for run_id in self._jobs)
+            own = sum(self.store.known(run_id).owner == owner for run_id in list(self._jobs))
             if own >= self.limits.per_session:
                 raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
             try:
