@@ -455,16 +455,13 @@ class Shares:
 
 def shares_of(
     target: Target, population: TargetSubject, targets: Sequence[Target], position_m: float | None, seed: int
-) -> Shares | None:
-    """Shares of one object's pixels; None where the scenario does not say where the object lies.
+) -> Shares:
+    """Shares of the pixels of one object that has a geometry and a place.
 
     Parameters
     ----------
     position_m : standard uncertainty of the places of neighbours in line and sample [m], None: known
     """
-    geometry = population.fill.geometry
-    if geometry is None or population.position_m is None:
-        return None
     beside = neighbours_of(target, population, targets)
     rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
     own, others = _pixels_at_place(population, [subject for _, subject in beside], position_m, rng)

@@ -30,7 +30,6 @@ Form = Literal["envi", "cog"]
 SCALE = 10_000
 NO_DATA = -32768
 _INT16 = 2
-_BLOCK_VALUES = 1_000_000
 _TILE = 128
 _CACHE_MB = 64
 
@@ -77,15 +76,13 @@ def write_reflectance(
 
 def _blocks(cube: Cube, elm: EmpiricalLine, good: Mask) -> Iterator[tuple[range, tuple[Stored, int]]]:
     """Stored numbers (lines, samples, B) of the blocks in order, and how many good values did not fit."""
-    step = max(1, _BLOCK_VALUES // (cube.samples * cube.bands))
-    for first in range(0, cube.lines, step):
-        block = cube.read(first, min(step, cube.lines - first))
+    for block in cube.blocks():
         with np.errstate(invalid="ignore", over="ignore"):
             block.values[~block.valid] = np.nan
             scaled = np.rint(elm.reflectance(block.values) * SCALE)
             stored = np.where(np.abs(scaled) <= 32767, scaled, NO_DATA).astype(np.int16)  # NaN does not fit
         misfits = int(np.count_nonzero(stored[block.valid][:, good] == NO_DATA))
-        yield range(first, first + stored.shape[0]), (stored, misfits)
+        yield range(block.first_line, block.first_line + len(stored)), (stored, misfits)
 
 
 @contextmanager

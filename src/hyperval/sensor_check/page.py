@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 
 from hyperval.campaign.provenance import record_of
-from hyperval.data import Array, Index, Mask
+from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.figures.print import drawings_of
 from hyperval.figures.spec import (
@@ -45,7 +45,7 @@ from hyperval.sensor_check.suite import (
     standard_scenario,
     sunlit_radiance,
 )
-from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis, in_window
+from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 from hyperval.storage import installed_file, whole_folder
 
 _MOST_RESPONSES = 12
@@ -103,8 +103,8 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
         free = noise.snr(radiance, calibration=False)
         marks.append(_curve(axis, free, f"reflectance {level:g}", colour))
         marks.append(_curve(axis, noise.snr(radiance), "", colour, "dashed"))
-        highest.append(free[_shown(axis) if len(axis) >= 30 else axis.good])
-    middle = noise.snr(sunlit_radiance(axis, MIDDLE), calibration=False)[_shown(axis)]
+        highest.append(free[check.good if len(axis) >= 30 else axis.good])
+    middle = noise.snr(sunlit_radiance(axis, MIDDLE), calibration=False)[check.good]
     yield Figure(
         "snr", "snr", "Signal-to-noise ratio, sun at 45° and no atmosphere (dashed: with the calibration error C_R)",
         "Signal-to-noise ratio against wavelength for ground of 0.05, 0.25 and 0.6, with and without the "
@@ -159,11 +159,6 @@ def _few_bands(axis: SpectralAxis) -> Index:
         return np.arange(len(axis))
     first = int(np.clip(np.argmin(np.abs(axis.centre_nm - 550.0)) - 5, 0, len(axis) - _MOST_RESPONSES))
     return np.arange(first, first + _MOST_RESPONSES)
-
-
-def _shown(axis: SpectralAxis) -> Mask:
-    keep = axis.good & in_window(axis.centre_nm)
-    return keep if keep.any() else np.ones(len(axis), bool)
 
 
 def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, dash: Dash = "solid") -> Mark:
