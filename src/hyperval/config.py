@@ -151,18 +151,20 @@ class _Loader(Composer, Resolver, CParser):  # type: ignore[misc]
         return event
 
 
-_Loader.yaml_implicit_resolvers = {}
-for _tag, _pattern, _first in (
-    ("tag:yaml.org,2002:bool", r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF"),
-    ("tag:yaml.org,2002:int", r"^[-+]?(?:0|[1-9][0-9]*)$", "-+0123456789"),
-    (
-        "tag:yaml.org,2002:float",
+# Kind of a scalar -> what it looks like, the letters that it begins with, and the value of its text.
+_SCALARS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
+    "bool": (r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF", lambda text: text.lower() == "true"),
+    "int": (r"^[-+]?(?:0|[1-9][0-9]*)$", "-+0123456789", int),
+    "float": (
         r"^[-+]?(?:(?:\.[0-9]+|(?:0|[1-9][0-9]*)\.[0-9]*)(?:[eE][-+]?[0-9]+)?|[1-9][0-9]*[eE][-+]?[0-9]+)$|^[-+]?\.(?:inf|Inf|INF)$|^\.(?:nan|NaN|NAN)$",
-        "-+.0123456789",
+        "-+.0123456789", lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
     ),
-    ("tag:yaml.org,2002:null", r"^(?:~|null|Null|NULL|)$", "~nN\0"),
-):
-    _Loader.add_implicit_resolver(_tag, re.compile(_pattern), list(_first) + ([""] if _tag.endswith("null") else []))
+    "null": (r"^(?:~|null|Null|NULL|)$", "~nN\0", lambda text: None),
+}  # fmt: skip
+_Loader.yaml_implicit_resolvers = {}
+for _kind, (_pattern, _first, _) in _SCALARS.items():
+    _letters = [*_first, *([""] if _kind == "null" else [])]
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(_pattern), _letters)
 
 
 @reader
@@ -237,18 +239,10 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
         return out
     if isinstance(node, yaml.SequenceNode):
         return [_construct(item, (*at, i), lines, name, count) for i, item in enumerate(node.value)]
-    value = node.value
-    if node.tag.endswith(":bool"):
-        return value.lower() == "true"
-    if node.tag.endswith(":int"):
-        if len(value) > _MAX_DIGITS:
-            raise UsageError(f"a number of {len(value)} digits", where=f"{name}:{node.start_mark.line + 1}")
-        return int(value)
-    if node.tag.endswith(":float"):
-        return float(value.lower().replace(".inf", "inf").replace(".nan", "nan"))
-    if node.tag.endswith(":null"):
-        return None
-    return value
+    kind = node.tag.rpartition(":")[2]
+    if kind == "int" and len(node.value) > _MAX_DIGITS:
+        raise UsageError(f"a number of {len(node.value)} digits", where=f"{name}:{node.start_mark.line + 1}")
+    return _SCALARS[kind][2](node.value) if kind in _SCALARS else node.value
 
 
 def placeholders(data: Any, lines: dict[Location, int], name: str, at: Location = ()) -> list[Placeholder]:

@@ -70,35 +70,30 @@ def with_settings(model: M, changes: Mapping[str, Any]) -> M:
     """
     data = model.model_dump(mode="python", by_alias=True, exclude_unset=True)
     for path, value in changes.items():
-        _set(data, path_parts(path), value, path)
+        data = _changed(data, path_parts(path), value, path)
     changed = validate(type(model), data, {}, "settings " + ", ".join(changes))
     for name in model.__private_attributes__:
         setattr(changed, name, getattr(model, name))
     return changed
 
 
-def _set(data: dict[str, Any], parts: list[str], value: Any, path: str) -> None:
-    at: Any = data
-    for i, part in enumerate(parts[:-1]):
-        if isinstance(at, dict):
-            if at.get(part) is None:  # an optional part that the file leaves out
-                at[part] = {}  # unknown keys are found when it is checked
-            elif isinstance(at[part], tuple) and all(isinstance(item, dict) for item in at[part]):
-                at[part] = list(at[part])  # a list of the file, of which one item differs
-            at = at[part]
-        elif isinstance(at, list | tuple):
-            at = at[_index(at, part, path)]
-        else:
-            raise UsageError(f"setting {path!r}: {'.'.join(parts[:i])} has no parts")
-        if isinstance(at, tuple):
-            raise UsageError(f"setting {path!r}: {'.'.join(parts[: i + 1])} is set as a whole")
-    last = parts[-1]
-    if isinstance(at, dict):
-        at[last] = value
-    elif isinstance(at, list):
-        at[_index(at, last, path)] = value
-    else:
-        raise UsageError(f"setting {path!r}: {'.'.join(parts[:-1])} has no parts")
+def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
+    """What stands at a part of a configuration, with another value where the rest of the path leads."""
+    if not parts:
+        return value
+    here, (part, *rest) = ".".join(path_parts(path)[: -len(parts)]), parts
+    if at is None or isinstance(
+        at, dict
+    ):  # what is left out is made; unknown keys are found when it is checked
+        entries = at or {}
+        return {**entries, part: _changed(entries.get(part), rest, value, path)}
+    if isinstance(at, tuple) and not all(isinstance(item, dict) for item in at):
+        raise UsageError(f"setting {path!r}: {here} is set as a whole")
+    if not isinstance(at, list | tuple):
+        raise UsageError(f"setting {path!r}: {here} has no parts")
+    number, items = _index(at, part, path), list(at)
+    items[number] = _changed(items[number], rest, value, path)
+    return items
 
 
 def path_parts(path: str) -> list[str]:
