@@ -359,6 +359,12 @@ class Geometry(Model):
             raise ValueError("ranked pixels need n, the number of pixels of an object; best takes none")
         return self
 
+    @property
+    def sides_pixels(self) -> tuple[float, float]:
+        """Length, which runs along the heading, and width [pixels]."""
+        length, width = self.side_m or self.length_m or 0.0, self.side_m or self.width_m or 0.0
+        return length / self.gsd_m, width / self.gsd_m
+
 
 class Fill(OneOf):
     """Part of a pixel that the target fills: fixed, by moments, or from geometry."""

@@ -82,9 +82,7 @@ def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
     if not parts:
         return value
     here, (part, *rest) = ".".join(path_parts(path)[: -len(parts)]), parts
-    if at is None or isinstance(
-        at, dict
-    ):  # what is left out is made; unknown keys are found when it is checked
+    if at is None or isinstance(at, dict):  # what is left out is made; unknown keys are found when it is checked
         entries = at or {}
         return {**entries, part: _changed(entries.get(part), rest, value, path)}
     if isinstance(at, tuple) and not all(isinstance(item, dict) for item in at):

@@ -31,11 +31,11 @@ MODULES = (
 BESIDE = {
     "ace_curves", "add_products", "at_rows", "class_features", "curve_area", "cut", "detect", "detection_at",
     "detection_bands", "evaluations", "feature_bands", "fill_distribution", "fills_of_objects", "fills_of_population",
-    "fully_constrained", "geometry_of", "labelled", "latest", "library_names", "light_of", "linear_curves",
+    "fully_constrained", "labelled", "latest", "library_names", "light_of", "linear_curves",
     "load_sensor", "log10_false_alarm_at", "measured_error", "moments", "new_sensor_file", "of_truth", "on_bands",
     "own_mean_sampling", "packed", "pixels_of_object", "predicted_areas", "predicted_classification",
     "predicted_error", "read_statistics_library", "score_distributions", "seen_classes", "spread", "stacked",
-    "stacked_fills", "statistics_of_samples", "target_light", "unpacked", "usable_bands", "whitened",
+    "stacked_fills", "statistics_of_samples", "target_light", "unpacked", "usable_bands", "whitened", "widened",
     "whole_object_fills", "wide", "with_distances", "with_mean", "write_statistics_library",
 }  # fmt: skip
 ROOT = Path(__file__).parents[2]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval import model
+from hyperval.scenario import Geometry
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class, builtin_mean
 
@@ -32,7 +33,8 @@ def test_binned_distribution_keeps_mean_and_nearly_the_variance():
 
 
 def neighbour_fill_geometry(length=1.0, width=1.4, heading=12.0, blur=1.0, phase="random"):
-    return model.TargetGeometry(length, width, 0.7, heading, blur, phase)
+    sides = {"shape": "rectangle", "length_m": length, "width_m": width, "gsd_m": 0.7}
+    return Geometry(**sides, heading_deg=heading, psf_fwhm_pixels=blur, phase=phase)
 
 
 @pytest.mark.parametrize("blur", [0.5, 1.0, (1.0, 0.6)])

@@ -12,7 +12,7 @@ from uncertain_scene import ATMOSPHERE, ORIGINS, SCENE, scenario
 from hyperval import model
 from hyperval.data import ClassStatistics, Components
 from hyperval.errors import InputError, UsageError
-from hyperval.scenario import SpectrumUncertainty, load_scenario
+from hyperval.scenario import Geometry, SpectrumUncertainty, load_scenario
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 
@@ -38,7 +38,7 @@ def test_no_bands_at_all():
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 MEAN, COVARIANCE = np.array([0.1, 0.2]), np.array([[4e-4, 1e-4], [1e-4, 9e-4]])
-ONE = {"length_m": 1.0, "width_m": 1.0, "gsd_m": 1.0}
+ONE = {"side_m": 1.0, "gsd_m": 1.0}
 WEIGHTS, OFFSETS, TWO = np.array([0.5, 0.5]), np.zeros((2, 2)), np.stack([COVARIANCE, COVARIANCE])
 PANEL = model.SurfaceStatistics("x", MEAN, COVARIANCE, "file", n=16)
 FROM_FILE = SpectrumUncertainty(subject="x", from_file=True, divisor="standard_error")
@@ -77,11 +77,8 @@ def few_pixels() -> Any:
         (lambda: model.beta_fill(0.0, 0.1), "no fill fraction between 0 and 1 has mean"),
         (lambda: model.beta_fill(0.5, 0.5), "no fill fraction between 0 and 1 has mean"),
         (lambda: model.beta_fill(0.1, 0.31), "no fill fraction between 0 and 1 has mean"),
-        (lambda: model.TargetGeometry(**ONE | {"length_m": 0.0}), "must be positive"),
-        (lambda: model.TargetGeometry(**ONE | {"length_m": 1000.0}), "pixels"),
-        (lambda: model.TargetGeometry(**ONE | {"gsd_m": -1.0}), "must be positive"),
-        (lambda: model.TargetGeometry(**ONE | {"psf_fwhm_pixels": (1.0, -0.1)}), "PSF width not negative"),
-        (lambda: model.shared_pixel_fills(model.TargetGeometry(**ONE, heading_deg=None), 4, []), "lies any way"),
+        (lambda: model.ranked_pixel_fill(Geometry(**ONE | {"side_m": 1000.0}), 1), "64 pixels across"),
+        (lambda: model.shared_pixel_fills(Geometry(**ONE, heading_deg="random"), 4, []), "lies any way"),
         (few_pixels, r"rank 5 of 12 bands, condition number"),
         (
             lambda: model.design_filter("cem", MEAN + 1, MEAN, np.diag([1.0, 0])),

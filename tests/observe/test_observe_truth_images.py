@@ -11,9 +11,9 @@ from hyperval.campaign import with_fills_of_truth
 from hyperval.collection import Detection
 from hyperval.errors import UsageError
 from hyperval.imagery import open_raster
-from hyperval.model import TargetGeometry, fill_distribution, pixel_fills, pixels_of_object
+from hyperval.model import fill_distribution, pixel_fills, pixels_of_object
 from hyperval.observe import FinerGrid, Place, fills_of, object_of_fills, registration_shifts, window_fills
-from hyperval.scenario import Scenario
+from hyperval.scenario import Geometry, Scenario
 from hyperval.spectra import SIGMA_PER_FWHM
 
 WINDOW = (0, 0), (12, 10)
@@ -23,7 +23,8 @@ WINDOW = (0, 0), (12, 10)
 def test_cells_that_make_a_rectangle_have_the_fills_of_its_geometry(blur):
     both = blur if isinstance(blur, tuple) else (blur, blur)
     length, width, offset = 1.6, 0.9, np.array([0.23, -0.11])  # pixels; (x, y) from the middle pixel's centre
-    expected = pixel_fills(TargetGeometry(length, width, 1.0, 0.0, blur), offset[None], np.zeros(1))[0]
+    geometry = Geometry(shape="rectangle", length_m=length, width_m=width, gsd_m=1.0, psf_fwhm_pixels=blur)
+    expected = pixel_fills(geometry, offset[None], np.zeros(1))[0]
     half = expected.shape[0] // 2
     corner = half + 0.5 + offset[::-1] - np.array([length, width]) / 2
     grid = FinerGrid(*corner, length / 16, width / 9, both)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from small_scene import SCENE, area, planks, small_scene
 
-from hyperval.model import TargetGeometry, pixel_fills
+from hyperval.model import pixel_fills
+from hyperval.scenario import Geometry
 from hyperval.simulate import centred_fill, lay_out, pixel_weights, regions, side_for_fill, square_footprint
 
 
@@ -76,10 +77,9 @@ def test_the_model_and_the_simulation_find_the_same_fills():
     """Two routes that share no line: error functions and quadrature there, cells here."""
     rng = np.random.default_rng(11)
     for unturned in (True, True, *[False] * 6):
-        side, fwhm, heading = rng.uniform(0.2, 1.8), rng.uniform(0.4, 1.5), rng.uniform(0.0, 90.0)
-        heading *= not unturned
+        side, fwhm, heading = rng.uniform(0.2, 1.8), rng.uniform(0.4, 1.5), rng.uniform(0.0, 90.0) * (not unturned)
         dx, dy = rng.uniform(-0.5, 0.5, 2)
-        geometry = TargetGeometry(side, side, 1.0, heading, fwhm)
+        geometry = Geometry(side_m=side, gsd_m=1.0, heading_deg=heading, psf_fwhm_pixels=fwhm)
         # A heading runs clockwise with lines counted downwards; the model's second axis points up.
         model = pixel_fills(geometry, [[dx, -dy]], [heading])[0][::-1]
         half = model.shape[0] // 2

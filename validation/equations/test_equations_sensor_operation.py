@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.model import TargetGeometry, pixel_fills
+from hyperval.model import pixel_fills
+from hyperval.scenario import Geometry
 from hyperval.sensor import (
     NoiseModel,
     SensorChanges,
@@ -43,11 +44,10 @@ def test_mtf_is_the_fourier_transform_of_the_fill():
     # The response at an offset is the fill of a sliver; its transform at Nyquist is the MTF.
     x = np.arange(-3, 3, 1 / 32) + 1 / 64
     sliver = 1e-4
-    long = TargetGeometry(6.0, sliver, 1.0, 0.0, 0.8)
+    long = Geometry(shape="rectangle", length_m=6.0, width_m=sliver, gsd_m=1.0, psf_fwhm_pixels=0.8)
     fills = pixel_fills(long, np.stack([x, np.zeros_like(x)], axis=1), np.zeros_like(x))
     response = fills[:, fills.shape[1] // 2, fills.shape[2] // 2] / sliver
-    found = np.sum(response * np.cos(np.pi * x)) / 32
-    assert found == pytest.approx(float(mtf_at_nyquist(0.8)), abs=2e-5)
+    assert np.sum(response * np.cos(np.pi * x)) / 32 == pytest.approx(float(mtf_at_nyquist(0.8)), abs=2e-5)
 
 
 def test_averaged_frames_by_a_simulated_detector():

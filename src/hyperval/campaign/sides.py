@@ -36,7 +36,7 @@ from hyperval.figures.spec import EigenvalueSpectrum, TailCurve
 from hyperval.imagery.acquisition import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
 from hyperval.imagery.truth import TargetObject
-from hyperval.model import Truth, geometry_of, pixels_of_object, predicted_areas, predicted_classification
+from hyperval.model import Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
 from hyperval.model.intervals import clopper_pearson
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_pixels, target_groups
@@ -189,7 +189,7 @@ def centre_of(place: Place) -> tuple[float, float] | None:
 def _differences(place: Place, fill: Fill, geometry: Geometry, members: Sequence[TargetObject]) -> Iterator[str]:
     """How a scenario's objects differ from those of the truth, in pixels on average over their places on the grid."""
     is_touched = geometry.pixels == "touched"
-    stated = float(np.mean(touched_counts(geometry_of(fill))) if is_touched else pixels_of_object(fill))
+    stated = float(np.mean(touched_counts(geometry)) if is_touched else pixels_of_object(fill))
     counted = float(np.mean([np.count_nonzero(scored_pixels(o, place)[1]) for o in members]))
     if max(counted / stated, stated / counted) > MAX_PIXEL_RATIO:
         yield f"the prediction counts {stated:.3g} pixels for each object, the truth {counted:.3g}"

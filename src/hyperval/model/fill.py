@@ -8,9 +8,9 @@ to 1 everywhere, the sum of the fills times GSD^2 is the area of the target.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ Kind = TypeVar("Kind", bound=np.generic)
 # square grid of as many.
 PHASES, _LATTICE = 377, 233
 MAX_PIXELS_ACROSS = 64
-Blur = float | tuple[float, float]  # FWHM in both directions, or (along, across) = (y, x) [pixels]
+Blur = float | tuple[float, float] | None  # FWHM in both directions, or (along, across) = (y, x) [pixels]
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -72,37 +72,6 @@ class FillDistribution:
         return FillDistribution(total[used] / weight[used], weight[used])
 
 
-@dataclass(frozen=True)
-class TargetGeometry:
-    """A rectangular target on a square pixel grid.
-
-    Attributes
-    ----------
-    length_m, width_m : sides of the target [m]; the length runs along the heading
-    gsd_m : ground sampling distance, the pixel's side [m]
-    heading_deg : direction of the length, clockwise from the pixel grid's column direction; None = any
-    psf_fwhm_pixels : FWHM of the Gaussian blur besides the aperture [pixels], one number or (along, across) =
-        (lines, samples); 0 = aperture alone
-    phase : "random" position on the grid, or "centred" on a pixel's centre
-    """
-
-    length_m: float
-    width_m: float
-    gsd_m: float
-    heading_deg: float | None = 0.0
-    psf_fwhm_pixels: Blur = 0.0
-    phase: Literal["random", "centred"] = "random"
-
-    def __post_init__(self) -> None:
-        if not (self.length_m > 0 and self.width_m > 0 and self.gsd_m > 0 and min(_sigmas(self.psf_fwhm_pixels)) >= 0):
-            raise UsageError("target sides and GSD must be positive, the PSF width not negative")
-        if max(self.length_m, self.width_m) / self.gsd_m > MAX_PIXELS_ACROSS:
-            raise UsageError(
-                f"the target is more than {MAX_PIXELS_ACROSS} pixels across",
-                mend="a target of that size is a class of its own: give it fill {fixed: 1}",
-            )
-
-
 def fixed_fill(value: float) -> FillDistribution:
     """Every pixel has the same fill, as (3.12) is printed."""
     return FillDistribution(np.array([value]), np.ones(1))
@@ -126,13 +95,13 @@ def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
     return FillDistribution(np.clip(f, 0.0, 1.0), np.full(nodes, 1.0 / nodes))
 
 
-def ranked_pixel_fill(geometry: TargetGeometry, n: int) -> FillDistribution:
+def ranked_pixel_fill(geometry: Geometry, n: int) -> FillDistribution:
     """Distribution of f over the ``n`` fullest pixels of an object, each counted alike (f of 3.10)."""
     values = object_fills(geometry, n).ravel()
     return FillDistribution(values, np.full(values.size, 1.0 / values.size))
 
 
-def touched_pixel_fill(geometry: TargetGeometry) -> FillDistribution:
+def touched_pixel_fill(geometry: Geometry) -> FillDistribution:
     """Distribution of f over the pixels that the target's outline meets, each counted alike (f of 3.10).
 
     They are what a truth by outlines has: those that hold a corner alone, nearly empty, and the full ones.
@@ -142,12 +111,12 @@ def touched_pixel_fill(geometry: TargetGeometry) -> FillDistribution:
     return FillDistribution(values, np.full(values.size, 1.0 / values.size))
 
 
-def touched_counts(geometry: TargetGeometry) -> Index:
+def touched_counts(geometry: Geometry) -> Index:
     """(K,) number of pixels that the target's outline meets (f of 3.10), for K equally likely positions."""
     return np.asarray(_around(geometry)[1].sum(axis=(1, 2)))
 
 
-def object_fills(geometry: TargetGeometry, n: int) -> Array:
+def object_fills(geometry: Geometry, n: int) -> Array:
     """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10)."""
     fills = _ranked_fills(geometry)
     if n > fills.shape[1]:
@@ -162,7 +131,7 @@ def lattice_positions(count: int) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _ranked_fills(geometry: TargetGeometry) -> Array:
+def _ranked_fills(geometry: Geometry) -> Array:
     """(K, P) fills of all pixels that the target reaches in falling order, one row per sampled position."""
     fills = _around(geometry)[0]
     result = np.sort(fills.reshape(len(fills), -1), axis=1)[:, ::-1]
@@ -171,20 +140,21 @@ def _ranked_fills(geometry: TargetGeometry) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _around(geometry: TargetGeometry) -> tuple[Array, Mask]:
+def _around(geometry: Geometry) -> tuple[Array, Mask]:
     """(K, P, P) fills of the pixels around the target at each sampled position, and which its outline meets."""
     random = geometry.phase == "random"
-    i = np.arange(count := PHASES if random or geometry.heading_deg is None else 1)
+    any_heading = geometry.heading_deg == "random"
+    i = np.arange(count := PHASES if random or any_heading else 1)
     offset = lattice_positions(count) if random else np.zeros((count, 2))
     any_way = 180.0 * ((0.5 + i * np.sqrt(2.0)) % 1.0)
-    heading = any_way if geometry.heading_deg is None else np.full(count, geometry.heading_deg)
+    heading = any_way if any_heading else np.full(count, geometry.heading_deg, dtype=float)
     fills = pixel_fills(geometry, offset, heading)
     return _fixed(fills, _met(geometry, offset, heading, fills.shape[1]))
 
 
-def _met(geometry: TargetGeometry, offset: Array, heading_deg: Array, size: int) -> Mask:
+def _met(geometry: Geometry, offset: Array, heading_deg: Array, size: int) -> Mask:
     """(K, P, P) True for pixels whose square and the target overlap: no axis of either tells them apart."""
-    a, b = 0.5 * geometry.length_m / geometry.gsd_m, 0.5 * geometry.width_m / geometry.gsd_m
+    a, b = (0.5 * side for side in geometry.sides_pixels)
     pixels = np.arange(size, dtype=float) - size // 2
     x = (pixels[None, None, :] - offset[:, 0, None, None]) + np.zeros((1, size, 1))
     y = pixels[None, :, None] - offset[:, 1, None, None]
@@ -194,7 +164,7 @@ def _met(geometry: TargetGeometry, offset: Array, heading_deg: Array, size: int)
     return np.asarray(met & (np.abs(x * d + y * c) < a + reach) & (np.abs(x * c - y * d) < b + reach))
 
 
-def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: npt.ArrayLike) -> Array:
+def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.ArrayLike) -> Array:
     """Fill of every pixel around a target at given positions (f of 3.10) [1].
 
     The integral over one direction is closed (error functions); over the other it is Gauss-Legendre
@@ -213,8 +183,13 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     """
     at = np.asarray(offset, dtype=float)
     angle = np.deg2rad(np.asarray(heading_deg, dtype=float))
-    length, width = geometry.length_m / geometry.gsd_m, geometry.width_m / geometry.gsd_m
-    s_y, s_x = _sigmas(geometry.psf_fwhm_pixels)
+    length, width = geometry.sides_pixels
+    if max(length, width) > MAX_PIXELS_ACROSS:
+        raise UsageError(
+            f"the target is more than {MAX_PIXELS_ACROSS} pixels across",
+            mend="a target of that size is a class of its own: give it fill {fixed: 1}",
+        )
+    s_y, s_x = (SIGMA_PER_FWHM * fwhm for fwhm in _both(geometry.psf_fwhm_pixels))
     least = min(s_y, s_x)  # decides how finely the integrand is cut
     half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * max(s_y, s_x))) + 1
     borders = np.arange(-half - 0.5, half + 1.0)  # each pixel ends where the next begins
@@ -254,10 +229,9 @@ def aperture_weights(edges: npt.ArrayLike, first: int, count: int, psf_fwhm_pixe
     return np.diff(_between(at), axis=0).T
 
 
-def _sigmas(blur: Blur) -> tuple[float, float]:
-    """Standard deviations of the Gaussian along y and x [pixels]."""
-    along, across = blur if isinstance(blur, tuple) else (blur, blur)
-    return along * SIGMA_PER_FWHM, across * SIGMA_PER_FWHM
+def _both(blur: Blur) -> tuple[float, float]:
+    """FWHM of the Gaussian along y and x [pixels]."""
+    return blur if isinstance(blur, tuple) else (blur or 0.0, blur or 0.0)
 
 
 def _chord(y: Array, c: Array, d: Array, length: float, width: float) -> tuple[Array, Array]:
@@ -301,12 +275,12 @@ _STEPS = 8
 class Neighbour:
     """Another target: its geometry, and its centre from the object's own (lines, samples) [pixels]."""
 
-    geometry: TargetGeometry
+    geometry: Geometry
     offset: tuple[float, float]
 
 
 def shared_pixel_fills(
-    own: TargetGeometry, n: int, neighbours: Sequence[Neighbour], shifts: Array | None = None
+    own: Geometry, n: int, neighbours: Sequence[Neighbour], shifts: Array | None = None
 ) -> tuple[Array, Array]:
     """Fills of the ``n`` fullest pixels of a target, by itself and by each of its neighbours (f of 3.10).
 
@@ -327,7 +301,7 @@ def shared_pixel_fills(
     UsageError : a random heading: what lies beside a target that may lie any way is not known.
     """
     for geometry in (own, *(x.geometry for x in neighbours)):
-        if geometry.heading_deg is None:
+        if geometry.heading_deg == "random":
             raise UsageError("a target with a position lies any way", mend="state heading_deg, or leave position_m out")
     if shifts is None:
         return _kept(own, n, tuple(neighbours))
@@ -335,29 +309,29 @@ def shared_pixel_fills(
 
 
 @lru_cache(maxsize=128)
-def _kept(own: TargetGeometry, n: int, neighbours: tuple[Neighbour, ...]) -> tuple[Array, Array]:
+def _kept(own: Geometry, n: int, neighbours: tuple[Neighbour, ...]) -> tuple[Array, Array]:
     """For one arrangement, however often it is asked for."""
     return _fixed(*_shared_pixel_fills(own, n, neighbours, None))
 
 
 def _shared_pixel_fills(
-    own: TargetGeometry, n: int, neighbours: Sequence[Neighbour], shifts: Array | None
+    own: Geometry, n: int, neighbours: Sequence[Neighbour], shifts: Array | None
 ) -> tuple[Array, Array]:
     fills, chosen = _fullest(own, n)
     others = np.zeros((*fills.shape, len(neighbours)))
     for j, x in enumerate(neighbours):
         away = np.asarray(x.offset) + (0.0 if shifts is None else shifts[:, j, None, :])
-        others[..., j] = _looked_up(_fill_table(replace(x.geometry, phase="random")), chosen - away)
+        others[..., j] = _looked_up(_fill_table(x.geometry.model_copy(update={"phase": "random"})), chosen - away)
     over = np.maximum(fills + others.sum(axis=2), 1.0)
     return fills / over, others / over[..., None]
 
 
 @lru_cache(maxsize=64)
-def _fullest(own: TargetGeometry, n: int) -> tuple[Array, Array]:
+def _fullest(own: Geometry, n: int) -> tuple[Array, Array]:
     """(K, n) fills of the fullest pixels of a target, and where they are (K, n, 2) from its centre."""
     centred = own.phase == "centred"
     place = np.zeros((1, 2)) if centred else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
-    table = _fill_table(replace(own, phase="random"))
+    table = _fill_table(own.model_copy(update={"phase": "random"}))
     half = (table.shape[0] // _STEPS - 1) // 2
     grid = np.stack(np.meshgrid(*2 * (np.arange(-half, half + 1.0),), indexing="ij"), axis=-1).reshape(-1, 2)
     at_pixels = grid[None] - place[:, None]  # (K, P, 2) pixel's centre from the target's
@@ -377,14 +351,14 @@ def _fixed(one: Array, other: npt.NDArray[Kind]) -> tuple[Array, npt.NDArray[Kin
 
 
 @lru_cache(maxsize=64)
-def _fill_table(geometry: TargetGeometry) -> Array:
+def _fill_table(geometry: Geometry) -> Array:
     """(M, M) cubic spline of a pixel's fill against its centre from the target's (lines, samples)."""
     from scipy.ndimage import spline_filter  # a tenth of a second with what it loads
 
     step = (np.arange(_STEPS) + 0.5) / _STEPS - 0.5
     x, y = np.meshgrid(step, step)
     offset = np.stack([x.ravel(), y.ravel()], axis=1)
-    fills = pixel_fills(geometry, offset, np.full(len(offset), geometry.heading_deg))
+    fills = pixel_fills(geometry, offset, np.full(len(offset), geometry.heading_deg, dtype=float))
     across = fills.shape[1]
     # A centre at step i puts pixel p at p - step_i: rising with p, falling with i.
     fills = fills.reshape(_STEPS, _STEPS, across, across)[::-1, ::-1]
@@ -408,7 +382,7 @@ def fill_distribution(fill: Fill) -> FillDistribution:
     if fill.fixed is not None:
         return fixed_fill(fill.fixed)
     if fill.geometry is not None:
-        return _of_geometry(geometry_of(fill), 0 if fill.geometry.pixels == "touched" else fill.geometry.n or 1)
+        return _of_geometry(fill.geometry, 0 if fill.geometry.pixels == "touched" else fill.geometry.n or 1)
     if fill.listed is not None:
         values = np.concatenate([np.asarray(row, float) for row in fill.listed])
         return FillDistribution(values, np.full(values.size, 1.0 / values.size)).binned()
@@ -422,7 +396,7 @@ def fill_distribution(fill: Fill) -> FillDistribution:
 
 
 @lru_cache(maxsize=256)
-def _of_geometry(geometry: TargetGeometry, n: int) -> FillDistribution:
+def _of_geometry(geometry: Geometry, n: int) -> FillDistribution:
     """For one geometry, however often it is asked for; not to be written to.  ``n`` = 0: all pixels it touches."""
     fill = (ranked_pixel_fill(geometry, n) if n else touched_pixel_fill(geometry)).binned()
     for part in (fill.values, fill.weights):
@@ -436,7 +410,7 @@ def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
     ``wider`` : added to the width of the blur [pixels]
     """
     if fill.geometry is not None:
-        return object_fills(geometry_of(fill, wider), pixels_of_object(fill))
+        return object_fills(widened(fill.geometry, wider), pixels_of_object(fill))
     if fill.listed is not None:
         size = pixels_of_object(fill)
         rows = [sorted(row, reverse=True) + [0.0] * (size - len(row)) for row in fill.listed]
@@ -450,25 +424,15 @@ def pixels_of_object(fill: Fill) -> int:
         return max(len(row) for row in fill.listed)
     if fill.geometry is None:
         return 1
-    return int(touched_counts(geometry_of(fill)).max()) if fill.geometry.pixels == "touched" else fill.geometry.n or 1
+    return int(touched_counts(fill.geometry).max()) if fill.geometry.pixels == "touched" else fill.geometry.n or 1
 
 
-def geometry_of(fill: Fill, wider: float = 0.0) -> TargetGeometry:
-    """The geometry of a fill that has one, its blur ``wider`` by so much, but not below 0 [pixels]."""
-    g = fill.geometry
-    assert g is not None  # noqa: S101 - all callers have asked
-    blur = g.psf_fwhm_pixels or 0.0
-    if wider:
-        along, across = blur if isinstance(blur, tuple) else (blur, blur)
-        blur = max(along + wider, 0.0), max(across + wider, 0.0)
-    return TargetGeometry(
-        g.side_m or g.length_m or 0.0,
-        g.side_m or g.width_m or 0.0,
-        g.gsd_m,
-        None if g.heading_deg == "random" else float(g.heading_deg),
-        blur,
-        g.phase,
-    )
+def widened(geometry: Geometry, wider: float) -> Geometry:
+    """The geometry with its blur ``wider`` by so much, but not below 0 [pixels]."""
+    if not wider:
+        return geometry
+    along, across = _both(geometry.psf_fwhm_pixels)
+    return geometry.model_copy(update={"psf_fwhm_pixels": (max(along + wider, 0.0), max(across + wider, 0.0))})
 
 
 def moments(fill: Fill, thesis: bool) -> FillDistribution:

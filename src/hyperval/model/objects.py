@@ -36,10 +36,10 @@ from hyperval.model.fill import (
     PHASES,
     Neighbour,
     fills_of_objects,
-    geometry_of,
     moments,
     pixels_of_object,
     shared_pixel_fills,
+    widened,
 )
 from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixel_reflectance
 from hyperval.model.roc import Host
@@ -322,22 +322,22 @@ def _pixels_at_place(
     if position_m is not None:
         shifts = rng.normal(0.0, position_m / geometry.gsd_m, (phases, len(beside), 2))
     placed, n = [placed_beside(population, subject, change) for subject in beside], pixels_of_object(population.fill)
-    return shared_pixel_fills(geometry_of(population.fill, change), n, placed, shifts if placed else None)
+    return shared_pixel_fills(widened(geometry, change), n, placed, shifts if placed else None)
 
 
 def placed_beside(population: TargetSubject, subject: TargetSubject, change: float = 0.0) -> Neighbour:
     """A neighbour as an object's pixels see it; ``change`` is added to the width of the blur [pixels]."""
-    here, there, geometry = population.position_m, subject.position_m, population.fill.geometry
-    if here is None or there is None or geometry is None:
+    here, there = population.position_m, subject.position_m
+    geometry, other = population.fill.geometry, subject.fill.geometry
+    if here is None or there is None or geometry is None or other is None:
         raise ValueError("a neighbour without a place")
     away = (there[0] - here[0]) / geometry.gsd_m, (there[1] - here[1]) / geometry.gsd_m
-    return Neighbour(geometry_of(subject.fill, change), away)
+    return Neighbour(widened(other, change), away)
 
 
 def _half_diagonal(geometry: Geometry) -> float:
     """[pixels]."""
-    length, width = geometry.side_m or geometry.length_m or 0.0, geometry.side_m or geometry.width_m or 0.0
-    return 0.5 * math.hypot(length, width) / geometry.gsd_m
+    return 0.5 * math.hypot(*geometry.sides_pixels)
 
 
 def _greatest_scores(
