@@ -75,19 +75,23 @@ class Model(BaseModel):
 
 
 class OneOf(Model):
-    """Has entries ``one_of`` which exactly one is given, and others that are given ``together`` or not at all."""
+    """Has entries of which exactly ``one_of`` or ``at_most_one_of`` is given, or which are given ``together``."""
 
     one_of: ClassVar[tuple[str, ...]] = ()
+    at_most_one_of: ClassVar[tuple[str, ...]] = ()
     together: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="after")
     def _of_what_is_given(self) -> Self:
-        entries = {name: getattr(self, name) for name in (*self.one_of, *self.together)}
-        given = {name for name, value in entries.items() if value not in (None, [], ()) and value is not False}
-        one, joined = [n for n in self.one_of if n in given], given.intersection(self.together)
+        one, most, together = (
+            [name for name in names if (value := getattr(self, name)) not in (None, [], ()) and value is not False]
+            for names in (self.one_of, self.at_most_one_of, self.together)
+        )
         if self.one_of and len(one) != 1:
             raise ValueError(f"give exactly one of {', '.join(self.one_of)}" + (f": {one} are given" if one else ""))
-        if joined and len(joined) < len(self.together):
+        if len(most) > 1:
+            raise ValueError(f"give {' or '.join(self.at_most_one_of)}, not both")
+        if together and len(together) < len(self.together):
             raise ValueError(f"{' and '.join(self.together)} go together")
         return self
 

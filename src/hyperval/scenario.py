@@ -79,9 +79,8 @@ class SpectrumSource(OneOf):
 
     @model_validator(mode="after")
     def _check(self) -> SpectrumSource:
-        if self.file is None and (self.wavelength_unit or self.reflectance_unit):
-            raise ValueError("record and units belong to a file")
-        if self.file is None and self.library is None and self.record is not None:
+        units, alone = self.wavelength_unit or self.reflectance_unit, self.library is None and self.record is not None
+        if self.file is None and (units or alone):
             raise ValueError("record and units belong to a file")
         if self.library is not None and not isinstance(self.record, str | None):
             raise ValueError("a record of a statistics library goes by name")
@@ -113,9 +112,10 @@ class CovarianceSource(OneOf):
 Spread = Annotated[float, Field(gt=0)]
 
 
-class SpectralForm(Model):
+class SpectralForm(OneOf):
     """How an error hangs together between bands."""
 
+    at_most_one_of = ("correlation", "correlation_nm")
     correlation_nm: float | None = Field(None, gt=0, description="correlation length; None: fully correlated")
     correlation: Literal["systematic", "random", "arms"] | None = Field(
         None,
@@ -123,14 +123,8 @@ class SpectralForm(Model):
         "None: systematic, or by correlation_nm",
     )
 
-    @model_validator(mode="after")
-    def _one_form(self) -> SpectralForm:
-        if self.correlation and self.correlation_nm is not None:
-            raise ValueError("give correlation or correlation_nm, not both")
-        return self
 
-
-class SpectrumUncertainty(SpectralForm, OneOf):
+class SpectrumUncertainty(SpectralForm):
     """Standard uncertainty of the field spectrum of one subject."""
 
     one_of = ("relative", "absolute", "from_file")
@@ -153,15 +147,13 @@ class FineStructure(SpectralForm):
     per_optical_depth: float = Field(0.0, ge=0, lt=10)
 
 
-class EngineUncertainty(SpectralForm):
+class EngineUncertainty(FineStructure):
     """How far the radiative-transfer engine itself may be off, as a part of the ground-reflected radiance.
 
     u = relative + per_optical_depth * (-ln T_gas) + per_aerosol_depth * tau: absorption bands are worse than windows,
     and haze, of optical depth tau at 550 nm above the ground, worse than clear air.
     """
 
-    relative: float = Field(ge=0, lt=1)
-    per_optical_depth: float = Field(0.0, ge=0, lt=10)
     per_aerosol_depth: float = Field(0.0, ge=0, lt=10)
     path_relative: float = Field(0.0, ge=0, lt=1, description="of the path radiance")
     fine_structure: FineStructure | None = Field(
@@ -205,9 +197,10 @@ class NamedSpread(Model):
     absolute: Spread = Field(description="standard uncertainty, in the unit of the number")
 
 
-class Uncertainty(Model):
+class Uncertainty(OneOf):
     """Standard uncertainties of the inputs; each is a source of the budget."""
 
+    at_most_one_of = ("aot550", "meteorological_range_km")
     method: Literal["linear", "monte-carlo", "both"] = Field(
         "linear",
         description="propagation: linearised; by draws; or both, compared, where the draws give the interval of "
@@ -260,8 +253,6 @@ class Uncertainty(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Uncertainty:
-        if self.aot550 is not None and self.meteorological_range_km is not None:
-            raise ValueError("the aerosol has one uncertainty: aot550 or meteorological_range_km")
         for name in ("solar_irradiance_relative", "adjacency_reflectance_relative"):
             if (getattr(self, name) or 0.0) >= 1.0:
                 raise ValueError(f"{name} is below 1")
@@ -560,10 +551,9 @@ class Scenario(Model):
     def _check(self) -> Scenario:
         if self.atmosphere is not None and self.sensor is None and (self.scene.targets or not self.is_of_space):
             raise ValueError("a scenario with an atmosphere needs a sensor, save for mean spectra above it")
-        if self.sensor_operation is not None and self.sensor is None:
-            raise ValueError("sensor_operation needs a sensor")
-        if self.sensor_changes is not None and self.sensor is None:
-            raise ValueError("sensor_changes needs a sensor")
+        for name in ("sensor_operation", "sensor_changes"):
+            if getattr(self, name) is not None and self.sensor is None:
+                raise ValueError(f"{name} needs a sensor")
         classes = {c.name for c in self.scene.classes}
         for name in self.processing.filter_classes:
             if name not in classes:

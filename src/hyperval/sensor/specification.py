@@ -241,24 +241,19 @@ class ReferenceScene(Model):
     source: Source
 
 
-class PublishedSnr(Model):
+class PublishedSnr(OneOf):
     """Signal-to-noise ratios that were published, with the radiance they refer to.
 
     At most one of ``radiance`` and ``scene``; with neither, the publication does not say what it refers to, and
     the figures are shown and not judged.
     """
 
+    at_most_one_of = ("radiance", "scene")
     table: list[Row] = Field(min_length=1, description="rows [nm, SNR]")
     says: Literal["value", "at least"] = Field("value", description="a figure that is met, or a lower bound")
     radiance: Quantity | None = Field(None, description="reference radiance [uW cm-2 sr-1 nm-1]")
     scene: ReferenceScene | None = Field(None, description="the scene that gives the reference radiance")
     source: Source
-
-    @model_validator(mode="after")
-    def _one_reference(self) -> Self:
-        if self.radiance is not None and self.scene is not None:
-            raise ValueError("give radiance or scene, not both")
-        return self
 
 
 class KnownDiscrepancy(Model):
