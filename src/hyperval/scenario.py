@@ -9,7 +9,7 @@ What a scenario says of the uncertainty of its inputs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -261,26 +261,6 @@ class Uncertainty(OneOf):
             if len(set(subjects)) < len(subjects):
                 raise ValueError(f"{name}: a subject occurs twice")
         return self
-
-    def check_atmosphere(self, atmosphere: object) -> None:
-        """Raise ValueError for an uncertainty of a number that the atmosphere leaves to the engine."""
-        for name in (
-            "meteorological_range_km", "water_vapour_g_cm2", "ozone_atm_cm", "angstrom_exponent",
-            "aerosol_share_below",
-        ):  # fmt: skip
-            if getattr(self, name) is not None and getattr(atmosphere, name) is None:
-                raise ValueError(f"{name} is given, but atmosphere.{name} is not: state it there, too")
-
-    def check_subjects(self, surfaces: Collection[str], targets: Collection[str], classes: Collection[str]) -> None:
-        """Raise ValueError for an uncertainty of a subject that the scene does not have."""
-        for key, known, what in (
-            ("field_spectra", surfaces, "no class, panel, site or target"),
-            ("fills", targets, "no target or subject"),
-            ("fractions", classes, "no class"),
-        ):
-            for item in getattr(self, key):
-                if item.subject not in known:
-                    raise ValueError(f"{key}: {what} {item.subject!r}; there are {', '.join(sorted(known))}")
 
 
 MODEL_DETECTORS = (*LINEAR_DETECTORS, *NUMERICAL_DETECTORS)
@@ -563,13 +543,26 @@ class Scenario(Model):
     @field_validator("uncertainty")
     @classmethod
     def _is_of_what_is_stated(cls, value: Uncertainty, info: ValidationInfo) -> Uncertainty:
+        """Of no number that the atmosphere leaves to the engine, and of no subject that the scene does not have."""
         atmosphere, scene = info.data.get("atmosphere"), info.data.get("scene")
-        if atmosphere is not None:
-            value.check_atmosphere(atmosphere)
-        if scene is not None:
-            surfaces = {s.name for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
-            targets = {name for t in scene.targets for name in (t.name, *(p.name for p in t.populations))}
-            value.check_subjects(surfaces, targets, {c.name for c in scene.classes})
+        for name in (
+            "meteorological_range_km", "water_vapour_g_cm2", "ozone_atm_cm", "angstrom_exponent",
+            "aerosol_share_below",
+        ):  # fmt: skip
+            if atmosphere is not None and getattr(value, name) is not None and getattr(atmosphere, name) is None:
+                raise ValueError(f"{name} is given, but atmosphere.{name} is not: state it there, too")
+        if scene is None:
+            return value
+        surfaces = {s.name for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
+        for items, known, what in (
+            (value.field_spectra, surfaces, "field_spectra: no class, panel, site or target"),
+            (value.fills, {n for t in scene.targets for n in (t.name, *(p.name for p in t.populations))},
+             "fills: no target or subject"),
+            (value.fractions, {c.name for c in scene.classes}, "fractions: no class"),
+        ):  # fmt: skip
+            for item in items:
+                if item.subject not in known:
+                    raise ValueError(f"{what} {item.subject!r}; there are {', '.join(sorted(known))}")
         return value
 
     def with_values(self, values: Mapping[str, Any]) -> Scenario:

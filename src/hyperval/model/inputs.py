@@ -102,22 +102,18 @@ def spectrum_error_sd(item: SpectrumUncertainty, surface: SurfaceStatistics, axi
     ------
     UsageError : the file carries no standard deviation, or no n for a standard error.
     """
-    if item.from_file:
-        if surface.standard_deviation is None:
-            raise UsageError(f"uncertainty of {item.subject!r}: its spectrum's file carries no standard deviation")
-        sd = np.nan_to_num(surface.standard_deviation)
-        if item.divisor == "standard_error":
-            if not surface.n:
-                raise UsageError(
-                    f"uncertainty of {item.subject!r}: the file does not say how many spectra it averages",
-                    mend="use divisor: spread",
-                )
-            sd = sd / np.sqrt(surface.n)
-    else:
-        sd = (
-            np.full(len(axis), item.absolute) if item.absolute else (item.relative or 0.0) * np.nan_to_num(surface.mean)
+    if not item.from_file:
+        mean = np.nan_to_num(surface.mean)
+        return np.full(len(axis), item.absolute) if item.absolute else np.asarray((item.relative or 0.0) * mean)
+    if surface.standard_deviation is None:
+        raise UsageError(f"uncertainty of {item.subject!r}: its spectrum's file carries no standard deviation")
+    n = (surface.n or 0) if item.divisor == "standard_error" else 1
+    if not n:
+        raise UsageError(
+            f"uncertainty of {item.subject!r}: the file does not say how many spectra it averages",
+            mend="use divisor: spread",
         )
-    return np.asarray(sd)
+    return np.asarray(np.nan_to_num(surface.standard_deviation) / np.sqrt(n))
 
 
 Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]
