@@ -482,11 +482,6 @@ class FinerGrid:
     blur: tuple[float, float] = (0.0, 0.0)
     shifts: Array = field(default_factory=lambda: np.zeros((1, 2)))
 
-    def beginning(self, row: int, column: int) -> FinerGrid:
-        """The part of the grid from a cell on."""
-        line, sample = self.line + self.line_step * row, self.sample + self.sample_step * column
-        return replace(self, line=line, sample=sample)
-
 
 def window_fills(cells: Array | Mask, grid: FinerGrid, corner: tuple[int, int], size: tuple[int, int]) -> Array:
     """(K, lines, samples) fills of the pixels of a window by the cells of an image (f of 3.10).
@@ -556,7 +551,8 @@ def image_targets(
         if len(listed) > MAX_OBJECTS:
             raise refusal("finer.patches", str(path), most=MAX_OBJECTS, material=material)
         for name, window, inside in listed:
-            part, there = np.where(inside, cells[window], 0), grid.beginning(window[0].start, window[1].start)
+            part, (down, right) = np.where(inside, cells[window], 0), (side.start for side in window)
+            there = replace(grid, line=grid.line + grid.line_step * down, sample=grid.sample + grid.sample_step * right)
             corner, fills = _seen(name, part, there, cube.shape, str(path))
             area = float(part.sum()) * grid.line_step * grid.sample_step * pixel_area
             out.append(object_of_fills(name, material, fills, corner, cube.shape, area, str(path)))
