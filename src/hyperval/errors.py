@@ -10,7 +10,8 @@ import os
 import shlex
 import stat
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -57,6 +58,16 @@ class EngineError(HypervalError):
     """An external engine (6S, MODTRAN) that is missing or failed (exit code 3)."""
 
     exit_code = 3
+
+
+@contextmanager
+def told_of(whose: str, file: str = "") -> Iterator[None]:
+    """Inside, a refusal says whose it is, and in which file where it does not say so itself."""
+    try:
+        yield
+    except UsageError as error:
+        where = ": ".join(part for part in (whose, error.where or file) if part)
+        raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
 
 
 def refusal(name: str, where: object = None, /, **values: object) -> HypervalError:

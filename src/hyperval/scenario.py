@@ -228,9 +228,9 @@ class Uncertainty(OneOf):
     view_azimuth_deg: Spread | None = Field(None, description="absolute [deg]")
     sensor_altitude_km: Spread | None = Field(None, description="absolute [km]")
     ground_altitude_km: Spread | None = Field(None, description="absolute [km]")
-    solar_irradiance_relative: Spread | None = Field(None, description="below 1; common to all bands")
+    solar_irradiance_relative: Spread | None = Field(None, lt=1, description="common to all bands")
     adjacency_reflectance_relative: Spread | None = Field(
-        None, description="below 1; of the reflectance of the surroundings, common to all bands"
+        None, lt=1, description="of the reflectance of the surroundings, common to all bands"
     )
     engine: EngineUncertainty | None = None
     field_spectra: list[SpectrumUncertainty] = Field(default_factory=list)
@@ -253,9 +253,6 @@ class Uncertainty(OneOf):
 
     @model_validator(mode="after")
     def _check(self) -> Uncertainty:
-        for name in ("solar_irradiance_relative", "adjacency_reflectance_relative"):
-            if (getattr(self, name) or 0.0) >= 1.0:
-                raise ValueError(f"{name} is below 1")
         for name in ("fills", "fractions"):  # field_spectra: entries of a subject add up
             subjects = [item.subject for item in getattr(self, name)]
             if len(set(subjects)) < len(subjects):
@@ -426,8 +423,7 @@ class Scene(Model):
             raise ValueError(f"the fractions of the classes sum to {total:g}, not 1")
         names = [s.name for s in (*self.classes, *self.panels, *self.sites)]
         names += [p.name for t in self.targets for p in t.populations]
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
+        if twice := sorted({n for n in names if names.count(n) > 1}):
             raise ValueError(f"names of subjects occur twice: {', '.join(twice)}")
         classes = {c.name for c in self.classes}
         for target in self.targets:

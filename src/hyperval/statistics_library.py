@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import MOST_COMPONENTS, Array, ClassStatistics, Components, statistics_of
-from hyperval.errors import UsageError, reader, refusal, refuse
+from hyperval.errors import reader, refusal, refuse, told_of
 from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
@@ -165,7 +165,7 @@ def _class_of(data: xr.Dataset, path: Path, record: str | None) -> ClassStatisti
     one = data.isel({"class": at})
     good = one["good_band"].values > 0 if "good_band" in one else np.ones(0, bool)
     tail, components = float(one["tail_dof"]) if "tail_dof" in one else np.nan, None
-    try:
+    with told_of(str(path)):
         if "component_weight" in one and (used := one["component_weight"].values != 0).any():
             weight, offset, covariance = (one[name].values[used] for name in list(_OF_COMPONENTS)[:3])
             dof = float(one["component_dof"])
@@ -175,8 +175,6 @@ def _class_of(data: xr.Dataset, path: Path, record: str | None) -> ClassStatisti
             np.asarray(one["mean"].values, dtype=float), np.asarray(one["covariance"].values, dtype=float),
             int(one["n"]) or None, str(one["source"].values), None if np.isnan(tail) else tail, components,
         )  # fmt: skip
-    except UsageError as error:
-        raise UsageError(error.what, where=str(path), expected=error.expected, mend=error.mend) from error
 
 
 def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 10.0) -> ClassStatistics:

@@ -8,8 +8,7 @@ and how well they know the mean.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
@@ -28,7 +27,7 @@ from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.data import Array, ClassStatistics, Components, Index, statistics_of
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, told_of
 from hyperval.model.intervals import Z95
 from hyperval.paths import MAX_MATCHES, Resolve, matching
 from hyperval.progress import track
@@ -223,16 +222,6 @@ def band_error_covariance(
     return covariance_in_bands(wavelength_nm, covariance, axis)
 
 
-@contextmanager
-def _named(whose: str, file: str) -> Iterator[None]:
-    """Refusals of a source say whose it is."""
-    try:
-        yield
-    except UsageError as error:
-        where = f"{whose}: {error.where or file}"
-        raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
-
-
 @dataclass(frozen=True)
 class Sources:
     """Where spectra come from: the axis, statistics handed in, and how file names become paths.
@@ -290,7 +279,7 @@ class Sources:
     def _of_pixels(self, source: SpectrumSource | CovarianceSource, name: str) -> SurfaceStatistics | None:
         """Statistics of several spectra or pixels, where the source names such."""
         if source.replicates is not None:
-            with _named(f"replicates of {name!r}", ", ".join(source.replicates.references)):
+            with told_of(f"replicates of {name!r}", ", ".join(source.replicates.references)):
                 return replace(
                     replicate_statistics(source.replicates, self.axis, self.resolve, self.nominal), name=name
                 )
@@ -298,7 +287,7 @@ class Sources:
             known = builtin_class(source.builtin, self.axis)
         elif source.library is not None:
             key = "spectrum" if isinstance(source, SpectrumSource) else "covariance"
-            with _named(f"{key}.library of {name!r}", source.library):
+            with told_of(f"{key}.library of {name!r}", source.library):
                 known = self._library(source.library, source.record)
         elif source.measured is not None:
             known = self._measured(source.measured, name)

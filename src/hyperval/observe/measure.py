@@ -20,7 +20,7 @@ import numpy.typing as npt
 from hyperval import pixels as px
 from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
 from hyperval.data import Array, ClassStatistics, Components, Index, Mask, SampleStatistics, statistics_of
-from hyperval.errors import UsageError, refusal
+from hyperval.errors import UsageError, refusal, told_of
 from hyperval.imagery import Cube
 from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe import sites
@@ -590,15 +590,12 @@ class RegionLaws:
             return None
         if key not in self._made:
             region, count, tails = key
-            try:
+            with told_of(f"mixture of class {name!r}, region {region!r}"):
                 pixels, place = self._pixels(region), self.place
                 side = px.block_side(int(np.count_nonzero(place.pixels_of(region))))
                 block = (pixels.lines // side) * (place.cube.samples // side + 1) + pixels.samples // side
                 made = px.class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
                 self._made[key] = None if made is None else (made, made.components(pixels.values))
-            except UsageError as error:
-                where = f"mixture of class {name!r}, region {region!r}"
-                raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
         return self._made[key]
 
 
