@@ -4,14 +4,16 @@
 
 Runs are kept in the cache, so that what was ended goes on where it was.  ``--write`` puts the numbers, with the error
 that was found, into ``src/hyperval/atmosphere/emulator.npz``.  States are points of a Sobol sequence, a little
-past the corners of what the engine takes; the last of them are held out.
+past the corners of what the engine takes.  The error is stated from states of another sequence, and tested over those
+of a third.
 """
 
 from __future__ import annotations
 
-import argparse
-from itertools import islice
+import sys
+from itertools import product
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from modtran_cases import total_radiance
@@ -19,15 +21,15 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from hyperval.atmosphere import AtmosphericState, emulator, sixs, standard_profile
+from hyperval.atmosphere import AtmosphericState, emulator, sixs
 from hyperval.atmosphere.cache import cache_folder
 from hyperval.atmosphere.physics import amounts
+from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.progress import track
 
-MODELS = (
-    "tropical", "midlatitude-summer", "midlatitude-winter", "subarctic-summer", "subarctic-winter", "us-standard-1962",
-)  # fmt: skip
-MADE_FROM, HELD_OUT, OF_A_MODEL = 80, 24, 24
+MODELS = get_args(AtmosphereModel)
+MADE_FROM, CLEAR_FROM, OF_A_MODEL = 256, 128, 48  # clear air follows three inputs alone
+HEIGHTS_KM = {"below 8 km": (0.0, 8.0), "8-22 km": (8.0, 99.0), "space": (99.0, 1e3)}
 SUN_DEG, DEPTH = 77.0, (0.015, 0.9)
 REGIONS = {
     "400-450 nm": (400, 450, 0.9, 1.0), "450-700 nm": (450, 700, 0.9, 1.0), "700-1000 nm": (700, 1000, 0.9, 1.0),
@@ -48,15 +50,14 @@ def states(count: int, seed: int) -> list[AtmosphericState]:
     for k, (depth, sun, ground, height, space, water, ozone) in enumerate(qmc.Sobol(7, seed=seed).random(count)):
         ground_km = round(float(np.clip(3.4 * ground - 0.2, 0.0, None)), 3)
         airborne = round(float(ground_km + 0.45 * (22.0 / 0.45) ** height), 3)
-        fields = {
-            "model": MODELS[k % 6], "aerosol": "rural",
-            "aot550": round(float(DEPTH[0] * (DEPTH[1] / DEPTH[0]) ** depth), 4),
-            "solar_zenith_deg": round(float(SUN_DEG * sun), 3), "solar_azimuth_deg": 180.0,
-            "earth_sun_distance_au": 1.0, "water_vapour_g_cm2": round(float(0.1 * (6.0 / 0.1) ** water), 4),
-            "ozone_atm_cm": round(float(0.2 + 0.3 * ozone), 4), "ground_altitude_km": ground_km,
-            "sensor_altitude_km": 700.0 if space < 0.25 else airborne,
-        }  # fmt: skip
-        made.append(AtmosphericState(**fields))
+        made.append(AtmosphericState(
+            model=MODELS[k % 6], aerosol="rural", solar_azimuth_deg=180.0, earth_sun_distance_au=1.0,
+            aot550=round(float(DEPTH[0] * (DEPTH[1] / DEPTH[0]) ** depth), 4),
+            solar_zenith_deg=round(float(SUN_DEG * sun), 3),
+            water_vapour_g_cm2=round(float(0.1 * (6.0 / 0.1) ** water), 4),
+            ozone_atm_cm=round(float(0.2 + 0.3 * ozone), 4), ground_altitude_km=ground_km,
+            sensor_altitude_km=700.0 if space < 0.25 else airborne,
+        ))  # fmt: skip
     return made
 
 
@@ -90,7 +91,8 @@ def fitted_scattering(made_from: list[AtmosphericState], folder: Path) -> dict[s
             y, sigma = value / form, noise / form
         else:
             y, sigma = -np.log(value) / form, noise / form
-        found = fitted_process(held["features"], y, np.minimum(sigma, 1e3))
+        of = slice(CLEAR_FROM if name.startswith("clear") else None)
+        found = fitted_process(held["features"][of], y[of], np.minimum(sigma[of], 1e3))
         held |= {f"{name}.{part}": array for part, array in zip(("shape", "parabola", "weights"), found, strict=True)}
     return held
 
@@ -166,40 +168,42 @@ def fitted_band(amount: np.ndarray, t: np.ndarray, middle: float, seen: np.ndarr
     return par
 
 
+def beside(count: int, seed: int, held: dict[str, np.ndarray], folder: Path) -> tuple[list, list, list]:
+    """States that the engine takes, and their terms by 6S and by the numbers."""
+    apart = [s for s in states(count, seed) if s.sun[0] <= 75.0 and s.aot550 <= 0.8]
+    theirs = [sixs.sixs_terms(state, folder, False) for state in track(apart, "beside 6S", total=len(apart))]
+    return apart, theirs, [emulator.emulated(state, held) for state in apart]
+
+
 def main() -> None:
     """Make the numbers, print the error."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="put them into the package")
-    chosen, folder = parser.parse_args(), cache_folder(None)
-    every = states(128, 3)
-    held = fitted_scattering(every[:MADE_FROM], folder)
+    folder = cache_folder(None)
+    held = fitted_scattering(states(MADE_FROM, 3), folder)
     for model in MODELS:
-        assert standard_profile(model)
         held |= fitted_gas(model, folder)
-    apart = [s for s in islice(every, MADE_FROM, MADE_FROM + HELD_OUT) if s.sun[0] <= 75.0 and s.aot550 <= 0.8]
-    theirs = [sixs.sixs_terms(state, folder, False) for state in apart]
-    ours = [emulator.emulated(state, held) for state in apart]
-    print(f"{MADE_FROM} states, {len(apart)} others; percent of 6S: median, 95 %, worst\n")
-    print("| | " + " | ".join(REGIONS) + " |\n| --- |" + " --- |" * len(REGIONS))
-    total = {f"radiance, ground of {rho:g}": (lambda t, rho=rho: total_radiance(t, rho)) for rho in (0.02, 0.3)}
-    for name, of in (total | {n: (lambda t, n=n: getattr(t, n)) for n in ("path_radiance", "direct")}).items():
-        off = np.array([np.abs(of(a) / of(b) - 1.0) for a, b in zip(ours, theirs, strict=True)]) * 100.0
-        gas, nm = np.array([t.gas_transmittance for t in theirs]), sixs.GRID_NM
-        cells = []
-        for low, high, least, most in REGIONS.values():
-            here = off[(nm >= low) & (nm < high) & (gas > least) & (gas <= most)]
-            cells.append(f"{np.median(here):.2f}, {np.quantile(here, 0.95):.2f}, {here.max():.1f}")
-        print(f"| {name} | " + " | ".join(cells) + " |")
+    apart, theirs, ours = beside(24, 11, held, folder)
+    seen = np.array([t.gas_transmittance for t in theirs]) > 0.05
     for name, field in (("path_error", "path_radiance"), ("direct_error", "direct")):
         off = np.array([getattr(a, field) / getattr(b, field) - 1.0 for a, b in zip(ours, theirs, strict=True)])
-        seen = np.array([t.gas_transmittance for t in theirs]) > 0.05
         square = (np.where(seen, off, 0.0) ** 2).sum(0) / np.maximum(seen.sum(0), 1)
         held[name] = np.sqrt(np.convolve(np.pad(square, SMOOTH // 2, "edge"), np.full(SMOOTH, 1 / SMOOTH), "valid"))
-    if chosen.write:
+    apart, theirs, ours = beside(36, 12, held, folder)
+    print(f"{MADE_FROM} states, {len(apart)} others; percent of 6S: median, 95 %, worst\n")
+    print("| ground, sensor above it | " + " | ".join(REGIONS) + " |\n| --- |" + " --- |" * len(REGIONS))
+    height = np.array([s.sensor_altitude_km - s.ground_altitude_km for s in apart])
+    gas, nm = np.array([t.gas_transmittance for t in theirs]), sixs.GRID_NM
+    for rho, (words, (above, below)) in product((0.02, 0.3), HEIGHTS_KM.items()):
+        own, cells = (height >= above) & (height < below), []
+        off = [np.abs(total_radiance(a, rho) / total_radiance(b, rho) - 1.0) for a, b in zip(ours, theirs, strict=True)]
+        for low, high, least, most in REGIONS.values():
+            at = own[:, None] & (nm >= low) & (nm < high) & (gas > least) & (gas <= most)
+            median, great, worst = 100.0 * np.quantile(np.array(off)[at], [0.5, 0.95, 1.0])
+            cells.append(f"{median:.2f}, {great:.2f}, {worst:.1f}")
+        print(f"| {rho:g}, {words} ({own.sum()} states) | " + " | ".join(cells) + " |")
+    if "--write" in sys.argv:
         place = Path(__file__).parents[2] / "src" / "hyperval" / "atmosphere" / emulator.FILE
-        np.savez_compressed(
-            place, **{n: a.astype("f4") if n.startswith(MODELS) or n.endswith("error") else a for n, a in held.items()}
-        )
+        rounded = {n: a.astype("f4") for n, a in held.items() if n.startswith(MODELS) or n.endswith("error")}
+        np.savez_compressed(place, **held | rounded)
 
 
 if __name__ == "__main__":

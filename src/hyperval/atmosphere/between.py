@@ -204,14 +204,9 @@ def interpolated_terms(
     axes: Mapping[str, Array], runs: Sequence[AtmosphericTerms], *, star: bool = False, bounded: bool = True
 ) -> InterpolatedTerms:
     """Interpolation between ``runs`` of an engine at the nodes of a grid or a star (see :class:`InterpolatedTerms`)."""
-    values = stacked_values(runs)
+    values = {name: np.stack([getattr(t, name) for t in runs]) for name in runs[0].spectra()}
     values |= {name: np.log(np.maximum(v, _LEAST)) for name, v in values.items() if name not in AS_THEY_ARE}
     return InterpolatedTerms(axes, values, runs[0], star, bounded)
-
-
-def stacked_values(runs: Sequence[AtmosphericTerms]) -> dict[str, Array]:
-    """Term -> (runs, B), for every term that the engine gives."""
-    return {name: np.stack([getattr(t, name) for t in runs]) for name in runs[0].spectra()}
 
 
 _LEAST_TERM = 1e-12  # of a term of which a logarithm or a ratio is taken [1]

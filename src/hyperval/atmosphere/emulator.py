@@ -134,8 +134,9 @@ def scattering(state: AtmosphericState, held: Arrays) -> Arrays:
     air, molecules = air_of(state), held["molecules"]
     x, form, at = air.features()[None], single_scattering(air, molecules), dict[str, Array]()
     for name in form:
-        near = kernel(x, held["features"], held[f"{name}.shape"])
-        at[name] = (basis(x) @ held[f"{name}.parabola"] + near @ held[f"{name}.weights"])[0]
+        weights = held[f"{name}.weights"]  # of clear air for some of the states
+        near = kernel(x, held["features"][: len(weights)], held[f"{name}.shape"])
+        at[name] = (basis(x) @ held[f"{name}.parabola"] + near @ weights)[0]
     clear_down, clear_up = (np.exp(-at[name] * form[name]) for name in ("clear_down", "clear_up"))
     clear_albedo = at["clear_albedo"] * form["clear_albedo"]
     clear = {
