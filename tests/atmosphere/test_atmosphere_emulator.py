@@ -60,7 +60,7 @@ def test_radiance_is_that_of_6s_within_what_is_stated(engine_cache, place):
     off = np.abs(radiance[0] - radiance[1])
     seen = theirs.gas_transmittance > 0.1
     assert np.sqrt(np.mean((off / ours.path_uncertainty)[seen] ** 2)) < 2.0
-    assert np.max(off[seen] / radiance[1][seen]) < 0.01
+    assert np.max(off[seen] / radiance[1][seen]) < 0.015
 
 
 @pytest.mark.parametrize(("changes", "said"), CASES["outside_emulator"])
