@@ -70,7 +70,9 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
         scores = np.asarray(score_map.values)
         view = shown_window(scores.shape, score_map.outlines)
         limits, segments = _score_limits(score_map), _segments(score_map.outlines)
-        outlined = f"; outlined: {_words_of(score_map.outlines) or 'nothing'}."
+        outlines = score_map.outlines
+        named = f"{len(outlines)} objects" if len(outlines) > _MOST_NUMBERED else ", ".join(outlines)
+        outlined = f"; outlined: {named or 'nothing'}."
         values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
         cut = _cut(scores.shape, view)
         note = f"; {cut}" if cut else ""
@@ -304,10 +306,6 @@ def _numbered_names(regions: Mapping[str, Any]) -> str:
     if len(regions) > _MOST_NUMBERED:
         return f"{len(regions)} outlines"
     return "; ".join(f"{number} {name}" for number, name in enumerate(regions, start=1))
-
-
-def _words_of(regions: Mapping[str, Any]) -> str:
-    return f"{len(regions)} objects" if len(regions) > _MOST_NUMBERED else ", ".join(regions)
 
 
 def _css_width(view: Window) -> float:

@@ -329,16 +329,11 @@ def number_text(value: float, spread: float = math.nan) -> str:
 def value_text(row: Result) -> str:
     """The value of a row with its unit; of a p-value two digits, and never nothing at all."""
     if metric_of(row.metric).kind is Kind.TEST and math.isfinite(row.value):
-        return _p_value_text(row.value)
+        if row.value < 1e-300:  # which the computer cannot tell from 0
+            return "< 1e−300"
+        return "> 0.999" if row.value > 0.999 else f"{row.value:.2g}".replace("-", "−")
     text = number_text(row.value, _half_width(row))
     return text if row.unit in ("1", "") or math.isnan(row.value) else f"{text} {row.unit}"
-
-
-def _p_value_text(value: float) -> str:
-    """A probability to two digits: no test knows more; one that the computer cannot tell from 0 is not 0."""
-    if value < 1e-300:
-        return "< 1e−300"
-    return "> 0.999" if value > 0.999 else f"{value:.2g}".replace("-", "−")
 
 
 def interval_text(row: Result) -> str:
