@@ -5,7 +5,7 @@ import pytest
 from exact_forms import roc_points
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import special, stats
 from scipy.special import logit
 from scipy.stats import norm
 
@@ -199,14 +199,14 @@ def test_limits_solve_the_binomial_tails(case):
     k, n = case
     low, high = (float(x) for x in model.clopper_pearson(k, n))
     assert low <= k / n <= high
-    if k > 0:
-        assert stats.binom.sf(k - 1, n, low) == pytest.approx(0.025, rel=1e-7)
-    else:
-        assert low == 0.0
-    if k < n:
-        assert stats.binom.cdf(k, n, high) == pytest.approx(0.025, rel=1e-7)
-    else:
-        assert high == 1.0
+    assert stats.binom.sf(k - 1, n, low) == pytest.approx(0.025, rel=1e-7) if k > 0 else low == 0.0
+    assert stats.binom.cdf(k, n, high) == pytest.approx(0.025, rel=1e-7) if k < n else high == 1.0
+
+
+def test_limits_of_less_than_one_independent_alarm_are_no_narrower_than_those_of_one():
+    low, _ = model.clopper_pearson([0.4, 1.0], 1000)
+    assert special.betainc(0.4, 1000.6, low[0]) == pytest.approx(0.025, rel=1e-7)
+    assert low[0] < low[1] / 100.0
 
 
 def test_jeffreys_limits_hold_at_their_level_on_average():

@@ -44,7 +44,8 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
 
     Parameters
     ----------
-    count, total : number of successes and of trials, broadcast against each other
+    count, total : number of successes and of trials, broadcast against each other; of what comes in clusters both
+        divided by the design effect, and no whole numbers
 
     Returns
     -------
@@ -64,8 +65,8 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     _check(k, n, level)
     tail = (1.0 - level) / 2.0
     # The binomial tail sums are incomplete beta functions; the end counts have their limit at 0 or 1.
-    lower = np.where(k > 0, _beta_quantile(np.maximum(k, 1.0), n - k + 1.0, tail), 0.0)
-    upper = np.where(k < n, _beta_quantile(k + 1.0, np.maximum(n - k, 1.0), 1.0 - tail), 1.0)
+    lower = np.where(k > 0, _beta_quantile(np.where(k > 0, k, 1.0), n - k + 1.0, tail), 0.0)
+    upper = np.where(k < n, _beta_quantile(k + 1.0, np.where(k < n, n - k, 1.0), 1.0 - tail), 1.0)
     return lower, upper
 
 
