@@ -27,7 +27,6 @@ from hyperval.model import (
     mean_radiance,
     minimum_noise_fraction,
     mixing,
-    object_detection_probability,
     radiance_covariance,
     retrieved_covariance,
     score_density,
@@ -296,7 +295,8 @@ def test_3_31_objects_by_monte_carlo():
     at = rng.integers(0, 2, n)
     best = (means[at] + sds[at] * rng.standard_normal((n, 3))).max(axis=1)
     thresholds = np.array([0.2, 0.4, 0.6, 0.9])
-    for x, p in zip(thresholds, object_detection_probability(thresholds[None], means[None], sds[None])[0], strict=True):
+    found = detection_probability(thresholds[None], means[None], sds[None], np.full((1, 2), 0.5))[0]
+    for x, p in zip(thresholds, found, strict=True):
         assert abs((best > x).mean() - p) < 5 * np.sqrt(p * (1 - p) / n)
 
 

@@ -21,7 +21,6 @@ from hyperval.model import (
     greatest_class_false_alarm,
     log_false_alarm,
     matched_filter_weights,
-    object_detection_probability,
     principal_components,
     retrieved_covariance,
     retrieved_reflectance,
@@ -97,7 +96,7 @@ def test_3_31_detection_by_hand():
     two = detection_probability(x, np.array([[0.0, 4.0]]), np.ones((1, 2)), np.array([[0.5, 0.5]]))
     assert two == pytest.approx(np.array([[0.5]]))
     # Two pixels that each miss with 1/2: an object is found with 3/4.
-    found = object_detection_probability(x, np.full((1, 1, 2), 2.0), np.ones((1, 1, 2)))
+    found = detection_probability(x, np.full((1, 1, 2), 2.0), np.ones((1, 1, 2)), np.ones((1, 1)))
     assert found == pytest.approx(np.array([[0.75]]))
 
 

@@ -112,7 +112,6 @@ from .roc import (
     log10_false_alarm_at,
     log_false_alarm,
     mixing,
-    object_detection_probability,
     score_density,
     thresholds_at,
 )
@@ -249,7 +248,6 @@ __all__ = [
     "mixture_covariance",
     "moments",
     "number_input",
-    "object_detection_probability",
     "object_fills",
     "own_mean_sampling",
     "pixel_fills",

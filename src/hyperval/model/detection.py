@@ -294,11 +294,11 @@ class Evaluation(Keeps):
         means, sds = response.at(fills.values, gain, rows, self.shift)
         bare = response.means[rows, 0], response.variances(gain, rows)[:, 0]
         host = self.host(target, detector, np.arange(len(self)), 1.0 - fills.values, *bare)
-        weights, each = np.broadcast_to(fills.weights, means.shape), None
+        weights = np.broadcast_to(fills.weights, means.shape)
         if fills.shape is not None:
-            shape = len(self), *fills.shape
-            weights, each = np.full(means.shape, np.nan), (means.reshape(shape), sds.reshape(shape))
-        return RocScores(*self.classes(target, detector), means, sds, weights, each, host)
+            means, sds = (x.reshape(len(self), *fills.shape) for x in (means, sds))
+            weights = np.full(means.shape[:2], 1.0 / fills.shape[0])
+        return RocScores(*self.classes(target, detector), means, sds, weights, host)
 
     def host(
         self, target: int, detector: str, truths: Index, share: Array, mean: Array, variance: Array
@@ -640,7 +640,7 @@ def linear_curves(
         pd = {"pixel": scores.rows(first).detection_above(thresholds[first])}
         if "object" in units:
             objects = e.scores(population.name, name, True)
-            alone = objects.objects is None and objects.means.shape == scores.means.shape
+            alone = objects.means.shape == scores.means.shape
             pd["object"] = pd["pixel"] if alone else objects.detection_above(thresholds[first])
         wanted, of = np.unique(which[at], return_inverse=True)
         some = scores.rows(first[wanted])

@@ -421,48 +421,29 @@ def log10_false_alarm_at(curve: RocCurve, pd: float) -> float:
 def detection_probability(
     threshold: Array, means: Array, sds: Array, weights: Array, host: Host | None = None
 ) -> Array:
-    """P_D(x) = sum_k w_k Phi((theta_k - x) / sigma_k) (3.31 with 1/sigma_T, exact over the fill).
+    """P_D(x) = sum_k w_k [1 - prod_j (1 - Phi((theta_kj - x) / sigma_kj))] (3.31 with 1/sigma_T, exact over the fill).
+
+    At least one of the J pixels of an object passes the threshold; they are independent given their fills.  Of single
+    pixels it is sum_k w_k Phi((theta_k - x) / sigma_k).
 
     Parameters
     ----------
     threshold : (n, K) x
-    means, sds, weights : (n, J) score statistics at the fills, and their probabilities
-    host : the class that fills the rest of the pixels; None: one normal law
-
-    Returns
-    -------
-    (n, K)
-    """
-    pd = np.empty(threshold.shape)
-    for part, above in _exceedance(threshold, means, sds, host):
-        pd[:, part] = np.matmul(above, weights[:, :, None])[:, :, 0]
-    return np.asarray(np.clip(pd, 0.0, 1.0))
-
-
-def object_detection_probability(threshold: Array, means: Array, sds: Array, host: Host | None = None) -> Array:
-    """Probability that at least one pixel of an object passes the threshold (3.31 for objects).
-
-    1 - prod_j (1 - Phi((theta_j - x) / sigma_j)), averaged over equally likely places; the pixels are
-    independent given their fills.
-
-    Parameters
-    ----------
-    threshold : (n, K)
-    means, sds : (n, P, J) score statistics of the J pixels at P places
+    means, sds : (n, P) score statistics at P fills, or (n, P, J) of the J pixels of an object at P places
+    weights : (n, P) probabilities of these
     host : the class that fills the rest of the pixels, its share (n or 1, P J); None: one normal law
 
     Returns
     -------
     (n, K)
     """
-    pd, shape = np.empty(threshold.shape), means.shape
+    pd, shape = np.empty(threshold.shape), (len(means), means.shape[1], -1)
     for part, above in _exceedance(threshold, means.reshape(len(means), -1), sds.reshape(len(sds), -1), host):
-        each = np.moveaxis(above.reshape(shape[0], -1, *shape[1:]), 3, 0)  # (J, n, k, P)
-        passed = each[0].copy()
-        for other in each[1:]:
-            passed += other * (1.0 - passed)  # small probabilities keep their digits
-        pd[:, part] = passed.mean(axis=2)
-    return pd
+        passed, *others = np.moveaxis(above.reshape(*above.shape[:2], *shape[1:]), 3, 0)  # (J, n, k, P)
+        for other in others:
+            passed = passed + other * (1.0 - passed)  # small probabilities keep their digits
+        pd[:, part] = np.matmul(passed, weights[:, :, None])[:, :, 0]  # (3.31)
+    return np.asarray(np.clip(pd, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -472,8 +453,8 @@ class RocScores:
     Attributes
     ----------
     classes : of the different backgrounds;  which (n,) of them each evaluation has
-    means, sds, weights : (n, J) of the target pixels over their fills
-    objects : (n, P, J) means and sds of the J pixels of an object at P places; None where a pixel is an object
+    means, sds : (n, P) of the target pixels over their fills, or (n, P, J) of the J pixels of an object at P places
+    weights : (n, P) probabilities of these
     host : the class that fills the rest of these pixels; None: one normal law in all evaluations
     """
 
@@ -482,7 +463,6 @@ class RocScores:
     means: Array
     sds: Array
     weights: Array
-    objects: tuple[Array, Array] | None = None
     host: Host | None = None
 
     @property
@@ -502,13 +482,10 @@ class RocScores:
 
     def rows(self, index: Index) -> RocScores:
         """The evaluations that ``index`` names."""
-        objects = None if self.objects is None else (self.objects[0][index], self.objects[1][index])
         host = None if self.host is None else self.host.rows(index)
         if host is not None and host.normal.all():
             host = None
-        return RocScores(
-            self.classes, self.which[index], self.means[index], self.sds[index], self.weights[index], objects, host
-        )
+        return RocScores(self.classes, self.which[index], self.means[index], self.sds[index], self.weights[index], host)
 
     def thresholds(self, pfa: Array) -> Array:
         """(n, K) thresholds at ``pfa`` (n, K) or (1, K)."""
@@ -528,9 +505,7 @@ class RocScores:
             for rows in (np.flatnonzero(normal), np.flatnonzero(~normal)):
                 pd[rows] = self.rows(rows).detection_above(thresholds[rows])
             return pd
-        if self.objects is None:
-            return detection_probability(thresholds, self.means, self.sds, self.weights, self.host)
-        return object_detection_probability(thresholds, *self.objects, self.host)
+        return detection_probability(thresholds, self.means, self.sds, self.weights, self.host)
 
     def detection(self, pfa: Array) -> Array:
         """P_D (n, K) at ``pfa`` (n, K) or (1, K) (3.31, 3.33)."""
@@ -559,29 +534,10 @@ class RocScores:
         return np.asarray(np.minimum(log_pfa / np.log(10.0), 0.0))
 
     def auc(self) -> Array:
-        """Area under the ROC (n,): the probability that a target pixel outscores a background pixel.
-
-        Two Gaussians: Phi((theta_T - theta_m) / sqrt(sigma_T^2 + sigma_m^2)).  A t score is a Gaussian whose
-        variance is divided by a chi-square over its degrees of freedom, which is averaged over.
-        """
-        c = self.classes.rows(self.which)
-        total = np.zeros(self.which.size)
-        plain = np.ones(total.size), self.means, self.sds**2, np.zeros(self.sds.shape), np.full(total.size, np.inf)
-        parts = [plain] if self.host is None else self.host.parts(self.means, self.sds)
-        for probability, means, normal, tailed, dof in parts:
-            for own, weight in zip(*(a.T for a in mixing(dof)), strict=True):
-                variance = normal + tailed * own[:, None]
-                for m in range(c.mean.shape[1]):
-                    z = self._over_class(means - c.mean[:, m, None], variance, c.sd[:, m], c.dof[:, m])
-                    total += probability * weight * c.fraction[:, m] * z
-        return total
-
-    def _over_class(self, ahead: Array, variance: Array, sd: Array, dof: Array) -> Array:
-        """(n,) probability that pixels of normal law (n, J), so far ahead of a class, outscore it."""
-        factor, weight = mixing(dof)
-        spread = variance[:, :, None] + (sd[:, None] ** 2 * factor)[:, None, :]
-        z = ahead[:, :, None] / np.sqrt(np.maximum(spread, SMALLEST_SD**2))
-        return np.asarray((self.weights * np.matmul(ndtr(z), weight[:, :, None])[:, :, 0]).sum(axis=1))
+        """Area under the ROC (n,): the probability that a target pixel outscores a background pixel."""
+        pfa = false_alarm_grid()
+        rows = zip(self.detection(pfa[None]), self.thresholds(pfa[None]), strict=True)
+        return np.array([curve_area(RocCurve(pfa, *(pd,) * 3, x), WHOLE) for pd, x in rows])
 
 
 # Score distributions are tabulated on this many points, over this many standard deviations either way.
