@@ -109,9 +109,7 @@ OF_SENSOR = {
         wrapped("hyperval.sensor.noise.bit_error_variance", result(lambda variance: 3.0 * variance)),
         "median_bit_error_noise_at_rate_1e-09",
     ),
-    "(3.16) of a standard deviation": (
-        wrapped("hyperval.sensor.noise.detector_radiance_variance", result(np.sqrt)), "median_snr",
-    ),
+    "(3.13) of a standard deviation": (wrapped("hyperval.sensor.noise.shot_variance", result(np.sqrt)), "median_snr"),
 }  # fmt: skip
 
 

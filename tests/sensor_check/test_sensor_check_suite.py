@@ -12,7 +12,7 @@ from solver_nodes import run_solver_at
 from hyperval.errors import UsageError
 from hyperval.model import predict
 from hyperval.results import Outcome, Role
-from hyperval.sensor import NoiseModel, ReferenceScene, load_sensor
+from hyperval.sensor import ReferenceScene, load_sensor
 from hyperval.sensor_check import SensorCheck, check_sensor, numbers, scaled, scene_radiance, sunlit_radiance
 from hyperval.spectra import SpectralAxis, band_average
 from small_campaign import stand_in_atmosphere
@@ -132,11 +132,6 @@ def resampling(change: Callable[[Any], Any]) -> Callable[[Patch], None]:
     return lambda patch: patch.setattr(f"{SUITE}.band_average", changed_average)
 
 
-def noise_sum(patch: Patch) -> None:
-    variance = NoiseModel.variance
-    patch.setattr(NoiseModel, "variance", lambda self, level, **k: 1.1 * variance(self, level, **k))
-
-
 def deaf_to(name: str) -> Callable[[Patch], None]:
     """The noise does not react to a change of what makes it."""
     return lambda patch: patch.setattr(f"{SUITE}.{name}", lambda unchanged, changes: unchanged)
@@ -167,7 +162,6 @@ PROGRAM_DEFECTS: dict[str, tuple[Callable[[Patch], None], str]] = {
     "sigma taken as FWHM in the resampling": (sigma_in_resampling, "response/width_error"),
     "responses not normalised": (resampling(lambda y: 1.01 * y), "response/integral_error"),
     "responses shifted": (resampling(lambda y: y + np.array([[0.0], [0.5], [0.0]])), "response/centroid_error_fwhm"),
-    "terms that do not add up": (noise_sum, "noise/sum_of_terms_error"),
     "deaf to time and aperture": (deaf_to("scaled"), "monotone/lowest_relative_growth_of_snr"),
     "deaf to C_R": (deaf_to("changed_noise"), "monotone/lowest_relative_growth_of_snr"),
     "sign of the radiance": (predicted(every("radiance", -1.0)), "scenario/values_not_positive"),

@@ -11,13 +11,10 @@ from hyperval.sensor import (
     aperture_throughput,
     bit_error_variance,
     calibration_variance,
-    detector_radiance_variance,
-    detector_variance,
     electrons_per_radiance,
     f_number_throughput,
     measured_noise_variance,
     quantisation_variance,
-    recorded_noise,
     shot_variance,
     signal_to_noise,
     solid_angle,
@@ -56,18 +53,9 @@ def test_3_14_throughput():
 
 def test_3_15_3_16_by_hand():
     assert shot_variance(5.0, 1000.0) == pytest.approx(5000.0)
-    assert detector_variance(5.0, 1000.0, 60.0) == pytest.approx(5000 + 3600)
-    # g_d = 1.5: 2.25 * 8600 / 1e6
-    assert detector_radiance_variance(5.0, 1000.0, 60.0, 1.5) == pytest.approx(0.01935)
-
-
-def test_3_15_by_a_simulated_detector():
-    """1e6 readings, Poisson and normal; s.e. of a variance is sigma^2 sqrt(2/n): |z| < 5, false failure 6e-7."""
-    rng = np.random.default_rng(315)
-    n = 1_000_000
-    electrons = rng.poisson(5000, n) + rng.normal(0, 60, n)
-    expected = float(detector_variance(5.0, 1000.0, 60.0))
-    assert abs(electrons.var() - expected) < 5 * expected * np.sqrt(2 / n)
+    # g_d = 1.5: 2.25 * (5000 + 3600) / 1e6
+    parts = physical().breakdown([5.0])
+    assert parts.shot + parts.fixed == pytest.approx([0.01935])
 
 
 def test_3_17_by_hand_and_its_cap_on_snr():
@@ -154,14 +142,16 @@ def test_3_13_more_signal_by_hand():
 
 def test_3_16_recorded_with_a_gain_and_an_offset_by_hand():
     # L' = 1.1 L + 0.5 = 6: L = 5, whose variance is multiplied by 1.21; half of the noise, a quarter of that.
-    off = recorded_noise(physical(), gain=1.1, offset=0.5, factor=0.5)
+    off = physical(gain=1.1, offset=0.5, factor=0.5)
     assert off.variance([6.0]) == pytest.approx(1.21 * 0.25 * physical().variance([5.0]), rel=1e-12)
     assert off.breakdown([6.0]).shot == pytest.approx([1.21 * 0.25 * 2.25 * 5000 / 1e6])
-    assert recorded_noise(physical(), signal_factor=2.0).breakdown([5.0]).shot == pytest.approx([2.25 * 2500 / 1e6])
 
 
 def test_measured_noise_is_the_physical_model():
     # a = 0.01, b = 1.2: G = 1e4, sigma_f = sqrt(1.2)/0.01 = 109.54 electrons.
     found = measured_noise_variance(5.0, 0.01, 1.2, 0.0)
     assert found == pytest.approx(1e-4 * 6.2)
-    assert found == pytest.approx(float(detector_radiance_variance(5.0, 1e4, np.sqrt(1.2) / 0.01)), rel=1e-12)
+    sensor = {"electrons_per_radiance": np.array([1e4]), "fixed_noise": np.sqrt([1.2]) / 0.01, "detector_gain": 1.0}
+    for c in (0.0, 0.002):
+        noise = physical(measured=tuple(np.array([x]) for x in (0.01, 1.2, c)), **sensor)
+        assert noise.variance([5.0], calibration=False) == pytest.approx((1e-2 * np.sqrt([6.2]) + c) ** 2, rel=1e-12)

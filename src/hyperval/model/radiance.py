@@ -39,7 +39,7 @@ from hyperval.errors import UsageError
 from hyperval.model.stated import Law
 from hyperval.model.world import World
 from hyperval.scenario import DarkestPixel, ElmPanels
-from hyperval.sensor.noise import NoiseModel, recorded_noise
+from hyperval.sensor.noise import NoiseModel, with_signal
 
 
 def average_reflectance(fractions: npt.ArrayLike, means: npt.ArrayLike) -> Array:
@@ -611,7 +611,7 @@ def light_of(world: World) -> Light:
         noise = models[0]
         if len(models) > 1:
             noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
-        noise = recorded_noise(noise, gain=g, offset=offset, factor=factor("noise"), signal_factor=factor("electrons"))
+        noise = replace(with_signal(noise, factor("electrons")), gain=g, offset=offset, factor=factor("noise"))
     panels, retrieval = (factor("dark"), factor("bright")), (factor("line_gain"), factor("line_offset"))
     elm = processing.elm if isinstance(processing.elm, ElmPanels) or (radiant and processing.elm != "none") else None
     light = Light(

@@ -133,26 +133,7 @@ def psf_fwhm_from_mtf(at_nyquist: npt.ArrayLike) -> Array:
 
 def shot_variance(radiance: npt.ArrayLike, electrons_per_radiance: npt.ArrayLike) -> Array:
     """Photon noise variance N = G L [electrons^2] (3.13): Poisson, variance equal to the mean."""
-    return np.asarray(np.clip(np.asarray(radiance, dtype=float) * np.asarray(electrons_per_radiance), 0.0, None))
-
-
-def detector_variance(
-    radiance: npt.ArrayLike, electrons_per_radiance: npt.ArrayLike, fixed_noise: npt.ArrayLike
-) -> Array:
-    """sigma_d^2 = N + sigma_f^2 [electrons^2] (3.15); ``fixed_noise`` is sigma_f [electrons]."""
-    return np.asarray(shot_variance(radiance, electrons_per_radiance) + np.asarray(fixed_noise, dtype=float) ** 2)
-
-
-def detector_radiance_variance(
-    radiance: npt.ArrayLike,
-    electrons_per_radiance: npt.ArrayLike,
-    fixed_noise: npt.ArrayLike,
-    detector_gain: npt.ArrayLike = 1.0,
-) -> Array:
-    """g_d^2 (sigma_d / G)^2 [radiance^2] (3.16): what is added to the diagonal of the covariance."""
-    g = np.asarray(electrons_per_radiance, dtype=float)
-    variance = detector_variance(radiance, g, fixed_noise)
-    return np.asarray(np.asarray(detector_gain) ** 2 * variance / g**2)
+    return np.asarray(np.maximum(np.asarray(radiance, dtype=float) * np.asarray(electrons_per_radiance), 0.0))
 
 
 def calibration_variance(radiance: npt.ArrayLike, error_percent: npt.ArrayLike) -> Array:
@@ -193,7 +174,7 @@ def measured_noise_variance(radiance: npt.ArrayLike, a: npt.ArrayLike, b: npt.Ar
 
 @dataclass(frozen=True)
 class NoiseBreakdown:
-    """Noise variances [radiance^2] of (3.15)-(3.19), each (..., B); they sum to the total of (3.20).
+    """Noise variances [radiance^2] of (3.15)-(3.19), (..., B) or (B,) each; they sum to the total of (3.20).
 
     Attributes
     ----------
@@ -212,9 +193,14 @@ class NoiseBreakdown:
     fit: Array
 
     @property
+    def detector(self) -> Array:
+        """Sum of all terms but the calibration."""
+        return np.asarray(self.shot + (self.fixed + self.quantisation + self.bit_errors + self.fit))
+
+    @property
     def total(self) -> Array:
         """Sum of all terms."""
-        return np.asarray(self.shot + self.fixed + self.quantisation + self.bit_errors + self.calibration + self.fit)
+        return np.asarray(self.detector + self.calibration)
 
 
 @dataclass(frozen=True)
@@ -265,47 +251,28 @@ class NoiseModel:
         return level if np.all(self.gain == 1.0) and np.all(self.offset == 0.0) else (level - self.offset) / self.gain
 
     def breakdown(self, radiance: npt.ArrayLike) -> NoiseBreakdown:
-        """The terms of (3.16)-(3.19) at ``radiance`` (..., B), apart from each other."""
+        """The terms of (3.16)-(3.19) at ``radiance`` (..., B), apart from each other; (B,) where it is all the same."""
         level, scale = self._true(radiance), (np.asarray(self.gain) * self.factor) ** 2
         g, gd2 = self.electrons_per_radiance, self.detector_gain**2
-        zero = np.zeros(np.broadcast_shapes(level.shape, g.shape))
-        shot = zero + gd2 * shot_variance(level, g) / g**2  # (3.13)
-        fixed = zero + gd2 * (self.fixed_noise / g) ** 2  # (3.15)
-        quantisation, bit_errors, fit = zero, zero, zero
+        analogue, digital = scale / self.readings, scale / self.digital_readings
+        unit = analogue * gd2 / g**2  # of the electrons of the detector (3.16)
+        shot, fixed = shot_variance(level, g) * unit, self.fixed_noise**2 * unit  # (3.13), (3.15)
+        fit, lsb = np.zeros_like(g), self.lsb_electrons / g
         if self.measured is not None:
-            fit = gd2 * measured_noise_variance(level, *self.measured) - shot - fixed
-        else:
-            quantisation = zero + quantisation_variance(self.lsb_electrons) / g**2  # (3.18)
-            bit_errors = zero + (
-                bit_error_variance(self.lsb_electrons, self.bits, self.bit_error_rate, self.bit_error_per) / g**2
-            )  # (3.19)
+            lsb = fit
+            if np.any(self.measured[2]):
+                fit = analogue * gd2 * measured_noise_variance(level, *self.measured) - shot - fixed
+        flipped = bit_error_variance(lsb, self.bits, self.bit_error_rate, self.bit_error_per)  # (3.19)
+        calibration = calibration_variance(level, self.calibration_percent)  # (3.17)
         return NoiseBreakdown(
-            scale * (shot / self.readings),
-            scale * (fixed / self.readings),
-            scale * (quantisation / self.digital_readings),
-            scale * (bit_errors / self.digital_readings),
-            scale
-            * (zero + calibration_variance(level, self.calibration_percent) / self.calibration_readings),  # (3.17)
-            scale * (fit / self.readings),
-        )
+            shot, fixed, digital * quantisation_variance(lsb), digital * flipped,  # (3.18)
+            scale / self.calibration_readings * calibration, fit,
+        )  # fmt: skip
 
     def variance(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
         """Noise variance (..., B) [radiance^2] at ``radiance`` (..., B): the sum of (3.16)-(3.19)."""
-        level = self._true(radiance)
-        if self.measured is not None:
-            total = self.detector_gain**2 * measured_noise_variance(level, *self.measured) / self.readings
-        else:
-            digital = quantisation_variance(self.lsb_electrons) + bit_error_variance(
-                self.lsb_electrons, self.bits, self.bit_error_rate, self.bit_error_per
-            )
-            total = digital / self.electrons_per_radiance**2 / self.digital_readings + (
-                detector_radiance_variance(level, self.electrons_per_radiance, self.fixed_noise, self.detector_gain)
-                / self.readings
-            )
-        if calibration:
-            total = total + calibration_variance(level, self.calibration_percent) / self.calibration_readings
-        scale = (np.asarray(self.gain) * self.factor) ** 2
-        return np.asarray(total if np.all(scale == 1.0) else scale * total)
+        parts = self.breakdown(radiance)
+        return parts.total if calibration else parts.detector
 
     def snr(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
         """SNR (..., B) (3.20); with the calibration error it cannot exceed 100 / C_R."""
@@ -320,18 +287,6 @@ class NoiseModel:
 def signal_to_noise(radiance: npt.ArrayLike, variance: npt.ArrayLike) -> Array:
     """L over the root of all noise variances, in one unit (3.20) [1]."""
     return np.asarray(np.asarray(radiance, dtype=float) / np.sqrt(np.asarray(variance, dtype=float)))
-
-
-def recorded_noise(
-    noise: NoiseModel,
-    *,
-    gain: float | Array = 1.0,
-    offset: float | Array = 0.0,
-    factor: float | Array = 1.0,
-    signal_factor: float | Array = 1.0,
-) -> NoiseModel:
-    """The noise of a recorded radiance; ``signal_factor`` is on the electrons per radiance (3.13)."""
-    return replace(with_signal(noise, np.asarray(signal_factor, dtype=float)), gain=gain, offset=offset, factor=factor)
 
 
 def with_signal(noise: NoiseModel, factor: float | Array) -> NoiseModel:

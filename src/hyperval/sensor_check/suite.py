@@ -656,13 +656,6 @@ def photon_transfer(check: SensorCheck) -> Values:
         yield Found(float(np.median(off[linear])), n=int(linear.sum()))
 
 
-def sum_of_terms(check: SensorCheck) -> Values:
-    """The noise against the sum of its terms."""
-    level = sunlit_radiance(check.axis, MIDDLE)
-    ratio = check.noise.breakdown(level).total / check.noise.variance(level)
-    yield Found(float(np.max(np.abs(ratio - 1.0))))
-
-
 def median_snr(check: SensorCheck) -> Values:
     """Median SNR without C_R at the reference radiances, by region."""
     for level in LEVELS:
@@ -818,7 +811,7 @@ MEASURES: dict[str, Callable[..., Values]] = {
     function.__name__: function
     for function in (
         order, without_width, band_count, end, spacing, gap, response, outside_arms, bands_of_arm, least, greatest,
-        beyond_table, electrons, energy_gain, photon_transfer, sum_of_terms, median_snr, lowest_snr, quantisation,
+        beyond_table, electrons, energy_gain, photon_transfer, median_snr, lowest_snr, quantisation,
         saturation, growth, published, scenario_runs, not_positive, snr_over_cap, panel_error, scene_saturation,
         roc_step, detection, swings, stale,
     )
