@@ -77,7 +77,7 @@ class User(threading.Thread):
             if title not in shown:
                 self.errors.append(f"a result of another: {title}")
             if self.charts:
-                self.timed("charts", "GET", f"/runs/{run['id']}/charts")
+                self.timed("charts", "GET", f"/api/v1/runs/{run['id']}/charts")
             time.sleep(chance.uniform(0.5, 1.5) * self.think)
 
 
@@ -134,7 +134,7 @@ def warm() -> None:
         run = session.post(url, json={"name": "yellow-planks-asphalt"}, timeout=90).json()
         times.append(time.perf_counter() - start)
         if number < 4:
-            session.get(f"{ADDRESS}/runs/{run['id']}/charts", timeout=90)
+            session.get(f"{ADDRESS}/api/v1/runs/{run['id']}/charts", timeout=90)
     print(f"one prediction alone, warm: median {statistics.median(times[4:]):.3f} s of 20")
     start = time.perf_counter()
     requests.get(ADDRESS, timeout=30)

@@ -174,15 +174,15 @@ def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, se
 def test_charts_of_two_runs_have_differences(client, server):
     orders = [{**EASY, "settings": {"atmosphere.meteorological_range_km": km}} for km in (23, 8)]
     runs = [client.post(f"{server.address}/api/v1/predictions", json=order).json()["id"] for order in orders]
-    alone = client.get(f"{server.address}/runs/{runs[1]}/charts").json()
+    alone = client.get(f"{server.address}/api/v1/runs/{runs[1]}/charts").json()
     assert {"chart-radiance", "chart-snr", "chart-reflectance", "chart-roc"} <= {c["name"] for c in alone}
     # Charts that were kept for other scripts are made again: after an update these could not draw them.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hyperval.web.store._scripts", lambda: "others")
-        assert client.get(f"{server.address}/runs/{runs[1]}/charts").json() == alone
+        assert client.get(f"{server.address}/api/v1/runs/{runs[1]}/charts").json() == alone
     kept = server.app.state.store.place(runs[1])
     assert {view_name("charts"), "charts-others.json"} <= {path.name for path in kept.iterdir()}
-    both = client.get(f"{server.address}/runs/{runs[1]}/charts", params={"beside": runs[0]}).json()
+    both = client.get(f"{server.address}/api/v1/runs/{runs[1]}/charts", params={"beside": runs[0]}).json()
     radiance = next(c for c in both if c["name"] == "chart-radiance")
     assert "difference ratio" in radiance["content"]
     assert "identical" not in radiance["title"]

@@ -17,7 +17,7 @@ JSON = {"content-type": "application/json"}
 def test_no_session_sees_the_runs_of_another(server):
     mine, other = server.session(), server.session()
     run = mine.post(f"{server.address}/api/v1/predictions", json=EASY).json()["id"]
-    for path in (f"/runs/{run}", f"/runs/{run}/state", f"/runs/{run}/charts", f"/runs/{run}/files/scenario.yaml",
+    for path in (f"/runs/{run}", f"/api/v1/runs/{run}/charts", f"/runs/{run}/files/scenario.yaml",
                  f"/api/v1/runs/{run}", f"/predict?run={run}"):  # fmt: skip
         assert mine.get(server.address + path).status_code == 200
         assert other.get(server.address + path).status_code == 404

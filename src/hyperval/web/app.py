@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -13,16 +13,16 @@ import anyio.to_thread
 from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 
 import hyperval
 from hyperval.errors import HypervalError
 from hyperval.executors import TaskPool
-from hyperval.web import api_v1, bring, pages_predict, reference, runs, sensors, trade
+from hyperval.web import bring, pages_predict, reference, runs, sensors, trade  # noqa: F401  (their routes)
 from hyperval.web.desk import Desk
 from hyperval.web.guard import Guard
-from hyperval.web.pages import page, static
-from hyperval.web.refusal import FieldMistake, Refused, field_name, said, sentence, without_paths
+from hyperval.web.pages import api, page, pages, static
+from hyperval.web.refusal import FieldMistake, Refused, field_name, problems, said, sentence, without_paths
 from hyperval.web.store import RunStore, ServerSettings
 
 _THREADS = 128  # requests that wait for a worker hold one each
@@ -55,8 +55,8 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
     app.state.settings = settings
     app.state.store = RunStore(settings.folder, settings.limits)
     app.state.desk = Desk(settings, app.state.store, pools)
-    for room in (pages_predict, runs, trade, runs, bring, reference, sensors, api_v1):
-        app.include_router(room.router)
+    for router in (pages, api):
+        app.include_router(router)
 
     @app.get("/static/{name}", include_in_schema=False)
     def _static(name: str) -> Response:
@@ -65,10 +65,8 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
             raise Refused(404, "there is no such file")
         return answer
 
-    app.add_exception_handler(Refused, _refused)
-    app.add_exception_handler(RequestValidationError, _invalid)
-    app.add_exception_handler(HypervalError, _package_error)
-    app.add_exception_handler(HTTPException, _http_error)
+    for kind in (RequestValidationError, HypervalError, HTTPException):
+        app.add_exception_handler(kind, _told)
     app.add_middleware(Guard, settings=settings)
     return app
 
@@ -89,47 +87,36 @@ async def closing_files(request: Request) -> AsyncIterator[None]:
         await request.close()
 
 
-def _answer(request: Request, status: int, mistakes: list[FieldMistake], wait: int | None = None) -> Response:
-    headers = {"retry-after": str(wait)} if wait else None
-    if not request.url.path.startswith("/api/") and "text/html" in request.headers.get("accept", ""):
-        answer: Response = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
-        answer.headers.update(headers or {})
+_WORDS = {404: "there is no such page", 405: "this cannot be done here", 400: "the request cannot be read"}
+
+
+def _told(request: Request, error: Exception) -> Response:
+    """The answer to a request that came to nothing, to a browser as a page."""
+    status, headers, mistakes = 500, dict[str, str](), list[FieldMistake]()
+    if isinstance(error, HTTPException):
+        status, headers = error.status_code, {name.lower(): value for name, value in (error.headers or {}).items()}
+        mistakes = [FieldMistake("body" if status == 400 else "", _WORDS.get(status, "refused"))]
+    if isinstance(error, Refused):
+        mistakes = list(error.mistakes)
+    elif isinstance(error, RequestValidationError):
+        status, mistakes = 422, [_of_field(item, error.body) for item in error.errors()[:40]]
+    elif isinstance(error, HypervalError):
+        status, mistakes = 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))]
+    if request.url.path.startswith("/api/"):
+        headers |= {"allow": ", ".join(_methods(request.app, request.url.path))} if status == 405 else {}
+    elif "text/html" in request.headers.get("accept", ""):
+        answer = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
+        answer.headers.update(headers)
         return answer
-    errors = [{"field": m.field, "message": m.message} for m in mistakes]
-    return JSONResponse({"errors": errors}, status_code=status, headers=headers)
+    return problems(status, mistakes, headers)
 
 
-def _refused(request: Request, error: Exception) -> Response:
-    assert isinstance(error, Refused)  # noqa: S101
-    return _answer(request, error.status, list(error.mistakes), error.wait)
-
-
-def _invalid(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)  # noqa: S101
-    body: Any = error.body
-    mistakes = []
-    for item in error.errors()[:40]:
-        place, *rest = item["loc"]
-        name = field_name(rest, body, item["type"] == "missing") if place == "body" else ".".join(map(str, rest))
-        words = sentence(item["type"], str(item["msg"]), item["loc"])
-        mistakes.append(FieldMistake(name or str(place), without_paths(words)[:500]))
-    return _answer(request, 422, mistakes)
-
-
-def _package_error(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HypervalError)  # noqa: S101
-    return _answer(request, 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))])
-
-
-def _http_error(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)  # noqa: S101
-    words = {404: "there is no such page", 405: "this cannot be done here", 400: "the request cannot be read"}
-    field = "body" if error.status_code == 400 else ""
-    answer = _answer(request, error.status_code, [FieldMistake(field, words.get(error.status_code, "refused"))])
-    answer.headers.update(error.headers or {})
-    if error.status_code == 405 and request.url.path.startswith("/api/"):
-        answer.headers["allow"] = ", ".join(_methods(request.app, request.url.path))
-    return answer
+def _of_field(item: Mapping[str, Any], body: Any) -> FieldMistake:
+    """A mistake of a request by the schema of its route."""
+    place, *rest = item["loc"]
+    name = field_name(rest, body, item["type"] == "missing") if place == "body" else ".".join(map(str, rest))
+    words = sentence(item["type"], str(item["msg"]), item["loc"])
+    return FieldMistake(name or str(place), without_paths(words)[:500])
 
 
 def _methods(app: FastAPI, path: str) -> list[str]:

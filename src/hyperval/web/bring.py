@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from pydantic import BaseModel, Field, ValidationError, field_validator
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
@@ -21,9 +21,8 @@ from starlette.responses import RedirectResponse, Response
 from hyperval.errors import HypervalError, UsageError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
-from hyperval.web.desk import Order
 from hyperval.web.inputs import marked
-from hyperval.web.pages import page, session_of
+from hyperval.web.pages import api, page, pages, session_of
 from hyperval.web.refusal import (
     KINDS,
     SPECTRA,
@@ -35,9 +34,9 @@ from hyperval.web.refusal import (
     mistakes_of,
     to_show,
 )
+from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import ServerSettings, WebRun
 
-router = APIRouter(include_in_schema=False)
 MOST_FILES = 20
 _MOST_KEPT = 50
 PARTS = {  # of a collection -> endings of the names of its files
@@ -47,6 +46,7 @@ PARTS = {  # of a collection -> endings of the names of its files
     "targets": (".csv", ".geojson", ".json", ".txt"),
     "spectra": (*SPECTRA, ".hdr"),
 }
+_SINGLE = ("cube", "header", "targets")  # of which one file is taken
 _ENDINGS = {**PARTS, "sensors": (".yaml", ".yml")}
 _PACKED = {
     b"PK\x03\x04": "a zip archive",
@@ -85,14 +85,14 @@ class StatedCollection(BaseModel):
         return name
 
 
-@router.get("/bring")
+@pages.get("/bring")
 def bring(request: Request) -> Response:
     """The form."""
     return _page(request, {})
 
 
-@router.post("/uploads")
-async def uploads(request: Request) -> Response:
+@pages.post("/uploads")
+async def uploads_page(request: Request) -> Response:
     """Take files: a cube runs through the empirical pipeline, spectra and sensor files are kept."""
     form = await form_of(request)
     try:
@@ -257,8 +257,47 @@ def _order(
     }  # fmt: skip
     copies = {f"collection/{name}": path for name, (_, path) in files.items()}
     title = f"{stated.name}: {Path(sources['cube']).name}"
-    order = Order("pipeline", stated.name, title, copies=copies, arguments={"sources": sources})
-    run: WebRun = request.app.state.desk.order(owner, order)
+    run: WebRun = request.app.state.desk.order(owner, "pipeline", stated.name, title, copies, sources=sources)
     for field in PARTS.keys() - KINDS:
         shutil.rmtree(folder_of(settings, owner) / field, ignore_errors=True)
     return run
+
+
+class UploadAnswer(BaseModel):
+    """What came of files: the run of a cube, or the names of all spectra and sensor files that are kept."""
+
+    run: RunAnswer | None = None
+    kept: list[str] = []
+
+
+_FILE = {"type": "string", "format": "binary"}
+_BODY: dict[str, Any] = {
+    **{field: _FILE if field in _SINGLE else {"type": "array", "items": _FILE} for field in _ENDINGS},
+    **StatedCollection.model_json_schema()["properties"],
+    **{
+        f"{part}_{end}": {"type": "string", "description": words}
+        for part in PARTS
+        for end, words in (("named", "of the server's data folder, not sent"), ("kept", "of an earlier request"))
+    },
+}
+_FORM = {"multipart/form-data": {"schema": {"type": "object", "properties": _BODY}}}
+
+
+@api.post("/uploads", status_code=201, openapi_extra={"requestBody": {"required": True, "content": _FORM}})
+async def uploads(request: Request) -> UploadAnswer:
+    """Bring a cube with regions and spectra, on which the empirical pipeline runs.
+
+    Field spectra and sensor files without a cube are kept for the scenarios of this session.
+    """
+    taken = await run_in_threadpool(take_files, request, await form_of(request))
+    if isinstance(taken, WebRun):
+        return UploadAnswer(run=answer_of(request, taken))
+    return UploadAnswer(kept=taken)
+
+
+@api.get("/session", include_in_schema=False)
+@api.post("/uploads/{kind}", include_in_schema=False)
+def replaced() -> None:
+    """Say what stands in the place of what there was in versions before."""
+    words = "there are no tokens any more: the cookie of the first answer is the session; all files go to /uploads"
+    raise Refused(410, words)

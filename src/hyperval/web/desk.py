@@ -9,9 +9,10 @@ import time
 from collections.abc import Mapping
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from queue import Full
+from types import MappingProxyType
 from typing import Any
 
 import hyperval
@@ -23,18 +24,6 @@ from hyperval.web.workers import WorkerPool
 
 _TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "pipeline": "pipeline"}
 _QUICK = ("prediction",)
-
-
-@dataclass(frozen=True)
-class Order:
-    """What is asked for: kind, name and title of the run, and files that its folder begins with."""
-
-    kind: str
-    name: str
-    title: str = ""
-    texts: Mapping[str, str] | None = None
-    copies: Mapping[str, Path] | None = None
-    arguments: Mapping[str, Any] | None = None
 
 
 class Desk:
@@ -56,8 +45,16 @@ class Desk:
         self._views: dict[tuple[str, ...], WorkerTask] = {}
         self._lock = threading.Lock()
 
-    def order(self, owner: str, order: Order) -> WebRun:
+    def order(
+        self, owner: str, kind: str, name: str, title: str,
+        files: Mapping[str, str | Path] = MappingProxyType({}), **arguments: Any,
+    ) -> WebRun:  # fmt: skip
         """Take an order.
+
+        Parameters
+        ----------
+        files : that the folder of the run begins with: name -> text, or the path of what is copied
+        arguments : of the task
 
         Raises
         ------
@@ -68,25 +65,23 @@ class Desk:
             if own >= self.limits.per_session:
                 raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
             try:
-                run = self.store.new(owner, order.kind, order.name, order.title, hyperval.__version__)
+                run = self.store.new(owner, kind, name, title, hyperval.__version__)
                 place = self.store.place(run.id)
-                for name, text in (order.texts or {}).items():
-                    write_text(place / name, text)
-                for name, source in (order.copies or {}).items():
-                    (place / name).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(source, place / name)
+                for file, source in files.items():
+                    (place / file).parent.mkdir(parents=True, exist_ok=True)
+                    if isinstance(source, Path):
+                        shutil.copyfile(source, place / file)
+                    else:
+                        write_text(place / file, source)
             except OSError as error:
                 with suppress(UnboundLocalError):
                     self.store.remove(run.id)
                 raise Refused(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
-            job = WorkerTask(
-                _TASKS[order.kind],
-                {"folder": str(place), **(order.arguments or {})},
-                begun=lambda: self._note(run.id, state="running"),
-            )
+            begun = partial(self._note, run.id, state="running")
+            job = WorkerTask(_TASKS[kind], {"folder": str(place), **arguments}, begun=begun)
             self._jobs[run.id] = job
             try:
-                _submit(self.quick if order.kind in _QUICK else self.long, job)
+                _submit(self.quick if kind in _QUICK else self.long, job)
             except Refused:
                 del self._jobs[run.id]
                 self.store.remove(run.id)
@@ -118,7 +113,7 @@ class Desk:
     def wait(self, run_id: str, seconds: float) -> None:
         """Wait until a run has ended, or for some time."""
         job = self._jobs.get(run_id)
-        if job is None:
+        if job is None or not seconds:
             return
         ended = threading.Event()
         job.future.add_done_callback(lambda _: ended.set())

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import json
 import os
 import re
 import secrets
@@ -21,10 +20,12 @@ from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
+from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hyperval.errors import internal_error
+from hyperval.web.refusal import FieldMistake, Refused, problems
 from hyperval.web.store import ServerSettings
 
 COOKIE = "hyperval_session"
@@ -70,11 +71,8 @@ _HEADERS = {
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
     "permissions-policy": "camera=(), geolocation=(), microphone=()",
+    "cache-control": "no-store",
 }
-
-
-class TooLarge(Exception):
-    """A body that is larger than it said, or said nothing."""
 
 
 class Guard:
@@ -89,95 +87,68 @@ class Guard:
             if scope["type"] == "lifespan":
                 await self.app(scope, receive, send)
             return  # there are no web sockets
-        headers = Headers(scope=scope)
-        session = session_named(_cookie(headers))
-        scope["session"] = session
-        bound = self._bound(scope["path"])
+        headers, limits = Headers(scope=scope), self.settings.limits
+        is_upload = scope["path"].removeprefix("/api/v1").startswith(UPLOADS)
+        bound = limits.upload_bytes if is_upload else limits.body_bytes
+        session = scope["session"] = session_named(_cookie(headers))
         refusal = self._refusal(scope, headers, bound)
-        # What another site's page sent comes without the cookie: its answer must not replace that of the user.
-        answer = _Answer(send, self.settings, session.name if session.is_new and refusal is None else None)
-        if refusal is not None:
-            await answer.refuse(*refusal)
-            return
-        seen = 0
+        seen, is_started = 0, False
 
         async def counted() -> Message:
             nonlocal seen
             message = await receive()
             seen += len(message.get("body", b""))
             if seen > bound:
-                await answer.refuse(413, "body", f"larger than {bound:,} bytes")
-                raise TooLarge
+                raise Refused(413, [FieldMistake("body", f"larger than {bound:,} bytes")])
             return message
 
+        async def answer(message: Message) -> None:
+            nonlocal is_started
+            if message["type"] == "http.response.start":
+                is_started = True
+                # What another site's page sent comes without the cookie: its answer must not replace the user's.
+                self._complete(MutableHeaders(scope=message), session if refusal is None else None)
+            await send(message)
+
         try:
-            await self.app(scope, counted, answer)
-        except (TooLarge, ClientDisconnect):
-            pass  # that is said, or nobody is there to be told
+            await (refusal or self.app)(scope, counted, answer)
+        except ClientDisconnect:
+            pass  # nobody is there to be told
         except Exception as error:
             print(f"hyperval serve: {internal_error(error)}", file=sys.stderr)
-            await answer.refuse(500, "", "an internal error; the server's log has it")
+            if not is_started:
+                words = "an internal error; the server's log has it"
+                await problems(500, [FieldMistake("", words)])(scope, counted, answer)
 
-    def _bound(self, path: str) -> int:
-        limits = self.settings.limits
-        return limits.upload_bytes if path.removeprefix("/api/v1").startswith(UPLOADS) else limits.body_bytes
-
-    def _refusal(self, scope: Scope, headers: Headers, bound: int) -> tuple[int, str, str] | None:
-        host = headers.get("host", "")
-        if len(headers.getlist("host")) != 1 or _name_of(host) not in self.settings.hosts:
-            return 400, "host", "this server does not go by that name"
-        if len(scope.get("raw_path") or b"") + len(scope.get("query_string") or b"") > _MOST_URL:
-            return 414, "url", f"longer than {_MOST_URL:,} bytes"
-        if scope["method"] in _SAFE:
-            return None
-        stated = headers.get("content-length")
-        if stated is not None and not (stated.isascii() and stated.isdigit() and len(stated) < 19):
-            return 400, "content-length", "no number of bytes"
-        if stated is not None and int(stated) > bound:
-            return 413, "body", f"{int(stated):,} bytes; at most {bound:,} are taken"
-        if headers.get("content-encoding", "identity") != "identity":
-            return 415, "content-encoding", "bodies are taken as they are, not compressed"
+    def _refusal(self, scope: Scope, headers: Headers, bound: int) -> JSONResponse | None:
+        host, stated = headers.get("host", ""), headers.get("content-length", "0")
         origin, site = headers.get("origin"), headers.get("sec-fetch-site", "same-origin")
-        if (origin is not None and urlsplit(origin).netloc != host) or site not in ("same-origin", "none"):
-            return 403, "origin", "a page of another site asked for this"
-        return None
+        is_number = stated.isascii() and stated.isdigit() and len(stated) < 19
+        is_other = (origin is not None and urlsplit(origin).netloc != host) or site not in ("same-origin", "none")
+        rules = [
+            (len(headers.getlist("host")) == 1 and _name_of(host) in self.settings.hosts,
+             400, "host", "this server does not go by that name"),
+            (len(scope.get("raw_path") or b"") + len(scope.get("query_string") or b"") <= _MOST_URL,
+             414, "url", f"longer than {_MOST_URL:,} bytes"),
+        ]  # fmt: skip
+        rules += [] if scope["method"] in _SAFE else [
+            (is_number, 400, "content-length", "no number of bytes"),
+            (is_number and int(stated) <= bound, 413, "body", f"{stated} bytes; at most {bound:,} are taken"),
+            (headers.get("content-encoding", "identity") == "identity",
+             415, "content-encoding", "bodies are taken as they are, not compressed"),
+            (not is_other, 403, "origin", "a page of another site asked for this"),
+        ]  # fmt: skip
+        broken = (problems(status, [FieldMistake(at, words)]) for holds, status, at, words in rules if not holds)
+        return next(broken, None)
 
-
-class _Answer:
-    """Sends an answer with the headers of every one, once."""
-
-    def __init__(self, send: Send, settings: ServerSettings, new_session: str | None):
-        self._send, self._settings, self._new_session = send, settings, new_session
-        self.started = self.ended = False
-
-    async def __call__(self, message: Message) -> None:
-        if self.ended:  # refused before the application had its say
-            return
-        if message["type"] == "http.response.start":
-            self.started = True
-            headers = MutableHeaders(scope=message)
-            for name, value in _HEADERS.items():
-                headers.setdefault(name, value)
-            headers.setdefault("cache-control", "no-store")
-            if self._new_session is not None and not headers["cache-control"].startswith("public"):
-                secure = "; Secure" if self._settings.secure else ""
-                headers.append(
-                    "set-cookie",
-                    f"{COOKIE}={self._new_session}; Path=/; Max-Age={_YEAR_S}; HttpOnly; SameSite=Lax{secure}",
-                )
-        await self._send(message)
-
-    async def refuse(self, status: int, field: str, words: str) -> None:
-        """An answer that names the field."""
-        if self.started:
-            return
-        body = json.dumps({"errors": [{"field": field, "message": words}]}).encode()
-        headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
-        if status == 413:
-            headers.append((b"connection", b"close"))
-        await self({"type": "http.response.start", "status": status, "headers": headers})
-        await self._send({"type": "http.response.body", "body": body})
-        self.ended = True
+    def _complete(self, headers: MutableHeaders, session: Session | None) -> None:
+        """Add the headers of every answer, and the cookie of a new session."""
+        for name, value in _HEADERS.items():
+            headers.setdefault(name, value)
+        if session is not None and session.is_new and not headers["cache-control"].startswith("public"):
+            secure = "; Secure" if self.settings.secure else ""
+            cookie = f"{COOKIE}={session.name}; Path=/; Max-Age={_YEAR_S}; HttpOnly; SameSite=Lax{secure}"
+            headers.append("set-cookie", cookie)
 
 
 def _cookie(headers: Headers) -> str | None:

@@ -1,4 +1,4 @@
-"""Pages: templates with what every one of them shows."""
+"""Pages, templates with what every one of them shows, and the JSON API, version 1, which does all that they do."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+from fastapi import APIRouter
 from markupsafe import Markup
+from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
@@ -17,7 +19,25 @@ import hyperval
 from hyperval.report.html import LIBRARY, library, script, strict_templates
 from hyperval.web.forms import Node
 from hyperval.web.guard import Session
+from hyperval.web.refusal import FieldMistake
 
+
+class Problems(BaseModel):
+    """Why a request was not carried out: each mistake with the dotted path of its field, empty for the whole."""
+
+    errors: list[FieldMistake]
+
+
+_PROBLEMS: dict[int | str, dict[str, Any]] = {
+    code: {"model": Problems, "description": words}
+    for code, words in {
+        400: "unreadable", 403: "asked for by a page of another site", 404: "not there", 409: "not in this state",
+        413: "too large", 422: "mistakes, each with its field", 429: "too many runs of this session",
+        503: "no room for now",
+    }.items()
+}  # fmt: skip
+pages = APIRouter(include_in_schema=False)
+api = APIRouter(prefix="/api/v1", tags=["v1"], responses=_PROBLEMS)
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _REPORT = ("style.css", "page.js")
 _LIBRARY = dict(zip(("bokeh.js", "bokeh-api.js"), LIBRARY, strict=True))

@@ -4,24 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import Query, Request
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData
 from starlette.responses import RedirectResponse, Response
 
 from hyperval.config import load_yaml
+from hyperval.errors import UsageError
+from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
-from hyperval.web.desk import Desk, Order
+from hyperval.settings import with_settings
+from hyperval.web.desk import Desk
 from hyperval.web.forms import MOST_ROWS, Node
-from hyperval.web.inputs import checked_scenario, form_data, marked, needs, plain, predefined, scenario_form, yaml_text
-from hyperval.web.pages import form_parts, page, session_of
-from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, to_show
-from hyperval.web.runs import run_of
+from hyperval.web.inputs import (
+    SURFACES,
+    checked_scenario,
+    form_data,
+    marked,
+    needs,
+    plain,
+    predefined,
+    refuse_excess,
+    scenario_form,
+    yaml_text,
+)
+from hyperval.web.pages import api, form_parts, page, pages, session_of
+from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, mistakes_of, said, to_show
+from hyperval.web.runs import RunAnswer, run, run_of
 from hyperval.web.store import WebRun
 
-router = APIRouter(include_in_schema=False)
 _WAIT_S = 5.0
 _FREE: dict[str, Any] = {
     "schema": 1,
@@ -41,7 +56,7 @@ def warm() -> None:
         form_parts(scenario_form().nodes(plain(scenario)), {})
 
 
-@router.get("/")
+@pages.get("/")
 def start(request: Request) -> Response:
     """What can be done here, and what was done last."""
     runs = request.app.state.store.runs(session_of(request).owner)
@@ -49,7 +64,7 @@ def start(request: Request) -> Response:
     return page(request, "start.html.j2", scenarios=predefined(), missing=missing, runs=runs[:8])
 
 
-@router.get("/predict")
+@pages.get("/predict")
 def predict_form(
     request: Request, scenario: str | None = None, s: str | None = None, run: str | None = None
 ) -> Response:
@@ -66,7 +81,7 @@ def predict_form(
     return _form(request, data, begun)
 
 
-@router.post("/predict")
+@pages.post("/predict")
 async def predict_post(request: Request) -> Response:
     """Add or remove a row of the form, or run it."""
     form = await request.form(max_fields=4000)
@@ -82,11 +97,11 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
     try:
         data = form_data(scenario_form(), given)
         data.setdefault("schema", 1)
-        run = order_prediction(request, data)
+        ordered = order_prediction(request, data)
     except Refused as refusal:
         return _form(request, data, given.get("begun", [""])[0], to_show(refusal), 422)
-    request.app.state.desk.wait(run.id, _WAIT_S)
-    return RedirectResponse(f"/runs/{run.id}", status_code=303)
+    request.app.state.desk.wait(ordered.id, _WAIT_S)
+    return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
 
 def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
@@ -101,8 +116,8 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     own = files_of(request.app.state.settings, owner)
     scenario = checked_scenario(data, desk.limits, own)
     text = yaml_text(plain(scenario))
-    copies = copies_of(request.app.state.settings, owner, text, own)
-    return desk.order(owner, Order("prediction", scenario.name, scenario.title, {"scenario.yaml": text}, copies))
+    files: dict[str, str | Path] = {"scenario.yaml": text, **copies_of(request.app.state.settings, owner, text, own)}
+    return desk.order(owner, "prediction", scenario.name, scenario.title, files)
 
 
 def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
@@ -112,10 +127,9 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
     ------
     Refused : there is none.
     """
-    run = run_of(request, run_id)
-    if run.kind != "prediction":
+    if run_of(request, run_id).kind != "prediction":
         raise Refused(404, "this run is no prediction")
-    data: dict[str, Any] = load_yaml(request.app.state.store.place(run.id) / "scenario.yaml")[0]
+    data: dict[str, Any] = load_yaml(request.app.state.store.place(run_id) / "scenario.yaml")[0]
     return data
 
 
@@ -170,3 +184,78 @@ def with_action(given: dict[str, list[str]]) -> dict[str, list[str]]:
     elif action.startswith("remove:"):
         return {**given, f"{action[7:]}!": ["1"]}
     return given
+
+
+Setting = float | str | bool | list[Any] | None
+
+
+def small(at: str) -> BeforeValidator:
+    """Looks at the size of an entry of a body before its parts are checked one by one."""
+
+    def bounded(data: Any) -> Any:
+        refuse_excess(data, at)
+        return data
+
+    return BeforeValidator(bounded)
+
+
+class PredictionOrder(BaseModel):
+    """What to predict: a predefined scenario by name, or a scenario, and entries in which it is to differ."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str | None = Field(None, max_length=100, description="a predefined scenario")
+    scenario: Annotated[Scenario | None, small("scenario")] = Field(None, description="in place of the name")
+    settings: Annotated[dict[str, Setting], small("")] = Field(
+        default_factory=dict, max_length=100, description="dotted path: value"
+    )
+
+
+class ScenarioAnswer(BaseModel):
+    """A predefined scenario."""
+
+    name: str
+    title: str
+    description: str
+    needs: str = Field(description="data sets that this server lacks for it; empty where it runs")
+    scenario: dict[str, Any]
+
+
+@api.get("/surfaces")
+def surfaces() -> list[str]:
+    """Names of the surfaces that are built in."""
+    return list(SURFACES)
+
+
+@api.get("/scenarios")
+def scenarios() -> list[ScenarioAnswer]:
+    """The predefined scenarios."""
+    return [
+        ScenarioAnswer(name=n, title=s.title, description=s.description, needs=", ".join(needs(s)), scenario=plain(s))
+        for n, s in predefined().items()
+    ]
+
+
+@api.post("/predictions", status_code=201)
+def predictions(
+    request: Request, order: PredictionOrder, wait: float = Query(10.0, ge=0, le=60, description="seconds, at most")
+) -> RunAnswer:
+    """Predict a scenario, and wait for the numbers."""
+    return run(request, order_prediction(request, _scenario_of(order)).id, wait)
+
+
+def _scenario_of(order: PredictionOrder) -> dict[str, Any]:
+    if (order.name is None) == (order.scenario is None):
+        raise Refused(422, [FieldMistake("name", "give either name or scenario")])
+    if order.scenario is not None:
+        scenario = order.scenario
+    elif order.name in predefined():
+        scenario = predefined()[order.name]
+    else:
+        raise Refused(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
+    try:
+        return plain(with_settings(scenario, order.settings) if order.settings else scenario)
+    except UsageError as error:
+        cause = error.__cause__
+        if isinstance(cause, ValidationError):
+            raise Refused(422, mistakes_of(cause, plain(scenario))) from error
+        raise Refused(422, [FieldMistake("settings", said(error)[:500])]) from error

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from starlette.responses import Response
 
-from hyperval.web.pages import page
-
-router = APIRouter(include_in_schema=False)
+from hyperval.web.pages import api, page, pages
 
 
-@router.get("/docs")
+@pages.get("/docs")
 def reference(request: Request) -> Response:
     """Every operation of the API: what it takes, what it answers."""
     described = request.app.openapi()
     address = str(request.base_url).rstrip("/")
-    return page(request, "docs.html.j2", operations=list(_operations(described)), address=address)
+    refusals = {code: about["description"] for code, about in api.responses.items()}
+    return page(request, "docs.html.j2", operations=list(_operations(described)), address=address, refusals=refusals)
 
 
 def _operations(described: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -35,5 +34,4 @@ def _operations(described: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
                 "summary": (operation.get("description") or operation.get("summary", "")).replace("``", ""),
                 "parameters": [(p["name"], p.get("description", "")) for p in operation.get("parameters", ())],
                 "fields": [(key, value.get("description", "")) for key, value in fields.items()],
-                "answers": [(code, a.get("description", "")) for code, a in operation["responses"].items()],
             }

@@ -6,12 +6,14 @@ Files that a session brought: kept apart from those of others, under names that 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse
 
 from hyperval.errors import HypervalError
 from hyperval.web.store import ServerSettings
@@ -33,7 +35,7 @@ class FieldMistake:
     message: str
 
 
-class Refused(Exception):
+class Refused(HTTPException):
     """A request that is not carried out.
 
     Parameters
@@ -44,14 +46,23 @@ class Refused(Exception):
     """
 
     def __init__(self, status: int, mistakes: Sequence[FieldMistake] | str, wait: int | None = None):
-        self.status, self.wait = status, wait
+        super().__init__(status, headers=None if wait is None else {"retry-after": str(wait)})
         self.mistakes = (FieldMistake("", mistakes),) if isinstance(mistakes, str) else tuple(mistakes)
-        super().__init__("; ".join(f"{m.field}: {m.message}" if m.field else m.message for m in self.mistakes))
+
+    def __str__(self) -> str:
+        """Every mistake with its field."""
+        return "; ".join(f"{m.field}: {m.message}" if m.field else m.message for m in self.mistakes)
+
+
+def problems(status: int, mistakes: Iterable[FieldMistake], headers: Mapping[str, str] | None = None) -> JSONResponse:
+    """The answer to a program whose request was refused."""
+    headers = {**(headers or {}), **({"connection": "close"} if status == 413 else {})}
+    return JSONResponse({"errors": [asdict(mistake) for mistake in mistakes]}, status, headers)
 
 
 def to_show(refusal: Refused) -> list[FieldMistake]:
     """The mistakes that a form is shown again with; a refusal for another reason is raised on."""
-    if refusal.status != 422:
+    if refusal.status_code != 422:
         raise refusal
     return list(refusal.mistakes)
 

@@ -8,24 +8,22 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
 from hyperval.config import load_yaml
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
-from hyperval.web.desk import Order
 from hyperval.web.inputs import needs
-from hyperval.web.pages import page, session_of
+from hyperval.web.pages import api, page, pages, session_of
 from hyperval.web.refusal import FieldMistake, Refused
 from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, WebRun, view_name
 
-router = APIRouter(include_in_schema=False)
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9][A-Za-z0-9_.@+-]{0,120}")
 _OWN = ("scenario.yaml", "study.yaml", "campaign.yaml")
 _TYPES = {
@@ -33,6 +31,23 @@ _TYPES = {
     ".png": "image/png", ".tif": "image/tiff", ".html": "text/html", ".xml": "application/xml",
     ".parquet": "application/octet-stream", ".yaml": "text/yaml",
 }  # fmt: skip
+
+
+class RunAnswer(WebRun):
+    """A run: how it stands, what came of it, names of its files."""
+
+    owner: str = Field("", exclude=True)
+    stage: str
+    done: float = Field(description="part of the work that is done, 0-1")
+    seconds_left: float | None
+    files: list[str]
+
+
+def answer_of(request: Request, run: WebRun) -> RunAnswer:
+    """A run as the API tells of it."""
+    state = request.app.state
+    files = files_of(state.store.place(run.id), run)
+    return RunAnswer(**run.model_dump(), **state.desk.progress(run), files=files)
 
 
 def run_of(request: Request, run_id: str) -> WebRun:
@@ -49,13 +64,26 @@ def run_of(request: Request, run_id: str) -> WebRun:
     return run
 
 
-@router.get("/runs")
+@pages.get("/runs")
 def runs_page(request: Request) -> Response:
     """Every run of this session."""
     return page(request, "runs.html.j2", runs=request.app.state.store.runs(session_of(request).owner))
 
 
-@router.get("/runs/{run_id}")
+@api.get("/runs")
+def runs(request: Request) -> list[RunAnswer]:
+    """Runs of this session, the latest first."""
+    return [answer_of(request, run) for run in request.app.state.store.runs(session_of(request).owner)]
+
+
+@api.get("/runs/{run_id}")
+def run(request: Request, run_id: str, wait: float = Query(0.0, ge=0, le=60)) -> RunAnswer:
+    """A run of this session; with ``wait`` once it has ended, or after so many seconds."""
+    request.app.state.desk.wait(run_of(request, run_id).id, wait)
+    return answer_of(request, run_of(request, run_id))
+
+
+@pages.get("/runs/{run_id}")
 def run_page(request: Request, run_id: str, beside: str | None = None) -> Response:
     """A run: its numbers and charts, or how far it is."""
     run = run_of(request, run_id)
@@ -116,17 +144,9 @@ def files_of(place: Path, run: WebRun) -> list[str]:
     return [name for p in paths if _NAME.fullmatch(name := p.relative_to(results).as_posix())]
 
 
-@router.get("/runs/{run_id}/state")
-def run_state(request: Request, run_id: str) -> Response:
-    """How far a run is."""
-    run = run_of(request, run_id)
-    progress = request.app.state.desk.progress(run)
-    return JSONResponse({"state": run.state, "reason": run.reason, "ended": run.state in ENDED, **progress})
-
-
-@router.get("/runs/{run_id}/charts")
-def run_charts(request: Request, run_id: str, beside: str | None = None) -> Response:
-    """Charts of a prediction, beside another one where one is named."""
+@api.get("/runs/{run_id}/charts", response_class=JSONResponse, response_model=None)
+def charts(request: Request, run_id: str, beside: str | None = None) -> Response:
+    """Charts of a prediction, beside another one where one is named, as Bokeh draws them."""
     run = run_of(request, run_id)
     other = run_of(request, beside) if beside else None
     if run.kind != "prediction" or (other and (other.kind, other.state) != ("prediction", "finished")):
@@ -137,19 +157,11 @@ def run_charts(request: Request, run_id: str, beside: str | None = None) -> Resp
     return FileResponse(path, media_type="application/json")
 
 
-@router.get("/runs/{run_id}/files/{name:path}")
-def run_file(request: Request, run_id: str, name: str) -> Response:
-    """A file of a run; those of a prediction are written when the first is asked for."""
-    return file_of(request, run_of(request, run_id), name)
-
-
-def file_of(request: Request, run: WebRun, name: str) -> Response:
-    """A file of a run.
-
-    Raises
-    ------
-    Refused : it has none of that name.
-    """
+@pages.get("/runs/{run_id}/files/{name:path}")
+@api.get("/runs/{run_id}/files/{name:path}", response_class=Response, response_model=None)
+def file(request: Request, run_id: str, name: str) -> Response:
+    """A file of a run, such as results.csv, products.nc or scenario.yaml."""
+    run = run_of(request, run_id)  # the files of a prediction are written when the first is asked for
     place = request.app.state.store.place(run.id)
     if not _NAME.fullmatch(name) or ".." in name:
         raise Refused(404, "this run has no such file")
@@ -171,27 +183,30 @@ def file_of(request: Request, run: WebRun, name: str) -> Response:
     return FileResponse(path, media_type=_TYPES.get(path.suffix, "application/octet-stream"), headers=headers)
 
 
-@router.post("/runs/{run_id}/cancel")
+@pages.post("/runs/{run_id}/cancel")
 def run_cancel(request: Request, run_id: str) -> Response:
     """Call a run off."""
     request.app.state.desk.cancel(run_of(request, run_id).id)
     return RedirectResponse(f"/runs/{run_id}", status_code=303)
 
 
-@router.post("/runs/{run_id}/remove")
+@api.post("/runs/{run_id}/cancel")
+def cancel(request: Request, run_id: str) -> RunAnswer:
+    """Call a run off."""
+    request.app.state.desk.cancel(run_of(request, run_id).id)
+    return run(request, run_id, 5.0)
+
+
+@pages.post("/runs/{run_id}/remove")
 def run_remove(request: Request, run_id: str) -> Response:
     """Forget a run."""
-    remove_run(request, run_id)
+    remove(request, run_id)
     return RedirectResponse("/runs", status_code=303)
 
 
-def remove_run(request: Request, run_id: str) -> None:
-    """Forget a run of this session that has ended.
-
-    Raises
-    ------
-    Refused : it still runs, or a command made it.
-    """
+@api.delete("/runs/{run_id}", status_code=204, response_model=None)
+def remove(request: Request, run_id: str) -> None:
+    """Forget a run of this session that has ended, and its files."""
     run = run_of(request, run_id)
     if run.state not in ENDED:
         raise Refused(409, "it still runs: cancel it first")
@@ -200,28 +215,41 @@ def remove_run(request: Request, run_id: str) -> None:
     request.app.state.store.remove(run.id)
 
 
-@dataclass(frozen=True)
-class Known:
-    """A campaign that may be run: its name, title and description, and its file, which stays on the server."""
+class CampaignAnswer(BaseModel):
+    """A campaign that may be run; its file stays on the server."""
 
     name: str
     title: str
     description: str
-    path: Path
+    path: Path = Field(exclude=True)
 
 
-def known_campaigns(request: Request) -> dict[str, Known]:
+class ValidationOrder(BaseModel):
+    """Which campaign to run."""
+
+    model_config = ConfigDict(extra="forbid")
+    campaign: str = Field(max_length=100, description="a name of /campaigns")
+
+
+@api.get("/campaigns")
+def campaigns(request: Request) -> list[CampaignAnswer]:
+    """Campaigns of the server's folder, and those of this session."""
+    return list(known_campaigns(request).values())
+
+
+def known_campaigns(request: Request) -> dict[str, CampaignAnswer]:
     """Campaigns by name: those of the folder of campaigns, then those of this session."""
     out = {one.name: one for one in campaigns_of(request.app.state.settings)}
     store = request.app.state.store
     for run in store.runs(session_of(request).owner, "pipeline"):
         path = store.place(run.id) / "campaign.yaml"
         if run.state == "finished" and path.is_file():
-            out[f"run:{run.id}"] = Known(f"run:{run.id}", run.title or run.name, "Brought by this session.", path)
+            about = {"title": run.title or run.name, "description": "Brought by this session."}
+            out[f"run:{run.id}"] = CampaignAnswer(name=f"run:{run.id}", **about, path=path)
     return out
 
 
-def campaigns_of(settings: ServerSettings) -> Iterator[Known]:
+def campaigns_of(settings: ServerSettings) -> Iterator[CampaignAnswer]:
     """The campaigns of a server's folder; a file is read again when it has changed."""
     for path in sorted(settings.campaigns.glob("*/campaign*.yaml")) if settings.campaigns is not None else ():
         with suppress(OSError):
@@ -230,7 +258,7 @@ def campaigns_of(settings: ServerSettings) -> Iterator[Known]:
 
 
 @lru_cache(maxsize=256)
-def _read(path: Path, changed: int, size: int) -> tuple[Known, ...]:
+def _read(path: Path, changed: int, size: int) -> tuple[CampaignAnswer, ...]:
     """The campaign of a file, where it is one."""
     try:
         data = load_yaml(path)[0]
@@ -239,10 +267,10 @@ def _read(path: Path, changed: int, size: int) -> tuple[Known, ...]:
     name = str(data.get("name", path.parent.name))
     # A file of several runs has places that each fills in: {line}.
     title, description = (re.sub(r"\{\w+\}", "…", str(data.get(key, ""))) for key in ("title", "description"))
-    return (Known(name, title or name, description, path),)
+    return (CampaignAnswer(name=name, title=title or name, description=description, path=path),)
 
 
-@router.get("/validate")
+@pages.get("/validate")
 def campaigns_page(request: Request) -> Response:
     """Campaigns with their verdicts over time."""
     runs = request.app.state.store.runs(session_of(request).owner, "validation")
@@ -251,29 +279,22 @@ def campaigns_page(request: Request) -> Response:
     return page(request, "validate.html.j2", campaigns=known, lacking=lacking, runs=runs)
 
 
-@router.post("/validate")
+@pages.post("/validate")
 async def campaign_run(request: Request) -> Response:
     """Run a campaign."""
-    form = await request.form()
-    name = form.get("campaign")
-    run = order_campaign(request, name if isinstance(name, str) else "")
-    return RedirectResponse(f"/runs/{run.id}", status_code=303)
+    order = ValidationOrder(campaign=str((await request.form()).get("campaign"))[:100])
+    return RedirectResponse(f"/runs/{validations(request, order).id}", status_code=303)
 
 
-def order_campaign(request: Request, name: str) -> WebRun:
-    """Order the run of a campaign.
-
-    Raises
-    ------
-    Refused : there is no such campaign, or no room.
-    """
-    known = known_campaigns(request).get(name)
+@api.post("/validations", status_code=201)
+def validations(request: Request, order: ValidationOrder) -> RunAnswer:
+    """Run a campaign: predict, observe, compare."""
+    known = known_campaigns(request).get(order.campaign)
     if known is None:
         raise Refused(422, [FieldMistake("campaign", "no campaign of this server goes by that name")])
     own = known.name if not known.name.startswith("run:") else "campaign"
-    order = Order("validation", own, known.title, arguments={"path": str(known.path)})
-    run: WebRun = request.app.state.desk.order(session_of(request).owner, order)
-    return run
+    owner, arguments = session_of(request).owner, {"path": str(known.path)}
+    return answer_of(request, request.app.state.desk.order(owner, "validation", own, known.title, **arguments))
 
 
 def maps_of(place: Path) -> list[str]:
@@ -282,7 +303,7 @@ def maps_of(place: Path) -> list[str]:
     return sorted(p.stem for p in folder.glob("*.tif")) if folder.is_dir() else []
 
 
-@router.get("/runs/{run_id}/map")
+@pages.get("/runs/{run_id}/map")
 def map_page(request: Request, run_id: str, name: str | None = None) -> Response:
     """A score map with a threshold to move."""
     run = run_of(request, run_id)
@@ -292,7 +313,7 @@ def map_page(request: Request, run_id: str, name: str | None = None) -> Response
     return page(request, "map.html.j2", run=run, maps=maps, name=name or maps[0])
 
 
-@router.get("/runs/{run_id}/map.json")
+@pages.get("/runs/{run_id}/map.json")
 def map_data(request: Request, run_id: str, name: str) -> Response:
     """A score map, 16 bits a pixel, with the measured curves that go with it."""
     run = run_of(request, run_id)
@@ -302,7 +323,7 @@ def map_data(request: Request, run_id: str, name: str) -> Response:
     return FileResponse(path, media_type="application/json")
 
 
-@router.get("/runs/{run_id}/pixel.json")
+@pages.get("/runs/{run_id}/pixel.json")
 def pixel_data(
     request: Request, run_id: str, line: int = Query(ge=0, lt=1_000_000), sample: int = Query(ge=0, lt=1_000_000)
 ) -> Response:

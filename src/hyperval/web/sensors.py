@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from pydantic import BaseModel
 from starlette.responses import Response
 
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.web.pages import page
-from hyperval.web.refusal import Refused
+from hyperval.web.pages import api, page, pages
+from hyperval.web.refusal import FieldMistake, Refused
 
-router = APIRouter(include_in_schema=False)
 _UNITS = {
     "_s": "s",
     "_um": "um",
@@ -24,28 +23,45 @@ _UNITS = {
 }
 
 
-@router.get("/sensors")
-def sensors(request: Request) -> Response:
+class SensorNumber(BaseModel):
+    """A number of a sensor file: its value in words, its unit, and the source that the file states."""
+
+    name: str
+    value: str
+    unit: str
+    source: str
+
+
+@pages.get("/sensors")
+def sensors_page(request: Request) -> Response:
     """The sensors of the library."""
     known = {name: load_sensor(name).specification for name in library_names()}
     return page(request, "sensors.html.j2", sensors=known)
 
 
-@router.get("/sensors/{name}")
-def sensor(request: Request, name: str) -> Response:
+@api.get("/sensors")
+def sensors() -> list[str]:
+    """Names of the sensors of the library."""
+    return list(library_names())
+
+
+@pages.get("/sensors/{name}")
+def sensor_page(request: Request, name: str) -> Response:
     """A sensor of the library: every number with its unit and source."""
+    numbers = sensor(name)
+    return page(request, "sensor.html.j2", sensor=load_sensor(name).specification, numbers=numbers)
+
+
+@api.get("/sensors/{name}")
+def sensor(name: str) -> list[SensorNumber]:
+    """Every number of a sensor of the library."""
     if name not in library_names():
-        raise Refused(404, "the library has no such sensor")
-    known = load_sensor(name).specification
-    return page(request, "sensor.html.j2", sensor=known, numbers=numbers_of(known))
+        raise Refused(404, [FieldMistake("name", "the library has no such sensor")])
+    data = load_sensor(name).specification.model_dump(mode="json", exclude_none=True)
+    return list(_numbers(data, "", ""))
 
 
-def numbers_of(model: BaseModel) -> list[dict[str, str]]:
-    """Every number of a sensor file: name, value, unit, source."""
-    return list(_numbers(model.model_dump(mode="json", exclude_none=True), "", ""))
-
-
-def _numbers(data: dict[str, Any], at: str, source: str) -> Iterator[dict[str, str]]:
+def _numbers(data: dict[str, Any], at: str, source: str) -> Iterator[SensorNumber]:
     source = str(data.get("source", source))
     for name, value in data.items():
         path = f"{at}{name}"
@@ -59,8 +75,8 @@ def _numbers(data: dict[str, Any], at: str, source: str) -> Iterator[dict[str, s
         elif value not in ([], ""):
             own = path.removesuffix(", value").removesuffix(", table")
             unit = next((unit for end, unit in _UNITS.items() if own.endswith(end)), "")
-            yield {"name": own.replace("_", " "), "value": _shown(value), "unit": unit,
-                   "source": str(data.get(f"{name}_source", source))}  # fmt: skip
+            said = str(data.get(f"{name}_source", source))
+            yield SensorNumber(name=own.replace("_", " "), value=_shown(value), unit=unit, source=said)
 
 
 def _shown(value: Any) -> str:

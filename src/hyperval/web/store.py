@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
 import re
 import secrets
 import shutil
@@ -18,11 +17,13 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from hyperval.errors import HypervalError
 from hyperval.report import first_screen
@@ -83,8 +84,6 @@ class ServerSettings:
     data: Path | None = None
 
 
-State = Literal["waiting", "running", "finished", "failed", "cancelled", "lost"]
-KINDS = ("prediction", "study", "validation", "pipeline")
 ENDED = ("finished", "failed", "cancelled", "lost")
 _ID = re.compile(r"[A-Za-z0-9_-]{16}")
 _DAY_S = 86400.0
@@ -94,8 +93,7 @@ _STUDY_COLUMNS = ("subject", "method", "metric", "value", "unit")
 COLLECTION = "collection"  # folder of a run that keeps what its campaign simulates
 
 
-@dataclass(frozen=True)
-class WebRun:
+class WebRun(BaseModel):
     """A run as its file has it.
 
     Attributes
@@ -107,17 +105,18 @@ class WebRun:
     summary : what a list says of it
     """
 
+    model_config = ConfigDict(frozen=True)
     id: str
     owner: str
     kind: str
     name: str
     title: str = ""
-    created: float = 0.0
+    created: float = Field(0.0, description="Unix time")
     seconds: float = 0.0
-    state: State = "waiting"
+    state: Literal["waiting", "running", "finished", "failed", "cancelled", "lost"] = "waiting"
     reason: str = ""
     version: str = ""
-    summary: Mapping[str, Any] = field(default_factory=dict)
+    summary: dict[str, Any] = {}
 
 
 class RunStore:
@@ -166,7 +165,10 @@ class RunStore:
         ------
         OSError : it cannot be written.
         """
-        run = WebRun(secrets.token_urlsafe(12), owner, kind, name, title, time.time(), version=version)
+        run = WebRun(
+            id=secrets.token_urlsafe(12), owner=owner, kind=kind, name=name, title=title, created=time.time(),
+            version=version,
+        )  # fmt: skip
         place = self.place(run.id)
         try:
             place.mkdir(mode=0o700)
@@ -177,7 +179,7 @@ class RunStore:
         return run
 
     def _write(self, run: WebRun) -> None:
-        write_text(self.place(run.id) / "run.json", json.dumps(asdict(run), indent=1) + "\n")
+        write_text(self.place(run.id) / "run.json", run.model_dump_json(indent=1) + "\n")
 
     def known(self, run_id: str) -> WebRun:
         """A run of any session; KeyError where there is none."""
@@ -225,7 +227,7 @@ class RunStore:
         That a run has begun stands in memory alone: after a restart it is lost as one that waited is.
         """
         with self._lock:
-            run = self._unwritten[run_id] = replace(self.known(run_id), **changes)
+            run = self._unwritten[run_id] = self.known(run_id).model_copy(update=changes)
             if run.state != "running":
                 self._write(run)
                 del self._unwritten[run_id]
@@ -263,15 +265,15 @@ def _read(place: Path) -> WebRun | None:
     try:
         state = path.stat()
         run = _parsed(path, state.st_ino, state.st_mtime_ns, state.st_size)
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError):
         return None
     return run if run.owner != EVERYBODY or (place / "results").is_dir() else None
 
 
 @lru_cache(maxsize=10_000)
 def _parsed(path: Path, *_: int) -> WebRun:
-    run = WebRun(**json.loads(path.read_text("utf-8")))
-    if run.id != path.parent.name or run.state not in (*ENDED, "waiting", "running"):
+    run = WebRun.model_validate_json(path.read_bytes())
+    if run.id != path.parent.name:
         raise ValueError(run.id)
     return run
 
@@ -283,8 +285,8 @@ def _told_of(run_id: str, results: Path, record: Mapping[str, Any], written: flo
     kind = {"validate": "validation"}.get(verb, verb)
     name = str(about.get("name") or results.name)
     return WebRun(
-        run_id, EVERYBODY, kind, name, str(about.get("title") or name), written, state="finished",
-        version=str(record.get("hyperval", "")), summary=summary_of(kind, results),
+        id=run_id, owner=EVERYBODY, kind=kind, name=name, title=str(about.get("title") or name), created=written,
+        state="finished", version=str(record.get("hyperval", "")), summary=summary_of(kind, results),
     )  # fmt: skip
 
 

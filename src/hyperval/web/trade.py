@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from importlib import resources
 from itertools import groupby
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
-from pydantic import ValidationError
+from fastapi import Request
+from pydantic import BaseModel, ConfigDict, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
@@ -25,14 +25,13 @@ from hyperval.scenario import Scenario, builtin_scenarios
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
 from hyperval.study.trade import KINDS, Live, Offer, Offers, Progress, Trade, completed, notebook, prepared, study_of
-from hyperval.web.desk import Order
 from hyperval.web.inputs import checked_scenario, needs, plain, predefined, yaml_text
-from hyperval.web.pages import page, session_of
-from hyperval.web.pages_predict import scenario_of
+from hyperval.web.pages import api, page, pages, session_of
+from hyperval.web.pages_predict import scenario_of, small
 from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, mistakes_of, said, to_show
+from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import Limits, WebRun
 
-router = APIRouter(include_in_schema=False)
 _MOST_STATES = 40
 _SETTABLE = ("atmosphere", "sensor_changes", "sensor_operation", "scene", "processing")
 _FIRST = "yellow-planks-asphalt"
@@ -99,7 +98,7 @@ def _is_moved(offer: Offer | None, value: float) -> bool:
     return offer is None or not abs(value - offer.now) <= _UNMOVED * abs(offer.now)
 
 
-@router.get("/trade")
+@pages.get("/trade")
 def desk(request: Request) -> Response:
     """The desk, as its address says."""
     mistakes, status = list[FieldMistake](), 200
@@ -131,7 +130,7 @@ def _goes_by_name(source: str) -> bool:
     return source in builtin_scenarios()
 
 
-@router.get("/trade/live")
+@pages.get("/trade/live")
 def live(request: Request) -> Response:
     """The ROC where the sliders stand, with its interval where that is asked for."""
     source, trade, _ = _asked(request, request.query_params)
@@ -141,7 +140,7 @@ def live(request: Request) -> Response:
     return JSONResponse(told._asdict())
 
 
-@router.get("/trade/curve")
+@pages.get("/trade/curve")
 def curve(request: Request) -> Response:
     """The curve or map, a line of JSON for each piece."""
     source, trade, _ = _asked(request, request.query_params)
@@ -193,7 +192,7 @@ def _scenario(request: Request, name: str) -> Scenario:
     raise Refused(422, [FieldMistake("scenario", f"one of {', '.join(predefined())}, or run: and the name of a run")])
 
 
-@router.get("/trade/{name}")
+@pages.get("/trade/{name}")
 def take_away(request: Request, name: str) -> Response:
     """The study that gives the same numbers, the scenario beside it, or a notebook that runs it."""
     texts = _texts(request, request.query_params)
@@ -205,7 +204,7 @@ def take_away(request: Request, name: str) -> Response:
     return Response(texts[name], media_type="application/octet-stream", headers=headers)
 
 
-@router.post("/trade")
+@pages.post("/trade")
 async def keep(request: Request) -> Response:
     """Run the study under the exact engine, and keep what comes of it."""
     form = await request.form(max_fields=1000)
@@ -240,12 +239,24 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
         raise Refused(422, mistakes)
     text = yaml_text(plain(scenario))
     own = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
-    order = Order(
-        "study", study.name, study.title, {"study.yaml": yaml_text(own), "scenario.yaml": text},
-        copies_of(state.settings, owner, text, uploads),
-    )  # fmt: skip
-    run: WebRun = state.desk.order(owner, order)
+    copies = copies_of(state.settings, owner, text, uploads)
+    files = {"study.yaml": yaml_text(own), "scenario.yaml": text, **copies}
+    run: WebRun = state.desk.order(owner, "study", study.name, study.title, files)
     return run
+
+
+class StudyOrder(BaseModel):
+    """A study; its scenario is a predefined one by name, or ``run:ID``, that of a prediction of this session."""
+
+    model_config = ConfigDict(extra="forbid")
+    study: Annotated[StudyFile, small("study")]
+
+
+@api.post("/studies", status_code=201)
+def studies(request: Request, order: StudyOrder) -> RunAnswer:
+    """Evaluate a trade-off study; ask for the run to learn how far it is."""
+    data = order.study.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    return answer_of(request, order_study(request, data))
 
 
 def _of_size(study: StudyFile, limits: Limits) -> Iterator[FieldMistake]:

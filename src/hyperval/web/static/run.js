@@ -2,10 +2,10 @@
 const progress = document.getElementById("progress");
 
 async function watch() {
-  const answer = await fetch(`/runs/${progress.dataset.run}/state`);
+  const answer = await fetch(`/api/v1/runs/${progress.dataset.run}`);
   if (!answer.ok) return;
   const run = await answer.json();
-  if (run.ended) {
+  if (!["waiting", "running"].includes(run.state)) {
     location.reload();
     return;
   }
@@ -33,7 +33,7 @@ function figureOf(chart) {
 async function drawRun() {
   const box = document.getElementById("charts");
   const beside = box.dataset.beside ? `?beside=${box.dataset.beside}` : "";
-  const answer = await fetch(`/runs/${box.dataset.run}/charts${beside}`);
+  const answer = await fetch(`/api/v1/runs/${box.dataset.run}/charts${beside}`);
   const state = document.getElementById("charts-state");
   if (!answer.ok) {
     state.textContent = (await answer.json()).errors[0].message;
