@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -205,18 +205,9 @@ class Result:
         return math.isfinite(self.band_nm)
 
 
-COLUMNS = (
-    "campaign", "product", "subject", "method", "band_nm", "metric", "value", "unit", "lower", "upper", "n",
-    "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason", "effect", "effect_unit",
-    "effect_lower", "effect_upper", "accepted_low", "accepted_high", "detectable_low", "detectable_high", "ideal",
-    "p_value", "set_after", "subjects_seen",
-)  # fmt: skip
+_NAMES = [f.name for f in fields(Result) if f.compare and f.name != "band_nm"]
+COLUMNS = (*_NAMES[:4], "band_nm", *_NAMES[4:])
 _WORDS = ("role", "evidence", "outcome", "cause")
-
-
-def judged_or_whole(rows: Iterable[Result]) -> ResultTable:
-    """The rows without the numbers of single bands that nothing was asked of, which are most of a table."""
-    return ResultTable(row for row in rows if row.planned or not row.per_band)
 
 
 def of_campaign(rows: Iterable[Result], campaign: str) -> list[Result]:

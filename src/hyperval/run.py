@@ -295,11 +295,11 @@ def write_joined(
                 with open(parts / part / name, encoding="utf-8", newline="") as own:
                     next(own)
                     out.writelines(own)
-    heads = {name: _json_head(parts / name / TABLE) for name in names}
-    counts = {o: sum(int(head["counts"][o]) for head in heads.values()) for o in map(str, Outcome)}
+    heads = [_json_head(parts / name / TABLE) for name in names]
+    counts = {o: sum(int(head["counts"][o]) for head in heads) for o in map(str, Outcome)}
     is_small = sum(counts.values()) <= MOST_JOINED
-    rows = chain.from_iterable(read_rows(parts / name) for name in names) if is_small else []
-    write_text(folder / TABLE, _document(rows, counts, {"runs": list(names)}))
+    lines = chain.from_iterable(_row_lines(parts / name / TABLE) for name in names) if is_small else []
+    write_text(folder / TABLE, _document(lines, counts, {"runs": list(names)}))
     write_text(folder / JUNIT, junit_xml(planned))
     write_text(folder / PAGE, page)
 
@@ -314,8 +314,20 @@ def _is_joined(path: Path) -> bool:
 def _json_head(path: Path) -> dict[str, Any]:
     """What a table says before its rows."""
     with open(path, encoding="utf-8") as stream:
-        text = "".join(takewhile(lambda line: line != ' "rows": [\n', stream)).rstrip()
+        text = "".join(takewhile(_is_head, stream)).rstrip()
     return dict(json.loads(text.removesuffix(",") + "}" if text.endswith(",") else text))
+
+
+def _row_lines(path: Path) -> Iterator[str]:
+    """The rows of a table as they are written there."""
+    with open(path, encoding="utf-8") as stream:
+        for _ in takewhile(_is_head, stream):
+            pass
+        yield from (line.rstrip(",\n") for line in takewhile(lambda line: line != " ]\n", stream))
+
+
+def _is_head(line: str) -> bool:
+    return line != ' "rows": [\n'
 
 
 def results_csv(rows: Iterable[Result]) -> str:
@@ -334,17 +346,18 @@ def results_json(rows: Iterable[Result]) -> str:
     """
     rows = list(rows)
     count = Counter(row.outcome for row in rows)
-    return _document(rows, {str(outcome): count[outcome] for outcome in Outcome})
+    encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode  # fast only without indentation
+    lines = (f"  {encode([json_value(value) for value in _values(row)])}" for row in rows)
+    return _document(lines, {str(outcome): count[outcome] for outcome in Outcome})
 
 
-def _document(rows: Iterable[Result], counts: Mapping[str, int], more: Mapping[str, Any] | None = None) -> str:
+def _document(lines: Iterable[str], counts: Mapping[str, int], more: Mapping[str, Any] | None = None) -> str:
     document = {
         "schema_version": SCHEMA_VERSION, "hyperval_version": hyperval.__version__, "counts": dict(counts),
         **(more or {}), "columns": list(COLUMNS), "rows": [],
     }  # fmt: skip
     head = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
-    encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode  # fast only without indentation
-    listed = ",\n".join(f"  {encode([json_value(value) for value in _values(row)])}" for row in rows)
+    listed = ",\n".join(lines)
     return head.removesuffix("[]\n}") + f"[\n{listed}\n ]\n}}\n" if listed else head + "\n"
 
 
@@ -417,8 +430,10 @@ def _cell(value: Any) -> Any:
     return harmless(value) if isinstance(value, str) else json_value(value)
 
 
-def read_rows(folder: Path) -> Iterator[Result]:
+def read_rows(folder: Path, *, every: bool = True) -> Iterator[Result]:
     """The rows of a folder's results.json; of one that joins several campaigns those of each, one after the other.
+
+    ``every``: also the numbers of single bands that nothing was asked of, which are most of a table.
 
     Raises
     ------
@@ -428,9 +443,9 @@ def read_rows(folder: Path) -> Iterator[Result]:
     document = _document_of(path)
     for name in document.get("runs", ()):
         refuse(not isinstance(name, str) or Path(name).name != name or name[:1] == ".", "results.part", path, name=name)
-        yield from read_rows(folder / name)
+        yield from read_rows(folder / name, every=every)
     if "runs" not in document:
-        yield from _rows(path, document["columns"], document["rows"])
+        yield from _rows(path, document["columns"], document["rows"], every)
 
 
 @reader
@@ -443,16 +458,19 @@ def _document_of(path: Path) -> dict[str, Any]:
 
 
 @reader
-def _rows(path: Path, columns: list[Any], rows: list[Any]) -> list[Result]:
-    words: dict[str, str] = {}  # rows repeat their words, which are kept once
-    return [_row(item, columns, words, f"{path}, row {i}") for i, item in enumerate(rows, start=1)]
+def _rows(path: Path, columns: list[Any], rows: list[Any], every: bool) -> list[Result]:
+    out, words = [], dict[str, str]()  # rows repeat their words, which are kept once
+    for i, item in enumerate(rows, start=1):
+        if isinstance(item, list) and len(item) == len(columns):
+            item = dict(zip(map(str, columns), item, strict=True))
+        if not isinstance(item, dict) or not _KNOWN - _NEW.keys() <= item.keys() <= _KNOWN:
+            raise refusal("results.columns", f"{path}, row {i}", columns=", ".join(sorted(_KNOWN)))
+        if every or item["band_nm"] is None or item["outcome"] != Outcome.NONE:
+            out.append(_row(item, words, f"{path}, row {i}"))
+    return out
 
 
-def _row(item: Any, columns: list[Any], words: dict[str, str], where: str) -> Result:
-    if isinstance(item, list) and len(item) == len(columns):
-        item = dict(zip(map(str, columns), item, strict=True))
-    if not isinstance(item, dict) or not _KNOWN - _NEW.keys() <= item.keys() <= _KNOWN:
-        raise refusal("results.columns", where, columns=", ".join(sorted(_KNOWN)))
+def _row(item: dict[str, Any], words: dict[str, str], where: str) -> Result:
     values: dict[str, Any] = {k: words.setdefault(v, v) if isinstance(v, str) else v for k, v in (_NEW | item).items()}
     try:
         for name in _NUMBERS:

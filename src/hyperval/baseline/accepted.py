@@ -31,7 +31,7 @@ from hyperval.config import Model, load_model
 from hyperval.errors import HypervalError, reader, refuse
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
-from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, Role
+from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable
 from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
 from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.suite import (
@@ -81,6 +81,12 @@ class Accepted(Model):
         """Largest tolerated difference, in the metric's unit."""
         return self.limit.width(self.accepted or 0.0, self.half_width)
 
+    @property
+    def range(self) -> tuple[float, float]:
+        """Ends of what is tolerated, in the metric's unit; NaN where the comparison could not be made."""
+        middle = math.nan if self.accepted is None else self.accepted
+        return middle - self.width, middle + self.width
+
     def objection(self, metric: str) -> str | None:
         """What is wrong with it for a metric: it is such that nothing can break it, or loosened without a word."""
         if not 0.0 <= self.tolerance <= LARGEST[self.of]:
@@ -90,7 +96,7 @@ class Accepted(Model):
         if self.accepted is None:
             return None
         low, high = metric_of(metric).low, metric_of(metric).high
-        if math.isfinite(low) and self.accepted - self.width <= low and self.accepted + self.width >= high:
+        if math.isfinite(low) and self.range[0] <= low and self.range[1] >= high:
             return f"{metric} lies between {low:g} and {high:g}: a tolerance of {self.width:g} can never fail"
         usual = default_tolerance(metric, self.half_width).width(self.accepted, self.half_width)
         return "a tolerance above the default needs 'why'" if not self.why and self.width > usual * (1 + 1e-9) else None
@@ -328,18 +334,6 @@ def stored(folder: Path, kind: Kind, name: str) -> Baseline | None:
     other = (baseline.kind, baseline.name) != (kind, name)
     refuse(other, "baseline.other", path, wanted=f"{kind} {name}", of=f"{baseline.kind} {baseline.name!r}")
     return baseline
-
-
-def accepted_rows(owner: str, accepted: Mapping[str, Accepted]) -> list[Result]:
-    """Accepted numbers as the rows of a run: the range that is tolerated as its limits."""
-    return [
-        Result(
-            owner, *split_key(key), math.nan if item.accepted is None else item.accepted,
-            limit_low=(item.accepted or 0.0) - item.width, limit_high=(item.accepted or 0.0) + item.width,
-            role=Role.GATE, outcome=Outcome(item.outcome),
-        )
-        for key, item in accepted.items()
-    ]  # fmt: skip
 
 
 def accepted_of(measured: Mapping[str, Result], before: Mapping[str, Accepted]) -> dict[str, Accepted]:

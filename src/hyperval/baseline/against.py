@@ -22,13 +22,12 @@ from hyperval.baseline.accepted import (
     Baseline,
     Kind,
     accepted_of,
-    accepted_rows,
     baseline_path,
     campaign_metrics,
     candidate_path,
-    key_of,
     sensor_metrics,
     skipped_reason,
+    split_key,
     stored,
     today,
     versions,
@@ -41,7 +40,7 @@ from hyperval.errors import as_typed, refuse
 from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.verdict import accepted_words
-from hyperval.results import Cause, Outcome, Result, ResultTable, Role, paired
+from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check.suite import Engine
@@ -55,35 +54,34 @@ def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Resu
     where there was one, another outcome.  A number that was not accepted fails: until it is, nothing guards it.
     """
     rows = []
-    for pair in paired(ResultTable(accepted_rows(owner, accepted)), ResultTable(now.values())):
-        words, named, has_range = _objection(pair.a, pair.b), pair.either, pair.a and not math.isnan(pair.a.value)
-        low, high = (pair.a.limit_low, pair.a.limit_high) if pair.a and has_range else (math.nan, math.nan)
-        value, unit = (pair.b.value, pair.b.unit) if pair.b else (math.nan, "1")
+    for key in sorted({*accepted, *now}):
+        old, new = accepted.get(key), now.get(key)
+        low, high = old.range if old is not None else (math.nan, math.nan)
+        value, unit = (new.value, new.unit) if new is not None else (math.nan, "1")
+        words = _objection(split_key(key)[-1], old, new)
         rows.append(Result(
-            owner, named.product, named.subject, named.method, named.metric, value, unit, reason=words,
-            limit_low=low, limit_high=high, role=Role.GATE, outcome=Outcome.DISAGREES if words else Outcome.AGREES,
+            owner, *split_key(key), value, unit, limit_low=low, limit_high=high, role=Role.GATE,
+            outcome=Outcome.DISAGREES if words else Outcome.AGREES, reason=words,
         ))  # fmt: skip
-    return sorted(rows, key=key_of)
+    return rows
 
 
-def _objection(old: Result | None, new: Result | None) -> str:
-    if old is None or new is None:
-        one = old or new
-        assert one is not None  # noqa: S101 - a pair is made from at least one row
-        if new is not None:
-            return f"{one.metric} is not accepted: the baseline does not hold this number"
-        return f"{one.metric} is missing: the run does not give this number (accepted {_text(one.value)})"
-    words, before, now = "", old.value, new.value if math.isfinite(new.value) else math.nan
+def _objection(metric: str, old: Accepted | None, new: Result | None) -> str:
+    if old is None:
+        return f"{metric} is not accepted: the baseline does not hold this number"
+    before = math.nan if old.accepted is None else old.accepted
+    if new is None:
+        return f"{metric} is missing: the run does not give this number (accepted {_text(before)})"
+    words, now = "", new.value if math.isfinite(new.value) else math.nan
     if math.isnan(before) != math.isnan(now):
         words = f"moved from {_text(before)} to {_text(now)}"
-    elif not math.isnan(now) and not old.limit_low <= now <= old.limit_high:
-        width = (old.limit_high - old.limit_low) / 2.0
-        words = f"moved from {before:.6g} to {now:.6g}: {now - before:+.3g}, tolerance {width:.3g}"
-    if new.outcome is not old.outcome:
+    elif not math.isnan(now) and not old.range[0] <= now <= old.range[1]:
+        words = f"moved from {before:.6g} to {now:.6g}: {now - before:+.3g}, tolerance {old.width:.3g}"
+    if new.outcome != old.outcome:
         reason = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
         verdict = f"the outcome changed from {old.outcome} to {new.outcome}{reason}"
         words = f"{words}; {verdict}" if words else verdict
-    return f"{new.metric} {words}" if words else ""
+    return f"{metric} {words}" if words else ""
 
 
 def _text(value: float) -> str:

@@ -36,7 +36,7 @@ from hyperval.observe import observe as observe_collection
 from hyperval.products import PredictedProducts, Products
 from hyperval.progress import step, track, working
 from hyperval.report import RunReport, write_index, write_outputs
-from hyperval.results import Cause, Outcome, Result, ResultTable, judged_or_whole, of_campaign
+from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.run import read_rows
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
@@ -380,7 +380,7 @@ class CampaignRun(NamedTuple):
             write_outputs(run, self.folder)
         if not any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
             write_record(self.job, run, self.folder)
-        table = judged_or_whole(run.table)
+        table = ResultTable(row for row in run.table if row.planned or not row.per_band)  # most are of single bands
         return replace(run, table=table, prediction=None, observation=None, score_maps={}, quicklook=None), code
 
 
@@ -401,7 +401,7 @@ def as_before(job: Job, folder: Path) -> RunReport | None:
         files = {name: sha256_of(log.resolve(name)) for name in record["files"]}
         is_whole = all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
         if record["outputs"] and is_whole and record["made_of"] == made_of(job, files):
-            return report_of(job.campaign, judged_or_whole(read_rows(folder)))
+            return report_of(job.campaign, read_rows(folder, every=False))
     return None
 
 

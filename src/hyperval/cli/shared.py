@@ -89,10 +89,10 @@ def say_verdicts(output: Path) -> None:
     Errors are said under --quiet too.
     """
     from hyperval.report import first_screen, last_line
-    from hyperval.results import Outcome, judged_or_whole
+    from hyperval.results import Outcome
     from hyperval.run import is_run, read_rows
 
-    rows = list(judged_or_whole(read_rows(output))) if is_run(output) else []
+    rows = list(read_rows(output, every=False)) if is_run(output) else []
     for name, own in groupby(rows, lambda row: row.campaign):
         note(f"{name}: {first_screen(list(own)).words}")
     for outcome in (Outcome.ERROR, Outcome.SKIPPED):

@@ -149,16 +149,12 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
         groups.setdefault((row.product, row.effect_unit or _words(row)), []).append(row)
     if not groups:
         return None
-    apart = [own for own in groups.values() if own[0].outcome is not Outcome.AGREES] or list(groups.values())
-    shown = apart[:_MOST_PARTS]
+    shown = list(groups.values())[:_MOST_PARTS]
     room = [1 + sum(row.outcome is not Outcome.AGREES for row in own) for own in shown]
     room = [min(most, len(own)) for most, own in zip(room, shown, strict=True)]
     while sum(room) > _MOST_ROWS - len(shown) and max(room) > 1:
         room[room.index(max(room))] -= 1
     parts = [_part(own, most) for own, most in zip(shown, room, strict=True)]
-    rest = [row for own in groups.values() if own not in shown for row in own]
-    if rest:
-        parts.append(_shares(rest))
     # One legend for all: marks of the first plot without a number.
     names = {mark.label: mark for part in parts for mark in part.marks}
     nothing = np.array([np.nan])
@@ -251,35 +247,6 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
         x, y = np.array(found).T
         marks.append(Mark("dots", {"x": x, "y": y}, "smallest detectable error", GREY, marker="tick", along="x"))
     return tuple(marks)
-
-
-def _shares(rest: Sequence[Result]) -> Part:
-    """What is met where something else is not: a row a product, in parts of the accepted range."""
-    products = list(dict.fromkeys(row.product for row in rest))
-    at = [(float(products.index(row.product)), own) for row in rest if (own := _share(row)) is not None]
-    names = [f"{product_words(p)} ({sum(row.product == p for row in rest)})" for p in products]
-    counts = [Counter(WORDS[row.outcome] for row in rest if row.product == p) for p in products]
-    notes = tuple("all met" if list(c) == ["met"] else ", ".join(f"{n} {w}" for w, n in c.items()) for c in counts)
-    limits = _ends([row for _, row in at], False) if at else (-100.0, 100.0)
-    y = replace(row_names(names), notes=notes)
-    return Part(y, _marks(at, limits), (("x", 0.0),), Axis("Others [% of the way to the limit]", ends=limits))
-
-
-def _share(row: Result) -> Result | None:
-    """A row in parts of its accepted range; None where that has no ends."""
-    ends = [end for end in (row.accepted_low, row.accepted_high) if math.isfinite(end)]
-    middle = 0.5 * (ends[0] + ends[-1]) if len(ends) == 2 else row.ideal if math.isfinite(row.ideal) else 0.0
-    half = abs(ends[-1] - middle) if ends else 0.0
-    if half == 0.0 or row.effect_unit == _P_VALUE:
-        return None
-
-    def part(number: float) -> float:
-        return min(max(100.0 * (number - middle) / half, -150.0), 150.0) if math.isfinite(number) else number
-
-    return replace(
-        _undetected(row), effect=part(row.effect), effect_lower=part(row.effect_lower), ideal=0.0, effect_unit="%",
-        effect_upper=part(row.effect_upper), accepted_low=part(row.accepted_low), accepted_high=part(row.accepted_high),
-    )  # fmt: skip
 
 
 def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:

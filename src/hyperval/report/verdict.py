@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from hyperval.figures.criteria import WORDS, criteria_of, effect_text, ranked, row_label, short_text
@@ -29,6 +29,12 @@ _VERBS = (
     (Outcome.AGREES, "is met", "are met"),
 )
 
+# What the criterion that stands first is.
+_AHEAD = {
+    Outcome.DISAGREES: "Worst", Outcome.ERROR: "Worst", Outcome.UNDECIDED: "Least certain",
+    Outcome.AGREES: "Closest to its limit",
+}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class FirstScreen:
@@ -42,7 +48,7 @@ class FirstScreen:
         and a full test or the attribution rejects, which to believe
     asides : what else a reader has to know before the figures
     products : what each is called, number of criteria by outcome, the same in words
-    worst : the criterion that stands first, None without any
+    worst, ahead : the criterion that stands first, and why; None without any
     reason : what explains the differences best, and how sure that is; empty where nothing was asked
     steps : what to do next
     """
@@ -54,6 +60,7 @@ class FirstScreen:
     asides: list[str]
     products: list[tuple[str, list[tuple[Outcome, int]], str]]
     worst: Result | None
+    ahead: str
     reason: str
     steps: list[str]
 
@@ -77,45 +84,29 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     """What is said of the rows of a run; ``power`` : what its criteria could have found, in words."""
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     model = [row for row in rows if row.gates and row.evidence is Evidence.MODEL]
-    checks = [row for row in rows if row.gates and row.evidence is Evidence.PIPELINE]
     told = ranked(criteria_of(rows))
     told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
     first = told[0] if told else None
     outcome, head, opening = status(gates)
     asides = [power, _never_met(model), _which_to_believe(rows), _unseen(model)]
-    asides += [f"Checks of the processing alone: {outcome_words(checks)}."] if checks else []
     kinds = dict.fromkeys(row.product for row in told if row.gates)
     products = [_product(kind, [row for row in model if row.product == kind]) for kind in kinds]
-    reason = _reason(rows, first.subject if first else "all")
+    reason, ahead = _reason(rows, first.subject if first else "all"), _AHEAD.get(first.outcome, "") if first else ""
     return FirstScreen(
-        outcome, head, _lead(head, rows, model, first), _words(opening, gates, rows), list(filter(None, asides)),
-        products, first, reason, _steps(rows, told, reason),
+        outcome, head, _lead(gates, rows, ahead, first), _words(opening, gates, rows), list(filter(None, asides)),
+        products, first, ahead, reason, _steps(rows, told, reason),
     )  # fmt: skip
 
 
-def _lead(head: str, rows: Sequence[Result], model: Sequence[Result], first: Result | None) -> str:
-    """ "2 of 17 acceptance criteria are not met; 5 inconclusive and 10 met. Worst: ..." """
-    counts, n, noun = Counter(row.outcome for row in model), len(model), _KINDS[Evidence.MODEL][len(model) != 1]
-    about = f"{product_words(first.product)}, {row_label(first)}, {effect_text(first)}" if first is not None else ""
-    failed = counts[Outcome.DISAGREES] + counts[Outcome.ERROR]
-    if head == "Not met" and not failed:
-        broken = [row for row in rows if gate_fails(row)]
-        return f"{outcome_words(broken)}: {_named(broken)}. {n} {noun} of the model: {outcome_words(model)}."
-    if head == "No acceptance criteria":
+def _lead(gates: Sequence[Result], rows: Sequence[Result], ahead: str, first: Result | None) -> str:
+    """ "2 acceptance criteria are not met, 5 are inconclusive, 10 are met. Worst: ..." """
+    if not gates:
         outside = sum(row.outcome is Outcome.DISAGREES for row in rows)
         return f"Nothing here can pass or fail. {outside} informational comparisons are outside their range."
-    if head == "Not run" or (n and counts[Outcome.SKIPPED] == n):
-        return f"None of {n} {noun} was evaluated."
-    if head == "Met":
-        lead, ahead = "The acceptance criterion is met" if n == 1 else f"All {n} {noun} are met", "Closest to its limit"
-    elif failed:
-        lead, ahead = f"{failed} of {n} {noun} {'is' if failed == 1 else 'are'} not met{_others(counts)}", "Worst"
-    else:
-        lead, ahead = (
-            f"{counts[Outcome.AGREES]} of {n} {noun} are met{_others(counts, Outcome.AGREES)}",
-            "Least certain",
-        )
-    return f"{lead}. {ahead}: {about}." if about else f"{lead}."
+    parts = [_counted([row for row in gates if row.evidence is kind], kind, named=False) for kind in _KINDS]
+    if first is not None and first.gates and ahead:
+        parts.append(f"{ahead}: {product_words(first.product)}, {row_label(first)}, {effect_text(first)}.")
+    return " ".join(filter(None, parts))
 
 
 def _words(opening: str, gates: Sequence[Result], rows: Sequence[Result]) -> str:
@@ -130,12 +121,6 @@ def _words(opening: str, gates: Sequence[Result], rows: Sequence[Result]) -> str
     if unsure:
         words.append(f"{unsure} informational comparison{' is' if unsure == 1 else 's are'} inconclusive.")
     return " ".join(part for part in words if part)
-
-
-def _others(counts: Mapping[Outcome, int], but: Outcome = Outcome.DISAGREES) -> str:
-    """ "; 5 inconclusive and 10 met" """
-    parts = [f"{counts[o]} {WORDS[o]}" for o in WORST_FIRST if o is not but and counts[o]]
-    return f"; {' and '.join(parts)}" if parts else ""
 
 
 def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome, int]], str]:
@@ -255,14 +240,15 @@ def _most_reduced(tests: Sequence[Result], rows: Sequence[Result]) -> float:
     return max((value for value in values if math.isfinite(value)), default=math.nan)
 
 
-def _counted(gates: Sequence[Result], kind: Evidence) -> str:
+def _counted(gates: Sequence[Result], kind: Evidence, *, named: bool = True) -> str:
     """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
     for outcome, one, several in _VERBS:
         own = [row for row in gates if row.outcome is outcome]
         if own:
             noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
-            parts.append(f"{len(own)}{noun} {one if len(own) == 1 else several} ({_named(own)})")
+            told = f" ({_named(own)})" if named else ""
+            parts.append(f"{len(own)}{noun} {one if len(own) == 1 else several}{told}")
     return f"{', '.join(parts)}." if parts else ""
 
 
