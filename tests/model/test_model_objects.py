@@ -171,7 +171,7 @@ def test_an_object_alone_has_the_mean_of_its_fill_and_the_spread_of_its_host():
     np.testing.assert_allclose(p.reflectance["square"].mean, q.reflectance["square"].mean, rtol=2e-3)
     grass = builtin_class("grass", AXIS)
     u = p.reflectance["square"].budget
-    np.testing.assert_allclose(u[model.HOST], found.rest * np.sqrt(np.diag(grass.covariance)), rtol=1e-9)
+    np.testing.assert_allclose(u[model.HOST], (1.0 - found.mean.sum()) * np.sqrt(np.diag(grass.covariance)), rtol=1e-9)
     contrast = builtin_class("yellow-paint-plank", AXIS).mean - grass.mean
     np.testing.assert_allclose(u[model.PLACE], np.sqrt(found.covariance[0, 0]) * np.abs(contrast), rtol=1e-9)
     assert model.HOST not in q.reflectance["square"].budget  # without a place: many objects, not one

@@ -25,25 +25,19 @@ from hyperval.model.inputs import (
     spectrum_errors,
 )
 from hyperval.model.objects import (
-    HOST,
-    PLACE,
     Shares,
     expected_scores,
-    host_covariance,
     object_scores,
-    place_covariance,
     shares_of,
 )
 from hyperval.model.propagate import (
     DRAWN_SHIFT,
     Changes,
-    Draws,
-    drawn_products,
     emulator,
     laws_left_out,
-    linearised,
     mean_shifts,
     probit,
+    tabulated,
     with_intervals,
     with_law_errors,
     with_limits,
@@ -165,11 +159,20 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
     return out
 
 
+def joined(parts: Iterable[tuple[Index, Mapping[Any, Array]]], size: int) -> dict[Any, Array]:
+    """Values (U, ...) of all truths, in their order, from those (n or 1, ...) of parts of them."""
+    out: dict[Any, Array] = {}
+    for index, values in parts:
+        for key, value in values.items():
+            out.setdefault(key, np.empty((size, *value.shape[1:])))[index] = value
+    return out
+
+
 def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralErrors:
     """Errors of the mean spectra of one truth: half the difference of up and down along each direction of each input,
     the rest held.
     """
-    out: dict[tuple[str, str], dict[str, tuple[list[Array], tuple[float, str, str]]]] = {}
+    out: dict[tuple[str, str], dict[str, Errors]] = {}
     state = world.stated.scenario.atmosphere
     day = str(state.time_utc or "")[:10] if state is not None else ""
     for item in inputs:
@@ -177,27 +180,22 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
             continue
         least = _ROUNDING * float(np.abs(item.rows).max(initial=0.0))
         of_spectrum = item.subject and item.kind == "surface"
+        name = "field spectrum" if of_spectrum else item.name
+        scale = *item.scale, day if item.path.startswith("atmosphere.") else ""
         for start in range(0, len(item.rows), _DIRECTIONS):
             some = range(start, min(start + _DIRECTIONS, len(item.rows)))
             there = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])
-            whole: dict[tuple[str, str], Array] = {}
-            for index, part in settled(there):
-                for key, values in mean_spectra(Evaluation(part)).items():
-                    whole.setdefault(key, np.empty((there.size, values.shape[1])))[index] = values
+            whole = joined(((index, mean_spectra(Evaluation(part))) for index, part in settled(there)), there.size)
             for key, values in whole.items():
                 rows = 0.5 * (values[: len(some)] - values[len(some) :])
                 if item.kind == "engine" and key[0] == "reflectance":  # the empirical line takes it off
                     continue
                 if of_spectrum and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
-                name = "field spectrum" if of_spectrum else item.name
-                scale = *item.scale, day if item.path.startswith("atmosphere.") else ""
-                before, _ = out.setdefault(key, {}).get(name, ([], scale))
-                out[key][name] = [*before, np.nan_to_num(rows)], scale
-    return {
-        key: {name: Errors(np.concatenate(rows), np.inf, *scale) for name, (rows, scale) in each.items()}
-        for key, each in out.items()
-    }
+                each = out.setdefault(key, {})
+                before = [each[name].rows] if name in each else []
+                each[name] = Errors(np.concatenate([*before, np.nan_to_num(rows)]), np.inf, *scale)
+    return out
 
 
 def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) -> PredictedProducts:
@@ -286,8 +284,7 @@ def _mixed(world: World, light: Light, number: int) -> tuple[Array, float, Mappi
     shares = shares_at(world, number)
     if shares is None:
         return covariance, gain, {}
-    one = shares[0][shares[1][0]]
-    return covariance, gain, {PLACE: place_covariance(one, full, host), HOST: host_covariance(one, behind, 1.0)}
+    return covariance, gain, shares[0][shares[1][0]].errors(full, host, behind)
 
 
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:
@@ -316,10 +313,9 @@ def provenance_of(stated: Stated, terms: AtmosphericTerms | None) -> dict[str, o
     }
     if scenario.atmosphere is not None and scenario.atmosphere.time_utc is not None:
         record["time_utc"] = scenario.atmosphere.time_utc
-    if scenario.sensor_operation is not None:
-        record["sensor_operation"] = scenario.sensor_operation.model_dump(mode="json")
-    if scenario.sensor_changes is not None:
-        record["sensor_changes"] = scenario.sensor_changes.model_dump(mode="json")
+    for name in ("sensor_operation", "sensor_changes"):
+        if (there := getattr(scenario, name)) is not None:
+            record[name] = there.model_dump(mode="json")
     return record
 
 
@@ -363,30 +359,27 @@ def predict(
     world = replace(world, stated=replace(world.stated, before=None))
     inputs, lit = inputs_of(world), scenario.atmosphere is not None
     linear = [i for i in inputs if lit or not i.of_light]
-    errors, of_spectra = spectrum_errors(world), spectral_errors(world, [*linear, *interpolation_input(world)])
-    products, changes = _prediction(world, of_spectra, errors, linear, objects, object_curves, source, truth or {})
-    drawn = inputs if truth is None else []
-    u, made = scenario.uncertainty, None
+    of_spectra = spectral_errors(world, [*linear, *interpolation_input(world)])
+    products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
+    u, drawn = scenario.uncertainty, inputs if truth is None else []
     shifts = mean_shifts(products.roc, changes)
     far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
-    draws = Draws({}, {}, 0)
-    if drawn and (u.method != "linear" or far):
-        world_of_draws = world
-        if lit:
-            moves = any(i.path == SHIFT for i in drawn)
-            made = emulator(
-                scenario, drawn, world.stated.atmosphere.whole,
-                None if moves else world.stated.true_axis,
-            )  # fmt: skip
-            world_of_draws = under(world, made.engine)
-        truths = track(drawn_truths(drawn, u.samples, u.seed), "draws of the budget", show=source.show_progress)
-        draws = drawn_products(_predictions(world_of_draws, truths))
-    curves = draws.curves if u.method == "linear" else {}
-    products = with_limits(scenario, products, changes, shifts, {k: curves[k] for k in far if k in curves})
-    if u.method == "linear" or not drawn:
-        return products
-    spread = linearised(products, drawn, partial(_predictions, world_of_draws))
-    return with_intervals(products, spread, draws, u.method, u.seed, made)
+    if not drawn or not (far or u.method != "linear"):
+        return with_limits(scenario, products, changes, shifts, {})
+    made = None
+    if lit:
+        moves = any(i.path == SHIFT for i in drawn)
+        made = emulator(scenario, drawn, world.stated.atmosphere.whole, None if moves else world.stated.true_axis)
+        world = under(world, made.engine)
+    truths = track(drawn_truths(drawn, u.samples, u.seed), "draws of the budget", show=source.show_progress)
+    draws = tabulated(_predictions(world, truths))
+    curves = {key: draws["curve", *key] for key in far if u.method == "linear"}
+    products = with_limits(scenario, products, changes, shifts, curves)
+    return (
+        products
+        if u.method == "linear"
+        else with_intervals(products, drawn, partial(_predictions, world), draws, u, made)
+    )
 
 
 def predictions(
@@ -429,46 +422,39 @@ def _predictions(
 
 
 def _prediction(
-    world: World, of_spectra: SpectralErrors, errors: Mapping[str, Array], inputs: Sequence[UncertainInput],
-    objects: bool | int, object_curves: bool, origins: Origins, truth: Truth,
+    world: World, of_spectra: SpectralErrors, inputs: Sequence[UncertainInput], objects: bool | int,
+    object_curves: bool, origins: Origins, truth: Truth,
 ) -> tuple[PredictedProducts, dict[RocKey, Changes]]:  # fmt: skip
     """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
     input; of the targets' field spectra for the one that their filter looks along.
     """
-    stated = world.stated
+    stated, errors = world.stated, spectrum_errors(world)
     light = [i for i in inputs if i.of_light and i.kind != "engine"]
     # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
     others = [i for i in inputs if not i.of_light and (i.subject in stated.classes or i.kind != "surface")]
     others.sort(key=lambda i: not i.subject)
-    moves = [(i, k) for i in (*light, *others) for k in range(i.size)]
-    pairs, last = sum(i.size for i in light), 2 * len(moves)
-    along = [last + 1] if any(t.name in errors for t in stated.targets) else []
-    truths: list[Truth] = [{}, *(i.direction(k, z) for z in (1.0, -1.0) for i, k in moves), *({} for _ in 2 * along)]
-    up = np.array([*range(1, pairs + 1), *along, *range(pairs + 1, len(moves) + 1)], dtype=int)
-    down = np.where(up > last, up + 1, up + len(moves))
-    shift = np.zeros(len(truths))
-    shift[last + 1 :] = (1.0, -1.0)[: len(shift) - last - 1]
+    of_light, of_others = ([(i, k) for i in some for k in range(i.size)] for some in (light, others))
+    along = [None] if any(t.name in errors for t in stated.targets) else []
+    moves, pairs = [*of_light, *along, *of_others], len(of_light)
+    signed = [(move, z) for z in (1.0, -1.0) for move in moves]
+    truths = [{}, *({} if move is None else move[0].direction(move[1], z) for move, z in signed)]
     every = with_truths(world, truths)
-    parts = evaluations(every, errors, shift)
-    numbers, e = parts[0]
+    parts = evaluations(every, errors, np.array([0.0, *(z * (move is None) for move, z in signed)]))
+    e = parts[0][1]
     prediction = detect(e, object_curves=object_curves, spectra=[spectral_prediction(e, 0, of_spectra)])[0]
-    curves: dict[RocKey, Array] = {}
-    for index, part in parts:
-        if part is not e:
-            detect(part, object_curves=object_curves)
-        for key, pd in part.curves.items():
-            curves.setdefault(key, np.empty((len(truths), pd.shape[1])))[index] = probit(pd)
+    for _, part in parts[1:]:
+        detect(part, object_curves=object_curves)
     if prediction.roc:
         known = worlds_without(stated.scenario, origins, truth)
         if objects:
-            steps = np.concatenate([[0], np.arange(1, pairs + 1), len(moves) + np.arange(1, pairs + 1)])
-            together = np.isin(steps, numbers).all()
-            here = e if together else Evaluation(every.rows(steps), errors)
-            at = np.searchsorted(numbers, steps) if together else np.arange(steps.size)
-            scores = object_scores(here, at, None if objects is True else objects)
+            steps = np.array([0, *range(1, pairs + 1), *range(len(moves) + 1, len(moves) + pairs + 1)])
+            here = Evaluation(every.rows(steps), errors)
+            scores = object_scores(here, np.arange(steps.size), None if objects is True else objects)
             prediction = replace(prediction, object_scores=scores, expected_scores=expected_scores(here))
         prediction = replace(prediction, exceedance=with_law_errors(prediction.exceedance, laws_left_out(e, known)))
-    return prediction, {key: (z[up] - z[0], z[down] - z[0]) for key, z in curves.items()}
+    z = joined(((index, {key: probit(pd) for key, pd in part.curves.items()}) for index, part in parts), every.size)
+    up, down = slice(1, len(moves) + 1), slice(len(moves) + 1, None)
+    return prediction, {key: (x[up] - x[0], x[down] - x[0]) for key, x in z.items()}
 
 
 def _distribution(world: World, number: int) -> PixelDistribution:

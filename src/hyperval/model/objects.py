@@ -45,7 +45,7 @@ from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixe
 from hyperval.model.roc import Host
 from hyperval.model.stated import correlation
 from hyperval.products import ObjectScores
-from hyperval.scenario import Geometry, Target, TargetSubject, Uncertainty
+from hyperval.scenario import Geometry, Target, TargetSubject
 
 ROWS = 1600
 # The blur's distribution stands on this many equally likely widths.
@@ -58,24 +58,17 @@ class InputDraws:
 
     Attributes
     ----------
-    spectra : target -> (S, F) departure of its reflectance from the field spectrum
-    collected : target -> (S, F) departure of its reflectance as the collection holds it
+    spectra : target -> (S, F) departure of its reflectance from the field spectrum, and of what the collection holds
     steps : (S, K) scalar inputs of the view, in standard uncertainties
-    blur : (S,) width, in standard uncertainties, one of few values
+    blur : (S,) change of its width, one of few values [pixels]
     """
 
     spectra: Mapping[str, Array]
-    collected: Mapping[str, Array]
     steps: Array
     blur: Array
 
-    @property
-    def rows(self) -> int:
-        """S."""
-        return int(self.blur.size)
 
-
-def input_draws(e: Evaluation, u: int, uncertainty: Uncertainty, steps: int) -> InputDraws:
+def input_draws(e: Evaluation, u: int, steps: int) -> InputDraws:
     """Draws of what the scenario calls uncertain; one row of zeros when nothing is.
 
     Rows come in pairs of opposite sign, so that means carry no sampling error to first order.
@@ -85,28 +78,23 @@ def input_draws(e: Evaluation, u: int, uncertainty: Uncertainty, steps: int) -> 
     u : the truth as it stands
     steps : scalar inputs of light and sensor
     """
-    error = uncertainty.collected_reflectance
+    uncertainty = e.scenario.uncertainty
+    error, width = uncertainty.collected_reflectance, uncertainty.psf_fwhm_pixels
     rows = {t.name: e.errors[t.name][:, e.bands] for t in e.targets if t.name in e.errors}
-    spectrum_error = {name: each.T @ each for name, each in rows.items()}
-    uncertain = steps or spectrum_error or error or uncertainty.psf_fwhm_pixels or uncertainty.position_m
-    if not uncertain:
-        return InputDraws({}, {}, np.zeros((1, 0)), np.zeros(1))
+    if not (steps or rows or error or width or uncertainty.position_m):
+        return InputDraws({}, np.zeros((1, 0)), np.zeros(1))
     rng = np.random.default_rng([e.scenario.processing.seed, 7])
-    spectra = {name: _normal(rng, covariance) for name, covariance in spectrum_error.items()}
-    collected = {}
+    spectra = {name: _normal(rng, each.T @ each) for name, each in rows.items()}
     if error is not None:
         shape = correlation(e.axis.select(e.bands), error.correlation_nm)
         scaled, shifted = _normal(rng, shape), _normal(rng, shape)
         means = e.world.rows(np.array([u])).mean[0][:, e.bands]
-        collected = {
-            t.name: error.relative * scaled * means[e.world.surface(t.name)] + error.absolute * shifted
-            for t in e.targets
-        }
+        for t in e.targets:
+            collected = error.relative * scaled * means[e.world.surface(t.name)] + error.absolute * shifted
+            spectra[t.name] = spectra.get(t.name, 0.0) + collected
     widths = ndtri((np.arange(_WIDTHS) + 0.5) / _WIDTHS)
-    blur = rng.permutation(np.resize(widths / widths.std(), ROWS))
-    if uncertainty.psf_fwhm_pixels is None:
-        blur = np.zeros(ROWS)
-    return InputDraws(spectra, collected, _pairs(rng, steps), blur)
+    blur = rng.permutation(np.resize(widths / widths.std(), ROWS)) * (width or 0.0)
+    return InputDraws(spectra, _pairs(rng, steps), blur)
 
 
 def _pairs(rng: np.random.Generator, columns: int) -> Array:
@@ -152,8 +140,8 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
     draws : of each object where no input is uncertain; default: as many as there would be with uncertain inputs
     """
     u, uncertainty = int(truths[0]), e.scenario.uncertainty
-    drawn, targets = input_draws(e, u, uncertainty, (truths.size - 1) // 2), e.world.targets_at(u)
-    certain, thesis, seed = drawn.rows == 1, e.scenario.formulation == "thesis", e.scenario.processing.seed
+    drawn, targets = input_draws(e, u, (truths.size - 1) // 2), e.world.targets_at(u)
+    certain, thesis, seed = len(drawn.blur) == 1, e.scenario.formulation == "thesis", e.scenario.processing.seed
     linear = e.scenario.processing.linear_detectors
     names = [t.name for t in targets]
     out: dict[Key, ObjectScores] = {}
@@ -162,7 +150,7 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
         for population in target.populations:
             beside = [] if thesis else neighbours_of(target, population, targets)
             wanted = Objects(
-                population, tuple(s for _, s in beside), uncertainty.psf_fwhm_pixels or 0.0, uncertainty.position_m,
+                population, tuple(s for _, s in beside), uncertainty.position_m,
                 (draws or ROWS * COLUMNS) if certain else COLUMNS, thesis, laws, len(linear), seed,
             )  # fmt: skip
             numbers = _few_numbers(wanted) if certain and draws else drawn_numbers(wanted, drawn.blur)
@@ -180,13 +168,6 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
     return out
 
 
-def _slope(e: Evaluation, u: int, target: int) -> Array:
-    """(F,) change of what the detector sees per change of a target's reflectance, under its own light."""
-    v, of = int(e.which[u]), e.world.of_target
-    shade = e.seen.light.row(v).shade(float(of("beam", target)[u]), float(of("sky_view", target)[u]))
-    return np.asarray(of_truth(e.seen.slope, v) * shade)
-
-
 def host_laws(e: Evaluation, number: int, point: int) -> Laws:
     """Parts and degrees of freedom of the laws of a target's host in one truth; none: one normal law."""
     _, parts, dof = e.host_laws(number)
@@ -200,7 +181,6 @@ class Objects:
 
     population: TargetSubject
     beside: tuple[TargetSubject, ...]
-    psf_fwhm_pixels: float
     position_m: float | None
     columns: int
     thesis: bool
@@ -249,7 +229,7 @@ class Numbers:
 
 
 def drawn_numbers(objects: Objects, blur: Array) -> Numbers:
-    """The numbers of one population; ``blur`` (S,) departures of its width [standard uncertainties]."""
+    """The numbers of one population; ``blur`` (S,) changes of its width [pixels]."""
     rng = np.random.default_rng([objects.seed, 11, zlib.crc32(objects.population.name.encode())])
     fills, others, places = _drawn_fills(objects, blur, rng)
     shape = (*places.shape, fills.shape[1])
@@ -295,12 +275,11 @@ def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tup
     own, others, places, count = [], [], np.empty(shape, int), 0
     for width in np.unique(blur):
         rows = np.flatnonzero(blur == width)
-        change = width * objects.psf_fwhm_pixels
         if population.position_m is None or geometry is None:
-            fills = fills_of_objects(population.fill, change)
+            fills = fills_of_objects(population.fill, width)
             beside_fills = np.zeros((*fills.shape, len(beside)))
         else:
-            fills, beside_fills = _pixels_at_place(population, beside, objects.position_m, rng, change)
+            fills, beside_fills = _pixels_at_place(population, beside, objects.position_m, rng, width)
         places[rows] = count + rng.integers(len(fills), size=(rows.size, objects.columns))
         own.append(fills)
         others.append(beside_fills)
@@ -386,14 +365,13 @@ def _mean_draws(mean: Array, parts: Array, by: Array, places: Index) -> Array:
 
 
 def _change(e: Evaluation, u: int, looks_for: int, detector: str, holds: int, drawn: InputDraws) -> Array:
-    """(S,) change of the score of a pixel full of a target, by the errors of its spectrum."""
-    out, name = np.zeros(drawn.rows), e.targets[holds].name
-    weights = e.filters[e.targets[looks_for].name, detector][0].weights[int(e.which[u])]
-    if name in drawn.spectra:
-        out = out + drawn.spectra[name] @ (weights * _slope(e, u, holds))
-    if name in drawn.collected:
-        out = out + drawn.collected[name] @ weights
-    return out
+    """(S,) change of the score of a pixel full of a target, by the errors of its spectrum under its own light."""
+    name, v, of = e.targets[holds].name, int(e.which[u]), e.world.of_target
+    if name not in drawn.spectra:
+        return np.zeros(len(drawn.blur))
+    shade = e.seen.light.row(v).shade(float(of("beam", holds)[u]), float(of("sky_view", holds)[u]))
+    weights = e.filters[e.targets[looks_for].name, detector][0].weights[v]
+    return np.asarray(drawn.spectra[name] @ (weights * of_truth(e.seen.slope, v) * shade))
 
 
 @lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
@@ -447,10 +425,19 @@ class Shares:
     mean: Array
     covariance: Array
 
-    @property
-    def rest(self) -> float:
-        """Share of the host."""
-        return float(1.0 - self.mean.sum())
+    def errors(self, full: Mapping[str, Array], host: Array, spread: Array) -> dict[str, Array]:
+        """(B, B) errors of the mean spectrum of the pixels, by source.
+
+        By the shares: D^T cov(f) D with the contrasts D (J, B) to the host.  By the ground that happens to lie there:
+        (1 - sum f_j)^2 of the host's own spread.  The pixels of one object are near each other, so the host in them
+        counts as one draw of its class and not as n: an upper limit.  It overstates what is independent from pixel
+        to pixel, noise above all.
+
+        ``full`` : target -> (B,) reflectance;  ``host``, ``spread`` : (B,) and (B, B) of the class, its gain included
+        """
+        contrast = np.array([full[name] - host for name in self.names])
+        rest = 1.0 - self.mean.sum()
+        return {PLACE: contrast.T @ self.covariance @ contrast, HOST: rest**2 * spread}
 
 
 def shares_of(
@@ -469,18 +456,3 @@ def shares_of(
     mean = each.mean(axis=0)
     away = each - mean
     return Shares((target.name, *(t.name for t, _ in beside)), mean, away.T @ away / len(each))
-
-
-def place_covariance(shares: Shares, full: Mapping[str, Array], host: Array) -> Array:
-    """(B, B) error of that mean by the shares: D^T cov(f) D with the contrasts D (J, B) to the host."""
-    contrast = np.array([full[name] - host for name in shares.names])
-    return np.asarray(contrast.T @ shares.covariance @ contrast)
-
-
-def host_covariance(shares: Shares, host: Array, gain: float) -> Array:
-    """(B, B) error of that mean by the ground that happens to lie there: (1 - sum f_j)^2 of the host's own spread.
-
-    The pixels of one object are near each other, so the host in them counts as one draw of its class and not as n:
-    an upper limit.  It overstates what is independent from pixel to pixel, noise above all.
-    """
-    return np.asarray(shares.rest**2 * gain * host)

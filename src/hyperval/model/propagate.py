@@ -6,8 +6,8 @@ Errors of the background's laws, where they were fitted to pixels of an image, c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -23,8 +23,8 @@ from hyperval.model.radiance import light_of, seen_classes
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm
 from hyperval.model.stated import Engine, Origins, Truth, state_entries, state_value
 from hyperval.model.world import World, read, settled, with_truths
-from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
-from hyperval.scenario import Scenario
+from hyperval.products import SPECTRA, ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
+from hyperval.scenario import Scenario, Uncertainty
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
 
@@ -232,14 +232,13 @@ def with_limits(
 
 
 FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
-_SPECTRA = ("radiance", "reflectance", "snr", "toa_reflectance")
-PROBABILITIES = ("P_D", "AUC")
+_PROBABILITIES = ("P_D", "AUC")
 
 
 def quantities(p: PredictedProducts) -> dict[Key, Array]:
     """(product, subject, ...) -> (n,) numbers: bands of spectra, P_D at each of FALSE_ALARMS, scores and areas."""
     out: dict[Key, Array] = {}
-    for product in _SPECTRA:
+    for product in SPECTRA:
         for subject, estimate in getattr(p, product).items():
             out[product, subject] = estimate.mean
     for (subject, detector), score in p.scores.items():
@@ -251,94 +250,31 @@ def quantities(p: PredictedProducts) -> dict[Key, Array]:
     return out
 
 
-def scaled(key: Key, values: Array) -> Array:
-    """Numbers on the scale on which they are taken to be linear: probabilities in probit."""
-    return probit(values) if key[0] in PROBABILITIES else values
+def tabulated(predictions: Iterable[PredictedProducts]) -> dict[Key, Array]:
+    """(N, n) :func:`quantities` of N predictions, and P_D of whole curves under ("curve", subject, detector, unit)."""
+    rows = [quantities(p) | {("curve", *key): curve.pd for key, curve in p.roc.items()} for p in predictions]
+    return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
 
-class Spread(NamedTuple):
-    """Standard uncertainty (n,) of a product, and limits (n,) of its 95 % interval, by one way of propagation."""
-
-    sd: Array
-    lower: Array
-    upper: Array
-
-
-@dataclass(frozen=True)
-class Draws:
-    """Products of N truths drawn from the budget.
-
-    Attributes
-    ----------
-    spread : key -> standard uncertainty and interval of what :func:`quantities` names
-    curves : (subject, detector, unit) -> (N, K) P_D of whole curves
-    """
-
-    spread: Mapping[Key, Spread]
-    curves: Mapping[RocKey, Array]
-    samples: int
-
-
-def drawn_products(predictions: Iterable[PredictedProducts]) -> Draws:
-    """Spread and curves of predictions of drawn truths."""
-    values: dict[Key, list[Array]] = {}
-    curves: dict[RocKey, list[Array]] = {}
-    for p in predictions:
-        for key, numbers in quantities(p).items():
-            values.setdefault(key, []).append(numbers)
-        for name, curve in p.roc.items():
-            curves.setdefault(name, []).append(curve.pd)
-    each = {key: np.array(v) for key, v in values.items()}
-    spread = {key: Spread(v.std(axis=0, ddof=1), *limits(v)) for key, v in each.items()}
-    return Draws(spread, {k: np.array(v) for k, v in curves.items()}, max(map(len, values.values()), default=0))
-
-
-def linearised(
-    stated: PredictedProducts,
-    inputs: Sequence[UncertainInput],
-    predicted: Callable[[Iterable[Truth]], Iterator[PredictedProducts]],
-) -> dict[Key, Spread]:
-    """Linearised propagation of all products (JCGM 100:2008, 5.1).
+def linear_spread(key: Key, stated: PredictedProducts, moved: Array) -> Array:
+    """(3, n) standard uncertainty and limits of the 95 % interval of a product, linearised (JCGM 100:2008, 5.1).
 
     Spectra have it in ``stated``, with every direction of every input.  For scores and curves it is made of central
-    differences over one standard uncertainty along each direction.
+    differences, of probabilities in probit.
+
+    ``moved`` : (1 + 2 K, n) as stated, then one standard uncertainty up and down along each direction
     """
-    steps = [item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0)]
-    base, *moved = [{k: scaled(k, v) for k, v in quantities(p).items()} for p in predicted([{}, *steps])]
-    out = {}
-    for key, centre in base.items():
-        if key[0] in _SPECTRA:
-            sd = getattr(stated, key[0])[key[1]].standard_uncertainty
-        else:
-            rows = [0.5 * (up[key] - down[key]) for up, down in zip(moved[::2], moved[1::2], strict=True)]
-            sd = np.sqrt(np.sum(np.square(rows), axis=0)) * np.ones(centre.shape)
-        low, high = centre - Z95 * sd, centre + Z95 * sd
-        if key[0] in PROBABILITIES:
-            low, high = ndtr(low), ndtr(high)
-            sd = (high - low) / (2.0 * Z95)
-        out[key] = Spread(sd, low, high)
-    return out
-
-
-class Agreement(NamedTuple):
-    """The two ways for one product of one subject; of a spectrum the median over bands, of a ROC one P_FA.
-
-    Attributes
-    ----------
-    key : product, subject and so on
-    at : what of it: a false-alarm probability; NaN where there is nothing to choose
-    linear_sd, drawn_sd : standard uncertainties
-    sd_ratio, interval_ratio : drawn over linearised
-    gap : greater of the differences of the two limits, in units of the tolerance; they agree up to 1
-    """
-
-    key: Key
-    at: float
-    linear_sd: float
-    drawn_sd: float
-    sd_ratio: float
-    interval_ratio: float
-    gap: float
+    probability = key[0] in _PROBABILITIES
+    z = probit(moved) if probability else moved
+    if key[0] in SPECTRA:
+        sd = getattr(stated, key[0])[key[1]].standard_uncertainty
+    else:
+        sd = np.sqrt(np.sum(np.square(0.5 * (z[1::2] - z[2::2])), axis=0))
+    low, high = z[0] - Z95 * sd, z[0] + Z95 * sd
+    if probability:
+        low, high = ndtr(low), ndtr(high)
+        sd = (high - low) / (2.0 * Z95)
+    return np.array([sd, low, high])
 
 
 def tolerance(u: Array, samples: int) -> Array:
@@ -352,18 +288,25 @@ def tolerance(u: Array, samples: int) -> Array:
     return np.asarray(digit + 2.0 * quantile_error * u)
 
 
-def agreement(key: Key, stated: Array, linear: Spread, drawn: Spread, samples: int, at: float = np.nan) -> Agreement:
-    """The two ways compared for one product, ``stated`` (n,)."""
-    live = np.isfinite(linear.sd) & np.isfinite(drawn.sd)
-    live &= np.maximum(linear.sd, drawn.sd) > 1e-12 * np.abs(stated) + 1e-14
-    if not live.any():
-        return Agreement(key, at, 0.0, 0.0, 1.0, 1.0, 0.0)
-    one, other = (Spread(*(x[live] for x in way)) for way in (linear, drawn))
+def agreement(key: Key, stated: Array, linear: Array, drawn: Array, samples: int, at: float = np.nan) -> dict[str, Any]:
+    """The two ways compared for one product, ``stated`` (n,), by :func:`linear_spread` and the same of draws (3, n).
+
+    Of a spectrum the median over bands, of a ROC one P_FA, ``at``.  ``sd_ratio`` and ``interval_ratio`` are drawn over
+    linearised; ``gap`` is the greater difference of the two limits in units of the tolerance: they agree up to 1.
+    """
+    live = np.isfinite(linear[0]) & np.isfinite(drawn[0])
+    live &= np.maximum(linear[0], drawn[0]) > 1e-12 * np.abs(stated) + 1e-14
+    one, other = linear[:, live], drawn[:, live]
     with np.errstate(divide="ignore", invalid="ignore"):
-        gap = np.maximum(np.abs(one.lower - other.lower), np.abs(one.upper - other.upper))
-        gap = gap / tolerance(np.maximum(one.sd, other.sd), samples)
-        ratio, widths = other.sd / one.sd, (other.upper - other.lower) / (one.upper - one.lower)
-    return Agreement(key, at, *(float(np.median(x)) for x in (one.sd, other.sd, ratio, widths, gap)))
+        gap = np.abs(one[1:] - other[1:]).max(axis=0) / tolerance(np.maximum(one[0], other[0]), samples)
+        ratio, widths = other[0] / one[0], (other[2] - other[1]) / (one[2] - one[1])
+    names = ("linear_sd", "drawn_sd", "sd_ratio", "interval_ratio", "gap")
+    numbers = (
+        [float(np.median(x)) for x in (one[0], other[0], ratio, widths, gap)]
+        if live.any()
+        else [0.0, 0.0, 1.0, 1.0, 0.0]
+    )
+    return {"key": key, "at": at, **dict(zip(names, numbers, strict=True)), "agrees": numbers[-1] <= 1.0}
 
 
 # Three nodes 0 and +-sqrt(3) standard deviations: those of Gauss and Hermite, exact for moments of a cubic.
@@ -435,8 +378,10 @@ def _beside(name: str, stated: float, value: float) -> float:
 
 
 def with_intervals(
-    stated: PredictedProducts, linear: Mapping[Key, Spread], draws: Draws, method: str, seed: int, made: Emulator | None
-) -> PredictedProducts:
+    stated: PredictedProducts, inputs: Sequence[UncertainInput],
+    predicted: Callable[[Iterable[Truth]], Iterable[PredictedProducts]], draws: Mapping[Key, Array], u: Uncertainty,
+    made: Emulator | None,
+) -> PredictedProducts:  # fmt: skip
     """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
 
     With ``method`` "monte-carlo" all curves take the limits of the draws, and the errors of a spectrum are the
@@ -444,30 +389,29 @@ def with_intervals(
     their standard deviation band by band, is too noisy to be inverted in a test.
     With "both" a curve takes the limits of the draws where P_D at 1e-2 or 1e-3 disagrees.
     """
-    values, table = quantities(stated), []
-    for key, way in linear.items():
+    steps = [item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0)]
+    moved, table, everywhere = tabulated(predicted([{}, *steps])), [], u.method == "monte-carlo"
+    for key, values in quantities(stated).items():
+        linear = linear_spread(key, stated, moved[key])
+        drawn = np.array([draws[key].std(axis=0, ddof=1), *limits(draws[key])])
         parts: Iterable[tuple[Any, float]] = [(slice(None), np.nan)]
         if key[0] == "P_D":  # a curve may begin above
-            parts = [(slice(i, i + 1), at) for i, at in enumerate(FALSE_ALARMS) if np.isfinite(values[key][i])]
-        for part, at in parts:
-            one, other = (Spread(*(x[part] for x in s)) for s in (way, draws.spread[key]))
-            table.append(agreement(key, values[key][part], one, other, draws.samples, at))
-    drawn = method == "monte-carlo"
-    differs = {a.key for a in table if a.key[0] == "P_D" and not a.gap <= 1.0}
+            parts = [(slice(i, i + 1), at) for i, at in enumerate(FALSE_ALARMS) if np.isfinite(values[i])]
+        table += [agreement(key, values[x], linear[:, x], drawn[:, x], u.samples, at) for x, at in parts]
+    differs = {row["key"][1:] for row in table if row["key"][0] == "P_D" and not row["agrees"]}
     roc = {
-        key: drawn_curve(curve, limits(draws.curves[key])) if drawn or ("P_D", *key) in differs else curve
+        key: drawn_curve(curve, limits(draws["curve", *key])) if everywhere or key in differs else curve
         for key, curve in stated.roc.items()
     }
-    notes = [_words(table, draws.samples, seed, made)]
-    if method == "both" and differs:
-        which = ", ".join(sorted({" ".join(k[1:]) for k in differs}))
+    notes = [_words(table, u, made)]
+    if not everywhere and differs:
+        which = ", ".join(sorted(map(" ".join, differs)))
         notes.append(f"P_D intervals from the draws, where linearisation differs by more than the tolerance: {which}")
     spectra: dict[str, Any] = {}
-    for product in _SPECTRA if drawn else ():
+    for product in SPECTRA if everywhere else ():
         estimates = getattr(stated, product)
-        spectra[product] = {s: _widened(e, draws.spread[product, s].sd) for s, e in estimates.items()}
-    agreements = [{**a._asdict(), "agrees": a.gap <= 1.0} for a in table]
-    record = {"method": method, "samples": draws.samples, "seed": seed, "agreements": agreements}
+        spectra[product] = {s: _widened(e, draws[product, s].std(axis=0, ddof=1)) for s, e in estimates.items()}
+    record = {"method": u.method, "samples": u.samples, "seed": u.seed, "agreements": table}
     provenance = {**stated.provenance, "propagation": record}
     return replace(stated, roc=roc, **spectra, notes=(*stated.notes, *notes), provenance=provenance)
 
@@ -480,13 +424,13 @@ def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
     return replace(estimate, error_covariance=factor**2 * estimate.error_covariance, budget=budget)
 
 
-def _words(table: Sequence[Agreement], samples: int, seed: int, made: Emulator | None) -> str:
+def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, made: Emulator | None) -> str:
     ratios: dict[str, list[float]] = {}
-    for a in table:
-        if np.isfinite(a.sd_ratio):
-            label = a.key[0] if np.isnan(a.at) else f"{a.key[0]} at {a.at:.0e}"
-            ratios.setdefault(label, []).append(a.sd_ratio)
-    text = f"{samples} draws of the budget (seed {seed}): standard uncertainty over the linearised one: "
+    for row in table:
+        if np.isfinite(row["sd_ratio"]):
+            label = row["key"][0] + ("" if np.isnan(row["at"]) else f" at {row['at']:.0e}")
+            ratios.setdefault(label, []).append(row["sd_ratio"])
+    text = f"{u.samples} draws of the budget (seed {u.seed}): standard uncertainty over the linearised one: "
     text += ", ".join(f"{k} {min(v):.2f}-{max(v):.2f}" for k, v in ratios.items())
     if made is not None and made.error is not None:
         text += (
