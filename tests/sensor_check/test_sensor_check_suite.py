@@ -12,8 +12,8 @@ from solver_nodes import run_solver_at
 from hyperval.errors import UsageError
 from hyperval.model import predict
 from hyperval.results import Outcome, Role
-from hyperval.sensor import ReferenceScene, load_sensor
-from hyperval.sensor_check import SensorCheck, check_sensor, numbers, scaled, scene_radiance, sunlit_radiance
+from hyperval.sensor import ReferenceScene, Sensor, load_sensor
+from hyperval.sensor_check import SensorCheck, check_sensor, numbers, scene_radiance, sunlit_radiance
 from hyperval.spectra import SpectralAxis, band_average
 from small_campaign import stand_in_atmosphere
 
@@ -132,9 +132,14 @@ def resampling(change: Callable[[Any], Any]) -> Callable[[Patch], None]:
     return lambda patch: patch.setattr(f"{SUITE}.band_average", changed_average)
 
 
-def deaf_to(name: str) -> Callable[[Patch], None]:
-    """The noise does not react to a change of what makes it."""
-    return lambda patch: patch.setattr(f"{SUITE}.{name}", lambda unchanged, changes: unchanged)
+def deaf_to_factors(patch: Patch) -> None:
+    """The noise does not react to a change of the numbers that make it."""
+    noise = Sensor.noise
+    patch.setattr(Sensor, "noise", lambda self, *a: noise(replace(self, factors={}), *a))
+
+
+def deaf_to_changes(patch: Patch) -> None:
+    patch.setattr(f"{SUITE}.changed_noise", lambda noise, changes: noise)
 
 
 def predicted(change: Callable[[Any], Any]) -> Callable[[Patch], None]:
@@ -162,8 +167,8 @@ PROGRAM_DEFECTS: dict[str, tuple[Callable[[Patch], None], str]] = {
     "sigma taken as FWHM in the resampling": (sigma_in_resampling, "response/width_error"),
     "responses not normalised": (resampling(lambda y: 1.01 * y), "response/integral_error"),
     "responses shifted": (resampling(lambda y: y + np.array([[0.0], [0.5], [0.0]])), "response/centroid_error_fwhm"),
-    "deaf to time and aperture": (deaf_to("scaled"), "monotone/lowest_relative_growth_of_snr"),
-    "deaf to C_R": (deaf_to("changed_noise"), "monotone/lowest_relative_growth_of_snr"),
+    "deaf to time and aperture": (deaf_to_factors, "monotone/lowest_relative_growth_of_snr"),
+    "deaf to C_R": (deaf_to_changes, "monotone/lowest_relative_growth_of_snr"),
     "sign of the radiance": (predicted(every("radiance", -1.0)), "scenario/values_not_positive"),
     "SNR above its cap": (predicted(every("snr", 5.0)), "scenario/highest_snr_over_cap_of_c_r"),
     "empirical line off by 1 %": (predicted(every("reflectance", 1.01)), "scenario/panel_reflectance_error"),
@@ -271,17 +276,22 @@ def test_snr_moves_with_the_root_of_the_throughput_where_photons_rule():
     assert swing.detection[0] < 0 < swing.detection[1]  # less light, fewer detections
 
 
-def test_scaling_reaches_every_kind_of_number():
+def test_factors_reach_every_kind_of_number():
+    """Each moves what it stands for in the noise, by itself."""
     spec = sensor_of(good_sensor()).specification
+
+    def made(factors: dict[str, float]) -> tuple[Any, ...]:
+        other = Sensor(spec, factors)
+        n = other.noise()
+        return n.electrons_per_radiance, other.axis.fwhm_nm, n.fixed_noise, n.lsb_electrons, n.calibration_percent
+
     for number in numbers(spec):
-        if number.varies:
-            again = numbers(scaled(spec, {number.name: 1.5}))
-            assert [n.name for n, m in zip(numbers(spec), again, strict=True) if n.value != m.value] == [number.name]
-    parts = changed(good_sensor())
-    parts["bands"] = {"parts": [{"first_nm": 430, "step_nm": 8, "count": 60, "fwhm_nm": 9}], **Q}
-    assert scaled(sensor_of(parts).specification, {"bands.fwhm": 2}).bands.fwhms == [18.0]
-    with pytest.raises(UsageError, match="no number"):
-        scaled(spec, {"VNIR.gain": 2.0})
+        key = number.name.removeprefix("VNIR.")
+        own = {"bands.fwhm": {0, 1}, "fixed_noise_electrons": {2}, "full_well_electrons": {3},
+               "calibration_error_percent": {4}}.get(key, {0})  # fmt: skip
+        both = zip(made({}), made({number.name: 1.5}), strict=True)
+        changed = {k for k, (old, new) in enumerate(both) if np.allclose(new, 1.5 * old, rtol=1e-12)}
+        assert changed == (own if number.varies else set()), key
 
 
 def test_measured_noise_without_full_scale_says_so():

@@ -10,9 +10,9 @@ How a sensor is run (frames, bins, where its bands truly stand), and numbers tha
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -59,12 +59,6 @@ class Quantity(OneOf):
         w, v = np.array(self.table).T
         return np.asarray(np.interp(wavelength_nm, w, v))
 
-    def scaled(self, factor: float) -> Quantity:
-        """The number, or every entry of its table, times a factor."""
-        if self.table is None:
-            return self.model_copy(update={"value": factor * float(self.value or 0.0)})
-        return self.model_copy(update={"table": [(w, factor * v) for w, v in self.table]})
-
 
 class RegularBands(Model):
     """Evenly spaced bands."""
@@ -109,12 +103,6 @@ class Bands(OneOf):
         """Widths as the file lists them [nm]: of each band of a table, or one of each part."""
         return [fwhm for _, fwhm, _ in self.table or ()] or [part.fwhm_nm for part in self.even]
 
-    def scaled(self, factor: float) -> Bands:
-        """The same centres with every width times a factor."""
-        table = None if self.table is None else [(w, factor * f, good) for w, f, good in self.table]
-        parts = [part.model_copy(update={"fwhm_nm": factor * part.fwhm_nm}) for part in self.even]
-        return self.model_copy(update={"table": table, "regular": None, "parts": parts or None})
-
     @property
     def axis(self) -> SpectralAxis:
         """The bands as an axis (for 3.13)."""
@@ -158,12 +146,6 @@ class Throughput(Model):
         if lacking:
             raise ValueError(f"the convention {self.convention} needs {', '.join(lacking)}")
         return self
-
-    def scaled(self, factor: float) -> Throughput:
-        """A Omega times a factor, as a value."""
-        return Throughput.model_validate(
-            {"convention": "value", "cm2_sr": factor * self.value_cm2_sr, "source": self.source}
-        )
 
     @property
     def value_cm2_sr(self) -> float:
@@ -414,6 +396,9 @@ class Arm(OneOf):
     bit_error_per: Literal["bit", "word"] = "bit"
 
 
+_FACTORS_OF_GAIN = ("optical_transmittance", "quantum_efficiency", "integration_time_s", "degradation")  # (3.13)
+
+
 class MeasuredNoise(Model):
     """NEdL = |a sqrt(b + L) + c| as tabulated for a sensor: rows [nm, a, b, c]."""
 
@@ -450,9 +435,13 @@ class SensorSpecification(OneOf):
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor ready for use: its specification, and its noise on any band set."""
+    """A sensor ready for use: its specification, and its noise on any band set.
+
+    ``factors``: on numbers of the file by name, such as ``VNIR.throughput``, ``bands.fwhm``, each entry of a table.
+    """
 
     specification: SensorSpecification
+    factors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -462,7 +451,9 @@ class Sensor:
     @cached_property
     def axis(self) -> SpectralAxis:
         """The sensor's own bands."""
-        return self.specification.bands.axis
+        axis = self.specification.bands.axis
+        wider = self.factors.get("bands.fwhm", 1.0)
+        return axis if wider == 1.0 else SpectralAxis(axis.centre_nm, wider * axis.fwhm_nm, axis.good)
 
     def true_axis(self, nominal: SpectralAxis, operation: SensorOperation | None = None) -> SpectralAxis:
         """The bands where they truly stand: nominal centres, the file's spectral calibration and the shift stated.
@@ -505,7 +496,7 @@ class Sensor:
         """
         spec, on = self.specification, axis or self.axis
         w = on.centre_nm
-        calibration = spec.calibration_error_percent.at(w)
+        calibration = self._at("calibration_error_percent", w)
         model = self._measured_noise(w, calibration) if spec.measured_noise else self._noise(on, calibration)
         return model if operation is None else averaged_noise(model, operation)
 
@@ -531,6 +522,12 @@ class Sensor:
             notes.append(f"bands stand {shift_nm.min():+.3g} to {shift_nm.max():+.3g} nm off their labels")
         return [f"sensor {self.name}: {text}" for text in notes]
 
+    def _at(self, name: str, w: Array, arm: Arm | None = None) -> Array:
+        """(B,) values of a quantity of the file or of an arm."""
+        quantity = getattr(arm or self.specification, name)
+        values = np.asarray(quantity.value_cm2_sr if isinstance(quantity, Throughput) else quantity.at(w))
+        return values * self.factors.get(f"{arm.name}.{name}" if arm else name, 1.0)
+
     def _measured_noise(self, w: Array, calibration: Array) -> NoiseModel:
         given = self.specification.measured_noise
         assert given is not None  # noqa: S101 - the caller has asked
@@ -554,25 +551,19 @@ class Sensor:
         for k, arm in enumerate(spec.arms):
             here = arms == k
             at = w[here]
-            g[here] = electrons_per_radiance(
-                at,
-                on.fwhm_nm[here],
-                throughput_cm2_sr=arm.throughput.value_cm2_sr,
-                optical_transmittance=arm.optical_transmittance.at(at),
-                quantum_efficiency=arm.quantum_efficiency.at(at),
-                integration_time_s=arm.integration_time_s.at(at),
-                degradation=arm.degradation.at(at),
-            )
-            fixed[here] = arm.fixed_noise_electrons.at(at)
+            of_arm = partial(self._at, w=at, arm=arm)
+            optics = {key: of_arm(key) for key in _FACTORS_OF_GAIN}
+            g[here] = electrons_per_radiance(at, on.fwhm_nm[here], throughput_cm2_sr=of_arm("throughput"), **optics)
+            fixed[here] = of_arm("fixed_noise_electrons")
             if arm.lsb_electrons is not None:
-                lsb[here] = arm.lsb_electrons.at(at)
+                lsb[here] = of_arm("lsb_electrons")
             elif arm.full_well_electrons is not None:
-                lsb[here] = arm.full_well_electrons.at(at) / 2.0**arm.bits
+                lsb[here] = of_arm("full_well_electrons") / 2.0**arm.bits
             elif arm.saturation_radiance is not None:
-                lsb[here] = arm.saturation_radiance.at(at) * g[here] / 2.0**arm.bits
+                lsb[here] = of_arm("saturation_radiance") * g[here] / 2.0**arm.bits
             bits[here] = arm.bits
             spread = 1 if same or arm.bit_error_per == "bit" else arm.bits
-            rate[here] = arm.bit_error_rate.at(at) / spread
+            rate[here] = of_arm("bit_error_rate") / spread
         return NoiseModel(
             g, fixed, spec.detector_gain, lsb,
             int(bits[0]) if np.all(bits == bits[0]) else bits,

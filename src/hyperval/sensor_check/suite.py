@@ -1,6 +1,6 @@
 """The acceptance of a sensor file: CHECKS, a table of what is measured and what is accepted, and the loop over it.
 
-Beside the table: the numbers of a file with their sources, the file with some of them scaled, and reference radiances.
+Beside the table: the numbers of a file with their sources, and reference radiances.
 """
 
 from __future__ import annotations
@@ -100,28 +100,6 @@ def _number(name: str, quantity: Quantity, varies: bool) -> Number:
         span = f"{quantity.table[0][0]:g}-{quantity.table[-1][0]:g} nm"
         text = f"{min(values):g} to {max(values):g} over {span}"
     return Number(name, text, quantity.source, varies)
-
-
-def scaled(spec: SensorSpecification, factors: Mapping[str, float]) -> SensorSpecification:
-    """The file with some of its numbers, named as :func:`numbers` names them, multiplied; of a table each entry.
-
-    Raises
-    ------
-    UsageError : a name that the file does not have.
-    """
-    known = {n.name for n in numbers(spec) if n.varies}
-    if unknown := sorted(set(factors) - known):
-        raise UsageError(f"no number {unknown[0]!r}", expected="one of " + ", ".join(sorted(known)))
-    arms, own = {arm.name: arm for arm in spec.arms}, {}
-    for name, factor in factors.items():
-        arm, _, key = name.rpartition(".")
-        if name == "bands.fwhm":
-            own["bands"] = spec.bands.scaled(factor)
-        elif arm:
-            arms[arm] = arms[arm].model_copy(update={key: getattr(arms[arm], key).scaled(factor)})
-        else:
-            own[key] = getattr(spec, key).scaled(factor)
-    return spec.model_copy(update={**own, "arms": tuple(arms.values())})
 
 
 def sunlit_radiance(axis: SpectralAxis, reflectance: float) -> Array:
@@ -366,7 +344,7 @@ class SensorCheck:
         for number in track(assumed, "assumed numbers", show=self.show_progress):
             sides = []
             for factor in (1.0 - self.vary, 1.0 + self.vary):
-                other = Sensor(scaled(self.sensor.specification, {number.name: factor}))
+                other = Sensor(self.sensor.specification, {number.name: factor})
                 sides.append((self._snr_change(other), self._detection_change(other)))
             (low, low_pd), (high, high_pd) = sides
             swings.append(Swing(number, (low, high), (low_pd, high_pd)))
@@ -698,7 +676,7 @@ def growth(check: SensorCheck) -> Values:
     def brighter(key: str) -> Array:
         if spec.measured_noise is not None:
             return changed(signal_factor=STEP)
-        return Sensor(scaled(spec, {f"{arm.name}.{key}": STEP for arm in spec.arms})).noise().snr(level)
+        return Sensor(spec, {f"{arm.name}.{key}": STEP for arm in spec.arms}).noise().snr(level)
 
     base = noise.snr(level)
     with np.errstate(all="ignore"):  # between radiances from 1/1000 of the level to four times of it
