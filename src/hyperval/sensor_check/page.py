@@ -6,14 +6,16 @@ Figures of a datasheet: response, SNR, noise, saturation, detection, sensitivity
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from hyperval.campaign.provenance import record_of
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
+from hyperval.figures.detection import roc_figure
 from hyperval.figures.print import drawings_of
 from hyperval.figures.spec import (
     SOURCES,
@@ -26,7 +28,6 @@ from hyperval.figures.spec import (
     Part,
     robust_limits,
     row_names,
-    shortened,
     single,
 )
 from hyperval.report import verdict as v
@@ -177,7 +178,6 @@ def _wavelengths(axis: SpectralAxis) -> Axis:
 
 
 _MOST_SWINGS = 20
-_LOWEST_PFA = 1e-6
 
 
 def _published(check: SensorCheck) -> Iterator[Figure]:
@@ -214,32 +214,11 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
 
 
 def _detection(check: SensorCheck) -> Iterator[Figure]:
-    """Receiver operating characteristic of every target of the standard scenes."""
-    scenes = {name: prediction for name, prediction in check.predictions.items() if prediction.roc}
-    if not scenes:
-        return
-    keys = [key for prediction in scenes.values() for key in prediction.roc]
-    subjects = list(dict.fromkeys(key[0] for key in keys))
-    dashes = dict(zip(sorted({key[1] for key in keys}), get_args(Dash), strict=False))
-    views: list[Panels] = []
-    for name, prediction in scenes.items():
-        marks = []
-        for (subject, detector, unit), curve in prediction.roc.items():
-            if unit == "pixel" and detector in dashes:
-                keep = curve.pfa >= _LOWEST_PFA
-                colour = SOURCES[subjects.index(subject) % len(SOURCES)]
-                label = shortened(subject, 24)
-                columns = {"x": curve.pfa[keep], "y": curve.pd[keep]}
-                marks.append(Mark("line", columns, label, colour, dashes[detector]))
-        views.append(
-            single(Axis("P_FA", "log", ends=(_LOWEST_PFA, 1.0)), "P_D", marks, subject=name, ends=(-0.02, 1.04))
-        )
-    words = ", ".join(f"{detector}: {dash}" for detector, dash in dashes.items())
-    yield Figure(
-        "detection", "scenario", f"Detection in the standard scenes with this sensor ({words})",
-        f"Probability of detection against that of false alarm in {', '.join(scenes)}, by target and detector.",
-        tuple(views),
-    )  # fmt: skip
+    """Receiver operating characteristic of every target of the standard scenes, as any prediction's is drawn."""
+    for name, prediction in check.predictions.items():
+        if (figure := roc_figure((prediction, None))) is not None:
+            title = f"Detection with this sensor: {name}"
+            yield replace(figure, name=f"detection-{name}", section="scenario", title=title, head=title)
 
 
 def _sensitivity(check: SensorCheck) -> Iterator[Figure]:

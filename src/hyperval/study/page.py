@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
+from hyperval.data import Index
 from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, row_names, tones
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
@@ -254,7 +255,7 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
         marks.append(Mark("dots", columns, "", "#222222", marker="circle", hollow=True))
         notes += "; circle: knee"
     share = getattr(output, "kind", "") in ("pd", "auc", "log-auc") and len(finite)
-    across = Axis(item.words, "names", tuple(map(str, places))) if words else _axis(item.words, log)
+    across = Axis(item.words, "names", tuple(map(str, places))) if words else Axis(item.words, plot.scale)
     # The greatest first, as the lines mostly stand above each other.
     y = Axis(output.words, ends=(-0.03, 1.03) if share else None)
     against = f" against {item.words}", f" against {item.label or item.name}"
@@ -264,28 +265,23 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
     )
 
 
-def _axis(label: str, log: bool, ends: tuple[float, float] | None = None) -> Axis:
-    return Axis(label, "log" if log else "linear", ends=None if log and ends and ends[0] <= 0 else ends)
-
-
 def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> _Drawn:
     across, up = _named(study, plot.x), _named(study, plot.y)
     frame, _, notes = _shown(study, table, plot)
-    edges = [_edges(item, frame[item.name].to_numpy(float)) for item in (across, up)]
+    scales = ((across, plot.scale == "log"), (up, False))
+    edges = [_edges(item, frame[item.name].to_numpy(float), is_log) for item, is_log in scales]
     cell = [
         np.clip(np.searchsorted(e, frame[item.name].to_numpy(float), "right") - 1, 0, e.size - 2)
         for e, item in zip(edges, (across, up), strict=True)
     ]
     median = frame[plot.output].groupby(cell[::-1]).median().dropna()
     r, c = (median.index.get_level_values(level) for level in (0, 1))
-    (x, y), value = edges, median.to_numpy()
-    columns = {"left": x[c], "right": x[c + 1], "bottom": y[r], "top": y[r + 1], "value": value}
-    least, greatest = (float(value.min()), float(value.max())) if value.size else (0.0, 1.0)
-    scale = ColourScale("rising", least, max(greatest, least + 1e-12), _named(study, plot.output).words)
-    words = f"from {number_text(least)} to {number_text(greatest)}" if value.size else "empty"
-    part = Part(Axis(up.words, ends=(float(y[0]), float(y[-1]))), (Mark("cells", columns, scale=scale),))
+    value = median.to_numpy()
+    mark = heat_mark(edges, (c, r), value, _named(study, plot.output).words)
+    part = Part(Axis(up.words, ends=(float(edges[1][0]), float(edges[1][-1]))), (mark,))
+    words = f"from {number_text(value.min())} to {number_text(value.max())}" if value.size else "empty"
     against = f" over {across.words} and {up.words}", f" over {across.label or across.name} and {up.label or up.name}"
-    axis = _axis(across.words, plot.scale == "log", (float(x[0]), float(x[-1])))
+    axis = Axis(across.words, plot.scale, ends=(float(edges[0][0]), float(edges[0][-1])))
     return _Drawn(Panels(axis, (part,)), f"Heat map, {words}.", against, notes, 7.6)
 
 
@@ -333,12 +329,26 @@ def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
     return line if (groups.size() > 1).any() else line[["middle"]]
 
 
-def _edges(item: Input, seen: Array) -> Array:
+def _edges(item: Input, seen: Array, is_log: bool) -> Array:
     if item.listed is None:
         return np.linspace(seen.min(), seen.max(), _BINS + 1)
-    at = np.unique(np.asarray(item.listed, float))
-    middle = 0.5 * (at[1:] + at[:-1])
-    return np.concatenate([[at[0] - (middle[0] - at[0])], middle, [at[-1] + (at[-1] - middle[-1])]])
+    return cell_edges(np.unique(np.asarray(item.listed, float)), is_log)
+
+
+def cell_edges(at: Array, is_log: bool) -> Array:
+    """(n + 1,) edges of the cells about some places (n,) of an axis: midway, the first and last cell as wide beyond."""
+    scaled = np.log(at) if is_log else at
+    middle = 0.5 * (scaled[1:] + scaled[:-1])
+    edges = np.concatenate([2.0 * scaled[:1] - middle[:1], middle, 2.0 * scaled[-1:] - middle[-1:]])
+    return np.asarray(np.exp(edges) if is_log else edges)
+
+
+def heat_mark(edges: Sequence[Array], cells: Sequence[Index], value: Array, label: str) -> Mark:
+    """Values (n,) as colours of cells, whose numbers along x and y are given, between edges along x and y."""
+    (x_at, y_at), (i, k) = edges, cells
+    columns = {"left": x_at[i], "right": x_at[i + 1], "bottom": y_at[k], "top": y_at[k + 1], "value": value}
+    low, high = (float(value.min()), float(value.max())) if value.size else (0.0, 1.0)
+    return Mark("cells", columns, scale=ColourScale("rising", low, max(high, low + 1e-12), label))
 
 
 def _different(column: pd.Series) -> list[Any]:

@@ -26,8 +26,8 @@ from hyperval.study.tables import Column, StudyPoints, moved
 
 Array = npt.NDArray[np.float64]
 _MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
-_GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
-_LEAST_GAS = 0.1  # and the two-way gas transmittance above which
+GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
+LEAST_GAS = 0.1  # and the two-way gas transmittance above which
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def _notes(plan: Plan) -> list[str]:
         notes.append(f"atmosphere.{key} is interpolated between engine runs at " + ", ".join(f"{x:.4g}" for x in nodes))
     notes += [
         f"interpolated atmosphere at {plan.study.atmosphere.checked} held-out states: {name} relative error "
-        f"{error:.1e} (ground of {_GROUND:g}, two-way gas transmittance above {_LEAST_GAS:g})"
+        f"{error:.1e} (ground of {GROUND:g}, two-way gas transmittance above {LEAST_GAS:g})"
         for name, error in plan.sky_error.items() if name.startswith("radiance")
     ]  # fmt: skip
     if any(i.random for i in plan.study.inputs):
@@ -179,8 +179,8 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     exact = replace(between, nodes={}, kept={})
     ours, theirs = between(states, count), exact(states, count)
 
-    seen = theirs.gas_transmittance > _LEAST_GAS
-    radiance, expected = (mean_radiance(terms, _GROUND, _GROUND)[seen] for terms in (ours, theirs))
+    seen = theirs.gas_transmittance > LEAST_GAS
+    radiance, expected = (mean_radiance(terms, GROUND, GROUND)[seen] for terms in (ours, theirs))
     error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
     columns = plan.columns(0, min(count, len(plan.points)))

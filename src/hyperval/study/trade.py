@@ -27,11 +27,11 @@ from hyperval.figures.spec import (
     PREDICTED,
     WAVELENGTH,
     Axis,
-    ColourScale,
     Figure,
     Mark,
     Panels,
     Part,
+    Rules,
     statement,
 )
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
@@ -44,8 +44,9 @@ from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import path_parts, with_settings
-from hyperval.study.evaluate import PFA, Evaluator, bands_of
-from hyperval.study.plan import answers
+from hyperval.study.evaluate import PFA, Evaluator, bands_of, of_truths
+from hyperval.study.page import cell_edges, heat_mark
+from hyperval.study.plan import GROUND, LEAST_GAS, answers
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
 from hyperval.study.tables import StudyPoints, moved
 
@@ -53,11 +54,9 @@ Array = npt.NDArray[np.float64]
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
 _STRIDES = (8, 4, 2, 1)
 _MOST_LINES = 12
-Rule = tuple[Literal["x", "y"], float]
 _LIMITS_AT = 9  # values of the input at which an interval is predicted
 _SCAN = 17
 _ROC = np.geomspace(1e-6, 0.999, 73)
-_GROUND, _LEAST_GAS = 0.3, 0.1  # over and above which the error of the atmosphere is stated
 KINDS = {
     "pd": "probability of detection P_D", "auc": "area under the ROC", "snr": "signal-to-noise ratio",
     "radiance": "radiance",
@@ -559,7 +558,7 @@ def _x_axis(p: Prepared, trade: Trade, field: str = "x") -> Axis:
     return Axis(offer.words, "log" if offer.is_log else "linear", ends=ends)
 
 
-def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> tuple[Rule, ...]:
+def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
     """A rule at the present value of an input, where it lies on its axis."""
     offer = p.offers.inputs[trade.x if field == "x" else trade.y]
     now = trade.pfa if offer.key == PFA else trade.moved.get(offer.key, offer.now)
@@ -599,25 +598,12 @@ def _curves(p: Prepared, trade: Trade, values: Array, limits: Array, names: Sequ
 def _map(p: Prepared, trade: Trade, values: Array, stride: int) -> Figure:
     x, y = (axis_values(trade, p.offers, field)[::stride] for field in ("x", "y"))
     grid = values[0, :, 0].reshape(MAP_POINTS, MAP_POINTS)[::stride, ::stride]
-    (left, right), (bottom, top) = (_edges(v, p.offers.inputs[k].is_log) for v, k in ((x, trade.x), (y, trade.y)))
+    edges = [cell_edges(v, p.offers.inputs[k].is_log) for v, k in ((x, trade.x), (y, trade.y))]
     rows, columns = np.nonzero(np.isfinite(grid))
-    shown = grid[rows, columns]
-    low, high = (float(shown.min()), float(shown.max())) if shown.size else (0.0, 1.0)
-    scale = ColourScale("rising", low, max(high, low + 1e-12), KINDS[trade.output])
-    cells = {"left": left[columns], "right": right[columns], "bottom": bottom[rows], "top": top[rows], "value": shown}
-    part = Part(
-        _x_axis(p, trade, "y"), (Mark("cells", cells, scale=scale),), _present(p, trade) + _present(p, trade, "y")
-    )
+    mark = heat_mark(edges, (columns, rows), grid[rows, columns], KINDS[trade.output])
+    part = Part(_x_axis(p, trade, "y"), (mark,), _present(p, trade) + _present(p, trade, "y"))
     title = f"{KINDS[trade.output]}, {trade.subject[0]}"
     return Figure("trade", "study", title, "", (Panels(_x_axis(p, trade), (part,)),), legend_title=title)
-
-
-def _edges(at: Array, is_log: bool) -> tuple[Array, Array]:
-    scaled = np.log(at) if is_log else at
-    middle = 0.5 * (scaled[1:] + scaled[:-1])
-    edges = np.concatenate([scaled[:1], middle, scaled[-1:]])
-    edges = np.exp(edges) if is_log else edges
-    return edges[:-1], edges[1:]
 
 
 class Live(NamedTuple):
@@ -638,14 +624,11 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> Live:
     spectra, numbers = dict[tuple[int, int], tuple[Array, Array]](), np.full((len(names), len(output)), np.nan)
     for index, e in evaluations(world):
         for k, o in enumerate(output):
+            numbers[index, k] = of_truths(e, o, None)
             if trade.is_spectral:
-                rows = e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
-                at, numbers[index, k] = e.axis.centre_nm, rows[:, bands_of(o, e.axis)].mean(axis=1)
+                at, rows = e.axis.centre_nm, e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
             else:
-                scores = e.scores(o.subject, p.scenario.processing.detectors[0])
-                at, rows = _ROC, scores.detection(_ROC[None, :])
-                wanted = scores.auc() if trade.output == "auc" else scores.detection(np.array([[trade.pfa]]))[:, 0]
-                numbers[index, k] = wanted
+                at, rows = _ROC, e.scores(o.subject, p.scenario.processing.detectors[0]).detection(_ROC[None, :])
             spectra |= {(int(i), k): (at, row) for i, row in zip(index, rows, strict=True)}
     labels = _labels(trade, names)
     bands = np.full((len(labels), _ROC.size, 2), np.nan)
@@ -655,7 +638,7 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> Live:
     marks = _lines(labels, [spectra[key] for key in sorted(spectra)], bands)
     told = zip(labels, numbers.ravel().tolist(), strict=True)
     known = tuple((label, value if math.isfinite(value) else None) for label, value in told)
-    x, y, rules = Axis(WAVELENGTH), _y_axis(trade), tuple[Rule, ...]()
+    x, y, rules = Axis(WAVELENGTH), _y_axis(trade), Rules()
     if not trade.is_spectral:
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
@@ -673,10 +656,10 @@ def _error(p: Prepared, trade: Trade) -> str:
     terms = p.world.stated.atmosphere.run(sky)
     if terms.path_uncertainty is None:
         return ""
-    part = 100.0 * terms.path_uncertainty / mean_radiance(terms, _GROUND, _GROUND)
-    part = part[terms.gas_transmittance > _LEAST_GAS]
+    part = 100.0 * terms.path_uncertainty / mean_radiance(terms, GROUND, GROUND)
+    part = part[terms.gas_transmittance > LEAST_GAS]
     return (
-        f"Atmosphere: emulator of 6S, standard error {np.median(part):.2g} % of the radiance over ground of {_GROUND:g}"
+        f"Atmosphere: emulator of 6S, standard error {np.median(part):.2g} % of the radiance over ground of {GROUND:g}"
         f" in the median band, {part.max():.2g} % in the worst."
     )
 
