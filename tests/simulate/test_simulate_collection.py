@@ -24,7 +24,7 @@ MISTAKES = yaml.safe_load((Path(__file__).parent / "mistakes.yaml").read_text())
 
 def stored(found) -> np.ndarray:
     """(lines, samples, bands) integers straight from the bytes."""
-    return np.fromfile(found.cube, "<i2").reshape(60, 12, 48).transpose(0, 2, 1)
+    return np.fromfile(found["cube"], "<i2").reshape(60, 12, 48).transpose(0, 2, 1)
 
 
 @pytest.fixture(scope="module")
@@ -36,44 +36,44 @@ def found(tmp_path_factory):
 def test_the_same_seed_gives_the_same_bytes_whatever_the_workers(found, tmp_path, monkeypatch):
     monkeypatch.setattr("hyperval.simulate.collection.WORKERS", 1)
     alone = simulate.simulate(SCENE, tmp_path / "a", inputs=INPUTS)
-    for path in sorted(found.folder.iterdir()):
-        assert sha256_of(path) == sha256_of(alone.folder / path.name), path.name
+    for path in sorted(found["folder"].iterdir()):
+        assert sha256_of(path) == sha256_of(alone["folder"] / path.name), path.name
     another = simulate.simulate(small_scene(seed=2), tmp_path / "b", inputs=INPUTS)
     assert np.mean(stored(found) == stored(another)) < 0.05
 
 
 def test_the_list_of_targets_names_the_brightest_pixel(found):
-    table = pd.read_csv(found.targets)
+    table = pd.read_csv(found["targets"])
     assert set(table["nominal_fill"]) == {0.3}
-    fill = np.fromfile(found.fill_map, "<f4").reshape(60, 48)
+    fill = np.fromfile(found["fill_map"], "<f4").reshape(60, 48)
     assert np.allclose(fill[table["best_line"], table["best_sample"]], table["best_fill"], atol=1e-6)
     assert np.allclose(table["side_m"] ** 2, table["area_m2"], atol=1e-5)
     # The sum of fills times the pixel area is the area of all planks, but for what is under 1e-4 of a pixel.
     assert fill.sum() * 4.0 == pytest.approx(table["area_m2"].sum(), abs=6 * 24 * 1e-4 * 4.0)
-    classes = np.fromfile(found.class_map, np.uint8).reshape(60, 48)
-    names = json.loads(found.truth.read_text())["surfaces"]
+    classes = np.fromfile(found["class_map"], np.uint8).reshape(60, 48)
+    names = json.loads(found["truth"].read_text())["surfaces"]
     assert {names[str(v)] for v in np.unique(classes)} == {"grass", "asphalt", "white-panel"}
     assert np.all(classes[30:] == next(int(k) for k, v in names.items() if v == "asphalt"))
 
 
 def test_regions_as_written_have_the_radiance_of_their_mean_reflectance(found):
     cube = stored(found) * 1e-3
-    chain = simulate.detector(INPUTS, found.average_reflectance, 1000.0)
-    written = read_regions(found.regions, (60, 48), coordinates="pixel")
+    chain = simulate.detector(INPUTS, found["average_reflectance"], 1000.0)
+    regions = read_regions(found["regions"], (60, 48), coordinates="pixel")
     for name, mask in simulate.regions(SCENE, simulate.lay_out(SCENE)).items():
-        assert np.array_equal(written.pop(name).mask, mask)
+        assert np.array_equal(regions.pop(name).mask, mask)
         surface = {"white": "white-panel", "grass-field": "grass", "court": "asphalt"}[name]
         expected = chain.radiance(CLASSES[surface].mean[None].astype(np.float32))[0]
         pixels = cube[mask]
         # 6 standard errors (12 bands x 3 regions: fails by chance less than once in 10 million).
         assert np.all(np.abs(pixels.mean(axis=0) - expected) < 6 * pixels.std(axis=0) / math.sqrt(mask.sum()))
-    assert not written
+    assert not regions
 
 
 def test_the_average_is_that_of_the_rendered_scene(found):
     renderer = simulate.SurfaceRenderer(SCENE, simulate.lay_out(SCENE), CLASSES)
     every = np.stack([renderer.lit_reflectance(line) for line in range(60)]).astype(float)
-    facts = json.loads(found.truth.read_text())
+    facts = json.loads(found["truth"].read_text())
     assert np.allclose(facts["average_reflectance"], every.mean(axis=(0, 1)), rtol=1e-9)
     assert facts["negative_reflectance_fraction"] == np.mean(every < 0)
     assert (facts["simulated"], facts["scene"]["seed"], facts["scene"]["mode"]) == (True, 7, "closure")
@@ -82,7 +82,7 @@ def test_the_average_is_that_of_the_rendered_scene(found):
 
 def test_panel_spectra_are_those_of_the_panels_with_their_scatter(tmp_path):
     noisy = small_scene(field_spectra={"readings": 25, "relative_noise": 0.02})
-    path = simulate.simulate(noisy, tmp_path / "a", inputs=INPUTS).panel_spectra
+    path = simulate.simulate(noisy, tmp_path / "a", inputs=INPUTS)["panel_spectra"]
     table = pd.read_csv(path, comment="#")
     assert read_spectrum(path, wavelength_unit="nm", reflectance_unit="fraction").n == 25
     assert table["wavelength_nm"].iloc[[0, -1]].tolist() == [350.0, 2500.0]
@@ -121,7 +121,7 @@ def test_a_scene_file_becomes_a_folder_and_an_older_simulation_is_replaced(found
     path.write_text(yaml.safe_dump(scene_data()), encoding="utf-8")
     for _ in range(2):
         assert simulate.simulate_to_folder(path, tmp_path / "out") == 0
-        assert sha256_of(tmp_path / "out" / "small_rad.img") == sha256_of(found.cube)
+        assert sha256_of(tmp_path / "out" / "small_rad.img") == sha256_of(found["cube"])
 
 
 def test_the_twin_scenes_are_as_large_as_they_should_be():

@@ -13,8 +13,7 @@ from hyperval.model import Origins, predict
 from hyperval.observe import observe
 from hyperval.results import ResultTable, of_campaign
 from hyperval.scenario import load_scenario
-from hyperval.simulate import SceneFile, load_scene, simulate
-from hyperval.simulate.inputs import SimulationInputs, load_inputs
+from hyperval.simulate import SceneFile, SimulationInputs, load_inputs, load_scene, simulate
 
 TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
 FILLS = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -227,8 +226,7 @@ def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress
     from hyperval.simulate.schema import SceneFile
 
     known = scene if isinstance(scene, SceneFile) else Path(scene)
-    made = simulate_scene(known, Path(output), show_progress=show_progress)
-    return Collection(**{f.name: getattr(made, f.name) for f in fields(made)})
+    return Collection(**simulate_scene(known, Path(output), show_progress=show_progress))
 
 
 def open(folder: Path | str) -> Validation | Study:

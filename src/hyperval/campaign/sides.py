@@ -292,8 +292,7 @@ def collected(
 
 
 def _simulate(reference: str, inputs: InputLog, scratch: Path, show_progress: bool | None) -> int:
-    from hyperval.simulate import load_scene, simulate
-    from hyperval.simulate.inputs import load_inputs
+    from hyperval.simulate import load_inputs, load_scene, simulate
 
     path = inputs.resolve(reference)
     scene = load_scene(path)

@@ -2,13 +2,13 @@
 
 from .collection import (
     Detector,
-    SimulatedCollection,
+    SimulationInputs,
     detector,
     field_axis,
+    load_inputs,
     simulate,
     simulate_to_folder,
 )
-from .inputs import SimulationInputs, load_inputs
 from .layout import (
     centred_fill,
     lay_out,
@@ -33,7 +33,6 @@ __all__ = [
     "Detector",
     "PaintedArea",
     "SceneFile",
-    "SimulatedCollection",
     "SimulationInputs",
     "SurfaceRenderer",
     "admixture_share",

@@ -3,6 +3,8 @@
 From reflectance to stored integers: radiance, sampled detector noise, quantisation.
 
 The truth beside a simulated cube: regions, targets, maps, panel spectra, and what was drawn.
+
+What the simulation shares with the model: class statistics, atmosphere, sensor numbers.  Nothing derived.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,22 +24,75 @@ from affine import Affine
 from rasterio import features
 from rasterio.crs import CRS
 
-from hyperval.data import Array, Mask
-from hyperval.errors import refusal
+from hyperval import datasets
+from hyperval.atmosphere.state import AtmosphericState
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.data import Array, ClassStatistics, Mask
+from hyperval.errors import UsageError, refusal
 from hyperval.executors import in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
-from hyperval.sensor import NoiseModel
+from hyperval.sensor import NoiseModel, load_sensor
 from hyperval.simulate import schema
-from hyperval.simulate.inputs import SimulationInputs, load_inputs
 from hyperval.simulate.layout import GroundLayout, lay_out, regions
 from hyperval.simulate.schema import SceneFile, load_scene
 from hyperval.simulate.surface import SurfaceRenderer
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.statistics_library import builtin_mean
+from hyperval.statistics_library import builtin_class, builtin_mean
 from hyperval.storage import COLLECTION, whole_folder, write_text
 
 Float32Array = npt.NDArray[np.float32]
+Engine = Callable[[AtmosphericState], AtmosphericTerms]
+
+
+@dataclass(frozen=True)
+class SimulationInputs:
+    """Everything a scene needs besides its own file; ``terms`` are averaged over the sensor's bands.
+
+    Raises
+    ------
+    UsageError : terms or classes on other bands, or a sensor whose noise is not drawn here.
+    """
+
+    sensor: str
+    axis: SpectralAxis
+    noise: NoiseModel
+    terms: AtmosphericTerms
+    classes: Mapping[str, ClassStatistics]
+
+    def __post_init__(self) -> None:
+        if not np.allclose(self.terms.wavelength_nm, self.axis.centre_nm, atol=1e-6):
+            raise UsageError("the atmospheric terms do not stand on the sensor's bands")
+        for name, statistics in self.classes.items():
+            if not statistics.axis.matches(self.axis):
+                raise UsageError(f"the class {name!r} does not stand on the sensor's bands")
+        n = self.noise
+        if np.ndim(n.bits) or np.ndim(n.bit_error_rate):
+            raise UsageError(f"sensor {self.sensor!r}: arms that differ in bits or bit error rate cannot be simulated")
+        if (n.readings, n.digital_readings, n.calibration_readings) != (1.0, 1.0, 1.0):
+            raise UsageError(f"sensor {self.sensor!r}: averaged readings (co-adds, bins) cannot be simulated")
+
+
+def load_inputs(scene: SceneFile, beside: Path, engine: Engine | None = None) -> SimulationInputs:
+    """Everything a scene needs; a sensor file is looked for ``beside`` the scene file.
+
+    ``engine`` : stands for that of the scene's atmosphere
+
+    Raises
+    ------
+    UsageError : an unknown sensor, surface or key of the atmosphere.
+    InputError, EngineError : a missing file or engine.
+    """
+    from hyperval.atmosphere import atmospheric_terms  # loads the engines, which a test with its own terms spares
+
+    path = beside / scene.sensor
+    sensor = load_sensor(str(path) if path.is_file() else scene.sensor)
+    # Before the engine, which may take a minute: a name that no surface has is told at once.
+    classes = {name: builtin_class(name, sensor.axis) for name in scene.materials()}
+    engine = engine or partial(atmospheric_terms, resolve=partial(datasets.resolve, base=beside))
+    terms = engine(scene.atmosphere).at_bands(sensor.axis)
+    return SimulationInputs(sensor.name, sensor.axis, sensor.noise(), terms, classes)
+
 
 # Above this many electrons a Poisson count is drawn from the normal law of the same mean and
 # variance: its skewness, 1/sqrt(N), is then under 0.032.
@@ -219,17 +274,15 @@ def write_panel_spectra(path: Path, scene: SceneFile) -> None:
     """
     axis = field_axis()
     noise, count = scene.field_spectra.relative_noise, scene.field_spectra.readings
-    columns, values = ["wavelength_nm"], [axis.centre_nm]
+    columns: dict[str, Any] = {"wavelength_nm": [f"{nm:.1f}" for nm in axis.centre_nm]}
     for number, panel in enumerate(scene.panels):
         mean = builtin_mean(panel.surface, axis)
         rng = schema.generator(scene.seed, schema.FIELD_SPECTRA, number)
         readings = mean * (1.0 + noise * rng.standard_normal((count, mean.size)))
-        columns += [panel.name, f"{panel.name}_sd"]
-        values += [readings.mean(axis=0), readings.std(axis=0, ddof=1) if count > 1 else np.zeros(mean.size)]
-    lines = [f"# means of N = {count} readings and their standard deviations"] if count > 1 else []
-    lines += [",".join(columns)]
-    lines += [f"{row[0]:.1f}," + ",".join(f"{v:.6f}" for v in row[1:]) for row in np.stack(values, axis=1)]
-    write_text(path, "\n".join(lines) + "\n")
+        deviation = readings.std(axis=0, ddof=1) if count > 1 else np.zeros(mean.size)
+        columns |= {panel.name: readings.mean(axis=0), f"{panel.name}_sd": deviation}
+    words = f"# means of N = {count} readings and their standard deviations\n" if count > 1 else ""
+    write_text(path, words + pd.DataFrame(columns).to_csv(index=False, float_format="%.6f", lineterminator="\n"))
 
 
 T = TypeVar("T")
@@ -237,29 +290,6 @@ T = TypeVar("T")
 WORKERS = 2
 MAX_CUBE_BYTES = 64 << 30
 MAX_MAP_PIXELS = 1 << 26  # each pixel of the maps held in memory takes up to 40 bytes
-
-
-@dataclass(frozen=True)
-class SimulatedCollection:
-    """Where the parts of a simulated collection lie and the numbers that describe it.
-
-    Attributes
-    ----------
-    folder : holds everything
-    cube : at-sensor radiance, ENVI BIL int16, header beside it
-    regions, targets, panel_spectra, class_map, fill_map, truth : the truth (GeoJSON, CSV, CSV, ENVI, ENVI, JSON)
-    average_reflectance : (B,) area average over the scene, the rho_ave of 3.8
-    """
-
-    folder: Path
-    cube: Path
-    regions: Path
-    targets: Path
-    panel_spectra: Path
-    class_map: Path
-    fill_map: Path
-    truth: Path
-    average_reflectance: Array
 
 
 def simulate_to_folder(scene_yaml: Path, output: Path, *, show_progress: bool | None = None) -> int:
@@ -281,10 +311,13 @@ def simulate(
     *,
     inputs: SimulationInputs | None = None,
     show_progress: bool | None = None,
-) -> SimulatedCollection:
+) -> dict[str, Any]:
     """Simulate a scene, or the scene file of that name, into an existing or new ``folder``.
 
-    The same scene gives the same bytes in whatever order lines are drawn: each has its own random streams.
+    Returned are paths: ``folder``, ``cube`` (at-sensor radiance, ENVI BIL int16, header beside it), and the truth as
+    ``regions``, ``targets``, ``panel_spectra``, ``class_map``, ``fill_map``, ``truth``; and ``average_reflectance``
+    (B,), the area average over the scene, the rho_ave of 3.8.  The same scene gives the same bytes in whatever order
+    lines are drawn: each has its own random streams.
 
     Raises
     ------
@@ -325,7 +358,7 @@ def simulate(
         "saturated_fraction": saturated,
     }
     write_text(files["truth"], json.dumps(facts, indent=1) + "\n")
-    return SimulatedCollection(folder, **files, average_reflectance=average)
+    return {"folder": folder, **files, "average_reflectance": average}
 
 
 def average_reflectance(renderer: SurfaceRenderer, *, show: bool | None = None) -> tuple[Array, float]:

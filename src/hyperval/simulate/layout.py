@@ -33,20 +33,19 @@ def _line_spread(psf_fwhm_pixels: float, cells: int) -> tuple[Array, int]:
     return response, (response.size - 1) // 2
 
 
-def pixel_weights(psf_fwhm_pixels: float, cells: int = SUPERSAMPLING) -> Array:
+def pixel_weights(psf_fwhm_pixels: float) -> Array:
     """Share of a pixel's signal that each of its neighbours along one axis contributes.
 
     Returns (2 k + 1,) weights of unit sum, symmetric, the pixel itself in the middle.
     """
-    response, _ = _line_spread(psf_fwhm_pixels, cells)
-    # The response has cells + 2 reach samples about the pixel centre; pad it to an odd number of pixels.
-    pixels = 2 * math.ceil((response.size / cells - 1.0) / 2.0) + 1
-    pad = (pixels * cells - response.size) // 2
-    weights = np.pad(response, (pad, pixels * cells - response.size - pad)).reshape(pixels, cells).sum(axis=1)
+    size = _line_spread(psf_fwhm_pixels, SUPERSAMPLING)[0].size
+    k = math.ceil((size / SUPERSAMPLING - 1.0) / 2.0)
+    middle = _fine_response(2 * k + 1, psf_fwhm_pixels, SUPERSAMPLING)[k]
+    weights = middle.reshape(-1, SUPERSAMPLING).sum(axis=1)
     return np.asarray(0.5 * (weights + weights[::-1]))
 
 
-def _fine_response(first: int, count: int, psf_fwhm_pixels: float, cells: int) -> Array:
+def _fine_response(count: int, psf_fwhm_pixels: float, cells: int) -> Array:
     """(count, count * cells) response of each pixel of a run to the fine cells of the same run."""
     response, _ = _line_spread(psf_fwhm_pixels, cells)
     matrix = np.zeros((count, count * cells))
@@ -97,8 +96,7 @@ def square_footprint(
     v = -math.sin(angle) * x[None, :] + math.cos(angle) * y[:, None]
     cover = _coverage(u, half, cell) * _coverage(v, half, cell)
     cover *= (side_pixels * cells) ** 2 / max(float(cover.sum()), 1e-300)
-    vertical = _fine_response(first_line, lines, psf_fwhm_pixels, cells)
-    across = _fine_response(first_sample, samples, psf_fwhm_pixels, cells)
+    vertical, across = (_fine_response(count, psf_fwhm_pixels, cells) for count in (lines, samples))
     return first_line, first_sample, vertical @ cover @ across.T
 
 

@@ -145,10 +145,6 @@ class Broken(Model):
     texture: Texture | None = None
     shade: Shade | None = None
 
-    def any(self) -> bool:
-        """True when at least one assumption is broken."""
-        return bool(self.soft_edges or self.admixtures or self.heavy_tails or self.texture or self.shade)
-
 
 class MapOrigin(Model):
     """Upper-left corner of the first pixel on the UTM grid (WGS-84), north up."""
@@ -197,7 +193,7 @@ class SceneFile(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> SceneFile:
-        if (self.mode == "broken") != self.broken.any():
+        if (self.mode == "broken") == (self.broken == Broken()):
             raise ValueError("mode 'broken' needs at least one option under 'broken'; mode 'closure' takes none")
         surfaces = {a.surface for a in (*self.layout, *self.panels)}
         for area in (*self.layout, *self.panels, *(g.area for g in self.targets)):

@@ -44,8 +44,7 @@ from hyperval.products import (
 from hyperval.run import file_stems, read_pair
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
-from hyperval.simulate import load_scene, simulate
-from hyperval.simulate.inputs import load_inputs
+from hyperval.simulate import load_inputs, load_scene, simulate
 from hyperval.storage import write_text
 from hyperval.study.run import study_to_folder
 from hyperval.study.trade import live, piece
