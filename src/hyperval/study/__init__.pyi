@@ -1,8 +1,7 @@
 """Trade-off studies: many evaluations of the model over grids, lists and random designs."""
 
-from .evaluate import Evaluator
 from .page import knee
-from .plan import answers
+from .plan import Evaluator, answers
 from .run import study_to_folder
 from .schema import Output, Required, StudyFile, load_study
 from .trade import Trade, completed, live, piece, prepared

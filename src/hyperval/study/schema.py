@@ -74,6 +74,11 @@ class Move(Model):
     factor: float = 1.0
     offset: float = 0.0
 
+    def of(self, value: Any) -> Any:
+        """What the entry is where the input has a value, or values (n,); what is no number stands as it is."""
+        is_number = isinstance(value, int | float | np.ndarray) and not isinstance(value, bool)
+        return self.offset + self.factor * value if is_number else value
+
 
 class Moving(Model):
     """A quantity that moves one entry of the scenario, or several together."""
@@ -283,25 +288,18 @@ class StudyFile(Model):
         inputs, outputs = {i.name: i for i in self.inputs}, {o.name for o in self.outputs}
         results = outputs | {q.name for q in self.required}
 
-        def known(name: str | None, among: set[str], what: str) -> None:
-            if name is not None and name not in among:
-                raise ValueError(f"{what}: {name!r} is none of {', '.join(sorted(among))}")
-
-        for q in self.required:
-            known(q.output, outputs, f"required {q.name!r}")
-            for report in q.report:
-                known(report, outputs, f"required {q.name!r}: report")
+        said = [(f"required {q.name!r}", name, outputs) for q in self.required for name in (q.output, *q.report)]
+        said += [pair for k in self.knees for pair in (("knees", k.output, results), ("knees", k.along, set(inputs)))]
+        said += [("plots", p.output, results) for p in self.plots]
+        said += [("plots", name, set(inputs)) for p in self.plots for name in (p.x, p.y, p.family) if name is not None]
+        for where, name, among in said:
+            if name not in among:
+                raise ValueError(f"{where}: {name!r} is none of {', '.join(sorted(among))}")
         for k in self.knees:
-            known(k.output, results, "knees")
-            known(k.along, set(inputs), "knees")
             if inputs[k.along].random is not None:
                 raise ValueError(f"knees: {k.along!r} is random; a knee needs values or a grid")
-        for p in self.plots:
-            known(p.output, results, "plots")
-            for name in (p.x, p.y, p.family):
-                known(name, set(inputs), "plots")
-            if (p.kind == "tornado") != (self.design.kind == "one-at-a-time"):
-                raise ValueError("a tornado goes with design: {kind: one-at-a-time}, and other plots do not")
+        if any((p.kind == "tornado") != (self.design.kind == "one-at-a-time") for p in self.plots):
+            raise ValueError("a tornado goes with design: {kind: one-at-a-time}, and other plots do not")
         return self
 
     @model_validator(mode="after")

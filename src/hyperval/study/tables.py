@@ -15,11 +15,12 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import xarray as xr
-from scipy.special import ndtr, ndtri
+from scipy import stats
 from scipy.stats import qmc
 
 import hyperval
 from hyperval.errors import UsageError
+from hyperval.model import column_of
 from hyperval.run import harmless
 from hyperval.study.schema import Moving, Random, StudyFile
 
@@ -31,13 +32,11 @@ _CHUNKS = "chunks.jsonl"
 def drawn(distribution: Random, u: Array) -> Array:
     """Values of a distribution at quantiles ``u`` in (0, 1)."""
     low, high = distribution.ends
-    if distribution.uniform is not None:
-        return low + u * (high - low)
-    if distribution.normal is None:
-        return np.asarray(np.exp(np.log(low) + u * (np.log(high) - np.log(low))))
-    mean, sd = distribution.normal
-    below, above = ndtr((low - mean) / sd), ndtr((high - mean) / sd)
-    return np.asarray(np.clip(mean + sd * ndtri(below + u * (above - below)), low, high))
+    if distribution.normal is not None:
+        mean, sd = distribution.normal
+        return np.asarray(stats.truncnorm.ppf(u, (low - mean) / sd, (high - mean) / sd, mean, sd))
+    log = distribution.log_uniform is not None
+    return np.asarray(stats.loguniform.ppf(u, low, high) if log else stats.uniform.ppf(u, low, high - low))
 
 
 class StudyPoints:
@@ -91,14 +90,8 @@ def moved(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict[str, 
     for item in inputs:
         column, moves = columns[item.name], item.targets
         for k, move in enumerate(moves):
-            if column.dtype != object:
-                out[move.path] = move.offset + move.factor * column
-                continue
-            out[move.path] = np.empty(column.size, dtype=object)
-            for i, v in enumerate(column):  # one by one: lists of one length are not rows of a matrix
-                one = v[k] if isinstance(v, list) and len(moves) > 1 else v
-                plain = not isinstance(one, int | float) or isinstance(one, bool)
-                out[move.path][i] = one if plain else move.offset + move.factor * one
+            own = (v[k] if isinstance(v, list) and len(moves) > 1 else v for v in column)
+            out[move.path] = move.of(column) if column.dtype != object else column_of([move.of(v) for v in own])
     return out
 
 

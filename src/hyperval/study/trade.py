@@ -44,9 +44,8 @@ from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import path_parts, with_settings
-from hyperval.study.evaluate import PFA, Evaluator, bands_of, of_truths
 from hyperval.study.page import cell_edges, heat_mark
-from hyperval.study.plan import GROUND, LEAST_GAS, answers
+from hyperval.study.plan import GROUND, LEAST_GAS, PFA, Evaluator, answers, bands_of, of_truths
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
 from hyperval.study.tables import StudyPoints, moved
 

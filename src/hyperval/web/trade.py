@@ -287,8 +287,7 @@ def _of_paths(study: StudyFile, scenario: Scenario, limits: Limits, uploads: tup
         words = [value for value in listed if not isinstance(value, int | float)]
         for value in (words or listed)[:100]:
             for k, move in enumerate(item.targets):
-                own = value[k] if isinstance(value, list) and len(item.moves) > 1 else value
-                own = move.offset + move.factor * own if isinstance(own, int | float) else own
+                own = move.of(value[k] if isinstance(value, list) and len(item.moves) > 1 else value)
                 if in_file(move.path) and move.path.partition(".")[0] in Scenario.model_fields and own is not None:
                     tries.append((f"{at}.path", {move.path: own}))
     for field, settings in tries:
