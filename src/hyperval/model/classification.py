@@ -27,7 +27,7 @@ from hyperval.model.radiance import cut
 from hyperval.model.stated import Origins, Truth, correlation
 from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
-from hyperval.scenario import Scenario, Target, TargetSubject
+from hyperval.scenario import Scenario, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
 
 
@@ -292,14 +292,14 @@ def predicted_areas(
     world = settled(with_truths(read(scenario, origins), [truth]))[0][1]
     index = np.flatnonzero(bands)
     noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
-    populations = {(t.name, p.name): (t, p) for t in world.targets_at(0) for p in t.populations}
+    populations = {(name, p.name): p for name, p in world.populations_at(0)}
     out = {}
     for number, item in enumerate(subjects):
         population = populations.get((item.scenario_target, item.population))
         if population is None:
             continue
         rng = np.random.default_rng([seed, number])
-        pixels, endmembers = _objects(*population, item, prediction, world, index, draws, rng)
+        pixels, endmembers = _objects(population, item, prediction, world, index, draws, rng)
         for method, factor in noise.items():
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
             area = abundance.sum(axis=1) * pixel_area_m2
@@ -311,7 +311,6 @@ def predicted_areas(
 
 
 def _objects(
-    target: Target,
     population: TargetSubject,
     item: UnmixedSubject,
     prediction: PredictedProducts,
@@ -321,7 +320,9 @@ def _objects(
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Pixels (draws, n, F) of drawn objects and the endmembers (draws, 2, F) that each is unmixed with."""
-    number, stated = world.surface(target.name), world.stated
+    stated = world.stated
+    target = next(t for t in stated.targets if t.name == item.scenario_target)
+    number = world.surface(target.name)
     moved = world.mean[0, number] - stated.mean[number]  # what the reflectance truly differs from its endmember
     host = prediction.reflectance[target.host]
     known = prediction.distribution.get(target.host, PixelDistribution())

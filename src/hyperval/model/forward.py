@@ -128,12 +128,12 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
     if scenario.formulation == "thesis" or population.fill.geometry is None or population.position_m is None:
         return None
     models, which = world.fill_models(number)
-    position, targets = scenario.uncertainty.position_m, world.targets_at(0)
+    position, populations = scenario.uncertainty.position_m, world.populations_at(0)
     each: list[Any] = []
     for fill in models:
-        key = "shares", number, repr((fill, [p.fill for target in targets for p in target.populations]))
+        key = "shares", number, repr((fill, [p.fill for _, p in populations]))
         moved, seed = population.model_copy(update={"fill": fill}), scenario.processing.seed
-        make = partial(shares_of, targets[t], moved, targets, position, seed)
+        make = partial(shares_of, stated.targets[t].name, moved, populations, position, seed)
         each.append(stated.once(key, make))
     return each, which
 

@@ -45,7 +45,7 @@ from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixe
 from hyperval.model.roc import Host
 from hyperval.model.stated import correlation
 from hyperval.products import ObjectScores
-from hyperval.scenario import Geometry, Target, TargetSubject
+from hyperval.scenario import Geometry, TargetSubject
 
 ROWS = 1600
 # The blur's distribution stands on this many equally likely widths.
@@ -140,31 +140,30 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
     draws : of each object where no input is uncertain; default: as many as there would be with uncertain inputs
     """
     u, uncertainty = int(truths[0]), e.scenario.uncertainty
-    drawn, targets = input_draws(e, u, (truths.size - 1) // 2), e.world.targets_at(u)
+    drawn, populations = input_draws(e, u, (truths.size - 1) // 2), e.world.populations_at(u)
     certain, thesis, seed = len(drawn.blur) == 1, e.scenario.formulation == "thesis", e.scenario.processing.seed
     linear = e.scenario.processing.linear_detectors
-    names = [t.name for t in targets]
+    names = [t.name for t in e.targets]
     out: dict[Key, ObjectScores] = {}
-    for number, target in enumerate(targets):
-        laws = host_laws(e, number, u)
-        for population in target.populations:
-            beside = [] if thesis else neighbours_of(target, population, targets)
-            wanted = Objects(
-                population, tuple(s for _, s in beside), uncertainty.position_m,
-                (draws or ROWS * COLUMNS) if certain else COLUMNS, thesis, laws, len(linear), seed,
-            )  # fmt: skip
-            numbers = _few_numbers(wanted) if certain and draws else drawn_numbers(wanted, drawn.blur)
-            others = [names.index(t.name) for t, _ in beside]
-            for name, more in zip(linear, numbers.more, strict=True):
-                own = response_nodes(e, truths, number, name, number)
-                full = [np.array(response_nodes(e, truths[:1], number, name, o))[:, 0, -1] for o in others]
-                host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), *(nodes[:1, 0] for nodes in own))
-                # What scores alike in two truths has the same draws in both.
-                alike = [*own, *full, *(() if host is None else vars(host.laws).values())]
-                key = repr(wanted), name, b"".join(a.tobytes() for a in alike)
-                change = [_change(e, u, number, name, o, drawn) for o in (number, *others)]
-                make = partial(_greatest_scores, own, full, change, host, drawn, numbers, more)
-                out[population.name, name] = e.once(key, make)
+    for owner, population in populations:
+        number = names.index(owner)
+        beside = [] if thesis else neighbours_of(population, populations)
+        wanted = Objects(
+            population, tuple(s for _, s in beside), uncertainty.position_m,
+            (draws or ROWS * COLUMNS) if certain else COLUMNS, thesis, host_laws(e, number, u), len(linear), seed,
+        )  # fmt: skip
+        numbers = _few_numbers(wanted) if certain and draws else drawn_numbers(wanted, drawn.blur)
+        others = [names.index(name) for name, _ in beside]
+        for name, more in zip(linear, numbers.more, strict=True):
+            own = response_nodes(e, truths, number, name, number)
+            full = [np.array(response_nodes(e, truths[:1], number, name, o))[:, 0, -1] for o in others]
+            host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), *(nodes[:1, 0] for nodes in own))
+            # What scores alike in two truths has the same draws in both.
+            alike = [*own, *full, *(() if host is None else vars(host.laws).values())]
+            key = repr(wanted), name, b"".join(a.tobytes() for a in alike)
+            change = [_change(e, u, number, name, o, drawn) for o in (number, *others)]
+            make = partial(_greatest_scores, own, full, change, host, drawn, numbers, more)
+            out[population.name, name] = e.once(key, make)
     return out
 
 
@@ -245,21 +244,21 @@ def drawn_numbers(objects: Objects, blur: Array) -> Numbers:
     return Numbers(fills, others, places, host, tuple(more), law)
 
 
-def neighbours_of(
-    target: Target, population: TargetSubject, targets: Sequence[Target]
-) -> list[tuple[Target, TargetSubject]]:
-    """Targets with a position and a geometry that may share pixels with this one, itself left out."""
+Populations = Sequence[tuple[str, TargetSubject]]  # each with the name of its target
+
+
+def neighbours_of(population: TargetSubject, populations: Populations) -> Populations:
+    """Those with a position and a geometry that may share pixels with this one, itself left out."""
     geometry, here = population.fill.geometry, population.position_m
     if geometry is None or here is None:
         return []
     reach, out = _half_diagonal(geometry) + _REACH, []
-    for other in targets:
-        for subject in other.populations:
-            if subject.name == population.name or subject.fill.geometry is None or subject.position_m is None:
-                continue
-            away = math.dist(subject.position_m, here) / geometry.gsd_m
-            if away < reach + _half_diagonal(subject.fill.geometry):
-                out.append((other, subject))
+    for owner, subject in populations:
+        if subject.name == population.name or subject.fill.geometry is None or subject.position_m is None:
+            continue
+        away = math.dist(subject.position_m, here) / geometry.gsd_m
+        if away < reach + _half_diagonal(subject.fill.geometry):
+            out.append((owner, subject))
     return out
 
 
@@ -441,18 +440,18 @@ class Shares:
 
 
 def shares_of(
-    target: Target, population: TargetSubject, targets: Sequence[Target], position_m: float | None, seed: int
+    owner: str, population: TargetSubject, populations: Populations, position_m: float | None, seed: int
 ) -> Shares:
-    """Shares of the pixels of one object that has a geometry and a place.
+    """Shares of the pixels of one object of a target that has a geometry and a place.
 
     Parameters
     ----------
     position_m : standard uncertainty of the places of neighbours in line and sample [m], None: known
     """
-    beside = neighbours_of(target, population, targets)
+    beside = neighbours_of(population, populations)
     rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
     own, others = _pixels_at_place(population, [subject for _, subject in beside], position_m, rng)
     each = np.concatenate([own.mean(axis=1)[:, None], others.mean(axis=1)], axis=1)  # (K, J)
     mean = each.mean(axis=0)
     away = each - mean
-    return Shares((target.name, *(t.name for t, _ in beside)), mean, away.T @ away / len(each))
+    return Shares((owner, *(name for name, _ in beside)), mean, away.T @ away / len(each))

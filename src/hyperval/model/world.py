@@ -45,7 +45,7 @@ from hyperval.model.stated import (
     state_value,
     without_gaps,
 )
-from hyperval.scenario import ElmPanels, Fill, Scenario, Target
+from hyperval.scenario import ElmPanels, Fill, Scenario, TargetSubject
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import SensorChanges, SensorOperation
 from hyperval.settings import item_number, numbers_of, path_parts, setting, with_settings
@@ -405,7 +405,7 @@ class World:
         stated = self.column("fraction")
         named = np.full((self.size, stated.shape[1]), np.nan)
         for _, item, values in self.fields("share"):  # NaN: gives way
-            named[:, item] = np.clip(values, 0.0, 1.0)
+            named[:, item] = np.clip(_numbers(values), 0.0, 1.0)
         moved = np.isfinite(named)
         if moved.any():
             out = np.array(np.broadcast_to(stated, named.shape))
@@ -520,11 +520,12 @@ class World:
     def fill_models(self, number: int) -> tuple[list[Fill], Index]:
         """The different fills of a population, and which (U,) of them each truth has."""
         moved = self.of_fill(number)
-        columns = {p: np.broadcast_to(v, (self.size, *v.shape[1:])) for p, (*_, v) in moved.items()}
-        first, which = distinct(columns.values(), self.size)
-        return [self._fill(number, [(p, *moved[p][:2], v[u]) for p, v in columns.items()]) for u in first], which
+        first, which = distinct((np.broadcast_to(v, (self.size, *v.shape[1:])) for *_, v in moved.values()), self.size)
+        return [
+            self._fill(number, [(p, *x, v[u if len(v) > 1 else 0]) for p, (*x, v) in moved.items()]) for u in first
+        ], which
 
-    def _fill(self, number: int, moved: Sequence[tuple[str, str, slice, Any]]) -> Fill:
+    def _fill(self, number: int, moved: Sequence[tuple[Any, ...]]) -> Fill:
         """The fill of a population where path, field, part of the values and values of one truth say so."""
         fill, before = (s.populations[number][2].fill for s in (self.stated, self.stated.nominal))
         entries, change = {}, 0.0
@@ -540,31 +541,13 @@ class World:
                 entries[".".join(parts[6 if parts[3] == "subjects" else 4 :])] = plain(value)
         return with_mean(with_settings(fill, entries) if entries else fill, change)
 
-    def object_sizes(self) -> Index:
-        """(U or 1, P) number of pixels of an object of each population."""
-        each = []
-        for number in range(len(self.stated.populations)):
-            entries = [p for p, (field_, *_) in self.of_fill(number).items() if field_ == "fill entry"]
-            if any(not path.endswith(("fill.fixed", "fill.mean", "fill.sd")) for path in entries):
-                models, which = self.fill_models(number)
-                each.append(np.array([pixels_of_object(fill) for fill in models])[which])
-        return np.array(each).T if each else np.zeros((1, 1), int)
-
-    def targets_at(self, u: int) -> list[Target]:
-        """The targets of the scene with the fills of one truth."""
-        out, moved = [], list(self.fields("fill", "fill entry", "blur"))
-        for t, target in enumerate(self.stated.targets):
-            fills = []
-            for number, (owner, _, _) in enumerate(self.stated.populations):
-                if moved and owner == t:
-                    models, which = self.fill_models(number)
-                    fills.append(models[which[u if which.size > 1 else 0]])
-            if not fills:
-                out.append(target)
-                continue
-            subjects = [s.model_copy(update={"fill": f}) for s, f in zip(target.subjects, fills, strict=False)]
-            whole = target.fill if subjects else fills[0]
-            out.append(target.model_copy(update={"fill": whole, "subjects": subjects}))
+    def populations_at(self, u: int) -> list[tuple[str, TargetSubject]]:
+        """The populations of target pixels with their fills in one truth, each with the name of its target."""
+        out = []
+        for number, (t, _, population) in enumerate(self.stated.populations):
+            models, which = self.fill_models(number)
+            fill = models[which[u]]
+            out.append((self.stated.targets[t].name, population.model_copy(update={"fill": fill})))
         return out
 
     @cached_property
@@ -632,17 +615,13 @@ def with_truths(world: World, truths: Sequence[Truth]) -> World:
     """The world of several truths, each of which moves what it names of the stated one."""
     values: dict[str, Values] = {}
     for path in dict.fromkeys(p for truth in truths for p in truth):
-        entry = find(world.stated, path)
-        if entry.shape == "number":
-            as_stated = value_at(world, path)[0] if entry.field in world.stated.columns else None
-            if entry.field in ("share", "tail") and path not in world.moved:
-                as_stated = np.nan  # what the others leave, or of the components of the class
-            values[path] = column_of([_one(truth[path]) if path in truth else as_stated for truth in truths])
-            continue
-        here = value_at(world, path)[0]
-        each = [np.asarray(truth.get(path, here), dtype=float) for truth in truths]
-        shape = np.broadcast_shapes(*(v.shape for v in each))
-        values[path] = np.array([np.broadcast_to(v, shape) for v in each])
+        if find(world.stated, path).shape == "number":
+            here = world.moved[path][0] if path in world.moved else None  # as stated
+            values[path] = column_of([_one(truth.get(path, here)) for truth in truths])
+        else:
+            here = value_at(world, path)[0]
+            each = (np.asarray(truth.get(path, here), dtype=float) for truth in truths)
+            values[path] = np.array(np.broadcast_arrays(*each))
     return replace(with_values(world, values), size=len(truths))
 
 
@@ -670,10 +649,10 @@ def settled(world: World) -> list[tuple[Index, World]]:
     again = {
         p: np.broadcast_to(v, (world.size, *v.shape[1:])) for p, v in world.moved.items() if reads_again(stated, p, v)
     }
-    sizes = world.object_sizes()
-    if not again and len(sizes) == 1:
-        return [(np.arange(world.size), world.made())]
-    first, which = distinct([*again.values(), *(sizes.T if len(sizes) > 1 else ())], world.size)
+    geometric = [i for i, (*_, p) in enumerate(stated.populations) if p.fill.geometry is not None]
+    fills = [world.fill_models(number) for number in geometric]
+    sizes = [np.array([pixels_of_object(fill) for fill in models])[which] for models, which in fills]
+    first, which = distinct([*again.values(), *sizes], world.size)
     rest, out = World(stated, {p: v for p, v in world.moved.items() if p not in again}, world.size), []
     for i, u in enumerate(first):
         index = np.flatnonzero(which == i)
