@@ -7,12 +7,11 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
-from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, engine, run, scenario
+from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 
 from hyperval import model
 from hyperval.products import background_of
 from hyperval.scenario import Scenario, Uncertainty
-from hyperval.settings import with_settings
 from hyperval.spectra import SpectralAxis
 
 KEY = ("tenth", "cem", "pixel")
@@ -87,24 +86,20 @@ def test_where_the_ways_differ_the_draws_give_the_interval_of_pd():
     assert np.all(p.roc[KEY].pd_upper >= p.roc[KEY].pd)
 
 
-def moved(item, z: float) -> dict[str, float]:
-    return {path: float(value[0]) for path, value in item.moved(z).items()}
-
-
 def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
-    s = scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, water_vapour_g_cm2: 0.5, solar_zenith_deg: 2}\n")
-    inputs = model.inputs_of(model.read(s, ORIGINS))
-    made = model.emulator(s, inputs, engine, AXIS)
+    world = model.read(
+        scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, water_vapour_g_cm2: 0.5, solar_zenith_deg: 2}\n"), ORIGINS
+    )
+    inputs = model.inputs_of(world)
+    made = model.emulated(world, inputs)
     assert made.runs == 8  # stated, two for each of three fields, one check
     assert 0.0 < made.error[1] <= made.error[0] < 0.01
     for item in inputs:
-        for z in (-(3.0**0.5), 0.0, 3.0**0.5):
-            state = with_settings(s, moved(item, z)).atmosphere
-            exact = engine(state).at_bands(AXIS)
-            np.testing.assert_allclose(made.engine(state).direct, exact.direct, rtol=1e-9)
-            np.testing.assert_allclose(made.engine(state).at_bands(AXIS).path_radiance, exact.path_radiance, rtol=1e-9)
-        state = with_settings(s, moved(item, 1.0)).atmosphere
-        np.testing.assert_allclose(made.engine(state).direct, engine(state).at_bands(AXIS).direct, rtol=2e-3)
+        for z in (-(3.0**0.5), 0.0, 3.0**0.5, 1.0):
+            found, exact = (w.stated.atmosphere(item.moved(z), 1) for w in (made.world, world))
+            np.testing.assert_allclose(found.direct, exact.direct, rtol=2e-3 if z == 1.0 else 1e-9)
+            if z != 1.0:
+                np.testing.assert_allclose(found.path_radiance, exact.path_radiance, rtol=1e-9)
 
 
 def test_area_of_a_curve_and_tolerance_of_a_limit():

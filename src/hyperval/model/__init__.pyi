@@ -77,7 +77,7 @@ from .intervals import (
     zero_count_upper_limit,
 )
 from .objects import HOST, PLACE, Shares, shares_of
-from .propagate import emulator, quantities, tolerance, with_bands, with_law_limits
+from .propagate import emulated, quantities, tolerance, with_bands, with_law_limits
 from .radiance import (
     Light,
     adjacency_slope,
@@ -212,7 +212,7 @@ __all__ = [
     "direct_slope",
     "directions",
     "drawn_truths",
-    "emulator",
+    "emulated",
     "engine_notes",
     "evaluations",
     "every_path",

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,6 @@ from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.scenario import Fill, Geometry
 from hyperval.spectra.axis import SIGMA_PER_FWHM
-
-Kind = TypeVar("Kind", bound=np.generic)
 
 # Positions sampled: a Fibonacci lattice, whose 377 points integrate fills a hundred times better than a
 # square grid of as many.
@@ -92,13 +90,17 @@ def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
     k = mean * (1 - mean) / sd**2 - 1
     f = np.asarray(beta.ppf((np.arange(nodes) + 0.5) / nodes, mean * k, (1 - mean) * k))
     f = mean + (f - f.mean()) * (sd / f.std())
-    return FillDistribution(np.clip(f, 0.0, 1.0), np.full(nodes, 1.0 / nodes))
+    return _alike(np.clip(f, 0.0, 1.0))
+
+
+def _alike(values: Array) -> FillDistribution:
+    """Fills that are equally likely."""
+    return FillDistribution(values, np.full(values.size, 1.0 / values.size))
 
 
 def ranked_pixel_fill(geometry: Geometry, n: int) -> FillDistribution:
     """Distribution of f over the ``n`` fullest pixels of an object, each counted alike (f of 3.10)."""
-    values = object_fills(geometry, n).ravel()
-    return FillDistribution(values, np.full(values.size, 1.0 / values.size))
+    return _alike(object_fills(geometry, n).ravel())
 
 
 def touched_pixel_fill(geometry: Geometry) -> FillDistribution:
@@ -107,8 +109,7 @@ def touched_pixel_fill(geometry: Geometry) -> FillDistribution:
     They are what a truth by outlines has: those that hold a corner alone, nearly empty, and the full ones.
     """
     fills, touched = _around(geometry)
-    values = fills[touched]
-    return FillDistribution(values, np.full(values.size, 1.0 / values.size))
+    return _alike(fills[touched])
 
 
 def touched_counts(geometry: Geometry) -> Index:
@@ -118,7 +119,8 @@ def touched_counts(geometry: Geometry) -> Index:
 
 def object_fills(geometry: Geometry, n: int) -> Array:
     """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10)."""
-    fills = _ranked_fills(geometry)
+    fills = _around(geometry)[0]
+    fills = np.sort(fills.reshape(len(fills), -1), axis=1)[:, ::-1]
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
     return fills[:, :n]
@@ -131,16 +133,7 @@ def lattice_positions(count: int) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _ranked_fills(geometry: Geometry) -> Array:
-    """(K, P) fills of all pixels that the target reaches in falling order, one row per sampled position."""
-    fills = _around(geometry)[0]
-    result = np.sort(fills.reshape(len(fills), -1), axis=1)[:, ::-1]
-    result.setflags(write=False)
-    return result
-
-
-@lru_cache(maxsize=256)
-def _around(geometry: Geometry) -> tuple[Array, Mask]:
+def _around(geometry: Geometry) -> tuple[npt.NDArray[Any], ...]:
     """(K, P, P) fills of the pixels around the target at each sampled position, and which its outline meets."""
     random = geometry.phase == "random"
     any_heading = geometry.heading_deg == "random"
@@ -303,20 +296,6 @@ def shared_pixel_fills(
     for geometry in (own, *(x.geometry for x in neighbours)):
         if geometry.heading_deg == "random":
             raise UsageError("a target with a position lies any way", mend="state heading_deg, or leave position_m out")
-    if shifts is None:
-        return _kept(own, n, tuple(neighbours))
-    return _shared_pixel_fills(own, n, neighbours, shifts)
-
-
-@lru_cache(maxsize=128)
-def _kept(own: Geometry, n: int, neighbours: tuple[Neighbour, ...]) -> tuple[Array, Array]:
-    """For one arrangement, however often it is asked for."""
-    return _fixed(*_shared_pixel_fills(own, n, neighbours, None))
-
-
-def _shared_pixel_fills(
-    own: Geometry, n: int, neighbours: Sequence[Neighbour], shifts: Array | None
-) -> tuple[Array, Array]:
     fills, chosen = _fullest(own, n)
     others = np.zeros((*fills.shape, len(neighbours)))
     for j, x in enumerate(neighbours):
@@ -327,7 +306,7 @@ def _shared_pixel_fills(
 
 
 @lru_cache(maxsize=64)
-def _fullest(own: Geometry, n: int) -> tuple[Array, Array]:
+def _fullest(own: Geometry, n: int) -> tuple[Array, ...]:
     """(K, n) fills of the fullest pixels of a target, and where they are (K, n, 2) from its centre."""
     centred = own.phase == "centred"
     place = np.zeros((1, 2)) if centred else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
@@ -343,11 +322,11 @@ def _fullest(own: Geometry, n: int) -> tuple[Array, Array]:
     return _fixed(np.take_along_axis(fills, order, 1), np.take_along_axis(at_pixels, order[..., None], 1))
 
 
-def _fixed(one: Array, other: npt.NDArray[Kind]) -> tuple[Array, npt.NDArray[Kind]]:
+def _fixed(*arrays: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], ...]:
     """Arrays that are kept: not to be written to."""
-    one.setflags(write=False)
-    other.setflags(write=False)
-    return one, other
+    for array in arrays:
+        array.setflags(write=False)
+    return arrays
 
 
 @lru_cache(maxsize=64)
@@ -363,9 +342,7 @@ def _fill_table(geometry: Geometry) -> Array:
     # A centre at step i puts pixel p at p - step_i: rising with p, falling with i.
     fills = fills.reshape(_STEPS, _STEPS, across, across)[::-1, ::-1]
     values = fills.transpose(2, 0, 3, 1).reshape(across * _STEPS, across * _STEPS)
-    table = np.asarray(spline_filter(values, order=3, mode="constant"))
-    table.setflags(write=False)
-    return table
+    return _fixed(np.asarray(spline_filter(values, order=3, mode="constant")))[0]
 
 
 def _looked_up(table: Array, away: Array) -> Array:
@@ -384,8 +361,7 @@ def fill_distribution(fill: Fill) -> FillDistribution:
     if fill.geometry is not None:
         return _of_geometry(fill.geometry, 0 if fill.geometry.pixels == "touched" else fill.geometry.n or 1)
     if fill.listed is not None:
-        values = np.concatenate([np.asarray(row, float) for row in fill.listed])
-        return FillDistribution(values, np.full(values.size, 1.0 / values.size)).binned()
+        return _alike(np.concatenate([np.asarray(row, float) for row in fill.listed])).binned()
     if fill.truth is not None:
         raise UsageError(
             "the fills are those of a collection's truth",
@@ -399,9 +375,8 @@ def fill_distribution(fill: Fill) -> FillDistribution:
 def _of_geometry(geometry: Geometry, n: int) -> FillDistribution:
     """For one geometry, however often it is asked for; not to be written to.  ``n`` = 0: all pixels it touches."""
     fill = (ranked_pixel_fill(geometry, n) if n else touched_pixel_fill(geometry)).binned()
-    for part in (fill.values, fill.weights):
-        part.setflags(write=False)
-    return fill
+    values, weights = _fixed(fill.values, fill.weights)
+    return FillDistribution(values, weights)
 
 
 def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:

@@ -33,7 +33,7 @@ from hyperval.model.objects import (
 from hyperval.model.propagate import (
     DRAWN_SHIFT,
     Changes,
-    emulator,
+    emulated,
     laws_left_out,
     mean_shifts,
     probit,
@@ -55,7 +55,7 @@ from hyperval.model.radiance import (
     toa_reflectance,
 )
 from hyperval.model.stated import Origins, Stated, Truth
-from hyperval.model.world import SHIFT, World, find, read, settled, under, with_truths
+from hyperval.model.world import World, find, read, settled, with_truths
 from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
@@ -366,11 +366,8 @@ def predict(
     far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
     if not drawn or not (far or u.method != "linear"):
         return with_limits(scenario, products, changes, shifts, {})
-    made = None
-    if lit:
-        moves = any(i.path == SHIFT for i in drawn)
-        made = emulator(scenario, drawn, world.stated.atmosphere.whole, None if moves else world.stated.true_axis)
-        world = under(world, made.engine)
+    made = emulated(world, drawn) if lit else None
+    world = made.world if made else world
     truths = track(drawn_truths(drawn, u.samples, u.seed), "draws of the budget", show=source.show_progress)
     draws = tabulated(_predictions(world, truths))
     curves = {key: draws["curve", *key] for key in far if u.method == "linear"}

@@ -14,19 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, interpolated_terms
 from hyperval.data import Array
 from hyperval.model.detection import Evaluation, RocKey, class_scores
 from hyperval.model.inputs import UncertainInput
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.radiance import light_of, seen_classes
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm
-from hyperval.model.stated import Engine, Origins, Truth, state_entries, state_value
+from hyperval.model.stated import Origins, Truth, state_value
 from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.scenario import Scenario, Uncertainty
-from hyperval.settings import with_settings
-from hyperval.spectra.axis import SpectralAxis
 
 Key = tuple[str, ...]
 Changes = tuple[Array, Array]  # (D, K) by one standard uncertainty up, and down, along each direction
@@ -313,74 +310,49 @@ def agreement(key: Key, stated: Array, linear: Array, drawn: Array, samples: int
 _NODE = float(np.sqrt(3.0))
 
 
-class Emulator(NamedTuple):
-    """What stands in for an engine near one state: quadratic in each uncertain field, without cross terms.
+class Emulated(NamedTuple):
+    """A world near one state of its atmosphere: terms are quadratic in each uncertain field, without cross terms.
 
     Attributes
     ----------
-    engine : terms of a state that differs from the stated one in the uncertain fields alone
     runs : engine runs behind it
     error : greatest and median error of the radiance over a grey ground of reflectance 0.3, where there is light and
         all fields are one standard uncertainty off [1]; None where nothing of the atmosphere is uncertain
     """
 
-    engine: Engine
+    world: World
     runs: int
     error: tuple[float, float] | None
 
 
-def emulator(
-    scenario: Scenario, inputs: Sequence[UncertainInput], engine: Engine, axis: SpectralAxis | None
-) -> Emulator:
-    """Run the engine at the nodes of every uncertain field of the atmosphere.
-
-    Parameters
-    ----------
-    axis : bands over which the terms are averaged before they are interpolated; None keeps the engine's own
-        sampling, for bands that move
-    """
-    state = scenario.atmosphere
+def emulated(world: World, inputs: Sequence[UncertainInput]) -> Emulated:
+    """The world with the engine run at the nodes of every uncertain field of its atmosphere alone."""
+    stated, nodes, off = world.stated, dict[str, list[float]](), dict[str, float]()
+    state, engine = stated.scenario.atmosphere, stated.atmosphere
     assert state is not None  # noqa: S101 - asked for where there is light
-
-    def run(changes: Mapping[str, Any]) -> AtmosphericTerms:
-        terms = engine(with_settings(state, state_entries(state, changes)))
-        return terms if axis is None else replace(terms.at_bands(axis), fwhm_nm=axis.fwhm_nm)
-
-    axes: dict[str, Array] = {}
-    runs, off = [run({})], {}
     for item in inputs:
         room, _, name = item.path.partition(".")
         if room == "atmosphere":
             at = state_value(state, name)
             ends = [float(item.moved(z)[item.path][0]) for z in (-_NODE, _NODE)]
             ends = [end for end in ends if abs(end - at) > 1e-12]  # a node at the end of the range may be the stated
-            runs += [run({name: end}) for end in ends]
             if ends:
-                axes[name], off[name] = np.array([at, *ends]), float(item.moved(1.0)[item.path][0])
-    if not axes:
-        return Emulator(lambda state: runs[0], 1, None)
-    between = interpolated_terms(axes, runs, star=True, bounded=False)
-
-    def interpolated(state: AtmosphericState) -> AtmosphericTerms:
-        at = {n: np.array([_beside(n, nodes[0], state_value(state, n))]) for n, nodes in axes.items()}
-        terms = between(at)
-        return replace(terms, **{n: getattr(terms, n)[0] for n in between.values})
-
-    guess, truth = interpolated(with_settings(state, state_entries(state, off))), run(off)
+                nodes[name], off[name] = [at, *ends], float(item.moved(1.0)[item.path][0])
+    if not nodes:
+        return Emulated(world, 1, None)
+    star = replace(engine, nodes=nodes, star=True, kept={})
+    guess, truth = star({f"atmosphere.{name}": np.array([x]) for name, x in off.items()}, 1), engine.run(off)
     seen = [t.path_radiance + 0.3 * (t.direct + t.adjacency) / (1 - 0.3 * t.spherical_albedo) for t in (guess, truth)]
-    relative = np.abs(seen[0] / seen[1] - 1.0)[truth.direct > 1e-3 * truth.direct.max()]
-    return Emulator(interpolated, len(runs) + 1, (float(relative.max()), float(np.median(relative))))
-
-
-def _beside(name: str, stated: float, value: float) -> float:
-    """The value; an azimuth on the same turn as the stated one."""
-    return stated + (value - stated + 180.0) % 360.0 - 180.0 if name.endswith("azimuth_deg") else value
+    relative = np.abs(seen[0] / seen[1] - 1.0)[..., truth.direct > 1e-3 * truth.direct.max()]
+    there = replace(world, stated=replace(stated, atmosphere=star, kept={}))
+    runs = 2 + sum(len(values) - 1 for values in nodes.values())
+    return Emulated(there, runs, (float(relative.max()), float(np.median(relative))))
 
 
 def with_intervals(
     stated: PredictedProducts, inputs: Sequence[UncertainInput],
     predicted: Callable[[Iterable[Truth]], Iterable[PredictedProducts]], draws: Mapping[Key, Array], u: Uncertainty,
-    made: Emulator | None,
+    made: Emulated | None,
 ) -> PredictedProducts:  # fmt: skip
     """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
 
@@ -424,7 +396,7 @@ def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
     return replace(estimate, error_covariance=factor**2 * estimate.error_covariance, budget=budget)
 
 
-def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, made: Emulator | None) -> str:
+def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, made: Emulated | None) -> str:
     ratios: dict[str, list[float]] = {}
     for row in table:
         if np.isfinite(row["sd_ratio"]):

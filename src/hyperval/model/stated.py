@@ -543,6 +543,8 @@ class Atmosphere(Keeps):
     Attributes
     ----------
     nodes : entry -> nodes between which terms are interpolated; empty: a run of the engine for each state
+    star : whether each entry moves alone from its first node, beyond its nodes too, and changes add up; else all
+        combinations are run
     kept : terms by the entries that differ from the stated state
     """
 
@@ -550,6 +552,7 @@ class Atmosphere(Keeps):
     origins: Origins
     axis: SpectralAxis
     nodes: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    star: bool = False
     kept: dict[Any, Any] = field(default_factory=dict)
     _between: InterpolatedTerms | None = None
 
@@ -592,16 +595,18 @@ class Atmosphere(Keeps):
             return
         grid = {n: np.asarray(v, dtype=float) for n, v in self.nodes.items()}
         for name, values in grid.items():
-            if values.size < 2 or np.any(np.diff(values) <= 0):
+            if not self.star and (values.size < 2 or np.any(np.diff(values) <= 0)):
                 raise UsageError(f"nodes of atmosphere.{name}: {values.tolist()}", expected="two or more, rising")
         what = "nodes" if grid else "states"
-        if grid:
+        if self.star:
+            states = [{}, *({name: x} for name, values in grid.items() for x in values[1:].tolist())]
+        elif grid:
             states = [dict(zip(grid, row, strict=True)) for row in product(*(v.tolist() for v in grid.values()))]
         if len(states) > MOST_RUNS:
             expected = f"at most {MOST_RUNS} runs of its engine"
             raise UsageError(f"{len(states)} {what} of the atmosphere", expected=expected)
         runs = [self.run(row) for row in track(states, f"atmosphere, {what}", len(states), show=show_progress)]
-        self._between = interpolated_terms(grid, runs) if grid else None
+        self._between = interpolated_terms(grid, runs, star=self.star, bounded=not self.star) if grid else None
 
     def __call__(self, moved: Mapping[str, Values], size: int) -> AtmosphericTerms:
         """Terms (U or 1, 1, B) where entries (U or 1,) of the state are moved; None leaves one as it is.
@@ -790,14 +795,14 @@ def _laws(number: int, c: BackgroundClass, surface: SurfaceStatistics) -> list[L
 
 def read_files(
     scenario: Scenario, source: Origins, shift_nm: float | Array = 0.0,
-    nodes: Mapping[str, Sequence[float]] | None = None,
+    nodes: Mapping[str, Sequence[float]] | None = None, star: bool = False,
 ) -> Stated:  # fmt: skip
     """What a scenario and all its files say (3.7-3.20).
 
     Parameters
     ----------
     shift_nm : added to the true band centres; the labels stay
-    nodes : of the atmosphere, between which its terms are interpolated
+    nodes, star : of the atmosphere, as :class:`Atmosphere` has them
 
     Raises
     ------
@@ -841,5 +846,5 @@ def read_files(
     surroundings = None if around is None else without_gaps(sources.spectrum(around, "surroundings").mean)
     return Stated(
         scenario, source, sensor, axis, true, noise, surfaces, signatures, surroundings,
-        Atmosphere(scenario, source, true, nodes or {}), notes, kept=kept,
+        Atmosphere(scenario, source, true, nodes or {}, star), notes, kept=kept,
     )  # fmt: skip

@@ -34,7 +34,6 @@ from hyperval.model.fill import (
     with_mean,
 )
 from hyperval.model.stated import (
-    Engine,
     Origins,
     Stated,
     Truth,
@@ -668,7 +667,8 @@ def _read_with(stated: Stated, values: Truth) -> Stated:
     if key not in kept:
         settings = {p: plain(v) for p, v in values.items() if v is not None and p != SHIFT}
         scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
-        there = read_files(scenario, stated.origins, values.get(SHIFT, 0.0), stated.atmosphere.nodes)
+        atmosphere = stated.atmosphere
+        there = read_files(scenario, stated.origins, values.get(SHIFT, 0.0), atmosphere.nodes, atmosphere.star)
         kept[key] = replace(there, before=stated.nominal)
         if len(kept) > _AGAIN:
             kept.popitem(last=False)
@@ -689,11 +689,3 @@ def read(
     UsageError, InputError : a scenario that contradicts itself, a file that is missing or corrupt.
     """
     return World(read_files(scenario, origins or Origins(), nodes=nodes))
-
-
-def under(world: World, engine: Engine) -> World:
-    """The world under another engine of the atmosphere."""
-    stated = world.stated
-    origins = replace(stated.origins, engine=engine)
-    there = replace(stated.atmosphere, origins=origins, kept={})
-    return replace(world, stated=replace(stated, origins=origins, atmosphere=there, kept={}))
