@@ -32,18 +32,20 @@ def written(path: Path, data: np.ndarray, **others: np.ndarray) -> Path:
     """The arrays in the container that the end of the name says; ``.v73.mat`` is MATLAB 7.3."""
     if path.suffix == ".npy":
         np.save(path, data)
-    elif path.name.endswith(".v73.mat"):
-        with h5py.File(path, "w", userblock_size=512) as file:
+    elif path.name.endswith("73.mat"):
+        marked = path.name.endswith(".v73.mat")  # programs other than MATLAB leave its mark out
+        with h5py.File(path, "w", userblock_size=512 * marked) as file:
             for name, array in {"data": data, **others}.items():
                 file.create_dataset(name, data=array.T, chunks=True, compression="gzip")
-        with open(path, "r+b") as stream:
-            stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
+        if marked:
+            with open(path, "r+b") as stream:
+                stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
     else:
         scipy.io.savemat(path, {"data": data, **others}, do_compression=True)
     return path
 
 
-@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a.npy", "bands-first.mat", "bands-first.v73.mat"])
+@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a-73.mat", "a.npy", "bands-first.mat", "bands-first.v73.mat"])
 def test_the_values_are_those_of_the_array(tmp_path, scene, name):
     data, marked = scene
     more = {} if name.endswith("npy") else {"map": marked}
@@ -102,6 +104,21 @@ def test_a_scene_goes_from_its_file_to_a_report(tmp_path, scene):
     }  # fmt: skip
     spectrum = np.loadtxt(tmp_path / "new" / "target.txt")
     assert spectrum == pytest.approx(data[regions["known objects"].mask].mean(axis=0))
+
+
+def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
+    data = scene[0].astype(float)
+    data[:, :, 2], data[:, :, 5] = np.nan, 7.0
+    cube = open_cube(written(tmp_path / "scene.mat", data), quantity="counts", axis="numbers")
+    assert cube.axis.centre_nm.tolist() == [1, 2, 4, 5, 6, 7, 8]
+    assert np.flatnonzero(~cube.axis.good).tolist() == [4]
+    assert any("1 bands hold one number in all pixels seen, 1 none (the first: 3, 6)" in note for note in cube.notes)
+    nan, one = tmp_path / "nan.mat", np.where(np.indices(scene[1].shape)[0] < 10, scene[1], 0).astype(bool)
+    centre = np.linspace(450.0, 900.0, BANDS)
+    assert is_met(written(nan, data, gt=one, valid=1 - one, wavelengths=centre), tmp_path / "new")  # of one object
+    most = written(tmp_path / "most.mat", data, map=1 - one)
+    assert cli.run(["init", "--cube", str(most), "-o", str(tmp_path / "most")]) == 0
+    assert "the map marks 99% of the image" in (tmp_path / "most" / "campaign.yaml").read_text()
 
 
 def test_without_a_map_anomalies_are_looked_for(tmp_path, scene):

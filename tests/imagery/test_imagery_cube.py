@@ -583,31 +583,7 @@ def test_a_gain_file_that_is_none(tmp_path, text, words):
 # What a header says of its flight line ----------------------------------------------------------
 
 AXIS = SpectralAxis(np.array([500.0, 900.0, 2007.0, 2400.0]), np.array([4.0, 4.0, 8.0, 8.0]))
-LINE = {
-    "calculated co2 shift": "3.65", "cal file": "sn110002_5nm.cal", "gps start time": "16:31:02.5",
-    "gps stop time": "16:33:40.0", "fps": "67.00", "tint1": "3.0000", "tint2": "5.0000", "binning": "4, 2",
-    "himg1": "1, 320", "himg2": "1, 320", "vimg1": "1,117", "vimg2": "118,360", "sensor type": "AISA",
-}  # fmt: skip
 SCENARIO = datetime(2012, 9, 20, 16, 31, tzinfo=UTC)
-
-
-def test_every_entry_is_reported_once():
-    sensor, shift, calibration, times, settings, windows = acquisition_notes(LINE, AXIS, 320, 360)
-    assert sensor == "header: sensor type AISA"
-    assert shift.startswith("warning: header: CO2 shift 3.65 nm found ('calculated co2 shift'")
-    assert "0.46 of a band width at 2007 nm" in shift  # 3.65 / 8
-    assert "wavelength_shift_nm" in shift
-    assert calibration == "header: calibration from cal file sn110002_5nm.cal"
-    assert "gps start time 16:31:02.5, gps stop time 16:33:40.0" in times
-    assert "fps 67.00, tint1 3.0000, tint2 5.0000, binning 4, 2" in settings
-    assert windows == "header: 2 detectors, bands 1-117 and 118-360 (from 1)"
-
-
-@pytest.mark.parametrize(("lines", "said"), [(10_500, False), (11_300, False), (4000, True), (None, False)])
-def test_lines_by_the_frame_rate_and_by_the_clock(lines, said):
-    # 16:31:02.5 to 16:33:40.0 are 157.5 s, or 10,552 lines at 67 a second.
-    notes = acquisition_notes(LINE, AXIS, 320, 360, lines=lines)
-    assert any("take 59.7 s, the GPS times are 157.5 s apart" in n for n in notes) == said
 
 
 @pytest.mark.parametrize(("entries", "said"), table("headers")["times"])
@@ -624,7 +600,7 @@ def test_times_around_midnight_and_with_an_offset():
     assert time_notes({"acquisition time": "2012-09-20T16:31:00"}, local, "line") == ()
 
 
-@pytest.mark.parametrize(("entries", "quantity", "begin"), table("headers")["acquisition"])
-def test_each_entry_makes_its_notes(entries, quantity, begin):
-    notes = acquisition_notes(entries, AXIS, 1, 4, quantity=quantity)
-    assert [note[: len(start)] for note, start in zip(notes, begin, strict=True)] == begin
+@pytest.mark.parametrize(("entries", "quantity", "words"), table("headers")["acquisition"])
+def test_each_entry_makes_its_notes(entries, quantity, words):
+    notes = acquisition_notes(entries, AXIS, quantity)
+    assert all(part in note for note, part in zip(notes, words, strict=True))

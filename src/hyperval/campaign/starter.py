@@ -24,7 +24,7 @@ from hyperval.campaign.sides import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml
 from hyperval.errors import HypervalError, InputError, UsageError, refusal, refuse
-from hyperval.imagery import Raster, TargetObject, guard, objects, open_cube, open_raster, read_regions
+from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
@@ -145,7 +145,9 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     """
     raster = open_raster(sources.cube, header=sources.header, variable=sources.key)
     numbered = raster.description.listed() is None
-    quantity = sources.quantity or ("counts" if numbered else stated_quantity(raster))
+    quantity = sources.quantity or (None if numbered else stated_quantity(raster))
+    if quantity is None and (numbered or "MATLAB" in raster.description.product):  # which say nothing of their numbers
+        quantity = "counts"
     lines, samples, bands = raster.size
     draft = Draft(folder)
     cube = {"path": draft.reference(sources.cube)}
@@ -161,7 +163,7 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
         "assumptions": [],
         "collection": {"cube": cube, "regions": [{"file": draft.reference(path)} for path in sources.regions]},
     }
-    (_by_number if numbered else _by_wavelength)(sources, raster, draft, quantity)
+    (_by_objects if numbered or quantity == "counts" else _by_wavelength)(sources, raster, draft, quantity)
     guesses = [f"{'.'.join(at)}: {because}" for at, because in draft.guesses.items()]
     draft.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
     return draft.text(), guesses
@@ -480,25 +482,25 @@ def _fill(place: Place, members: Sequence[TargetObject]) -> dict[str, Any]:
     return {"geometry": {**shape, "pixels": "ranked", "n": max(1, min(400, round(pixels)))}}
 
 
-def _by_number(sources: StarterSources, raster: Raster, draft: Draft, quantity: str | None) -> None:
-    """The content of a campaign of an image without wavelengths: a map of objects, and what they stand before."""
+def _by_objects(sources: StarterSources, raster: Raster, draft: Draft, quantity: str | None) -> None:
+    """The content of a campaign of counts, or without wavelengths: a map of objects, and what they stand before."""
     collection = draft.collection
     collection["cube"]["by_number"] = True
     collection["regions"].insert(0, _WHOLE)
-    draft.guess("no wavelengths")
+    draft.guess("no wavelengths" if raster.description.listed() is None else "no quantity")
     detection = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good", "detectors": ["rx"]}
     draft.content["detection"] = detection
-    masks = _object_masks(sources, raster)
+    masks, why = _object_masks(sources, raster)
     if len(masks) < 2:
-        draft.guess("anomalies")
+        draft.guess("anomalies", why=why)
         return
     scored, known = masks[::2], np.logical_or.reduce(masks[1::2])
     marked = {"known objects": known} | {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
     rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
     write_text(draft.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
     cube = open_cube(sources.cube, quantity=quantity, axis="numbers", variable=sources.key, header=sources.header)  # type: ignore[arg-type]
-    mean = "".join(f"{value!r}\n" for value in cube.spectra(known).mean(axis=0).tolist())
-    write_text(draft.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}")
+    mean = "\n".join(map(repr, np.nan_to_num(cube.spectra(known).mean(axis=0)).tolist()))
+    write_text(draft.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
     usual = _templates()["objects"]
     collection["regions"].append({"name": "known objects", "file": "objects.csv"})
     collection |= usual["collection"]
@@ -508,25 +510,22 @@ def _by_number(sources: StarterSources, raster: Raster, draft: Draft, quantity: 
         usual["scene"]["targets"][0]["covariance"] = {"relative_sd": 0.05}
     model = {"scene": usual["scene"], "processing": usual["processing"]}
     draft.content["scenarios"] = [{"schema": 1, "name": draft.content["name"], **model}]
-    draft.guess("objects", scored=len(scored), count=len(masks), pixels=pixels)
+    draft.guess("objects", why=why, scored=len(scored), pixels=pixels)
     draft.guess("objects filled")
     draft.content["comparisons"] = usual_comparisons(draft.content)
 
 
-def _object_masks(sources: StarterSources, raster: Raster) -> list[Mask]:
-    """Touching groups of pixels that the map of objects marks, the largest first."""
-    own = "MATLAB" in raster.description.product  # in the file of the image itself
-    if sources.targets is None and not own:
-        return []
+def _object_masks(sources: StarterSources, raster: Raster) -> tuple[list[Mask], str]:
+    """The objects of the map, the largest first, and words on them."""
+    if sources.targets is None and "MATLAB" not in raster.description.product:  # none in the file of the image itself
+        return [], "no map of objects is there (--targets)"
     try:
         regions = read_regions(sources.targets or sources.cube, raster.size[:2])
-    except HypervalError:
+    except HypervalError as error:
         if sources.targets is not None:
             raise
-        return []
-    labels, count = objects(np.logical_or.reduce([region.mask for region in regions.values()]))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    return [labels == 1 + i for i in np.argsort(-sizes, kind="stable")]
+        return [], f"no map of objects is there (--targets): {error.what}"
+    return groups_by_size(np.logical_or.reduce([region.mask for region in regions.values()]))
 
 
 def stated_quantity(raster: Raster) -> str | None:

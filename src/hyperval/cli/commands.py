@@ -376,7 +376,7 @@ def init(
     asked = placeholders(*parse_yaml(text), str(path))
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
-    then = as_typed("validate", "--dry-run", path)
+    then = as_typed(*(("validate", "--dry-run") if asked or "\ncomparisons:" in text else ("observe",)), path)
     note(f"{path}: {f'{len(asked)} values to fill in, then' if asked else 'now'}: {then}")
     return 0
 

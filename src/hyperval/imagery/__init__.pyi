@@ -20,6 +20,7 @@ from .placing import (
 from .products import layouts, sun_of_observation
 from .regions import (
     Region,
+    groups_by_size,
     guard,
     half_region,
     holes,
@@ -53,6 +54,7 @@ __all__ = [
     "cut_out",
     "divided",
     "envi_writer",
+    "groups_by_size",
     "guard",
     "half_region",
     "holes",

@@ -1,4 +1,4 @@
-"""What a flight line's header says of its acquisition, in words: SpecTIR (AISA) entries among others.
+"""Where a header speaks against the campaign: level of processing, shift of the wavelengths, time of the flight.
 
 Such entries have no standard.  They change no number here; they go into the notes of the report.
 """
@@ -13,77 +13,46 @@ import numpy as np
 
 from hyperval.errors import package_table
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.storage import number_of
 
 _WORDS = "imagery/acquisition.yaml"
 _CO2_NM = 2010.0  # the carbon dioxide bands that a shift is fitted to lie at about 2000-2070 nm
 MINUTES_APART = 10.0  # the sun moves 2.5 degrees in ten minutes
 _LEVELS = r"^(processing|product) ?level$|^level$|^data ?(units?|type name)$|^z plot titles$"
-_NUMBER = re.compile(r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+_SHIFTS = r"(co2|wavelength|spectral).*shift|shift.*(co2|wavelength|spectral)"
+_TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
 
 
 def _said(sentence: str, text: str = "", **values: object) -> str:
     """A sentence, filled."""
-    return str(package_table(_WORDS)["sentences"][sentence]).format(text=_short(text), **values)
+    text = text if len(text) <= 80 else text[:77] + "..."
+    return "warning: header: " + str(package_table(_WORDS)[sentence]).format(text=text, **values)
 
 
-def _short(text: str) -> str:
-    return text if len(text) <= 80 else text[:77] + "..."
-
-
-def acquisition_notes(
-    entries: Mapping[str, str],
-    axis: SpectralAxis,
-    samples: int,
-    stored_bands: int,
-    lines: int | None = None,
-    quantity: str | None = None,
-) -> tuple[str, ...]:
-    """Sentences about the acquisition, one for each thing that the header tells; none when it tells nothing.
+def acquisition_notes(entries: Mapping[str, str], axis: SpectralAxis, quantity: str) -> tuple[str, ...]:
+    """Warnings of a level or a unit that is that of another quantity, and of a shift of the wavelengths.
 
     Parameters
     ----------
     entries : header entries in lower case, braces taken off (``Cube.extras``)
-    axis : the bands, for the size of a spectral shift
-    samples, stored_bands, lines : size of the image, against which detector windows, times and frame rate are held
-    quantity : what the campaign takes the cube for, against which the processing level is held
+    axis : the bands, for the size of a shift
+    quantity : what the campaign takes the cube for
     """
-    notes = []
-    for kind in package_table(_WORDS)["listed"]:
-        if "says" not in kind:
-            notes += _level(entries, quantity) + _spectral_shift(entries, axis)
-        elif listed := ", ".join(f"{k} {_short(t)}" for k, t in _matching(entries, kind["keys"]) if t):
-            notes.append("header: " + kind["says"].format(listed))
-    return (*notes, *_frames(entries, lines), *_windows(entries, samples, stored_bands))
-
-
-def _level(entries: Mapping[str, str], quantity: str | None) -> list[str]:
-    """Processing level and data units, and whether they are those of another quantity than the campaign's."""
-    listed = _matching(entries, _LEVELS)
-    notes = [f"header: {key} {_short(text)}" for key, text in listed if text]
-    for key, text in listed:
+    notes, near = [], int(np.argmin(np.abs(axis.centre_nm - _CO2_NM)))
+    for key, text in _matching(entries, _LEVELS) if quantity in ("radiance", "reflectance") else ():
         named = {q for q in ("radiance", "reflectance") if re.search(rf"(?<![a-z]){q}", text.lower())}
-        if quantity in ("radiance", "reflectance") and named and quantity not in named:
-            speaks = " and ".join(sorted(named))
-            notes.append(_said("other_level", key=key, text=text, named=speaks, quantity=quantity))
-    return notes
-
-
-def _frames(entries: Mapping[str, str], lines: int | None) -> list[str]:
-    """Frame rate against integration times, and against the times of start and stop."""
-    rate = next((v for _, t in _matching(entries, r"^fps$|^frame ?rate$") if (v := _first(t)) is not None), 0.0)
-    if rate <= 0:
-        return []
-    frame_ms = 1000.0 / rate
-    times = {key: _first(text) or 0.0 for key, text in _matching(entries, r"^tint[0-9]*$")}
-    late = {key: tint for key, tint in times.items() if tint > 1.01 * frame_ms}
-    notes = [_said("tint", key=key, tint=tint, rate=rate, frame_ms=frame_ms) for key, tint in late.items()]
-    ends = [t for end in ("start", "stop|end") for _, t in _matching(entries, rf"^gps ({end}) time$")[:1]]
-    clock = [seconds for text in ends if (seconds := _clock(text)) is not None]
-    if len(clock) == 2 and lines is not None:
-        seconds = (clock[1] - clock[0]) % 86400.0
-        if seconds > 0 and abs(lines / rate / seconds - 1.0) > 0.1:
-            notes.append(_said("lines", lines=lines, rate=rate, needed=lines / rate, seconds=seconds))
-    return notes
+        if named and quantity not in named:
+            notes.append(_said("level", text, key=key, named=" and ".join(sorted(named)), quantity=quantity))
+    for key, text in _matching(entries, _SHIFTS):
+        value, size = number_of(text.removesuffix("nm")), ""
+        if abs(axis.centre_nm[near] - _CO2_NM) < 100.0:
+            size = f", {abs(value) / axis.fwhm_nm[near]:.2f} of a band width at {axis.centre_nm[near]:.0f} nm"
+        if value:
+            sentence = "shift" if np.isfinite(value) else "no shift"
+            notes.append(
+                _said(sentence, text, key=key, kind="CO2" if "co2" in key else "wavelength", nm=value, size=size)
+            )
+    return tuple(notes)
 
 
 def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[str, ...]:
@@ -97,8 +66,7 @@ def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[s
     GPS time runs ahead of UTC by less than 20 s, which is left aside; a header in local time is found too.
     """
     utc, notes = when.astimezone(UTC), []
-    times = next(kind["keys"] for kind in package_table(_WORDS)["listed"] if "times" in kind.get("says", ""))
-    for key, text in _matching(entries, times):
+    for key, text in _matching(entries, _TIMES):
         day, seconds, told = _day(text), _clock(text), {"key": key, "name": name, "utc": utc}
         if day is not None and day != utc.date():
             notes.append(_said("day", text, **told))
@@ -130,42 +98,5 @@ def _day(text: str) -> date | None:
         return None
 
 
-def _spectral_shift(entries: Mapping[str, str], axis: SpectralAxis) -> list[str]:
-    near = int(np.argmin(np.abs(axis.centre_nm - _CO2_NM)))
-    notes = []
-    for key, text in _matching(entries, r"(co2|wavelength|spectral).*shift|shift.*(co2|wavelength|spectral)"):
-        value, size = _first(text), ""
-        if value and abs(axis.centre_nm[near] - _CO2_NM) < 100.0:
-            size = _said("size", widths=abs(value) / axis.fwhm_nm[near], nm=axis.centre_nm[near])
-        kind = "CO2 shift" if "co2" in key else "wavelength shift"
-        sentence = "no_shift" if value is None else "shift" if value else "zero_shift"
-        notes.append(_said(sentence, key=key, text=text, kind=kind, value=value, size=size))
-    return notes
-
-
-def _windows(entries: Mapping[str, str], samples: int, stored_bands: int) -> list[str]:
-    """Detector windows: himgN are samples, vimgN are bands, both counted from 1."""
-    notes = []
-    bands = [w for _, text in _matching(entries, r"^vimg[0-9]+$") if (w := _pair(text)) is not None]
-    if len(bands) > 1:
-        listed = " and ".join(f"{first}-{last}" for first, last in bands)
-        sentence = "detectors" if max(last for _, last in bands) == stored_bands else "other_detectors"
-        notes.append(_said(sentence, count=len(bands), listed=listed, stored=stored_bands))
-    across = {w for _, text in _matching(entries, r"^himg[0-9]*$") if (w := _pair(text)) is not None}
-    wide = [last - first + 1 for first, last in sorted(across)]
-    return notes + [_said("across", wide=count, samples=samples) for count in wide if count != samples]
-
-
 def _matching(entries: Mapping[str, str], pattern: str) -> list[tuple[str, str]]:
     return [(key, " ".join(text.split())) for key, text in entries.items() if re.search(pattern, key)]
-
-
-def _first(text: str) -> float | None:
-    match = _NUMBER.search(text)
-    value = float(match.group()) if match else None
-    return value if value is not None and np.isfinite(value) else None
-
-
-def _pair(text: str) -> tuple[int, int] | None:
-    match = re.fullmatch(r"\s*([0-9]{1,6})\s*,\s*([0-9]{1,6})\s*", text)
-    return (int(match.group(1)), int(match.group(2))) if match else None

@@ -53,6 +53,7 @@ MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "N
 _WAVE = re.compile(r"wave|wvl|lambda|band_?cent", re.IGNORECASE)
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
+_TRUTH = re.compile(r"map|truth|gt|mask|label", re.IGNORECASE)
 _NO_CENTRE = re.compile(f"{_WIDTH.pattern}|{_GOOD.pattern}", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
@@ -575,7 +576,7 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     if kind == "MATLAB 7.3":
         check_own_values(path)
         with Store(path, hdf5).kept_open() as file:
-            return {n: d.shape[::-1] for n, d in file.items() if isinstance(d, h5py.Dataset) and d.dtype.kind in "iuf"}
+            return {n: d.shape[::-1] for n, d in file.items() if isinstance(d, h5py.Dataset) and d.dtype.kind in "iufb"}
     if kind == "NumPy":
         return {path.stem: _matrix(path, path.stem, kind)[path.stem].shape}
     with _readable(path, kind):
@@ -600,6 +601,7 @@ def open_matrix(
     shapes = _shapes(path, kind)
     fits = [n for n, s in shapes.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
     fits = [n for n in fits if variable in (None, n)]
+    fits = [n for n in fits if _TRUTH.search(n)] if plane and sum(bool(_TRUTH.search(n)) for n in fits) == 1 else fits
     if not fits:
         listed = ", ".join(f"{name} {' x '.join(map(str, shape))}" for name, shape in shapes.items()) or "no numbers"
         wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -42,6 +42,8 @@ PLAUSIBLE = {
     "radiance": (200.0, "(what multiplies the stored values) or unit:"),
 }  # fmt: skip
 _CHECKED_LINES, _CHECKED_SAMPLES = 16, 64
+_FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
+_MOST_LISTED = 5
 # Header entries that have their own place in a cube.
 _TAKEN = (
     "wavelength", "wavelength units", "fwhm", "bbl", "map info", "coordinate system string",
@@ -268,23 +270,44 @@ class Cube:
         zero_is_fill = self.quantity != "other"
         return usable_pixels(stored, ignore=self.ignore_value, zero_is_fill=zero_is_fill, needed=needed)
 
-    def check_values(self) -> None:
-        """Raise InputError when the values are too large for the quantity: a scale that was not stated."""
-        if self.quantity not in PLAUSIBLE:
-            return
-        limit, how = PLAUSIBLE[self.quantity]
-        lines, cols = some_lines(self.lines, _CHECKED_LINES), some_lines(self.samples, _CHECKED_SAMPLES)
-        some = [self.spectra((np.full(cols.size, line), cols))[:, self.axis.good].ravel() for line in lines]
-        high = float(np.percentile(np.concatenate(some), 95)) if any(part.size for part in some) else 0.0
-        if high > limit:
-            of = {"quantity": self.quantity, "unit": "" if self.unit == "1" else f" {self.unit}"}
-            raise refusal("scale.implausible", self.raster.path, high=high, limit=limit, how=how, **of)
+
+def _checked(cube: Cube) -> Cube:
+    """The cube without the bands that hold no number in any pixel seen; those that hold the same one are bad.
+
+    Raises
+    ------
+    InputError : values that are too large for the quantity: a scale that was not stated.
+    """
+    lines, samples = some_lines(cube.lines, _CHECKED_LINES), some_lines(cube.samples, _CHECKED_SAMPLES)
+    values = cube.pixels((np.repeat(lines, samples.size), np.tile(samples, lines.size)))
+    values = values[np.nan_to_num(values).any(axis=1)]  # without fill
+    known = np.isfinite(values)
+    some = np.asarray(known.any(axis=0))
+    varies = np.where(known, values, -np.inf).max(axis=0, initial=-np.inf) > np.where(known, values, np.inf).min(
+        axis=0, initial=np.inf
+    )
+    if len(values) >= _FEWEST_CHECKED and varies.any() and np.any(cube.axis.good & ~varies):
+        axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & varies)
+        numbers = ", ".join(str(n + 1) for n in cube.stored_band[~varies][:_MOST_LISTED])
+        what = f"{np.sum(some & ~varies)} bands hold one number in all pixels seen, {np.sum(~some)} none"
+        notes = (*cube.notes, f"warning: {what} (the first: {numbers}): those are bad, these left out")
+        cube = replace(cube, axis=axis.select(some), stored_band=cube.stored_band[some], notes=notes)
+        values = values[:, some]
+    limit, how = PLAUSIBLE.get(cube.quantity, (np.inf, ""))
+    judged = values[:, cube.axis.good]
+    judged = judged[np.isfinite(judged).all(axis=1)]
+    high = float(np.percentile(judged, 95)) if judged.size else 0.0
+    if high > limit:
+        of = {"quantity": cube.quantity, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
+        raise refusal("scale.implausible", cube.raster.path, high=high, limit=limit, how=how, **of)
+    return cube
 
 
 _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
 _OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which nothing here reads
 _HIERARCHIES = {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
 _MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | MATRICES | _HIERARCHIES | _OTHERS
+_MATLAB_SUFFIX = ".mat"  # of HDF5 that a program other than MATLAB has written: without its mark, in its order
 _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
 
 
@@ -344,6 +367,8 @@ def kind_of(path: Path) -> str | None:
     with open(path, "rb") as stream:
         head = stream.read(16)
     kind = next((name for mark, name in _MARKS.items() if head.startswith(mark)), None)
+    if kind == _HDF5 and path.suffix.lower() == _MATLAB_SUFFIX:
+        return "MATLAB 7.3"
     return _TIFF if path.suffix.lower() in TIFF_SUFFIXES else kind
 
 
@@ -400,7 +425,7 @@ def open_cube(
     header : the ENVI header, when it does not lie beside the data
     axis : the bands, for a file that lists no wavelengths; "numbers" counts them
     sort_bands : sort bands whose wavelengths do not increase; ``stored_band`` records the permutation
-    check_values : look at some lines for a scale that was not stated
+    check_values : look at some pixels for a scale that was not stated, and for bands that tell nothing
     variable, engine : array that is the image, where a file of arrays leaves a choice, and the engine of xarray
 
     Raises
@@ -441,6 +466,4 @@ def open_cube(
         extras={key: text for key, text in about.entries.items() if key not in _TAKEN},
         notes=notes,
     )
-    if check_values:
-        cube.check_values()
-    return cube
+    return _checked(cube) if check_values and quantity != "other" else cube

@@ -178,6 +178,21 @@ def objects(mask: Mask) -> tuple[npt.NDArray[np.int32], int]:
     return labels.astype(np.int32), int(count)
 
 
+def groups_by_size(mask: Mask) -> tuple[list[Mask], str]:
+    """The masks of the groups of touching pixels of a mask, the largest first, and what they are in words.
+
+    A single group of several pixels is cut into its halves; none where the mask holds more than half of the image.
+    """
+    if mask.mean() > 0.5:
+        return [], f"the map marks {mask.mean():.0%} of the image: no objects before a background"
+    labels, count = objects(mask)
+    if count == 1 and mask.sum() > 1:
+        one = Region("object", mask, "map")
+        return [half_region("half", one, first=first).mask for first in (True, False)], "2 halves of one group"
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    return [labels == 1 + i for i in np.argsort(-sizes, kind="stable")], f"{count} touching groups"
+
+
 def patches(mask: Mask, name: str, *, whole: bool = False) -> Iterator[tuple[str, tuple[slice, slice], Mask]]:
     """Name, window and mask within it of each group of touching pixels (8 neighbours), of all where ``whole``.
 

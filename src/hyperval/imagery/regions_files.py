@@ -22,7 +22,7 @@ import numpy.typing as npt
 from hyperval.envi_header import header_beside
 from hyperval.errors import refusal, refuse
 from hyperval.imagery.arrays import MATRICES
-from hyperval.imagery.cube import raster_of_size
+from hyperval.imagery.cube import kind_of, raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
 from hyperval.imagery.drawing import ImageGrid, Placing, RegionDrawing, named_crs
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
@@ -445,7 +445,7 @@ def drawings_of(path: Path, grid: ImageGrid) -> Drawings:
         return vector_drawings(path, grid)
     if stripped.startswith(b"{"):
         return geojson_drawings(path, grid)
-    if ending == ".hdr" or head.startswith(tuple(MATRICES)) or header_beside(path) is not None:
+    if ending == ".hdr" or kind_of(path) in MATRICES.values() or header_beside(path) is not None:
         return raster_drawings(path, shape, grid.name_field)
     if ending in (".csv", ".txt"):
         return csv_drawings(path, shape)

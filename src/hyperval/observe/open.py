@@ -226,8 +226,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
         around = imagery.guard(left_out, collection.leave_out_guard_pixels) & ~left_out
         remarks = [*remarks, f"{int((around & ~near).sum())} pixels around what is left out do not count either"]
         near = near | around
-    sides = cube.samples, cube.raster.bands
-    told = imagery.acquisition_notes(cube.extras, cube.axis, *sides, lines=cube.lines, quantity=cube.quantity)
+    told = imagery.acquisition_notes(cube.extras, cube.axis, cube.quantity)
     notes = (*cube.notes, *notes, *told)
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
