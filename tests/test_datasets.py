@@ -288,17 +288,6 @@ def test_eight_processes_that_fetch_the_same_files_all_get_them(server, places, 
     assert gzip.decompress((places[1] / "toy/b.chn.gz").read_bytes()) == b"packed" * 100
 
 
-def test_a_server_that_sends_next_to_nothing_is_given_up(server, places, monkeypatch):
-    clock = iter(range(0, 10_000, 45))
-    monkeypatch.setattr(datasets, "ATTEMPTS", 3)
-    monkeypatch.setattr(datasets, "monotonic", lambda: float(next(clock)))
-    monkeypatch.setattr(datasets, "CHUNK_BYTES", 1)  # one byte in 45 seconds
-    with pytest.raises(InputError, match="cannot be downloaded: the server sends 0 bytes a second"):
-        datasets.fetch("toy")
-    assert server.asked == ["/a.txt"]
-    assert files_below(places[1]) == []
-
-
 # A local copy that is another file.
 
 

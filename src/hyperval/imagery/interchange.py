@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from spectral.io.spyfile import SpyFile
 
-_SPY_METADATA = ("map info", "coordinate system string", "data ignore value", "default bands")
-
 
 def cube_to_spy(cube: Any) -> SpyFile | spectral.image.ImageArray:
     """A ``Cube`` as an image of SPy: memory-mapped where it is an ENVI file of one scale, else loaded as float32.
@@ -32,18 +30,13 @@ def cube_to_spy(cube: Any) -> SpyFile | spectral.image.ImageArray:
     SPy divides stored values by ``scale_factor``, which is 1/gain here; of ignore values it knows nothing, so that
     they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
     """
-    from spectral.io import bilfile, bipfile, bsqfile
+    from spectral.io import envi
 
     gain, raster = cube.gain, cube.raster
     bands = _band_info(cube.axis)
     whole = np.array_equal(cube.stored_band, np.arange(raster.bands))
     if isinstance(raster, EnviRaster) and whole and np.all(gain == gain[0]) and not np.any(cube.offset):
-        header = raster.header
-        metadata = {key: header.entries[key] for key in _SPY_METADATA if key in header.entries}
-        shape = raster.lines, raster.samples, raster.bands
-        params = _params(shape, str(raster.path), header.dtype, header.header_offset, header.byte_order)
-        files = {"bil": bilfile.BilFile, "bip": bipfile.BipFile, "bsq": bsqfile.BsqFile}
-        image = files[header.interleave](params, metadata)
+        image = envi.open(str(raster.header.path), str(raster.path))
         image.scale_factor = 1.0 / float(gain[0])
         image.bands = bands
         return image
@@ -73,15 +66,13 @@ def _lazy_cube(cube: Any) -> Any:
 
         def _read(self, key: tuple[Any, ...]) -> npt.NDArray[Any]:
             lines = np.arange(self.cube.lines)[key[0]]
-            wanted = np.atleast_1d(lines)
-            if not wanted.size:
-                values = np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
-            elif np.ptp(wanted) + 1 <= 4 * wanted.size:
-                first = int(wanted.min())
-                values = self.cube.read(first, int(np.ptp(wanted)) + 1).values[wanted - first][:, key[1], key[2]]
-            else:
-                values = np.concatenate([self.cube.read(int(n), 1).values[:, key[1], key[2]] for n in wanted])
-            return values if np.ndim(lines) else values[0]
+            if not np.size(lines):
+                return np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
+            if np.ptp(lines) >= 4 * np.size(lines):  # far apart: what lies between is not read
+                return np.concatenate([self.cube.read(int(n), 1).values for n in lines])[:, key[1], key[2]]
+            first = int(np.min(lines))
+            values = self.cube.read(first, int(np.ptp(lines)) + 1).values
+            return np.asarray(values[lines - first][..., key[1], key[2]])
 
     return LazyCube(cube)
 
@@ -177,20 +168,12 @@ def _band_info(axis: SpectralAxis) -> spectral.BandInfo:
     return bands
 
 
-def _params(
-    shape: tuple[int, int, int], filename: str, dtype: np.dtype, offset: int = 0, byte_order: int | None = None
-) -> SimpleNamespace:
-    """What SPy knows of an image (lines, samples, bands); its byte order is the machine's where none is given."""
-    lines, samples, bands = shape
-    return SimpleNamespace(
-        nbands=bands, nrows=lines, ncols=samples, offset=offset, dtype=dtype.str, filename=filename,
-        byte_order=int(sys.byteorder == "big") if byte_order is None else byte_order,
-    )  # fmt: skip
-
-
 def _image_array(values: npt.NDArray[Any], bands: spectral.BandInfo, filename: str) -> spectral.image.ImageArray:
     import spectral
 
-    params = _params(values.shape, filename, values.dtype)
+    params = SimpleNamespace(
+        nbands=values.shape[2], nrows=values.shape[0], ncols=values.shape[1], offset=0, dtype=values.dtype.str,
+        filename=filename, byte_order=int(sys.byteorder == "big"),
+    )  # fmt: skip
     source = SimpleNamespace(params=lambda: params, metadata={}, bands=bands, filename=filename)
     return spectral.image.ImageArray(values, source)
