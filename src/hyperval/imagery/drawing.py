@@ -13,24 +13,52 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError, NotGeoreferencedWarning
 from rasterio.features import rasterize
 from rasterio.warp import transform as reproject
+from shapely.geometry import shape as shape_of
+from shapely.geometry.base import BaseGeometry
 
 from hyperval.errors import HypervalError, refusal, refuse
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Placing = Callable[[Array, str, bool], Array]
+Placing = Callable[[BaseGeometry, str], BaseGeometry]
 MAX_VERTICES = 1_000_000
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
 WARNING = "warning: "
 _CHECK = "check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube"
-Rings = list[Array]  # the exterior of a polygon, then its holes, each (n, 2) vertices (sample, line)
+_POINTS, _AREAS = ("Point", "MultiPoint"), ("Polygon", "MultiPolygon")
 _SMALL = 0.01  # a part outside that is said without a warning
+
+
+def geometry_of(stated: Any, where: str) -> BaseGeometry:
+    """A polygon or points, of an object of GeoJSON or of WKB; heights are left aside.
+
+    Raises
+    ------
+    InputError : another kind of geometry, one that is empty, or coordinates that are none.
+    """
+    refuse(not isinstance(stated, dict | bytes), "region.no_geometry", where)
+    known, kind = (*_POINTS, *_AREAS), stated.get("type") if isinstance(stated, dict) else "of WKB"
+    try:
+        if kind in (*known, "of WKB"):
+            made = shape_of(stated) if isinstance(stated, dict) else shapely.from_wkb(stated, on_invalid="fix")
+            kind = made.geom_type
+    except Exception as error:  # whatever damage makes of it
+        what = f"geometry {kind!r} cannot be interpreted ({str(error)[:60]})"
+        raise refusal("region.geometry", where, what=what) from error
+    refuse(kind not in known, "region.geometry", where, what=f"geometry {kind!r} has no area")
+    xy = shapely.get_coordinates(made)
+    refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
+    refuse(len(xy) > MAX_VERTICES, "region.vertices", where, count=f"more than {MAX_VERTICES}")
+    lacks = "place" if not len(xy) else "area" if kind in _AREAS and made.convex_hull.area == 0.0 else ""
+    refuse(lacks, "region.geometry", where, what=f"geometry {kind!r} has no {lacks}")
+    return shapely.force_2d(made)
 
 
 def polygon_mask(
@@ -55,28 +83,26 @@ def polygon_mask(
     ------
     InputError : fewer than three vertices, not finite, or a vertex outside the image.
     """
-    drawing = RegionDrawing(shape)
-    drawing.add_polygon([exterior, *holes], where)
-    for ring in drawing.polygons[0]:
-        if not inside_image(ring, shape):
-            raise outside_error(ring, shape, where)
-    return _burned(drawing.polygons, shape, touched=touched)
+    rings = [np.asarray(ring, float).tolist() for ring in (exterior, *holes)]
+    polygon = geometry_of({"type": "Polygon", "coordinates": rings}, where)
+    if not inside_image(vertices := shapely.get_coordinates(polygon), shape):
+        raise outside_error(vertices, shape, where)
+    return _burned([polygon], shape, touched=touched)
 
 
-def _burned(polygons: Sequence[Rings], shape: tuple[int, int], *, touched: bool = False) -> Mask:
+def _burned(polygons: Sequence[BaseGeometry], shape: tuple[int, int], *, touched: bool = False) -> Mask:
     """(lines, samples) mask of polygons."""
     if not polygons:
         return np.zeros(shape, bool)
-    drawn = [{"type": "Polygon", "coordinates": [ring.tolist() for ring in rings]} for rings in polygons]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        mask = rasterize(drawn, out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
+        mask = rasterize(polygons, out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
     return np.asarray(mask.astype(bool))
 
 
 def point_mask(points: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
     """(lines, samples) mask of the pixels that hold points (sample, line) in continuous coordinates."""
-    xy = _points(points, where)
+    xy = np.asarray(points, float).reshape(-1, 2)
     if not inside_image(xy, shape):
         raise outside_error(xy, shape, where)
     col, row = np.clip(np.floor(xy).astype(int), 0, np.array(shape[::-1]) - 1).T
@@ -88,25 +114,25 @@ def point_mask(points: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> 
 class MapGrid(Protocol):
     """A position that is not an affine transform, such as a geographic lookup table."""
 
-    def to_pixel(self, points: Array, *, where: str, ring: bool = False) -> Array:
+    def to_pixel(self, points: Array, *, where: str) -> Array:
         """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y)."""
+        ...
+
+    def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
+        """A geometry on the map with vertices along its sides, which are bent in the image."""
         ...
 
 
 Position = Affine | MapGrid | None
 
 
-def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str, ring: bool = False) -> Array:
-    """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y).
-
-    ``ring``: the points are the vertices of a polygon, whose straight sides may be bent in the image: more
-    vertices may come back.
-    """
+def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str) -> Array:
+    """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y)."""
     if transform is None:
         raise refusal("region.no_position", where)
     xy = np.asarray(points, dtype=float).reshape(-1, 2)
     if not isinstance(transform, Affine):
-        return transform.to_pixel(xy, where=where, ring=ring)
+        return transform.to_pixel(xy, where=where)
     return np.column_stack(~transform @ xy.T)
 
 
@@ -145,7 +171,7 @@ class ImageGrid:
     name_field: str | None = None
 
     def placing(self, stated: CRS | None, where: str) -> Placing:
-        """A function from the coordinates (n, 2) of a file in a stated system to continuous pixel coordinates.
+        """A function from a geometry of a file in a stated system to continuous pixel coordinates.
 
         Raises
         ------
@@ -157,12 +183,15 @@ class ImageGrid:
         if means == "lonlat" and stated is not None and not stated.is_geographic:
             raise refusal("region.other_system", where, stated=stated, told="not in longitude and latitude")
 
-        def place(points: Array, where: str, ring: bool) -> Array:
+        def place(geometry: BaseGeometry, where: str) -> BaseGeometry:
             if means == "pixel":
-                return points
+                return geometry
             if means != "map":
-                points = _reprojected(points, stated or CRS.from_epsg(4326), crs, where)
-            return map_to_pixel(points, self.transform, where=where, ring=ring)
+                system = stated or CRS.from_epsg(4326)
+                geometry = shapely.transform(geometry, lambda xy: _reprojected(xy, system, crs, where))
+            if self.transform is not None and not isinstance(self.transform, Affine):
+                geometry = self.transform.divided(geometry, where)
+            return shapely.transform(geometry, lambda xy: map_to_pixel(xy, self.transform, where=where))
 
         return place
 
@@ -173,25 +202,6 @@ def named_crs(name: str, where: str) -> CRS:
         return CRS.from_user_input(name)
     except (CRSError, ValueError):
         raise refusal("region.system", where, name=name) from None
-
-
-def _points(points: Any, where: str) -> Array:
-    """(n, 2) coordinates of a list of positions, of which the height is left aside."""
-    try:
-        xy = np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
-    except (TypeError, ValueError, IndexError, OverflowError):
-        raise refusal("region.no_pairs", where) from None
-    refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
-    return xy
-
-
-def _ring(ring: npt.ArrayLike, where: str) -> Array:
-    """(n, 2) vertices of a ring, the last as the first."""
-    refuse(np.shape(ring)[:1] > (MAX_VERTICES,), "region.vertices", where, count=f"more than {MAX_VERTICES}")
-    xy = _points(ring, where)
-    different = len(np.unique(xy, axis=0))
-    refuse(different < 3, "region.vertices", where, count=f"{different} different")
-    return xy if np.array_equal(xy[0], xy[-1]) else np.vstack([xy, xy[:1]])
 
 
 def inside_image(xy: Array, shape: tuple[int, int]) -> bool:
@@ -214,49 +224,27 @@ class RegionDrawing:
     ----------
     shape : (lines, samples) of the image
     marked : mask of pixels that are named by their numbers, None without
-    polygons : with their holes, in pixel coordinates
-    points : (n, 2) single points
+    polygons, points : in pixel coordinates
     stated_pixels : number of pixels as the file states it, None when it does not
     """
 
     shape: tuple[int, int]
     marked: Mask | None = None
-    polygons: list[Rings] = field(default_factory=list)
-    points: list[Array] = field(default_factory=list)
+    polygons: list[BaseGeometry] = field(default_factory=list)
+    points: list[BaseGeometry] = field(default_factory=list)
     stated_pixels: int | None = None
 
-    def add(self, geometry: dict[str, Any], place: Placing, where: str) -> None:
-        """Add a polygon or points as GeoJSON has them, their coordinates placed on the image.
+    def add(self, geometry: BaseGeometry, where: str) -> None:
+        """Add a polygon or points in pixel coordinates; of what leaves the image only the numbers are looked at.
 
         Raises
         ------
-        InputError : another kind of geometry, or coordinates that are none.
+        InputError : coordinates that are none.
         """
-        kind, parts = geometry.get("type"), geometry.get("coordinates")
-        if kind in ("Point", "MultiPoint"):
-            found = _points([parts] if kind == "Point" else parts, where)
-            self.points.append(_points(place(found, where, False), where))
-            return
-        if kind not in ("Polygon", "MultiPolygon"):
-            raise refusal("region.geometry", where, kind=kind)
-        polygons = [parts] if kind == "Polygon" else parts
-        for rings in polygons if isinstance(polygons, list | tuple) and polygons else [None]:
-            if not isinstance(rings, list | tuple) or not rings:
-                raise refusal("region.no_vertices", where)
-            self.add_polygon([place(_points(ring, where), where, True) for ring in rings], where)
-
-    def add_polygon(self, rings: Sequence[npt.ArrayLike], where: str) -> None:
-        """Add a polygon in pixel coordinates; of what leaves the image only the numbers are looked at.
-
-        Raises
-        ------
-        InputError : fewer than three different vertices, or coordinates that are none.
-        """
-        polygon = [_ring(r, where) for r in rings]
-        for ring in polygon:
-            if np.abs(ring).max() > FARTHEST:
-                raise outside_error(ring, self.shape, where)
-        self.polygons.append(polygon)
+        xy = shapely.get_coordinates(geometry)
+        if not np.abs(xy).max() <= FARTHEST:
+            raise outside_error(xy, self.shape, where)
+        (self.points if geometry.geom_type in _POINTS else self.polygons).append(geometry)
 
     def add_pixels(self, rows: npt.ArrayLike, cols: npt.ArrayLike, where: str) -> None:
         """Add pixels named by 0-based whole numbers, which must be in the image."""
@@ -277,14 +265,14 @@ class RegionDrawing:
         ------
         InputError : nothing of it lies in the image.
         """
-        points = np.concatenate([np.empty((0, 2)), *self.points])
+        points = shapely.get_coordinates(self.points)
         inside = np.array([inside_image(p, self.shape) for p in points], dtype=bool)
         mask = _burned(self.polygons, self.shape) | point_mask(points[inside], self.shape, where=where)
         if self.marked is not None:
             mask |= self.marked
-        left = [rings[0] for rings in self.polygons if not all(inside_image(r, self.shape) for r in rings)]
+        left = [p for p in self.polygons if not inside_image(shapely.get_coordinates(p), self.shape)]
         if (left or not inside.all()) and not mask.any():
-            raise outside_error(np.vstack([*left, points]), self.shape, where)
+            raise outside_error(np.vstack([shapely.get_coordinates(left), points]), self.shape, where)
         notes, pixels = [], int(mask.sum())
         part = _share_outside(self.polygons, self.shape) if left else 0.0  # to the millionth of a pixel of the border
         if part > 0.0:
@@ -299,14 +287,12 @@ class RegionDrawing:
         return mask | _burned(self.polygons, self.shape, touched=True) if touched else mask, tuple(notes)
 
 
-def _share_outside(polygons: Sequence[Rings], shape: tuple[int, int]) -> float:
+def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> float:
     """Part of the area of polygons that an image (lines, samples) does not hold.
 
     Each is its exterior less its holes; where sides cross, the parts that are enclosed an odd number of times.
     """
-    import shapely
-
-    drawn = [shapely.make_valid(shapely.Polygon(rings[0], rings[1:])) for rings in polygons]
+    drawn = shapely.make_valid(polygons)
     inside = shapely.intersection(drawn, shapely.box(0, 0, shape[1], shape[0]))
     area = float(np.sum(shapely.area(drawn)))
     return 1.0 - float(np.sum(shapely.area(inside))) / area if area > 0.0 else 0.0

@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy
+import shapely
 from affine import Affine
 from rasterio.crs import CRS
+from shapely.geometry.base import BaseGeometry
 
 from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
@@ -65,7 +67,7 @@ class LookupTable:
     shape: tuple[int, int]
     swapped: bool = False
 
-    def to_pixel(self, points: Array, *, where: str, ring: bool = False) -> Array:
+    def to_pixel(self, points: Array, *, where: str) -> Array:
         """(n, 2) continuous raw coordinates (sample, line) of map coordinates (x, y).
 
         A plane is fitted to the raw pixels of the 7 x 7 cells around each point; cells filled from their neighbours
@@ -76,8 +78,6 @@ class LookupTable:
         InputError : a point with no raw pixel near it.
         """
         xy = np.asarray(points, dtype=float).reshape(-1, 2)
-        if ring:
-            xy = self._divided(xy, where)
         refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
         return np.array([self._place(place, where) for place in xy]).reshape(-1, 2)
 
@@ -96,9 +96,10 @@ class LookupTable:
                 fit = self._raw_at(np.array([col + 0.5, line + 0.5]))
                 yield cell / fit[1] if fit is not None and fit[1] > 0 and cell is not None else None
 
-    def _divided(self, ring: Array, where: str) -> Array:
-        column, row = divided(np.column_stack(~self.transform @ (ring[:, 0], ring[:, 1])), where).T
-        return np.column_stack(self.transform @ (column, row))
+    def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
+        """A geometry on the map with vertices at most 4 cells of the table apart on every side."""
+        cells = shapely.transform(geometry, lambda xy: np.column_stack(~self.transform @ xy.T))
+        return shapely.transform(_divided(cells, 1.0, where), lambda xy: np.column_stack(self.transform @ xy.T))
 
     def _place(self, xy: Array, where: str) -> Array:
         fit = self._raw_at(np.array(~self.transform @ (float(xy[0]), float(xy[1]))))
@@ -171,14 +172,10 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loo
     return opened
 
 
-def divided(ring: Array, where: str) -> Array:
-    """A ring (n, 2) in cells of the table with vertices at most 4 cells apart on every side."""
-    import shapely
-
-    closed = np.vstack([ring, ring[:1]])
-    length = np.hypot(*np.diff(closed, axis=0).T).sum()
-    refuse(not length / _SIDE_CELLS <= MAX_VERTICES, "place.large", where)
-    return np.asarray(shapely.get_coordinates(shapely.segmentize(shapely.LineString(closed), _SIDE_CELLS)))
+def _divided(geometry: BaseGeometry, cell: float, where: str) -> BaseGeometry:
+    """A geometry with vertices at most 4 cells of a size apart."""
+    refuse(not geometry.length / (_SIDE_CELLS * cell) <= MAX_VERTICES, "place.large", where)
+    return shapely.segmentize(geometry, _SIDE_CELLS * cell)
 
 
 def _plane(x: Array, y: Array, used: Mask, corner: tuple[float, float]) -> tuple[Array, Array] | None:
@@ -210,8 +207,9 @@ class LocationTable(LookupTable):
             fit = self._fit(int(line), int(sample))
             yield None if fit is None else abs(np.linalg.det(fit[1])) * math.prod(self._metres(fit[0][1]))
 
-    def _divided(self, ring: Array, where: str) -> Array:
-        return divided(ring / self._pixel, where) * self._pixel
+    def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
+        """A geometry on the map with vertices at most 4 pixels apart on every side."""
+        return _divided(geometry, self._pixel, where)
 
     def _metres(self, latitude: float) -> tuple[float, float]:
         """Metres of a unit of x and of y."""

@@ -18,20 +18,22 @@ from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
+from shapely import get_coordinates
+from shapely.geometry.base import BaseGeometry
 
 from hyperval.envi_header import header_beside
 from hyperval.errors import refusal, refuse
 from hyperval.imagery.arrays import MATRICES
 from hyperval.imagery.cube import kind_of, raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
-from hyperval.imagery.drawing import ImageGrid, Placing, RegionDrawing, named_crs
+from hyperval.imagery.drawing import ImageGrid, Placing, RegionDrawing, geometry_of, named_crs
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 from hyperval.storage import number_of
 
 Array = npt.NDArray[np.float64]
 Drawings = dict[str, RegionDrawing]
-Feature = tuple[Any, Mapping[str, Any], str]  # geometry as GeoJSON has it, attributes, name where none of them gives it
+Feature = tuple[Any, Mapping[str, Any], str]  # geometry of GeoJSON or WKB, attributes, name where none of them gives it
 MAX_XML_BYTES = 8 << 20
 MAX_BINARY_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
@@ -70,7 +72,7 @@ def xml_drawings(path: Path, grid: ImageGrid) -> Drawings:
             place = replace(grid, coordinates="pixel" if source is None else None).placing(source, where)
             for child in definition:
                 for geometry in _xml_geometries(child, where):
-                    drawing.add(geometry, place, where)
+                    drawing.add(place(geometry_of(geometry, where), where), where)
     return drawings
 
 
@@ -82,7 +84,7 @@ def _xml_geometries(element: ElementTree.Element, where: str) -> Iterator[dict[s
         for polygon in element.iter("Polygon"):
             outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
             refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
-            yield {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
+            yield {"type": "Polygon", "coordinates": [_xml_pairs(ring, where).tolist() for ring in (*outer, *inner)]}
     elif element.tag != "CoordSysStr":
         yield {"type": element.tag}
 
@@ -190,7 +192,8 @@ def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
             drawing.stated_pixels = table[3]
         for _ in range(table[42]):
             vertices = words(2)[0]
-            drawing.add_polygon([np.column_stack([words(vertices, "f"), words(vertices, "f")])], where)
+            ring = list(zip(words(vertices, "f"), words(vertices, "f"), strict=True))
+            drawing.add(geometry_of({"type": "Polygon", "coordinates": [ring]}, where), where)
     return drawings
 
 
@@ -273,10 +276,10 @@ def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
         raise refusal("geojson.no_position", path)
     placed = grid.placing(stated, str(path))
 
-    def place(xy: Array, where: str, ring: bool) -> Array:
-        if assumed and np.any(np.abs(xy) > (180.0, 90.0)):
+    def place(geometry: BaseGeometry, where: str) -> BaseGeometry:
+        if assumed and (xy := get_coordinates(geometry))[np.any(np.abs(xy) > (180.0, 90.0), axis=1)].size:
             raise refusal("geojson.degrees", where, x=xy[0, 0], y=xy[0, 1])
-        return placed(xy, where, ring)
+        return placed(geometry, where)
 
     features = []
     for number, feature in enumerate(items, start=1):
@@ -310,14 +313,13 @@ def _united(drawings: Drawings, features: Iterable[Feature], place: Placing, gri
     columns = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
     for number, (geometry, known, fallback) in enumerate(features, start=1):
         at = f"{where}feature {number}"
-        if not isinstance(geometry, dict):
-            raise refusal("region.no_geometry", at)
         lower = {str(key).lower(): value for key, value in known.items()}
         if grid.name_field is not None and columns[0] not in lower:
             raise refusal("region.property", at, name=grid.name_field, known=", ".join(known) or "none")
         named = next((lower[c] for c in columns if lower.get(c) is not None), None)
         name = ("" if named is None or named != named else str(named).strip()) or fallback
-        drawings.setdefault(name, RegionDrawing(grid.shape)).add(geometry, place, f"{at} ({name})")
+        at = f"{at} ({name})"
+        drawings.setdefault(name, RegionDrawing(grid.shape)).add(place(geometry_of(geometry, at), at), at)
     return drawings
 
 
@@ -392,7 +394,7 @@ def _layer_drawings(
     for i, wkb in enumerate(shapes):
         known = {name: values[i] for name, values in fields.items()}
         own_name = layer if len(shapes) == 1 else f"{layer}-{i + 1}"
-        features.append((_wkb_geometry(wkb, f"{where}, feature {i + 1}"), known, own_name))
+        features.append((wkb, known, own_name))
     _united(drawings, features, grid.placing(own, where), grid, f"{where}, ")
 
 
@@ -406,22 +408,6 @@ def _check_files(path: Path) -> None:
             refuse(end not in parts, "vector.part", path, end=end)
         files += [checked_file(parts[end], what="region file") for end in _SIDECARS if end in parts]
     refuse(sum(f.stat().st_size for f in files) > MAX_BYTES, "vector.large", path, mib=MAX_BYTES >> 20)
-
-
-def _wkb_geometry(wkb: bytes | None, where: str) -> dict[str, Any]:
-    """A geometry as GeoJSON has it."""
-    if wkb is None:
-        raise refusal("region.no_geometry", where)
-    import shapely
-
-    try:
-        geometry = shapely.from_wkb(bytes(wkb), on_invalid="fix")  # a ring that is not closed is
-    except shapely.errors.ShapelyError:
-        geometry = None
-    if geometry is None:
-        raise refusal("vector.geometry", where)
-    refuse(geometry.is_empty, "vector.empty", where)
-    return dict(shapely.geometry.mapping(geometry))
 
 
 def drawings_of(path: Path, grid: ImageGrid) -> Drawings:
