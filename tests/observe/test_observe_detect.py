@@ -281,9 +281,11 @@ def test_two_spectra_of_one_material(world):
     assert subjects == {f"{t} {f}" for t in ("paint", "second") for f in FILLS}
 
 
-def test_a_band_without_variance_is_named(world):
+def test_a_band_without_variance_is_left_out_or_named(world):
     world.values[:, :, 7] = 0.25
     world.write()
+    assert any("1 bands hold one number in all pixels seen, 0 none (the first: 8)" in n for n in world.place().notes)
+    world.detection["bands"] = "all"
     with pytest.raises(UsageError, match=r"1 of 8 bands have no variance \(first: band 8\)"):
         world.observe()
 
