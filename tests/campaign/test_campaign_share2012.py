@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 import yaml
 from scanned_line import UTM18, ScannedLine, write_table
 
 from felt_stand_in import LINES, MARK, Departures, stand_in
 from hyperval import cli
 from hyperval.campaign import dry_run, jobs_of, overview, run_campaign
-from hyperval.imagery import divided, open_cube
+from hyperval.imagery import open_cube
 from hyperval.model import Z95
 from hyperval.results import Cause, Outcome, Role
 from hyperval.run import Run
@@ -218,7 +219,8 @@ def as_xml(geojson: Path, line: ScannedLine) -> str:
         for rings in polygons:
             out.append("<Polygon>")
             for kind, ring in zip(["Exterior"] + ["Interior"] * len(rings), rings, strict=False):
-                points = " ".join(f"{x:.3f} {y:.3f}" for x, y in line.on_map(*divided(np.array(ring), "").T))
+                raw = shapely.get_coordinates(shapely.segmentize(shapely.LinearRing(ring), 4.0))
+                points = " ".join(f"{x:.3f} {y:.3f}" for x, y in line.on_map(*raw.T))
                 out.append(f"<{kind}><LinearRing><Coordinates>{points}</Coordinates></LinearRing></{kind}>")
             out.append("</Polygon>")
         out.append("</GeometryDef></Region>")
