@@ -20,7 +20,7 @@ RAYLEIGH_FROM_SPACE = {
     "model": "us-standard-1962", "aerosol": "none", "sensor_altitude_km": 705.0, "solar_zenith_deg": 40.0,
     "solar_azimuth_deg": 0.0, "earth_sun_distance_au": 1.0,
 }  # fmt: skip
-SUN = sixs.SunAndView(40.0, 0.0, 0.0)
+SUN = sixs.Setting(40.0, 0.0, 0.0, 0.0, None)
 MU0 = np.cos(np.deg2rad(40.0))
 
 
@@ -43,9 +43,7 @@ def solver_reflectance(st, nm, rho, folder, depth=None):
     """The solver's own answer, aerosol, gas and ground together, with its own copy of the standard atmosphere."""
     depth, share = st.aerosol_optical_depth if depth is None else depth, st.aerosol_fraction_below
     aerosol = sixs.Aerosol(sixs._aerosol_card(st.aerosol), depth, depth * share) if depth else None
-    geometry = sixs.SunAndView(st.sun[0], st.view_zenith_deg, (st.sun[1] - st.view_azimuth_deg) % 360.0)
-    height = None if st.in_space else st.sensor_altitude_km - st.ground_altitude_km
-    deck = sixs.deck(geometry, "2\n", st.ground_altitude_km, height, f"-1\n{nm / 1e3:.4f}", aerosol, rho)
+    deck = sixs.deck(sixs.setting_of(st), "2\n", f"-1\n{nm / 1e3:.4f}", aerosol, rho)
     return sixs.parse_monochromatic(run_sixs(deck, folder))["reflectance"]
 
 
@@ -110,7 +108,7 @@ def test_limits_hold_at_every_wavelength(terms_of, base):
 def test_molecular_atmosphere_has_its_published_optical_depth(engine_cache, terms_of):
     # Bodhaine et al., J. Atmos. Oceanic Technol. 16 (1999), table 3: 0.09718 at 550 nm, 1013.25 hPa, 45 N.
     st = state(RAYLEIGH_FROM_SPACE)
-    seen = sixs.parse_monochromatic(run_sixs(sixs.deck(SUN, "6\n", 0.0, None, "-1\n0.5500"), engine_cache))
+    seen = sixs.parse_monochromatic(run_sixs(sixs.deck(SUN, "6\n", "-1\n0.5500"), engine_cache))
     assert seen["depth_rayleigh"] == pytest.approx(0.0972, rel=0.02)
     # The closed form for molecules, beside what the solver integrates.
     assert seen["spherical_albedo"] == pytest.approx(
@@ -204,7 +202,7 @@ def test_extinction_of_every_type_is_what_the_solver_prints(engine_cache):
     for aerosol in ("rural", "continental", "maritime", "urban", "desert", mix):
         haze = sixs.Aerosol(sixs._aerosol_card(aerosol), 1.0, 1.0)
         for nm in (412.5, 860.0, 2250.0, 2600.0):
-            run = sixs.deck(sixs.SunAndView(0.0, 0.0, 0.0), "0\n", 0.0, None, f"-1\n{nm / 1e3:.4f}", haze)
+            run = sixs.deck(sixs.Setting(0.0, 0.0, 0.0, 0.0, None), "0\n", f"-1\n{nm / 1e3:.4f}", haze)
             printed = sixs.parse_monochromatic(run_sixs(run, engine_cache))["depth_aerosol"]
             assert air.aerosol_extinction(aerosol)[NODES_NM.tolist().index(nm)] == pytest.approx(printed, rel=4e-4)
 
@@ -231,7 +229,7 @@ def test_ground_is_always_uniform_and_lambertian():
     # Non-uniform ground is wrong under an aircraft in the blue: after the spectral card stand 0 (uniform),
     # 0 (no directional effects), 0 (constant reflectance).
     for height, *more in ((2.0, "-1\n0.5500", sixs.Aerosol("1", 0.2, 0.1), 0.25), (None, "-1\n0.5500")):
-        deck = sixs.deck(SUN, "0\n", 0.3, height, *more)
+        deck = sixs.deck(SUN._replace(ground_km=0.3, height_km=height), "0\n", *more)
         assert re.search(r"-1\n0\.5500\n0\n0\n0\n0\.[0-9]{6}\n-1\n$", deck)
 
 
@@ -269,7 +267,9 @@ def test_asterisks_and_nan_are_refused(word, engine_cache):
 def test_standard_atmospheres_are_those_of_the_solver(engine_cache):
     # The solver holds the six models too: pressures and columns it prints for ground at 1.3 km, sensor 60 km above.
     for number, model in enumerate(profiles._tables(), 1):
-        out = run_sixs(sixs.deck(SUN, f"{number}\n", 1.3, 60.0, "-1\n0.5500"), engine_cache)
+        out = run_sixs(
+            sixs.deck(SUN._replace(ground_km=1.3, height_km=60.0), f"{number}\n", "-1\n0.5500"), engine_cache
+        )
         pressure, water, ozone = (
             float(re.search(rf"{words}\s+(\S+)", out).group(1))
             for words in (r"ground pressure  \[mb\]", "h2o   content", "ozone content")

@@ -34,7 +34,7 @@ def shape(card: str) -> np.ndarray:
     depths = []
     for nm in sixs.NODES_NM:
         run = sixs.deck(
-            sixs.SunAndView(0.0, 0.0, 0.0), "0\n", 0.0, None, f"-1\n{nm / 1e3:.4f}", sixs.Aerosol(card, 1.0, 1.0)
+            sixs.Setting(0.0, 0.0, 0.0, 0.0, None), "0\n", f"-1\n{nm / 1e3:.4f}", sixs.Aerosol(card, 1.0, 1.0)
         )
         depths.append(sixs.parse_monochromatic(sixs.run_sixs(run, cache_folder()))["depth_aerosol"])
     found, nm = np.array(depths), sixs.NODES_NM

@@ -76,14 +76,15 @@ class Air(NamedTuple):
 def air_of(state: AtmosphericState) -> Air:
     """The same of a state, in the air of the US standard 1962 in which 6S scatters."""
     setting, us62 = sixs.setting_of(state), standard_profile("us-standard-1962")
-    ground, height = sixs.in_standard_air(state, setting)
+    *_, ground, height = sixs.in_standard_air(state, setting)
     air, above = air_column(us62, ground), 0.0 if height is None else air_column(us62, ground + height)
     depth, fraction = state.aerosol_optical_depth, state.aerosol_fraction_below
     used, share = sixs.trusted_stand_ins(np.full(sixs.NODES_NM.size, max(depth, _LEAST_DEPTH)), fraction, height)
     scale = 2.0 if height is None else min(-height / np.log1p(-min(share[0], 1.0 - 1e-9)), 4.0)
-    mu0 = float(np.cos(np.deg2rad(setting.geometry.solar_zenith)))
     total, part = depth / used, depth * fraction / (used * share)
-    return Air(mu0, air / air_column(us62, 0.0), 1.0 - above / air, ground, used, share, scale, total, part)
+    return Air(
+        setting.cosines[0], air / air_column(us62, 0.0), 1.0 - above / air, ground, used, share, scale, total, part
+    )
 
 
 def single_scattering(air: Air, molecules: Array) -> Arrays:

@@ -64,17 +64,31 @@ GAS_FREE = "0\n"  # card idatm = 0: scattering only (US standard 1962 air)
 _TOP_LEVEL = (99999.0, 0.0, 210.0, 0.0, 0.0)  # 6S wants a 34th level at infinity
 
 
-@dataclass(frozen=True)
-class SunAndView:
-    """Sun and view, rounded as they are printed in the deck [deg]."""
+class Setting(NamedTuple):
+    """What the runs of one state share.
+
+    Attributes
+    ----------
+    solar_zenith, view_zenith, relative_azimuth : rounded as they are printed in the deck [deg]
+    ground_km : ground above sea level [km]
+    height_km : sensor above the ground [km]; None for space, 0 for a sensor on the ground
+    """
 
     solar_zenith: float
     view_zenith: float
     relative_azimuth: float
+    ground_km: float
+    height_km: float | None
 
     def card(self) -> str:
         """Cards igeom = 0; the date only sets the Earth-Sun distance, which is applied elsewhere."""
         return f"0\n{self.solar_zenith:.4f} {self.relative_azimuth:.4f} {self.view_zenith:.4f} 0.0 1 1\n"
+
+    @property
+    def cosines(self) -> tuple[float, float]:
+        """Of the zenith angles of sun and view [1]."""
+        mu0, mu_v = np.cos(np.deg2rad([self.solar_zenith, self.view_zenith]))
+        return float(mu0), float(mu_v)
 
 
 @dataclass(frozen=True)
@@ -107,30 +121,22 @@ def altitude_card(altitude_km: float) -> str:
 
 
 def deck(
-    geometry: SunAndView,
-    atmosphere: str,
-    ground_km: float,
-    height_km: float | None,
-    spectral: str,
-    aerosol: Aerosol | None = None,
-    reflectance: float = 0.0,
+    setting: Setting, atmosphere: str, spectral: str, aerosol: Aerosol | None = None, reflectance: float = 0.0
 ) -> str:
     """A complete input deck over uniform Lambertian ground.
 
     Parameters
     ----------
-    ground_km : ground above sea level [km]
-    height_km : sensor above the ground [km]; None for space, 0 for a sensor on the ground
     spectral : "-1\\nWL" (one wavelength, um) or "-2\\nFROM TO" (table in steps of 2.5 nm)
     """
-    haze, below = "0\n-1\n", 0.0
+    haze, below, height = "0\n-1\n", 0.0, setting.height_km
     if aerosol is not None:
         haze, below = f"{aerosol.card}\n0\n{aerosol.depth_550:.6f}\n", aerosol.depth_550_below
-    sensor = {None: "-1000\n", 0.0: "0\n"}.get(height_km)  # in space, on the ground
+    sensor = {None: "-1000\n", 0.0: "0\n"}.get(height)  # in space, on the ground
     if sensor is None:
-        sensor = f"{altitude_card(float(height_km or 0.0))}\n-1.0 -1.0\n{below:.6f}\n"
-    ground = f"{altitude_card(ground_km)}\n{sensor}{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n"
-    return geometry.card() + atmosphere + haze + ground
+        sensor = f"{altitude_card(float(height or 0.0))}\n-1.0 -1.0\n{below:.6f}\n"
+    ground = f"{altitude_card(setting.ground_km)}\n{sensor}{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n"
+    return setting.card() + atmosphere + haze + ground
 
 
 # What is read of the answer to a single-wavelength run: its words, and which of the numbers behind them.
@@ -319,14 +325,6 @@ _MIXES = {  # the last three as 6S has them itself
 }
 
 
-class Setting(NamedTuple):
-    """What the runs of one state share: sun and view, ground above the sea and sensor above it (None: space) [km]."""
-
-    geometry: SunAndView
-    ground_km: float
-    height_km: float | None
-
-
 def sixs_terms(
     state: AtmosphericState,
     folder: Path,
@@ -358,11 +356,10 @@ def sixs_terms(
 def setting_of(state: AtmosphericState) -> Setting:
     """What the runs of a state share."""
     zenith, azimuth = state.sun
-    geometry = SunAndView(round(zenith, 4), state.view_zenith_deg, round((azimuth - state.view_azimuth_deg) % 360.0, 4))
-    if state.view_zenith_deg == 0.0:
-        geometry = SunAndView(geometry.solar_zenith, 0.0, 0.0)  # every azimuth is the same: share the cache
+    nadir = state.view_zenith_deg == 0.0  # where every azimuth is the same: share the cache
+    turn = 0.0 if nadir else round((azimuth - state.view_azimuth_deg) % 360.0, 4)
     height = None if state.in_space else state.sensor_altitude_km - state.ground_altitude_km
-    return Setting(geometry, state.ground_altitude_km, height)
+    return Setting(round(zenith, 4), state.view_zenith_deg, turn, state.ground_altitude_km, height)
 
 
 def assembled(
@@ -382,7 +379,7 @@ def assembled(
     if factors is not None:
         factors = factors.at(GRID_NM)
         gas = _with_ratio(gas, state, factors)
-    mu0, mu_v = np.cos(np.deg2rad([setting.geometry.solar_zenith, setting.geometry.view_zenith]))
+    mu0, mu_v = setting.cosines
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
     value = {name: _log_log(values, GRID_NM) for name, values in node.items()}
     molecules, haze = _whole_air(state, setting, value), value.get("depth_aerosol", np.zeros(GRID_NM.size))
@@ -413,7 +410,7 @@ def assembled(
             "engine_ratio": factors is not None,
             "solar_spectrum": state.solar_spectrum,
             "earth_sun_distance_au": state.distance_au,
-            "solar_zenith_deg": setting.geometry.solar_zenith,
+            "solar_zenith_deg": setting.solar_zenith,
             "aerosol_optical_depth_550": state.aerosol_optical_depth,
             "state": state.model_dump(mode="json"),
         },
@@ -429,17 +426,17 @@ def _whole_air(state: AtmosphericState, setting: Setting, value: Arrays) -> Arra
     return np.asarray(value["depth_rayleigh"] / below)
 
 
-def in_standard_air(state: AtmosphericState, setting: Setting) -> tuple[float, float | None]:
-    """Ground above the sea and sensor above it [km] in the air of the US standard 1962, which 6S takes without gas.
+def in_standard_air(state: AtmosphericState, setting: Setting) -> Setting:
+    """The same in the air of the US standard 1962, which 6S takes without gas.
 
-    They stand where that air has as many molecules above them as the state's model has.
+    Ground and sensor stand where that air has as many molecules above them as the state's model has.
     """
     model, us62 = standard_profile(state.model), standard_profile("us-standard-1962")
-    ground = altitude_of_air_column(us62, air_column(model, setting.ground_km))
-    if setting.height_km is None:
-        return ground, None
-    above = altitude_of_air_column(us62, air_column(model, setting.ground_km + setting.height_km))
-    return ground, max(round(above - ground, 5), 0.001)
+    ground, height = altitude_of_air_column(us62, air_column(model, setting.ground_km)), setting.height_km
+    if height is not None:
+        above = altitude_of_air_column(us62, air_column(model, setting.ground_km + height))
+        height = max(round(above - ground, 5), 0.001)
+    return setting._replace(ground_km=ground, height_km=height)
 
 
 def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: bool | None) -> Arrays:
@@ -448,14 +445,15 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: b
     Clear air is run node by node, haze as a table of each part of the spectrum, from which its values at the nodes are
     found (:func:`solved_at`).
     """
-    ground, height = in_standard_air(state, setting)
+    setting = in_standard_air(state, setting)
+    height = setting.height_km
     air = {
         "binary": sixs_fingerprint(), "scheme": SCHEME, "nodes_nm": NODES_NM.tolist(),
-        "geometry": setting.geometry.card(), "ground_km": round(ground, 5), "height_km": height,
+        "geometry": setting.card(), "ground_km": round(setting.ground_km, 5), "height_km": height,
     }  # fmt: skip
 
     def outputs(runs: list[tuple[str, Aerosol | None]], what: str) -> list[str]:
-        decks = [deck(setting.geometry, GAS_FREE, ground, height, *run) for run in runs]
+        decks = [deck(setting, GAS_FREE, *run) for run in runs]
         return _run_all(decks, folder, f"6S {what}", show)
 
     def molecules() -> Arrays:
@@ -580,7 +578,7 @@ def _gas(state: AtmosphericState, setting: Setting, folder: Path, show: bool | N
     decks = {}
     for name, share, height in (("full", 1.0, above), ("half", 0.5, above), ("dry", 0.0, above), ("ground", 1.0, 0.0)):
         air = profile_atmosphere(replace(profile, water_g_m3=profile.water_g_m3 * share))
-        decks[name] = deck(setting.geometry, air, setting.ground_km, height, spectral)
+        decks[name] = deck(setting._replace(height_km=height), air, spectral)
     inputs = {"binary": sixs_fingerprint(), "scheme": SCHEME, "decks": decks}
 
     def compute() -> Arrays:
@@ -602,7 +600,7 @@ def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: Settin
     """
     profile, ground = standard_profile(state.model), setting.ground_km
     sensor = None if setting.height_km is None else ground + setting.height_km
-    mu0, mu_v = np.cos(np.deg2rad([setting.geometry.solar_zenith, setting.geometry.view_zenith]))
+    mu0, mu_v = setting.cosines
     down = np.exp(-continuum_depth(GRID_NM, profile, ground) / mu0)
     both = down * np.exp(-continuum_depth(GRID_NM, profile, ground, sensor) / mu_v)
     way = {"full": both, "half": both, "dry": both, "ground": down}
