@@ -138,15 +138,14 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(make_study, tmp_path, quic
     with pytest.raises(KeyboardInterrupt):
         study_to_folder(path, broken)
     assert all(p.name.startswith(".hyperval") for p in broken.iterdir())
-    chunks = broken / ".hyperval-partial" / "chunks.jsonl"
-    assert len(chunks.read_text().splitlines()) == 1 + 2
-    with open(chunks, "a") as stream:
-        stream.write("[[[0.5, 0.5, 0.5")
+    kept = broken / ".hyperval-partial"
+    assert len(list(kept.iterdir())) == 2
+    (kept / f".chunk-0.json.hyperval-{os.getpid()}-abcdefgh.json").write_text("[[[0.5, 0.5, 0.5")
     study_to_folder(path, broken)
     assert calls[2:4] == [96, 96], "from the third chunk on"
     other = tmp_path / "other" / ".hyperval-partial"
     other.mkdir(parents=True)
-    (other / "chunks.jsonl").write_text('["of another study"]\n')
+    (other / "chunk-0123456789abcdef-0.json").write_text("[[], []]")
     study_to_folder(path, other.parent)
     assert tables(broken) == tables(other.parent) == tables(tmp_path / "whole")
 
@@ -172,12 +171,12 @@ def test_a_cluster_gives_the_same_bytes_with_one_worker_killed_in_the_middle(mak
     grids += "grid: {start: 0.5, stop: 2, count: 30}}]\n"
     path = make_study("inputs: [{name: c, path: sensor_changes.calibration_error_percent, " + grids + OUT)
     study_to_folder(path, tmp_path / "here")
-    kept, finished = tmp_path / "there" / ".hyperval-partial" / "chunks.jsonl", []
+    kept, finished = tmp_path / "there" / ".hyperval-partial", []
 
     def kill(process: int) -> None:
-        while not kept.exists() or len(lines := kept.read_bytes().splitlines()) < 2:
+        while not (chunks := list(kept.glob("chunk-*.json"))):
             time.sleep(0.02)
-        finished.append(len(lines) - 1)
+        finished.append(len(chunks))
         os.kill(process, signal.SIGKILL)
 
     options = {"worker_class": "distributed.Worker", "n_workers": 2, "worker_kwargs": {"nthreads": 1}}

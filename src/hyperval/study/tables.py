@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
 import shutil
 import warnings
 from collections.abc import Mapping, Sequence
@@ -22,11 +22,12 @@ import hyperval
 from hyperval.errors import UsageError
 from hyperval.model import column_of
 from hyperval.run import harmless
+from hyperval.storage import write_text
 from hyperval.study.schema import Moving, Random, StudyFile
 
 Array = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
-_CHUNKS = "chunks.jsonl"
+_CHUNK = "chunk"
 
 
 def drawn(distribution: Random, u: Array) -> Array:
@@ -164,12 +165,12 @@ def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[st
 
 
 class PointStore:
-    """Finished chunks in the order of the points, a line each, in a folder of its own.
+    """Finished chunks in the order of the points, a file each, in a folder of its own.
 
     Parameters
     ----------
-    folder : made where it is not there
-    identity : what the numbers follow from; chunks of another identity are thrown away
+    folder : made with the first chunk
+    identity : what the numbers follow from; chunks of another identity are not seen
 
     Raises
     ------
@@ -177,39 +178,27 @@ class PointStore:
     """
 
     def __init__(self, folder: Path, identity: str):
-        self.path, first = Path(folder) / _CHUNKS, json.dumps([identity]).encode() + b"\n"
-        if not self.path.is_file() and self.path.parent.exists() and any(self.path.parent.iterdir()):
+        if any(not p.name.lstrip(".").startswith(_CHUNK) for p in folder.glob("*")):
             raise UsageError("holds files that are not of a study's run", where=str(folder), mend="remove it")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.folder, self.digest = folder, hashlib.sha256(identity.encode()).hexdigest()[:16]
         self.chunks: list[tuple[Array, dict[int, str]]] = []
-        with open(self.path, "a+b") as stream:
-            stream.seek(0)
-            whole = len(first) if stream.readline() == first else 0
-            for line in stream if whole else ():
-                if not line.endswith(b"]\n"):  # cut off while it was written
-                    break
-                values, reasons = json.loads(line)
-                self.chunks.append((np.array(values, float), dict(reasons)))
-                whole += len(line)
-            stream.truncate(whole)
-        if not whole:
-            self._write(first)
+        while (path := self._next).is_file():
+            values, reasons = json.loads(path.read_text("utf-8"))
+            self.chunks.append((np.array(values, float), dict(reasons)))
 
     def __len__(self) -> int:
         """Number of finished points."""
         return sum(len(values) for values, _ in self.chunks)
 
+    @property
+    def _next(self) -> Path:
+        return self.folder / f"{_CHUNK}-{self.digest}-{len(self.chunks)}.json"
+
     def append(self, values: Array, reasons: Mapping[int, str]) -> None:
         """Add the rows (n, columns) that follow, and the reasons by the number of the point."""
-        self._write(json.dumps([values.tolist(), sorted(reasons.items())], ensure_ascii=False).encode() + b"\n")
+        write_text(self._next, json.dumps([values.tolist(), sorted(reasons.items())]))
         self.chunks.append((values, dict(reasons)))
-
-    def _write(self, line: bytes) -> None:
-        with open(self.path, "ab") as stream:
-            stream.write(line)
-            stream.flush()
-            os.fsync(stream.fileno())
 
     def remove(self) -> None:
         """Throw everything away."""
-        shutil.rmtree(self.path.parent, ignore_errors=True)
+        shutil.rmtree(self.folder, ignore_errors=True)
