@@ -12,7 +12,7 @@ from hyperval.datasets import describe
 from hyperval.metrics import plain_words
 from hyperval.results import Outcome
 from hyperval.sensor import library_names, load_sensor
-from hyperval.sensor_check import Number, check_sensor, numbers
+from hyperval.sensor_check import SensorNumber, check_sensor, numbers
 from hyperval.storage import sha256_of
 from small_campaign import stand_in_atmosphere
 
@@ -83,7 +83,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "sensors.md"
 _EMPTY = re.compile(r"^(assumed[:\s]*|source|unknown|not stated|n/?a|-+)$", re.IGNORECASE)
 
 
-def without_source(listed: list[Number]) -> list[str]:
+def without_source(listed: list[SensorNumber]) -> list[str]:
     """Names of the numbers whose source says nothing."""
     return [n.name for n in listed if len(n.source) < 8 or _EMPTY.match(n.source.strip())]
 
@@ -104,8 +104,8 @@ def test_every_number_has_a_source(name):
 
 
 def test_the_check_of_sources_sees_an_empty_one():
-    listed = [Number("a", "1", "assumed"), Number("b", "1", "assumed: typical CCD"), Number("c", "1", "not stated")]
-    assert without_source(listed) == ["a", "c"]
+    sources = {"a": "assumed", "b": "assumed: typical CCD", "c": "not stated"}
+    assert without_source([SensorNumber(name, "1", "", said) for name, said in sources.items()]) == ["a", "c"]
 
 
 # The atmosphere is the stand-in: ratios published for a scene are compared in it elsewhere, with the solver.

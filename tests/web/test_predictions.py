@@ -80,7 +80,7 @@ def test_source_of_each_value_is_told(client, server):
     assert "12-bit raw data of the AISA Eagle" in page
     numbers = client.get(f"{server.address}/api/v1/sensors/prospectir-vs").json()
     assert all(row["source"] for row in numbers)
-    fixed = next(row for row in numbers if row["name"] == "VNIR, fixed noise electrons")
+    fixed = next(row for row in numbers if row["name"] == "VNIR.fixed_noise_electrons")
     assert (fixed["value"], fixed["unit"]) == ("60", "electrons")
 
 

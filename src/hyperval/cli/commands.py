@@ -619,7 +619,7 @@ def sensor_check(
     failed = sum(gate_fails(r) for r in decided)
     note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
          else f"{check.sensor.name}: accepted, {len(decided)} checks")  # fmt: skip
-    return finished(check.exit_code, output) if output is not None else check.exit_code
+    return finished(check.table.exit_code(), output) if output is not None else check.table.exit_code()
 
 
 @command("sensor new mine --arms VNIR,SWIR", of=sensor_app, name="new")

@@ -217,7 +217,6 @@ class NoiseModel:
     bit_error_rate, bit_error_per : B_e and what it counts; the rate is (B,) where the arms differ
     calibration_percent : (B,) C_R [%]
     measured : None, or (a, b, c) each (B,), which then stand in for G, sigma_f, LSB and bit errors
-    assumed : words on every number that rests on an assumption
     full_scale : (B,) radiance at full scale, None where the sensor file does not say
     readings : readings averaged per number before it is used (co-adds, binning): they divide every variance
         but that of the calibration, and those of the digital word where they are averaged before recording
@@ -236,7 +235,6 @@ class NoiseModel:
     bit_error_per: Literal["bit", "word"]
     calibration_percent: Array
     measured: tuple[Array, Array, Array] | None = None
-    assumed: tuple[str, ...] = ()
     full_scale: Array | None = None
     readings: float = 1.0
     digital_readings: float = 1.0

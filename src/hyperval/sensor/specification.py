@@ -512,9 +512,9 @@ class Sensor:
         count = operation.spectral_binning if operation else 1
         return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
 
-    def notes(self, noise: NoiseModel, shift_nm: Array) -> list[str]:
+    def notes(self, shift_nm: Array) -> list[str]:
         """Assumptions of the sensor file, MTF at Nyquist, shift of the bands."""
-        notes = list(noise.assumed)
+        notes = self._assumptions()
         if self.specification.psf is not None:
             along, across = mtf_at_nyquist(np.array(self.specification.psf.fwhm))
             notes.append(f"MTF at Nyquist {along:.3f} along, {across:.3f} across the track")
@@ -538,7 +538,7 @@ class Sensor:
         full = given.saturation_radiance.at(w) if given.saturation_radiance else None
         return NoiseModel(
             1.0 / a**2, np.sqrt(b) / a, self.specification.detector_gain, np.zeros(w.size), 1, 0.0, "bit",
-            calibration, (a, b, c), tuple(self._assumptions()), full,
+            calibration, (a, b, c), full,
         )  # fmt: skip
 
     def _noise(self, on: SpectralAxis, calibration: Array) -> NoiseModel:
@@ -569,7 +569,7 @@ class Sensor:
             int(bits[0]) if np.all(bits == bits[0]) else bits,
             float(rate[0]) if np.all(rate == rate[0]) else rate,
             spec.arms[0].bit_error_per if same else "bit",
-            calibration, None, tuple(self._assumptions()), lsb * 2.0**bits / g,
+            calibration, None, lsb * 2.0**bits / g,
         )  # fmt: skip
 
     def arm_index(self, wavelength_nm: Array) -> Index:

@@ -2,12 +2,13 @@
 
 from .page import bands_beside, check_to_folder, write_check
 from .suite import (
-    Number,
     SensorCheck,
+    SensorNumber,
     applied_moments,
     check_sensor,
     electrons_from_energy,
     electrons_from_noise,
+    movable,
     neighbour_ratio,
     numbers,
     scene_radiance,
@@ -16,14 +17,15 @@ from .suite import (
 )
 
 __all__ = [
-    "Number",
     "SensorCheck",
+    "SensorNumber",
     "applied_moments",
     "bands_beside",
     "check_sensor",
     "check_to_folder",
     "electrons_from_energy",
     "electrons_from_noise",
+    "movable",
     "neighbour_ratio",
     "numbers",
     "scene_radiance",

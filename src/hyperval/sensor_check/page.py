@@ -228,7 +228,7 @@ def _sensitivity(check: SensorCheck) -> Iterator[Figure]:
         return
     kept = list(swings[:_MOST_SWINGS])
     views: list[Panels] = []
-    rows, names = np.arange(len(kept), dtype=float), row_names([s.number.name for s in kept])
+    rows, names = np.arange(len(kept), dtype=float), row_names([s.name for s in kept])
     for name, changes in (
         ("change of the SNR at reflectance 0.25 [%]", np.array([s.snr for s in kept]) * 100.0),
         ("change of P_D", np.array([s.detection for s in kept])),
@@ -245,7 +245,7 @@ def _sensitivity(check: SensorCheck) -> Iterator[Figure]:
         "sensitivity", "sensitivity",
         f"Assumed numbers {100 * vary:g} % lower and higher: SNR of the band that moves most, P_D{what}{more}",
         f"Bars of what each of {len(swings)} assumed numbers does when it is {100 * vary:g} % lower or higher. "
-        f"Most for the SNR: {most.number.name}, {100 * most.snr[0]:+.1f} % and {100 * most.snr[1]:+.1f} %.",
+        f"Most for the SNR: {most.name}, {100 * most.snr[0]:+.1f} % and {100 * most.snr[1]:+.1f} %.",
         tuple(views),
     )  # fmt: skip
 
@@ -298,7 +298,6 @@ def _facts(sensor: Sensor) -> list[tuple[str, str]]:
     facts.append(("bands", f"{len(axis)}, {int(axis.good.sum())} of them good"))
     facts.append(("range", f"{axis.centre_nm[0]:.1f} to {axis.centre_nm[-1]:.1f} nm"))
     facts.append(("width", f"{axis.fwhm_nm.min():.2f} to {axis.fwhm_nm.max():.2f} nm (full width at half maximum)"))
-    facts += [(f"arm {a.name}", f"{a.range_nm[0]:g} to {a.range_nm[1]:g} nm, {a.bits} bit") for a in spec.arms]
     if spec.measured_noise is not None:
         facts.append(("noise", "as measured: |a √(b + L) + c|"))
     return facts
@@ -350,7 +349,6 @@ def check_to_folder(
 
 def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
     """Write results, figures, products, provenance and report.html; the same file gives the same bytes."""
-    folder = Path(folder)
     record = _provenance(check, name_or_file)
     figures = datasheet_figures(check)
     run = Run(check.table, record, dict(check.predictions), title=f"sensor {check.sensor.name}")

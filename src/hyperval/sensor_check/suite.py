@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import constants
@@ -34,7 +34,6 @@ from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import (
     Arm,
     PublishedSnr,
-    Quantity,
     ReferenceScene,
     Sensor,
     SensorChanges,
@@ -56,14 +55,21 @@ _GRID_NM = np.arange(300.0, 2700.5, 1.0)
 STEP = 1.25  # by which time, aperture and C_R are raised
 
 
+_UNITS = {
+    "_s": "s", "_um": "um", "_nm": "nm", "_percent": "%", "_electrons": "electrons",
+    "_radiance": "uW cm-2 sr-1 nm-1",
+}  # fmt: skip
+_NO_NUMBERS = ("source", "schema_version", "notes", "title", "name", "known_discrepancies")
+
+
 @dataclass(frozen=True)
-class Number:
-    """One number of the file: dotted name, its value in words, where it is from."""
+class SensorNumber:
+    """A number of a sensor file: its dotted name, its value in words, its unit, and the source that the file states."""
 
     name: str
     value: str
+    unit: str
     source: str
-    varies: bool = True
 
     @property
     def assumed(self) -> bool:
@@ -71,35 +77,41 @@ class Number:
         return "assumed" in self.source.lower()
 
 
-def numbers(spec: SensorSpecification) -> list[Number]:
-    """Every number of the file in the order of the file; ``varies`` is False for those that cannot be scaled."""
-    widths = spec.bands.fwhms
-    text = f"{min(widths):.3g} to {max(widths):.3g} nm" if min(widths) != max(widths) else f"{widths[0]:g} nm"
-    out = [Number("bands.fwhm", text, spec.bands.source)]
-    for arm in spec.arms:
-        light = f"{arm.throughput.value_cm2_sr:.3g} cm2 sr ({arm.throughput.convention})"
-        out.append(Number(f"{arm.name}.throughput", light, arm.throughput.source))
-        out += [_number(f"{arm.name}.{name}", q, q.value != 0.0) for name, q in arm if isinstance(q, Quantity)]
-        out.append(Number(f"{arm.name}.bits", str(arm.bits), arm.bits_source or "not stated", varies=False))
-    if (measured := spec.measured_noise) is not None:
-        rows = f"{len(measured.table)} rows of a, b, c"
-        out.append(Number("measured_noise", rows, measured.source, varies=False))
-        if measured.saturation_radiance is not None:
-            out.append(_number("measured_noise.saturation_radiance", measured.saturation_radiance, False))
-    if spec.psf is not None:
-        along, across = spec.psf.fwhm
-        out.append(Number("psf", f"{along:.3g}, {across:.3g} pixels", spec.psf.source, varies=False))
-    quantity = spec.calibration_error_percent
-    return [*out, _number("calibration_error_percent", quantity, quantity.value != 0.0)]
+def numbers(specification: SensorSpecification) -> list[SensorNumber]:
+    """Every number of the file in the order of the file; those of a part have its source."""
+    return list(_numbers(specification.model_dump(mode="json", exclude_none=True), "", ""))
 
 
-def _number(name: str, quantity: Quantity, varies: bool) -> Number:
-    text = f"{quantity.value:g}" if quantity.value is not None else ""
-    if quantity.table is not None:
-        values = [v for _, v in quantity.table]
-        span = f"{quantity.table[0][0]:g}-{quantity.table[-1][0]:g} nm"
-        text = f"{min(values):g} to {max(values):g} over {span}"
-    return Number(name, text, quantity.source, varies)
+def _numbers(data: dict[str, Any], at: str, source: str) -> Iterator[SensorNumber]:
+    source = data.get("source", source)
+    for name, value in data.items():
+        if name in _NO_NUMBERS or name.endswith("_source"):
+            continue
+        if isinstance(value, dict):
+            yield from _numbers(value, f"{at}{name}.", source)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for number, item in enumerate(value, 1):
+                yield from _numbers(item, f"{item.get('name', f'{at}{name}.{number}')}.", source)
+        elif value not in ([], ""):
+            own = f"{at}{name}".removesuffix(".value").removesuffix(".table")
+            unit = next((unit for end, unit in _UNITS.items() if own.endswith(end)), "")
+            said = data.get(f"{name}_source", "not stated" if name == "bits" else source)
+            yield SensorNumber(own, _shown(value), unit, said)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list) and len(value) > 8:
+        return f"{len(value)} rows: {_shown(value[0])} to {_shown(value[-1])}"
+    if isinstance(value, list):
+        return "(" + ", ".join(map(_shown, value)) + ")"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def movable(specification: SensorSpecification) -> dict[str, str]:
+    """Names of the numbers that factors move (:class:`hyperval.sensor.Sensor`), and their sources."""
+    own: dict[str, Any] = {f"{arm.name}.{key}": value for arm in specification.arms for key, value in arm}
+    own |= {"bands.fwhm": specification.bands, "calibration_error_percent": specification.calibration_error_percent}
+    return {n: v.source for n, v in own.items() if hasattr(v, "source") and getattr(v, "value", None) != 0.0}
 
 
 def sunlit_radiance(axis: SpectralAxis, reflectance: float) -> Array:
@@ -191,8 +203,7 @@ def standard_scenario(name: str) -> Scenario:
     return load_scenario(name)
 
 
-@dataclass(frozen=True)
-class SnrPoint:
+class SnrPoint(NamedTuple):
     """A published ratio and the computed one [1] at its wavelength [nm] and radiance [uW cm-2 sr-1 nm-1].
 
     NaN where the sensor has no band within a width of that wavelength.
@@ -210,24 +221,23 @@ class SnrPoint:
         return self.item.radiance is not None or self.item.scene is not None
 
 
-@dataclass(frozen=True)
-class Swing:
+class Swing(NamedTuple):
     """What a number does when it is lowered and raised.
 
     Attributes
     ----------
-    number : of the file
+    name, source : of the number
     snr : relative change of the SNR, lowered and raised: of the band it moves most [1]
     detection : change of P_D, lowered and raised [1]
     """
 
-    number: Number
+    name: str
+    source: str
     snr: tuple[float, float]
     detection: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Probe:
+class Probe(NamedTuple):
     """The detection whose P_D is watched: the one of the scenarios nearest 0.5, which moves most."""
 
     scenario: str
@@ -339,21 +349,18 @@ class SensorCheck:
     @cached_property
     def swings(self) -> list[Swing]:
         """Each assumed number lowered and raised by the part ``vary``, largest change of the SNR first."""
-        assumed = [n for n in numbers(self.sensor.specification) if n.assumed and n.varies]
+        assumed = [
+            (name, said) for name, said in movable(self.sensor.specification).items() if "assumed" in said.lower()
+        ]
         swings = []
-        for number in track(assumed, "assumed numbers", show=self.show_progress):
+        for name, source in track(assumed, "assumed numbers", show=self.show_progress):
             sides = []
             for factor in (1.0 - self.vary, 1.0 + self.vary):
-                other = Sensor(self.sensor.specification, {number.name: factor})
+                other = Sensor(self.sensor.specification, {name: factor})
                 sides.append((self._snr_change(other), self._detection_change(other)))
-            (low, low_pd), (high, high_pd) = sides
-            swings.append(Swing(number, (low, high), (low_pd, high_pd)))
+            snr, detection = zip(*sides, strict=True)
+            swings.append(Swing(name, source, snr, detection))
         return sorted(swings, key=lambda s: -max(abs(v) for v in s.snr))
-
-    @property
-    def exit_code(self) -> int:
-        """Exit code of the contract."""
-        return self.table.exit_code()
 
     def _snr_change(self, other: Sensor) -> float:
         """Relative change of the SNR with C_R at ground of 0.25, in the good band of the windows it moves most."""
@@ -773,11 +780,11 @@ def swings(check: SensorCheck, of: str) -> Values:
     """The change of the SNR or of P_D with every assumed number, lowered and raised."""
     probe = check.probe
     for swing in check.swings if of == "snr" or probe is not None else ():
-        words = swing.number.source
+        words = swing.source
         if of == "detection" and probe is not None:
             words = f"{probe.key[0]} by {probe.key[1]} at P_FA 0.001, where P_D is {probe.value:.3f}"
         for sign, change in zip("-+", getattr(swing, of), strict=True):
-            yield Found(change, f"{swing.number.name} {sign}{100 * check.vary:g} %", words)
+            yield Found(change, f"{swing.name} {sign}{100 * check.vary:g} %", words)
 
 
 def stale(check: SensorCheck) -> Values:
