@@ -284,7 +284,7 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
                 continue  # a name or the thing itself: it is the thing, and the rest tells its mistake
             text = item["msg"].removeprefix("Value error, ")
             if item["type"] == "string_pattern_mismatch":
-                text = _spelled(item["ctx"]["pattern"]) or text
+                text = spelled(item["ctx"]["pattern"]) or text
             if item["type"] == "float_type" and isinstance(item["input"], dict) and "distribution" in item["input"]:
                 text = f"a number; {GONE['distribution']}"
             if item["type"] == "extra_forbidden":
@@ -303,7 +303,7 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
         raise UsageError("\n  ".join([first, *rest])) from error
 
 
-def _spelled(pattern: str) -> str:
+def spelled(pattern: str) -> str:
     """What a pattern of names allows, in words; empty for another pattern."""
     allowed = {
         "a-z0-9-": "small letters, digits and hyphens, a letter or digit first",

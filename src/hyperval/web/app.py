@@ -22,7 +22,7 @@ from hyperval.web import bring, pages_predict, reference, runs, sensors, trade  
 from hyperval.web.desk import Desk
 from hyperval.web.guard import Guard
 from hyperval.web.pages import api, page, pages, static
-from hyperval.web.refusal import FieldMistake, Refused, field_name, problems, said, sentence, without_paths
+from hyperval.web.refusal import FieldMistake, Refused, field_name, mistake_of, problems, said
 from hyperval.web.store import RunStore, ServerSettings
 
 _THREADS = 128  # requests that wait for a worker hold one each
@@ -115,8 +115,7 @@ def _of_field(item: Mapping[str, Any], body: Any) -> FieldMistake:
     """A mistake of a request by the schema of its route."""
     place, *rest = item["loc"]
     name = field_name(rest, body, item["type"] == "missing") if place == "body" else ".".join(map(str, rest))
-    words = sentence(item["type"], str(item["msg"]), item["loc"])
-    return FieldMistake(name or str(place), without_paths(words)[:500])
+    return mistake_of(item, name or str(place))
 
 
 def _methods(app: FastAPI, path: str) -> list[str]:

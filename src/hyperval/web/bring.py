@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fastapi import Request
-from pydantic import BaseModel, Field, ValidationError, field_validator
+from pydantic import BaseModel, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
@@ -54,7 +54,6 @@ _PACKED = {
     b"<?xml": "XML",
     b"BZh": "packed by bzip2",
 }
-_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,59}")
 _LARGEST_TEXT = 4_000_000
 _INSIDE = re.compile(r"(?:[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}/){0,12}[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}")
 
@@ -62,27 +61,13 @@ _INSIDE = re.compile(r"(?:[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}/){0,12}[A-Za-z0-9_
 class StatedCollection(BaseModel):
     """What a person says of a collection; blank entries are left out."""
 
-    name: str = "mine"
+    name: str = Field("mine", max_length=60, pattern="^[a-z0-9][a-z0-9-]*$")
     quantity: Literal["radiance", "reflectance"] | None = None
     unit: str | None = Field(None, max_length=60)
-    sensor: str | None = None
+    sensor: Literal[library_names()] | None = None  # type: ignore[valid-type]
     time_utc: str | None = Field(None, max_length=60)
     altitude_km: float | None = Field(None, ge=0.01, le=100_000, allow_inf_nan=False)
     pixel_size_m: float | None = Field(None, ge=0.001, le=10_000, allow_inf_nan=False)
-
-    @field_validator("name")
-    @classmethod
-    def _of_a_campaign(cls, name: str) -> str:
-        if not _NAME.fullmatch(name):
-            raise ValueError("small letters, digits and hyphens, at most 60")
-        return name
-
-    @field_validator("sensor")
-    @classmethod
-    def _of_the_library(cls, name: str | None) -> str | None:
-        if name is not None and name not in library_names():
-            raise ValueError(f"one of {', '.join(library_names())}")
-        return name
 
 
 @pages.get("/bring")

@@ -1,24 +1,48 @@
-"""Forms from a schema: each field with its title, unit, limits, default and hint; and the data of a filled form.
+"""The form of a scenario: each field with its title, unit, limits, default and hint; and the data of a filled form.
 
-The JSON schema of a model is walked; nothing here knows what a scenario is.  A field that is left blank is left
+The JSON schema of the model is walked.  A field that is left blank is left
 out, so that the default of the schema stands.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pydantic import BaseModel
-
 from hyperval.config import parse_yaml
 from hyperval.errors import UsageError
+from hyperval.scenario import MODEL_DETECTORS, Scenario
+from hyperval.sensor.specification import library_names
+from hyperval.statistics_library import BUILTIN_NAMES
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
 MOST_ROWS = 40
+_GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
+SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
+_LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
+# What most people look for stands before the fold, given or not; of the rest what is given, some of it none the less
+# behind the fold, whose line tells it.
+_MAIN = re.compile(
+    r"name|sensor|atmosphere\.(?:meteorological_range_km|water_vapour_g_cm2|sensor_altitude_km|solar_zenith_deg)|scene\.(?:panels|targets)"
+    r"|.*(?<!adjacency)\.spectrum\.builtin|.*\.fill\.fixed|processing\.detectors|sensor_changes\.(?:signal|fixed)_.*"
+)
+_ASIDE = re.compile(
+    r"title|description|formulation|atmosphere\.(?:aerosol|ground_altitude_km|.*azimuth_deg|day_of_year|latitude_deg"
+    r"|longitude_deg|time_utc)|processing\.(?!detectors).*"
+)
+_FOLDED = re.compile(
+    r"(?:scene\.(?:panels|sites)|.*\.subjects)\.\d+|uncertainty.*|.*covariance|sensor_.*|processing\.elm"
+    r"|scene\.adjacency|scene\.panels\.\d+\.spectrum"
+)
+_SECTIONS = {
+    "Name": ("name", "title", "description"),
+    "Scene": ("scene",), "Atmosphere, sun and view": ("atmosphere",),
+    "Sensor": ("sensor", "sensor_changes", "sensor_operation"), "Processing": ("processing", "formulation"),
+    "Uncertainty of the inputs": ("uncertainty",),
+}  # fmt: skip
 _MOST_MARKED = 5
 _MOST_OPEN = 3  # rows that stand unfolded
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
@@ -78,31 +102,10 @@ class Node:
 
 
 class Form:
-    """The form of a model.
+    """The form of a scenario; files that lie on the server are no part of it."""
 
-    Parameters
-    ----------
-    choices : names that may stand at a path, where the schema leaves them open; empty: anything
-    left_out : whether a path is no part of the form
-    is_main : whether the field of a path stands before the fold, when something is given there or not
-    is_open : whether a part that something stands in is unfolded
-    is_inline : whether the fields of a group that stand before the fold do so among its neighbours
-    sections : title -> entries of the model that stand under it; the others come first
-    """
-
-    def __init__(
-        self,
-        model: type[BaseModel],
-        choices: Callable[[str], tuple[str, ...]] = lambda path: (),
-        left_out: Callable[[str], bool] = lambda path: False,
-        is_main: Callable[[str, bool], bool] = lambda path, given: given,
-        is_open: Callable[[str], bool] = lambda path: True,
-        is_inline: Callable[[str], bool] = lambda path: False,
-        sections: Mapping[str, Sequence[str]] | None = None,
-    ):
-        self.schema = model.model_json_schema(by_alias=True)
-        self._choices, self._left_out, self._is_main, self._is_open = choices, left_out, is_main, is_open
-        self._is_inline, self._sections = is_inline, sections or {}
+    def __init__(self) -> None:
+        self.schema = Scenario.model_json_schema(by_alias=True)
 
     def nodes(
         self,
@@ -121,11 +124,11 @@ class Form:
         for path, names in (more or {}).items():
             nodes[path] = replace(nodes[path], choices=tuple(dict.fromkeys((*nodes[path].choices, *names))))
         sections = []
-        for title, entries in self._sections.items():
+        for title, entries in _SECTIONS.items():
             first, *others = [nodes.pop(name) for name in entries]
             if first.kind != "group":
                 first = Node("group", "", title, children=(first,))
-            is_open = self._is_open(first.path)
+            is_open = _is_open(first.path)
             sections.append(replace(first, title=title, children=(*first.children, *others), is_open=is_open))
         return (*nodes.values(), *sections)
 
@@ -151,7 +154,7 @@ class Form:
         """Name, path and schema of every entry of a group."""
         for name, part in schema.get("properties", {}).items():
             own = f"{path}.{name}" if path else name
-            if not self._left_out(own):
+            if not _LEFT_OUT.fullmatch(own):
                 yield name, own, part
 
     # From schema and data to a form.
@@ -162,7 +165,7 @@ class Form:
         nodes: list[Node] = []
         for name, own, part in self._entries(schema, path):
             node = self._node(part, own, data.get(name), begun.get(name), name in needed)
-            if node.kind == "group" and self._is_inline(own):  # what is shown of it stands among its neighbours
+            if node.kind == "group" and own.endswith((".spectrum", ".fill")):  # what is shown joins its neighbours
                 nodes += [child for child in node.children if child.is_shown]
                 node = replace(node, children=tuple(c for c in node.children if not c.is_shown), is_shown=False)
             nodes.append(node)
@@ -172,12 +175,12 @@ class Form:
         members = self._members(schema)
         kinds = [_kind(m) for m in members]
         hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
-        is_main = is_needed or self._is_main(path, bool(value))
+        is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
         node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
         if kinds == ["group"]:
             children = self._group(members[0], path, value, begun)
             is_shown = is_main or any(child.is_shown for child in children)
-            is_open = (bool(value) or is_needed) and self._is_open(path)
+            is_open = (bool(value) or is_needed) and _is_open(path)
             hint = hint or _summary(members[0])
             return replace(node, hint=hint, children=children, is_shown=is_shown, is_open=is_open)
         if kinds == ["rows"]:
@@ -195,11 +198,11 @@ class Form:
     def _row(self, item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
         given = row if isinstance(row, Mapping) else {}
         title = str(given.get("name") or int(path.rsplit(".", 1)[-1]) + 1)
-        is_open = (is_few and self._is_open(path)) or not given
+        is_open = (is_few and _is_open(path)) or not given
         return Node("group", path, title, children=self._group(item, path, given, begun), is_open=is_open)
 
     def _field(self, node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
-        kind, known = _one_kind([_kind(m) for m in members]), self._choices(node.path)
+        kind, known = _one_kind([_kind(m) for m in members]), _choices(node.path)
         choices = tuple(str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
         if known and kind in ("text", "yaml"):
             kind, choices = ("choice" if kind == "text" else "several"), known
@@ -253,9 +256,23 @@ class Form:
             rows = [self._read_group(item, place, given) for place in places if f"{place}!" not in given]
             return rows if is_list else None
         values = [v.strip() for v in given.get(path, []) if v.strip()]
-        if self._choices(path) and _one_kind(kinds) == "yaml":
+        if _choices(path) and _one_kind(kinds) == "yaml":
             return values or ([] if is_list else None)
         return _value(values[0], kinds, path) if values else None
+
+
+def _is_open(path: str) -> bool:
+    """Whether a part that something stands in is unfolded."""
+    return _FOLDED.fullmatch(path) is None
+
+
+def _choices(path: str) -> tuple[str, ...]:
+    """Names that may stand at a path, where the schema leaves them open; empty: anything."""
+    if path == "sensor":
+        return library_names()
+    if path == "processing.detectors":
+        return MODEL_DETECTORS
+    return SURFACES if path.endswith(".builtin") else ()
 
 
 def _kind(schema: Schema) -> str:

@@ -12,19 +12,16 @@ from importlib import resources
 from itertools import islice
 from typing import Any
 
-import numpy as np
 import yaml
 from pydantic import ValidationError
 
 from hyperval.config import parse_yaml
 from hyperval.datasets import files_at_hand, how_to_get, missing, registry, resolve
 from hyperval.errors import HypervalError, UsageError
-from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
-from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.statistics_library import BUILTIN_NAMES
-from hyperval.web.forms import Form
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.sensor.specification import library_names
+from hyperval.web.forms import SURFACES, Form
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said
-from hyperval.web.store import Limits
 
 
 @lru_cache(maxsize=1)
@@ -66,30 +63,7 @@ def needs(source: object) -> dict[str, str]:
     return lacking
 
 
-_GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
-SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
 _FILES = ("file", "files", "library", "table", "measured", "replicates")
-_LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
-# What most people look for stands before the fold, given or not; of the rest what is given, some of it none the less
-# behind the fold, whose line tells it.
-_MAIN = re.compile(
-    r"name|sensor|atmosphere\.(?:meteorological_range_km|water_vapour_g_cm2|sensor_altitude_km|solar_zenith_deg)|scene\.(?:panels|targets)"
-    r"|.*(?<!adjacency)\.spectrum\.builtin|.*\.fill\.fixed|processing\.detectors|sensor_changes\.(?:signal|fixed)_.*"
-)
-_ASIDE = re.compile(
-    r"title|description|formulation|atmosphere\.(?:aerosol|ground_altitude_km|.*azimuth_deg|day_of_year|latitude_deg"
-    r"|longitude_deg|time_utc)|processing\.(?!detectors).*"
-)
-_FOLDED = re.compile(
-    r"(?:scene\.(?:panels|sites)|.*\.subjects)\.\d+|uncertainty.*|.*covariance|sensor_.*|processing\.elm"
-    r"|scene\.adjacency|scene\.panels\.\d+\.spectrum"
-)
-_SECTIONS = {
-    "Name": ("name", "title", "description"),
-    "Scene": ("scene",), "Atmosphere, sun and view": ("atmosphere",),
-    "Sensor": ("sensor", "sensor_changes", "sensor_operation"), "Processing": ("processing", "formulation"),
-    "Uncertainty of the inputs": ("uncertainty",),
-}  # fmt: skip
 _GREY = re.compile(r"grey-panel-\d\d")
 _MOST_TEXT = 200
 _MOST_DEPTH = 24
@@ -97,31 +71,13 @@ _MOST_ITEMS = 5000  # of a list of numbers
 _MOST_ENTRIES = 100  # of a list of groups, which are checked one by one
 _MOST_VALUES = 20_000
 _MOST_MISTAKES = 40
-_MEMORY_BASE = 600e6
-_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9 ,()'_/-]*")
-_MEANT = {"true", "false", "null", "yes", "no", "on", "off"}
 _LARGEST = {"processing.samples": 20_000, "uncertainty.samples": 1_000}
 
 
 @lru_cache(maxsize=1)
 def scenario_form() -> Form:
-    """The form of a scenario; files that lie on the server are no part of it."""
-    return Form(
-        Scenario, choices,
-        left_out=lambda path: _LEFT_OUT.fullmatch(path) is not None,
-        is_main=lambda path, given: bool(_MAIN.fullmatch(path) or (given and not _ASIDE.fullmatch(path))),
-        is_open=lambda path: _FOLDED.fullmatch(path) is None,
-        is_inline=lambda path: path.endswith((".spectrum", ".fill")), sections=_SECTIONS,
-    )  # fmt: skip
-
-
-def choices(path: str) -> tuple[str, ...]:
-    """Names that may stand at a path."""
-    if path == "sensor":
-        return library_names()
-    if path == "processing.detectors":
-        return MODEL_DETECTORS
-    return SURFACES if path.endswith(".builtin") else ()
+    """The form of a scenario, whose schema is made once."""
+    return Form()
 
 
 def plain(scenario: Scenario) -> dict[str, Any]:
@@ -129,7 +85,7 @@ def plain(scenario: Scenario) -> dict[str, Any]:
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 
-def checked_scenario(data: Mapping[str, Any], limits: Limits, uploads: Collection[str] = ()) -> Scenario:
+def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> Scenario:
     """The scenario of plain data.
 
     Raises
@@ -141,7 +97,7 @@ def checked_scenario(data: Mapping[str, Any], limits: Limits, uploads: Collectio
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
-    mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads)] or list(_of_cost(scenario, limits))
+    mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads)] or list(_of_cost(scenario))
     if mistakes:
         raise Refused(422, mistakes)
     return scenario
@@ -210,7 +166,7 @@ def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Fie
                 yield FieldMistake(path, words if key == "file" else "files of the server are not read")
 
 
-def _of_cost(scenario: Scenario, limits: Limits) -> Iterator[FieldMistake]:
+def _of_cost(scenario: Scenario) -> Iterator[FieldMistake]:
     scene = scenario.scene
     subjects = len(scene.classes) + len(scene.panels) + len(scene.sites)
     populations = sum(len(t.populations) for t in scene.targets)
@@ -221,19 +177,6 @@ def _of_cost(scenario: Scenario, limits: Limits) -> Iterator[FieldMistake]:
         value = getattr(getattr(scenario, group), name)
         if value > most and (group != "uncertainty" or scenario.uncertainty.method != "linear"):
             yield FieldMistake(path, f"{value:,}; this server draws at most {most:,}")
-    bands = 500.0
-    if scenario.sensor in library_names():
-        bands = float(np.size(load_sensor(scenario.sensor).axis.centre_nm))
-    inputs = len(scenario.uncertainty.model_fields_set) + 1
-    size = _MEMORY_BASE + 8.0 * bands**2 * (4 * subjects + 6 * populations) * (1 + 0.2 * inputs)
-    if size > limits.memory_bytes:
-        yield FieldMistake("scene", f"needs about {size / 1e9:.1f} GB; a run has {limits.memory_bytes / 1e9:.1f} GB")
-    if scenario.uncertainty.method != "linear":
-        seconds = 4e-7 * bands**2 * scenario.uncertainty.samples * max(1, populations) / 50
-        if seconds > limits.quick_seconds:
-            yield FieldMistake(
-                "uncertainty.samples", f"takes about {seconds:.0f} s; a run has {limits.quick_seconds:g} s"
-            )
 
 
 def _leaves(data: Any, key: str, at: str = "") -> Iterator[tuple[str, Any]]:
@@ -264,15 +207,10 @@ def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[s
 
 
 class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
-    """Text that is no plain word stands in quotation marks: readers of YAML take it for different things."""
+    """Text that begins as a number stands in quotation marks: readers of YAML take it for different things."""
 
 
-def _quoted(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
-    is_plain = _PLAIN.fullmatch(text) is not None and text.lower() not in _MEANT and not text.endswith(" ")
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if is_plain else '"')
-
-
-_Dumper.add_representer(str, _quoted)
+_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+.]?\d"), list("-+.0123456789"))
 
 
 def yaml_text(data: Mapping[str, Any]) -> str:
@@ -283,7 +221,7 @@ def yaml_text(data: Mapping[str, Any]) -> str:
     return text
 
 
-def form_data(form: Form, given: Mapping[str, list[str]]) -> dict[str, Any]:
+def form_data(given: Mapping[str, list[str]]) -> dict[str, Any]:
     """The data of a filled form.
 
     Raises
@@ -291,6 +229,6 @@ def form_data(form: Form, given: Mapping[str, list[str]]) -> dict[str, Any]:
     Refused : a field that is not of its form.
     """
     try:
-        return form.data(given)
+        return scenario_form().data(given)
     except UsageError as error:
         raise Refused(422, [FieldMistake(error.where or "", said(error))]) from error

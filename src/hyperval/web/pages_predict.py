@@ -19,9 +19,8 @@ from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
 from hyperval.web.desk import Desk
-from hyperval.web.forms import MOST_ROWS, Node
+from hyperval.web.forms import MOST_ROWS, SURFACES, Node
 from hyperval.web.inputs import (
-    SURFACES,
     checked_scenario,
     form_data,
     marked,
@@ -88,14 +87,14 @@ async def predict_post(request: Request) -> Response:
     given = texts_of(form)
     if given.get("action", ["run"])[0] != "run":
         changed = with_action(given)
-        return await run_in_threadpool(_form, request, form_data(scenario_form(), changed), given.get("begun", [""])[0])
+        return await run_in_threadpool(_form, request, form_data(changed), given.get("begun", [""])[0])
     return await run_in_threadpool(_run, request, given)
 
 
 def _run(request: Request, given: dict[str, list[str]]) -> Response:
     data: dict[str, Any] = {}
     try:
-        data = form_data(scenario_form(), given)
+        data = form_data(given)
         data.setdefault("schema", 1)
         ordered = order_prediction(request, data)
     except Refused as refusal:
@@ -114,7 +113,7 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     owner = session_of(request).owner
     desk: Desk = request.app.state.desk
     own = files_of(request.app.state.settings, owner)
-    scenario = checked_scenario(data, desk.limits, own)
+    scenario = checked_scenario(data, own)
     text = yaml_text(plain(scenario))
     files: dict[str, str | Path] = {"scenario.yaml": text, **copies_of(request.app.state.settings, owner, text, own)}
     return desk.order(owner, "prediction", scenario.name, scenario.title, files)

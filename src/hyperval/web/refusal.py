@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 
+from hyperval.config import spelled
 from hyperval.errors import HypervalError
 from hyperval.web.store import ServerSettings
 
@@ -98,22 +99,22 @@ def field_name(location: Sequence[str | int], data: Any, is_missing: bool = True
     return ".".join(parts)
 
 
-def sentence(kind: str, message: str, location: Sequence[str | int]) -> str:
-    """A mistake in words."""
-    if kind == "too_short" and tuple(location[-1:]) == ("classes",):
-        return "no background is chosen: add one at least"
-    return _WORDS.get(kind, message.removeprefix("Value error, "))
+def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
+    """A mistake that a model found, at the field of a name."""
+    kind, words = item["type"], str(item["msg"]).removeprefix("Value error, ")
+    if kind == "too_short" and tuple(item["loc"][-1:]) == ("classes",):
+        words = "no background is chosen: add one at least"
+    elif kind == "string_pattern_mismatch":
+        words = spelled(item["ctx"]["pattern"]) or words
+    return FieldMistake(name[:200], without_paths(_WORDS.get(kind, words))[:500])
 
 
 def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:
     """Every mistake of ``data`` with its field, each once."""
     listed: dict[FieldMistake, None] = {}
-    for item in error.errors(include_url=False, include_context=False):
-        words = sentence(item["type"], item["msg"], item["loc"])
-        listed[FieldMistake(field_name(item["loc"], data)[:200], without_paths(words)[:500])] = None
-        if len(listed) >= _MOST:
-            break
-    return list(listed)
+    for item in error.errors(include_url=False):
+        listed[mistake_of(item, field_name(item["loc"], data))] = None
+    return list(listed)[:_MOST]
 
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")

@@ -186,7 +186,7 @@ def _scenario(request: Request, name: str) -> Scenario:
     """
     if name.startswith("run:"):
         uploads = files_of(request.app.state.settings, session_of(request).owner)
-        return checked_scenario(scenario_of(request, name[4:]), request.app.state.settings.limits, uploads)
+        return checked_scenario(scenario_of(request, name[4:]), uploads)
     if name in predefined():
         return predefined()[name]
     raise Refused(422, [FieldMistake("scenario", f"one of {', '.join(predefined())}, or run: and the name of a run")])
@@ -234,7 +234,7 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
         raise Refused(422, mistakes_of(error, data)) from error
     uploads = files_of(state.settings, owner)
     scenario = _scenario(request, study.scenario)
-    mistakes = [*_of_size(study, limits), *_of_paths(study, scenario, limits, uploads)]
+    mistakes = [*_of_size(study, limits), *_of_paths(study, scenario, uploads)]
     if mistakes:
         raise Refused(422, mistakes)
     text = yaml_text(plain(scenario))
@@ -271,7 +271,7 @@ def _of_size(study: StudyFile, limits: Limits) -> Iterator[FieldMistake]:
         yield FieldMistake("inputs", f"{states} states of the atmosphere; this server takes at most {_MOST_STATES}")
 
 
-def _of_paths(study: StudyFile, scenario: Scenario, limits: Limits, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
+def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
     """Paths that lead nowhere, and values that cannot stand there: files of the server among them."""
     items: list[tuple[str, Input | Required]] = [(f"inputs.{i}", item) for i, item in enumerate(study.inputs)]
     items += [(f"required.{i}", item) for i, item in enumerate(study.required)]
@@ -292,7 +292,7 @@ def _of_paths(study: StudyFile, scenario: Scenario, limits: Limits, uploads: tup
                     tries.append((f"{at}.path", {move.path: own}))
     for field, settings in tries:
         try:
-            checked_scenario(plain(with_settings(scenario, settings)), limits, uploads)
+            checked_scenario(plain(with_settings(scenario, settings)), uploads)
         except UsageError as error:
             yield FieldMistake(field, said(error)[:400])
         except Refused as refusal:
