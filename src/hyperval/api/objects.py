@@ -12,6 +12,7 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from itertools import product as product_of
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from hyperval.errors import UsageError
 from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
+from hyperval.figures.spectra import SPECTRA as PRODUCT_LABELS
 from hyperval.metrics import Metric
 from hyperval.model import Z95, detection_at
 from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, Products
@@ -62,14 +64,13 @@ def _drawn(view: Panels, ax: Axes | None, height_in: float = 4.8) -> Axes:
 class SidesPlot:
     """Spectra and curves of one side or of both, which differ by the style of their lines."""
 
-    sides: Mapping[str, xr.Dataset]
+    tables: _Tables
 
     def __call__(self, ax: Axes | None = None) -> Axes:
         """Radiance, else reflectance, else ROC curves."""
-        for product in ("radiance", "reflectance"):
-            if any(product in data for data in self.sides.values()):
-                return self.spectra(product, ax=ax)
-        return self.roc(ax=ax)
+        known = set(self.tables.spectra["product"])
+        product = next((name for name in ("radiance", "reflectance") if name in known), None)
+        return self.roc(ax=ax) if product is None else self.spectra(product, ax=ax)
 
     def spectra(self, product: str = "radiance", ax: Axes | None = None) -> Axes:
         """Mean spectra of ``radiance``, ``reflectance`` or ``snr`` with their 95 % intervals.
@@ -78,17 +79,13 @@ class SidesPlot:
         ------
         UsageError : no side has the product.
         """
-        sides = self._with(product)
-        subjects = list(dict.fromkeys(str(s) for d in sides.values() for s in _subjects(d, product)))
-        marks = []
-        for dash, (side, whole) in zip(_DASHES, sides.items(), strict=False):
-            data = whole.sel(subject=_subjects(whole, product))
-            for i, subject in enumerate(map(str, data["subject"].to_numpy())):
-                half = Z95 * data[f"{product}_standard_uncertainty"].to_numpy()[i]
-                columns = {"x": data["wavelength"].to_numpy(), "y": data[product].to_numpy()[i], "half": half}
-                colour = SOURCES[subjects.index(subject) % len(SOURCES)]
-                marks.append(Mark("line", columns, f"{subject}, {side}", colour, dash))
-        return _drawn(single(Axis(WAVELENGTH), _label(next(iter(sides.values()))[product]), marks), ax)
+        every = self.tables.spectra
+        own = every.assign(half=Z95 * every["standard_uncertainty"])[every["product"] == product]
+        if own.empty:
+            known = ", ".join(every["product"].unique())
+            raise UsageError(f"nothing to draw: no {product}", expected=f"one of {known}" if known else None)
+        columns = {"x": "band_nm", "y": "value", "half": "half"}
+        return _drawn(single(Axis(WAVELENGTH), PRODUCT_LABELS[product][0], _lines(own, ["subject"], columns)), ax)
 
     def roc(self, ax: Axes | None = None) -> Axes:
         """Every ROC curve, false alarms on a logarithmic scale.
@@ -97,22 +94,22 @@ class SidesPlot:
         ------
         UsageError : no side has a curve.
         """
-        marks = []
-        for dash, (side, data) in zip(_DASHES, self._with("roc_pd").items(), strict=False):
-            for i in range(data.sizes["roc_curve"]):
-                words = [str(data[f"roc_{part}"].to_numpy()[i]) for part in ("subject", "detector", "unit")]
-                columns = {"x": data["roc_pfa"].to_numpy()[i], "y": data["roc_pd"].to_numpy()[i]}
-                label = f"{'/'.join(words)}, {side}"
-                marks.append(Mark("line", columns, label, SOURCES[i % len(SOURCES)], dash))
+        if self.tables.roc.empty:
+            raise UsageError("nothing to draw: no ROC curve")
+        marks = _lines(self.tables.roc, ["subject", "detector", "unit"], {"x": "pfa", "y": "pd"})
         axis = Axis("probability of false alarm", "log")
         return _drawn(single(axis, "probability of detection", marks, ends=(0.0, 1.0)), ax)
 
-    def _with(self, variable: str) -> dict[str, xr.Dataset]:
-        sides = {side: data for side, data in self.sides.items() if variable in data}
-        if not sides:
-            names = sorted({str(n) for data in self.sides.values() for n in data.data_vars})
-            raise UsageError(f"nothing to draw: no {variable}", expected="one of " + ", ".join(names[:8]))
-        return sides
+
+def _lines(frame: pandas.DataFrame, names: list[str], columns: Mapping[str, str]) -> list[Mark]:
+    """A line for each side and entry: a colour an entry, a dash a side."""
+    colours, dashes = dict[tuple[str, ...], str](), dict(zip(frame["side"].unique(), _DASHES, strict=False))
+    marks = []
+    for (side, *key), own in frame.groupby(["side", *names], sort=False):
+        colour = colours.setdefault(tuple(key), SOURCES[len(colours) % len(SOURCES)])
+        values = {name: own[column].to_numpy() for name, column in columns.items()}
+        marks.append(Mark("line", values, f"{'/'.join(key)}, {side}", colour, dashes[side]))
+    return marks
 
 
 def _subjects(data: xr.Dataset, product: str) -> list[str]:
@@ -158,6 +155,10 @@ class _Shown:
         frame: pandas.DataFrame = self.to_dataframe()
         return frame
 
+    def to_xarray(self: Any) -> Any:
+        """The columns as variables over the rows."""
+        return xr.Dataset.from_dataframe(self.to_dataframe())
+
 
 def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
     """A head and a line for each fact that there is, ten lines at most."""
@@ -180,16 +181,15 @@ class _Tables(_Shown):
     @property
     def spectra(self) -> pandas.DataFrame:
         """Means with their standard uncertainties: a row for each side, product, subject and band."""
-        parts = [pandas.DataFrame(columns=["side", "product", "subject", "band_nm", "value", "standard_uncertainty"])]
-        for side, data in self.sides.items():
-            for product in SPECTRA:
-                names = {product: "value", f"{product}_standard_uncertainty": "standard_uncertainty"}
-                for subject in _subjects(data, product):
-                    one = data.sel(subject=subject)
-                    columns = {words: one[name].to_numpy() for name, words in names.items()}
-                    about = {"side": side, "product": product, "subject": subject}
-                    parts.append(pandas.DataFrame({**about, "band_nm": one["wavelength"].to_numpy(), **columns}))
-        return pandas.concat(parts[1:] or parts, ignore_index=True)
+        names = ["side", "product", "subject", "band_nm", "value", "standard_uncertainty"]
+        parts = []
+        for (side, data), product in product_of(self.sides.items(), SPECTRA):
+            if subjects := _subjects(data, product):
+                columns = [product, f"{product}_standard_uncertainty"]
+                frame = data[columns].sel(subject=subjects).transpose("subject", ...).to_dataframe().reset_index()
+                frame = frame.rename(columns=dict(zip(["wavelength", *columns], names[3:], strict=True)))
+                parts.append(frame.assign(side=side, product=product)[names])
+        return pandas.concat(parts, ignore_index=True) if parts else pandas.DataFrame(columns=names)
 
     @property
     def roc(self) -> pandas.DataFrame:
@@ -288,7 +288,7 @@ class _Side(_Tables):
     @property
     def plot(self) -> SidesPlot:
         """``plot.spectra()``, ``plot.roc()``; ``plot()`` draws what there is."""
-        return SidesPlot(self.sides)
+        return SidesPlot(self)
 
 
 class Prediction(_Side):
@@ -317,11 +317,7 @@ class Results(_Shown, ResultTable):
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The rows in the columns of ``results.csv``."""
-        return self.frame()
-
-    def to_xarray(self) -> xr.Dataset:
-        """The columns as variables over the rows."""
-        return xr.Dataset.from_dataframe(self.frame().rename_axis("row"))
+        return self.frame().rename_axis("row")
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Value, interval and limits of each row that has limits, forty at most, one above the other."""
@@ -449,7 +445,7 @@ class Validation(_Tables):
     @property
     def plot(self) -> SidesPlot:
         """``plot.spectra()``, ``plot.roc()`` of both sides; ``results.plot()`` draws what was judged."""
-        return SidesPlot(self.sides)
+        return SidesPlot(self)
 
 
 @dataclass(frozen=True, repr=False)
@@ -497,15 +493,10 @@ class Study(_Shown):
         x, y = x or names[0], y or names[-1]
         if x not in names or y not in names:
             raise UsageError(f"no column {x if x not in names else y!r}", expected="one of " + ", ".join(names))
-        values, across = self.table[x].to_numpy(), Axis(_label(self.table[x]))
-        if values.dtype.kind not in "fiu":
-            kinds = list(dict.fromkeys(values.tolist()))
-            values = np.array([kinds.index(v) for v in values.tolist()])
-            across = Axis(across.label, "names", tuple(map(str, kinds)))
-        columns = {"x": values, "y": self.table[y].to_numpy()}
-        return _drawn(
-            single(across, _label(self.table[y]), [Mark("dots", columns, "", SOURCES[0], marker="circle")]), ax
-        )
+        ax = _axes(ax)
+        ax.plot(self.table[x].to_numpy(), self.table[y].to_numpy(), "o", color=SOURCES[0])
+        ax.set(xlabel=_label(self.table[x]), ylabel=_label(self.table[y]))
+        return ax
 
 
 class Collection(_Shown):
@@ -568,7 +559,3 @@ class Metrics(_Shown):
         """A row for each metric, by name."""
         names = [f.name for f in fields(Metric) if f.name not in ("tolerance", "usual")]
         return pandas.DataFrame([{n: getattr(m, n) for n in names} for m in self.rows.values()]).set_index("name")
-
-    def to_xarray(self) -> xr.Dataset:
-        """The columns as variables over the names."""
-        return xr.Dataset.from_dataframe(self.to_dataframe())

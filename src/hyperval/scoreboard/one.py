@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 import runpy
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -100,6 +100,9 @@ class Benchmarked:
     Attributes
     ----------
     exit_code : of the error that stopped it; None when nothing did
+    here : subject, method and metric -> the row, where it has a value
+    measures : metrics of all objects together
+    groups : detectors that have the same value of each of these: they order the pixels alike
     """
 
     name: str
@@ -109,6 +112,27 @@ class Benchmarked:
     notes: list[str] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
     exit_code: int | None = None
+
+    @cached_property
+    def here(self) -> dict[tuple[str, str, str], Result]:  # noqa: D102 - above
+        return {(r.subject, r.method, r.metric): r for r in self.rows if r.outcome is Outcome.NONE}
+
+    @cached_property
+    def measures(self) -> list[str]:  # noqa: D102 - above
+        return [m for m in _TITLES if any((s, metric) == (EVERY_OBJECT, m) for s, _, metric in self.here)]
+
+    @cached_property
+    def groups(self) -> list[tuple[str, ...]]:  # noqa: D102 - above
+        values: dict[str, dict[str, float]] = {}
+        for (subject, method, metric), row in self.here.items():
+            if subject == EVERY_OBJECT and metric in _TITLES:
+                values.setdefault(method.removesuffix("/object"), {})[metric] = row.value
+        each = list(values.values())
+        return [tuple(n for n in values if values[n] == own) for i, own in enumerate(each) if own not in each[:i]]
+
+    def standing(self, group: tuple[str, ...], metric: str, subject: str = EVERY_OBJECT) -> list[Result | None]:
+        """Value, rank and share of first places of a group by a metric."""
+        return [self.here.get((subject, f"{group[0]}/object", f"{part}{metric}")) for part in ("", "rank_", "first_")]
 
 
 def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> Benchmarked:
@@ -276,19 +300,18 @@ _MOST_SUBJECTS = 30
 _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
 
 
-def detector_figure(name: str, rows: Sequence[Result], groups: Sequence[tuple[str, ...]]) -> Figure | None:
+def detector_figure(one: Benchmarked) -> Figure | None:
     """A view for each metric on all objects: value, interval, rank with its set."""
-    here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_OBJECT and r.outcome is Outcome.NONE}
-    detectors, captions = row_names([" = ".join(g) for g in groups]), []
+    detectors, captions = row_names([" = ".join(g) for g in one.groups]), []
     views = []
-    for metric in [m for m in _TITLES if any(metric == m for _, metric in here)]:
-        pairs = [[here.get((f"{g[0]}/object", f"{p}{metric}")) for p in ("", "rank_")] for g in groups]
-        known = [(i, row, rank) for i, (row, rank) in enumerate(pairs) if row is not None and rank is not None]
+    for metric in one.measures:
+        standings = [one.standing(g, metric) for g in one.groups]
+        known = [(i, row, rank) for i, (row, rank, _) in enumerate(standings) if row is not None and rank is not None]
         # Densities of false alarms are drawn on a logarithmic axis, where none stands at its left end.
         far = metric.startswith("far")
         positive = [v for _, row, _ in known for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
-        marks, notes = [], [""] * len(groups)
+        marks, notes = [], [""] * len(one.groups)
         for first in (True, False):
             own = [(i, row, rank) for i, row, rank in known if (rank.lower <= 1) == first]
             values = np.array([(row.value, row.lower, row.upper, i) for i, row, _ in own], float).reshape(-1, 4).T
@@ -296,43 +319,48 @@ def detector_figure(name: str, rows: Sequence[Result], groups: Sequence[tuple[st
             label = "may be first" if first else "is not first"
             marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
             for i, row, rank in own:
-                notes[i] = f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]"
-                captions.append(f"{'/'.join(groups[i])} {metric} {row.value:.3g}, rank {notes[i]}")
+                notes[i] = _rank_text(rank)
+                captions.append(f"{'/'.join(one.groups[i])} {metric} {row.value:.3g}, rank {notes[i]}")
         none = " (none: at the left end)" if far and any(row.value == 0.0 for _, row, _ in known) else ""
         part = Part(replace(detectors, notes=tuple(notes)), tuple(marks))
         views.append(Panels(Axis("value", "log" if far else "linear"), (part,), _TITLES[metric] + none))
-    if not views or not groups:
+    if not views:
         return None
-    title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set]"
-    alt = f"Metrics of each detector on all objects of {name}. {'; '.join(captions)}."
-    return Figure(f"{name}-detectors", name, title, alt, tuple(views))
+    title = f"{one.name}: detectors on all objects with 95 % intervals; rank [95 % set]"
+    alt = f"Metrics of each detector on all objects of {one.name}. {'; '.join(captions)}."
+    return Figure(f"{one.name}-detectors", one.name, title, alt, tuple(views))
 
 
-def rank_figure(name: str, rows: Sequence[Result], groups: Sequence[tuple[str, ...]]) -> Figure | None:
+def rank_figure(one: Benchmarked) -> Figure | None:
     """Ranks by subject, as a map: dark where the detector leads, with the set of ranks that are not refuted."""
-    metric = next((m for m in _RANK_METRICS if any(r.metric == f"rank_{m}" for r in rows)), None)
-    here = {(r.subject, r.method): r for r in rows if r.metric == f"rank_{metric}" and r.outcome is Outcome.NONE}
-    every = list(dict.fromkeys(s for s, _ in here))
+    ranked = {metric for _, _, metric in one.here}
+    metric = next((m for m in _RANK_METRICS if f"rank_{m}" in ranked), "")
+    every = list(dict.fromkeys(subject for subject, _, name in one.here if name == f"rank_{metric}"))
     subjects = every[:_MOST_SUBJECTS]
     # Where all objects are one subject, the map would say it twice.
-    if metric is None or len({*subjects, EVERY_OBJECT}) < 3 or not groups:
+    if not metric or len({*subjects, EVERY_OBJECT}) < 3 or not one.groups:
         return None
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
-    title = f"{name}: rank [95 % set] by {_TITLES[metric]}, subjects of two objects and more{more}"
-    return _rank_map(f"{name}-ranks", name, title, subjects, groups, lambda s, own: here.get((s, f"{own[0]}/object")))
+    title = f"{one.name}: rank [95 % set] by {_TITLES[metric]}, subjects of two objects and more{more}"
+    ranks = {(s, g): one.standing(g, metric, s)[1] for s in subjects for g in one.groups}
+    return _rank_map(f"{one.name}-ranks", one.name, title, subjects, one.groups, ranks)
+
+
+def _rank_text(rank: Result) -> str:
+    return f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]"
 
 
 def _rank_map(
     name: str, section: str, title: str, rows: Sequence[str], groups: Sequence[tuple[str, ...]],
-    rank: Callable[[str, tuple[str, ...]], Result | None],
+    ranks: Mapping[tuple[str, tuple[str, ...]], Result | None],
 ) -> Figure:  # fmt: skip
     """A cell for each row and group of detectors that order alike: dark where it leads."""
     cells, words, captions = [], [], []
     for i, subject in enumerate(rows):
         for j, names in enumerate(groups):
-            if (row := rank(subject, names)) is not None:
+            if (row := ranks[subject, names]) is not None:
                 cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
-                words.append(f"{row.value:.0f} [{row.lower:.0f}-{row.upper:.0f}]")
+                words.append(_rank_text(row))
                 captions.append(f"{subject}, {'/'.join(names)}: {words[-1]}")
     columns = dict(zip(("left", "right", "bottom", "top", "value"), np.array(cells, float).T, strict=True))
     scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
@@ -347,25 +375,22 @@ def _rank_map(
 def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
     """Rank of every detector on all objects of every collection, as a map; one collection needs none."""
     metric = _RANK_METRICS[1]
-    here = {(r.campaign, r.method.removesuffix("/object"), r.metric): r for d in done for r in d.rows
-            if r.subject == EVERY_OBJECT and r.outcome is Outcome.NONE}  # fmt: skip
-    campaigns = [d.name for d in done if any((d.name, n, metric) in here for _, n, _ in here)]
-    names = list(dict.fromkeys(n for _, n, m in here if m == metric))
-    if len(campaigns) < 2:
+    known = [one for one in done if metric in one.measures]
+    every = dict.fromkeys(name for one in known for group in one.groups for name in group)
+    names: list[tuple[str, ...]] = [(name,) for name in every]
+    if len(known) < 2:
         return None
-    return _rank_map(
-        "overview", "benchmark", f"Rank [95 % set] by {_TITLES[metric]} on all objects of each collection",
-        campaigns, [(n,) for n in names], lambda c, own: here.get((c, own[0], f"rank_{metric}")),
-    )  # fmt: skip
+    title = f"Rank [95 % set] by {_TITLES[metric]} on all objects of each collection"
+    ranks = {(one.name, own): one.standing(own, metric)[1] for one in known for own in names}
+    return _rank_map("overview", "benchmark", title, [one.name for one in known], names, ranks)
 
 
-def predicted_figure(name: str, rows: Sequence[Result]) -> Figure | None:
+def predicted_figure(one: Benchmarked) -> Figure | None:
     """Measured over predicted area and P_D, a point for each subject and detector, a view for each metric."""
-    here = {(r.subject, r.method, r.metric): r for r in rows if r.outcome is Outcome.NONE}
     views, captions = [], []
     for metric, title in _TITLES.items():
-        pairs = [(key, here[*key[:2], metric], row) for key, row in here.items()
-                 if key[2] == f"predicted_{metric}" and (*key[:2], metric) in here]  # fmt: skip
+        pairs = [(key, one.here[*key[:2], metric], row) for key, row in one.here.items()
+                 if key[2] == f"predicted_{metric}" and (*key[:2], metric) in one.here]  # fmt: skip
         if not pairs or metric.startswith("far"):
             continue
         y, low, high, x = np.array([(m.value, m.lower, m.upper, p.value) for _, m, p in pairs], float).T
@@ -379,98 +404,53 @@ def predicted_figure(name: str, rows: Sequence[Result]) -> Figure | None:
         captions.append(f"{title}: {'; '.join(said)}")
     if not views:
         return None
-    title = f"{name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
-    return Figure(f"{name}-predicted", name, title, f"{title}. {' '.join(captions)}.", tuple(views))
+    title = f"{one.name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
+    return Figure(f"{one.name}-predicted", one.name, title, f"{title}. {' '.join(captions)}.", tuple(views))
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
     """The figures of the page."""
-    made = [make(d.name, d.rows, alike(d.rows)) for d in done for make in (detector_figure, rank_figure)]
-    made += [*(predicted_figure(d.name, d.rows) for d in done), overview_figure(done)]
-    return [figure for figure in made if figure is not None]
-
-
-def alike(rows: Sequence[Result]) -> list[tuple[str, ...]]:
-    """Detectors in groups that have the same value of every metric on all objects: they order the pixels alike."""
-    groups: dict[tuple[float, ...], list[str]] = {}
-    own = [r for r in rows if r.subject == EVERY_OBJECT and r.metric in _TITLES and r.outcome is Outcome.NONE]
-    for method in dict.fromkeys(r.method for r in own):
-        key = tuple(r.value for r in own if r.method == method)
-        groups.setdefault(key, []).append(method.removesuffix("/object"))
-    return [tuple(names) for names in groups.values()]
+    made = [make(one) for one in done for make in (detector_figure, rank_figure, predicted_figure)]
+    return [figure for figure in (*made, overview_figure(done)) if figure is not None]
 
 
 def benchmark_page(done: Sequence[Benchmarked], figures: Sequence[Figure]) -> str:
     """The page."""
     skipped = [r for d in done for r in d.rows if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)]
-    entries = []
-    for item in done:
-        rows = item.rows
-        if not any(r.outcome is Outcome.NONE for r in rows):
-            continue  # named under what was not run
-        groups = alike(rows)
-        entries.append(
-            {
-                "words": item,
-                "leads": leads(rows, groups),
-                "measures": [t for m, t in _TITLES.items() if _has(rows, m)],
-                "detectors": [_detector(rows, names) for names in groups],
-                "figures": [one for one in figures if one.section == item.name],
-            }
-        )
+    entries = [
+        {
+            "words": one, "leads": leads(one), "measures": [_TITLES[m] for m in one.measures],
+            "detectors": [{"name": " = ".join(g), "cells": [_cell(*one.standing(g, m)) for m in one.measures]}
+                          for g in one.groups],
+            "figures": [figure for figure in figures if figure.section == one.name],
+        }
+        for one in done if one.here  # the others are named under what was not run
+    ]  # fmt: skip
     count = sum(len(d.rows) for d in done)
     over = [one for one in figures if one.section == "benchmark"]
     return page("benchmark.html.j2", figures, over=over, entries=entries, skipped=skipped, count=count, all=len(done))
 
 
-def leads(rows: Sequence[Result], groups: Sequence[tuple[str, ...]]) -> list[str]:
+def leads(one: Benchmarked) -> list[str]:
     """Who is first by each metric on all objects, and who cannot be told from the first."""
     out = []
     for metric, title in _TITLES.items():
-        ranks = {r.method: r for r in rows if r.subject == EVERY_OBJECT and r.metric == f"rank_{metric}"}
-        ranks = {k: r for k, r in ranks.items() if r.outcome is Outcome.NONE}
-        if not ranks:
-            continue
-        first = [" = ".join(g) for g in groups if f"{g[0]}/object" in ranks and ranks[f"{g[0]}/object"].value == 1]
-        near = [
-            " = ".join(g)
-            for g in groups
-            if (r := ranks.get(f"{g[0]}/object")) is not None and r.value > 1 and r.lower <= 1
-        ]
+        ranks = {" = ".join(g): rank for g in one.groups if (rank := one.standing(g, metric)[1]) is not None}
+        first = [name for name, rank in ranks.items() if rank.value == 1]
+        near = [name for name, rank in ranks.items() if rank.value > 1 and rank.lower <= 1]
         words = f"; not told from it: {', '.join(near)}" if near else "; all others are told from it"
-        out.append(f"{title}: {' and '.join(first)}{words if len(groups) > len(first) else ''}")
+        if ranks:
+            out.append(f"{title}: {' and '.join(first)}{words if len(one.groups) > len(first) else ''}")
     return out
 
 
-def _has(rows: Sequence[Result], metric: str) -> bool:
-    return any(r.metric == metric and r.subject == EVERY_OBJECT for r in rows)
-
-
-def _detector(rows: Sequence[Result], names: tuple[str, ...]) -> dict[str, Any]:
-    own = {r.metric: r for r in rows if r.subject == EVERY_OBJECT and r.method == f"{names[0]}/object"}
-    cells = []
-    for metric in _TITLES:
-        if not _has(rows, metric):
-            continue
-        value, rank, first = (own.get(f"{p}{metric}") for p in ("", "rank_", "first_"))
-        cells.append(
-            {
-                "value": _number(value), "interval": _span(value),
-                "rank": f"{rank.value:.0f} [{rank.lower:.0f} to {rank.upper:.0f}]" if rank else "–",
-                "first": f"{100 * first.value:.0f} %" if first else "–",
-            }
-        )  # fmt: skip
-    return {"name": " = ".join(names), "cells": cells}
-
-
-def _number(row: Result | None) -> str:
-    if row is None or not math.isfinite(row.value):
-        return "–"
-    return number_text(row.value, (row.upper - row.lower) / 2)
-
-
-def _span(row: Result | None) -> str:
-    if row is None or not math.isfinite(row.lower):
-        return ""
-    spread = (row.upper - row.lower) / 2  # two digits of it are all that value and ends are worth
-    return f"{number_text(row.lower, spread)} to {number_text(row.upper, spread)}"
+def _cell(value: Result | None, rank: Result | None, first: Result | None) -> dict[str, str]:
+    """A metric of a detector on all objects, in words."""
+    numbers = ["–", "", ""]
+    if value is not None and math.isfinite(value.value):
+        spread = (value.upper - value.lower) / 2  # two digits of it are all that value and ends are worth
+        numbers = [number_text(number, spread) for number in (value.value, value.lower, value.upper)]
+    return {
+        "value": numbers[0], "interval": " to ".join(filter(None, numbers[1:])),
+        "rank": _rank_text(rank) if rank else "–", "first": f"{100 * first.value:.0f} %" if first else "–",
+    }  # fmt: skip
