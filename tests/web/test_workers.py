@@ -13,7 +13,7 @@ from processes import awaited, is_at_work
 pytest.importorskip("fastapi", reason="needs the extra web")
 
 from hyperval.cli import keep_caches
-from hyperval.web import Cancelled, Cluster, Full, TaskFailed, WorkerPool, WorkerTask
+from hyperval.web import Cancelled, Full, TaskFailed, WorkerPool, WorkerTask
 
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.filterwarnings("default")  # of the libraries behind the scheduler
@@ -32,7 +32,7 @@ def pool(request):
             distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
             options = {"processes": False, "threads_per_worker": 1, "dashboard_address": None}
             cluster = stack.enter_context(distributed.LocalCluster(1, **options))
-            one = Cluster(cluster.scheduler_address, most=1, seconds=2.0, module="web_tasks")
+            one = WorkerPool(0, 1, 2.0, 0, cluster.scheduler_address, "web_tasks")
         yield one
         one.close()
         with pytest.raises(Full):
@@ -43,9 +43,9 @@ def result(pool, task, **arguments):
     return pool.submit(WorkerTask(task, arguments)).future.result(30.0)
 
 
-def test_what_ends_a_process_ends_its_task_alone(pool):
+def test_what_ends_a_process_ends_its_task_alone(pool, request):
     assert result(pool, "add", a=1, b=2) == 3
-    if isinstance(pool, WorkerPool):
+    if request.node.callspec.params["pool"] == "processes":
         first = result(pool, "pid")
         assert result(pool, "pid") == first  # it stays warm
         with pytest.raises(TaskFailed, match="process was ended"):
@@ -90,7 +90,7 @@ def test_processes_end_with_a_server_that_was_killed(tmp_path):
         "import sys, time; from hyperval.web.workers import WorkerPool, WorkerTask\n"
         "if __name__ == '__main__':\n"
         f"    sys.path.insert(0, {str(HERE)!r})\n"
-        "    pool = WorkerPool(1, 4, 60.0, 10**9, 'web_tasks')\n"
+        "    pool = WorkerPool(1, 4, 60.0, 10**9, module='web_tasks')\n"
         "    print(pool.submit(WorkerTask('pid', {})).future.result(30.0), flush=True)\n"
         f"    pool.submit(WorkerTask('write', {{'path': {str(tmp_path / 'sign')!r}}}))\n"
         "    time.sleep(60)\n"

@@ -7,6 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from hyperval import baseline, imagery, model, spectra
+from hyperval import campaign as campaigns
 from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Study, Validation
 from hyperval.run import Run
 from hyperval.scenario import Scenario, load_scenario
@@ -31,9 +33,8 @@ def load_campaign(path: Path | str) -> Job:
     ------
     InputError, UsageError : of the file.
     """
-    from hyperval.campaign import job_of
 
-    return job_of(Path(path))
+    return campaigns.job_of(Path(path))
 
 
 def explain(
@@ -55,17 +56,16 @@ def explain(
     InputError, UsageError : neither, or damaged; in the words of the reader.
     """
     from hyperval.envi_header import header_beside
-    from hyperval.imagery import EnviRaster, needs_header, open_raster, record
-    from hyperval.spectra import read_records
 
     path = Path(file)
-    if header is not None or path.is_dir() or path.suffix == ".hdr" or header_beside(path) or not needs_header(path):
-        raster = open_raster(path, header=header, variable=key)
-        if not (isinstance(raster, EnviRaster) and "library" in raster.header.file_type.lower()):
-            return record(raster)
+    is_image = header is not None or path.is_dir() or path.suffix == ".hdr" or header_beside(path) is not None
+    if is_image or not imagery.needs_header(path):
+        raster = imagery.open_raster(path, header=header, variable=key)
+        if not (isinstance(raster, imagery.EnviRaster) and "library" in raster.header.file_type.lower()):
+            return imagery.record(raster)
         path = raster.path
     rows = []
-    for spectrum in read_records(path, quantity="other"):
+    for spectrum in spectra.read_records(path, quantity="other"):
         nm = spectrum.wavelength_nm
         rows.append(("spectrum", f"{spectrum.name}: {nm.size} values, {nm[0]:g} to {nm[-1]:g} nm", spectrum.source))
         rows += [("assumed", note, "reader") for note in spectrum.notes]
@@ -89,11 +89,9 @@ def predict(
     ------
     InputError, UsageError, EngineError : of the scenario.
     """
-    from hyperval.model import Origins
-    from hyperval.model import predict as predict_scenario
 
     known = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
-    return Prediction(predict_scenario(known, Origins(**origins), objects=objects, object_curves=object_curves))
+    return Prediction(model.predict(known, model.Origins(**origins), objects=objects, object_curves=object_curves))
 
 
 def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) -> Observation:
@@ -106,9 +104,8 @@ def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) ->
     ------
     InputError, UsageError : of the campaign; MissingDataError where its data are not at hand.
     """
-    from hyperval.campaign import collected
 
-    with collected(_job(campaign, compares=False), show_progress=show_progress) as collection:
+    with campaigns.collected(_job(campaign, compares=False), show_progress=show_progress) as collection:
         return Observation(collection.observed.observation)
 
 
@@ -154,11 +151,10 @@ def validate(
     ------
     InputError, UsageError, EngineError : of the campaign.  Data that are not at hand make its rows SKIPPED.
     """
-    from hyperval.campaign import run_campaign
     from hyperval.report.outputs import write_outputs
     from hyperval.storage import whole_folder
 
-    report = run_campaign(_job(campaign), show_progress=show_progress)
+    report = campaigns.run_campaign(_job(campaign), show_progress=show_progress)
     if output is not None:
         with whole_folder(Path(output)) as folder:
             write_outputs(report, folder)
@@ -201,14 +197,11 @@ def check(
     ------
     UsageError, InputError : of the campaigns, sensors or baselines.
     """
-    from hyperval.baseline import DEFAULT_FOLDER
-    from hyperval.baseline import check as check_numbers
 
     files = [campaigns] if isinstance(campaigns, Path | str) else list(campaigns)
     names = [sensors] if isinstance(sensors, str) else list(sensors)
-    outcome = check_numbers(
-        [Path(f) for f in files], names, baselines=Path(baselines or DEFAULT_FOLDER), show_progress=show_progress
-    )
+    folder = Path(baselines or baseline.DEFAULT_FOLDER)
+    outcome = baseline.check([Path(f) for f in files], names, baselines=folder, show_progress=show_progress)
     return Results(outcome.table)
 
 
@@ -260,11 +253,10 @@ def metrics() -> Metrics:
 
 def _job(campaign: Job | Path | str, *, compares: bool = True) -> Any:
     """The campaign as it is, or that of a file of one run; ``compares`` as for :func:`jobs_of`."""
-    from hyperval.campaign import Job, jobs_of
 
-    if isinstance(campaign, Job):
+    if isinstance(campaign, campaigns.Job):
         return campaign
-    jobs = jobs_of(Path(campaign), compares=compares)
+    jobs = campaigns.jobs_of(Path(campaign), compares=compares)
     return jobs[0] if len(jobs) == 1 else load_campaign(campaign)  # which says what is wrong with several
 
 

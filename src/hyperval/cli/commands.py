@@ -1,19 +1,4 @@
-"""The web application.
-
-Commands about accepted numbers.
-
-Commands about public data sets.
-
-Commands on finished runs, and on the numbers in them.
-
-The command that writes the first draft of a campaign.
-
-Commands that run the model or the pipeline many times: studies, benchmarks, injected errors.
-
-Commands that run the model, the pipeline, or both.
-
-Commands about sensors.
-"""
+"""The commands: each calls one function of the package, prints what it says, and passes on its exit code."""
 
 from __future__ import annotations
 
@@ -24,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from hyperval import baseline, campaign, scoreboard
 from hyperval.cli.shared import (
     AnyOutput,
     Output,
@@ -37,10 +23,9 @@ from hyperval.cli.shared import (
     say_warnings,
     settings,
 )
-from hyperval.errors import UsageError, as_typed
+from hyperval.errors import InputError, UsageError, as_typed
 
 if TYPE_CHECKING:
-    from hyperval.baseline import Checked
     from hyperval.results import Result
 
 
@@ -52,6 +37,9 @@ Sensors = Annotated[
     ),
 ]
 Baselines = Annotated[Path | None, typer.Option(help="Folder of accepted numbers [validation/baselines].")]
+Header = Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")]
+Key = Annotated[str | None, typer.Option(help="Which array of the file is the image, if there are several.")]
+Draft = Annotated[Path | None, typer.Option("--output", "-o", help="The file to write.")]
 Finished = Annotated[
     Path | None,
     typer.Option("--from", help="Folder of a finished validate of these campaigns, read instead of run."),
@@ -69,15 +57,13 @@ def check(
     everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
 ) -> int:
     """Run campaigns and sensors, and compare with what was accepted."""
-    from hyperval.baseline import DEFAULT_FOLDER
-    from hyperval.baseline import check as run
 
     if baselines is not None and not baselines.is_dir():
         raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
-    outcome = run(
+    outcome = baseline.check(
         campaigns or [],
         sensors or [],
-        baselines=baselines or DEFAULT_FOLDER,
+        baselines=baselines or baseline.DEFAULT_FOLDER,
         source=source,
         output=output,
         junit=junit,
@@ -88,7 +74,7 @@ def check(
     print_table(header, list(map(_cells, compared)))
     skipped: dict[str, list[str]] = {}
     for item in outcome.checked:
-        _tell(item, baselines or DEFAULT_FOLDER)
+        _tell(item, baselines or baseline.DEFAULT_FOLDER)
         if item.run.skipped is not None:
             skipped.setdefault(item.run.skipped, []).append(item.run.owner)
     for reason, owners in skipped.items():
@@ -99,15 +85,14 @@ def check(
 
 
 def _cells(row: Result) -> tuple[str, ...]:
-    from hyperval.baseline import key_of
 
     accepted, width = (row.limit_high + row.limit_low) / 2.0, (row.limit_high - row.limit_low) / 2.0
     numbers = (f"{accepted:.6g}", f"{row.value:.6g}", f"{row.value - accepted:+.3g}", f"{width:.3g}")
     outcome = row.reason or str(row.outcome)
-    return (row.campaign, key_of(row), *("-" if "nan" in text else text for text in numbers), outcome)
+    return (row.campaign, baseline.key_of(row), *("-" if "nan" in text else text for text in numbers), outcome)
 
 
-def _tell(item: Checked, baselines: Path) -> None:
+def _tell(item: baseline.Checked, baselines: Path) -> None:
     """One line of summary; what was not compared, and is in no table, says why."""
     from hyperval.results import Outcome
 
@@ -124,11 +109,10 @@ def _tell(item: Checked, baselines: Path) -> None:
         note(f"  if the change is meant: {item.run.acceptance(baselines)}")
 
 
-def _likely_causes(item: Checked) -> str:
+def _likely_causes(item: baseline.Checked) -> str:
     """What differs between the run and the one that was accepted, as far as both say."""
-    from hyperval.baseline import load_baseline
 
-    then = load_baseline(item.baseline).versions
+    then = baseline.load_baseline(item.baseline).versions
     changed = [f"{k} {then[k]} is now {v}" for k, v in item.run.versions.items() if k in then and then[k] != v]
     return (
         "; ".join(changed) or "the code, the campaign's files or its data: the versions of all packages are as accepted"
@@ -140,7 +124,7 @@ app.add_typer(baseline_app, name="baseline")
 
 
 @baseline_app.callback()
-def baseline() -> None:
+def baselines_() -> None:
     """Accepted numbers of campaigns and sensors."""
 
 
@@ -158,13 +142,12 @@ def baseline_accept(
     source: Finished = None,
 ) -> int:
     """Take the numbers of a run as those that later runs must give; prints what changes."""
-    from hyperval.baseline import DEFAULT_FOLDER, accept
 
-    done = accept(
+    done = baseline.accept(
         campaigns or [],
         sensors or [],
         reason=reason,
-        baselines=baselines or DEFAULT_FOLDER,
+        baselines=baselines or baseline.DEFAULT_FOLDER,
         source=source,
         show_progress=settings.show_progress,
     )
@@ -183,9 +166,8 @@ def baseline_accept(
 
 
 def _in_words(item: object) -> str:
-    from hyperval.baseline import Accepted
 
-    if not isinstance(item, Accepted):
+    if not isinstance(item, baseline.Accepted):
         return "-"
     value = "no value" if item.accepted is None else f"{item.accepted:.6g}"
     loose = f", loosened: {item.why}" if item.why else ""
@@ -234,7 +216,6 @@ def data_verify(
 ) -> int:
     """Compare the files at hand with their digests; exit code 3 when one is missing or differs."""
     from hyperval.datasets import dataset, registry, verify
-    from hyperval.errors import InputError
 
     for name in names or []:
         if not dataset(name).public:
@@ -294,7 +275,7 @@ def drift(
 
 @command("figures results -o figures --format svg --style journal")
 def figures(
-    run: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
     output: Output,
     kind: Annotated[Literal["pdf", "svg", "png"], typer.Option("--format", help="Format of the files.")] = "pdf",
     style: Annotated[
@@ -302,11 +283,10 @@ def figures(
     ] = "house",
 ) -> int:
     """Draw the figures of a finished run for print, from its folder."""
-    from hyperval.campaign import spread_curves
     from hyperval.figures.print import Print
     from hyperval.report.html import figures_to_folder
 
-    return finished(figures_to_folder(run, output, Print(kind, style == "journal"), spread_curves), output)
+    return finished(figures_to_folder(folder, output, Print(kind, style == "journal"), campaign.spread_curves), output)
 
 
 @command("metrics", "metrics bias_ratio")
@@ -326,8 +306,8 @@ def metrics(
 @command("explain line1_rad.img", "explain scene.mat --key data")
 def explain(
     file: Annotated[Path, typer.Argument(help="An image, or a file of spectra.")],
-    header: Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")] = None,
-    key: Annotated[str | None, typer.Option(help="Which array of the file is the image, if there are several.")] = None,
+    header: Header = None,
+    key: Key = None,
 ) -> int:
     """Say what a file is as the reader sees it: every number's origin, what is not known, and what mends it."""
     from hyperval.api import explain as explained
@@ -340,13 +320,13 @@ def explain(
 @command("init --cube line1_rad.img --regions rois.xml --targets planks.csv --spectra spectra -o mine")
 def init(
     cube: Annotated[Path, typer.Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for campaign.yaml; made where it is not.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for campaign.yaml, or a .yaml file.")],
     regions: Annotated[list[Path] | None, typer.Option(help="Files of regions of interest.")] = None,
     targets: Annotated[Path | None, typer.Option(help="Regions, mask or list (CSV) of the targets.")] = None,
     spectra: Annotated[
         list[Path] | None, typer.Option(help="Files or folders of field spectra, named as regions and targets.")
     ] = None,
-    header: Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")] = None,
+    header: Header = None,
     quantity: Annotated[
         Literal["radiance", "reflectance", "counts"] | None,
         typer.Option(help="What the image holds, where it does not say."),
@@ -356,20 +336,20 @@ def init(
     time: Annotated[str | None, typer.Option(help="Time of the line, UTC: 2012-09-20T16:31:00Z.")] = None,
     altitude_km: Annotated[float | None, typer.Option(help="Sensor above sea level [km].")] = None,
     pixel_size_m: Annotated[float | None, typer.Option(help="Ground size of a pixel, without a map position.")] = None,
-    key: Annotated[str | None, typer.Option(help="Which array of the file is the image, if there are several.")] = None,
+    key: Key = None,
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default: that of the folder.")] = None,
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     import re
 
-    from hyperval.campaign import StarterSources, starter_campaign
     from hyperval.config import parse_yaml, placeholders, unwritten, write_draft
 
-    path = unwritten(output / "campaign.yaml")
-    own = name or re.sub(r"[^a-z0-9]+", "-", output.resolve().name.lower()).strip("-") or "campaign"
+    path = unwritten(output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml")
+    called = path.stem if path == output else output.resolve().name
+    own = name or re.sub(r"[^a-z0-9]+", "-", called.lower()).strip("-") or "campaign"
     given = cube, regions or (), targets, spectra or (), header, quantity, unit
-    sources = StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key)
-    text, guesses = starter_campaign(sources, output, own)
+    sources = campaign.StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key)
+    text, guesses = campaign.starter_campaign(sources, path.parent, own)
     write_draft(path, "campaign", text)
     for guess in guesses:
         note(f"guess: {guess}")
@@ -384,7 +364,7 @@ def init(
 @command("schema campaign -o campaign.schema.json")
 def schema(
     kind: Annotated[Literal["campaign", "scenario", "scene", "study", "sensor"], typer.Argument(help="Kind of file.")],
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="The file to write.")] = None,
+    output: Draft = None,
 ) -> int:
     """Print the JSON Schema of a kind of file, by which editors complete, explain and mark errors."""
     from hyperval.config import schema_text
@@ -429,11 +409,10 @@ def benchmark(
     scheduler: Scheduler = None,
 ) -> int:
     """Rank all detectors on every campaign."""
-    from hyperval.scoreboard import benchmark as run
 
     if wrong := [one for one in scores or () if not all(one.partition("="))]:
         raise UsageError(f"--scores {wrong[0]}", expected="NAME=FILE, such as --scores net=net.npy")
-    code = run(
+    code = scoreboard.benchmark(
         campaigns,
         output,
         extensions=extend or [],
@@ -448,16 +427,15 @@ def benchmark(
 @command("power campaign.yaml -o detected")
 def power(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for the tables; replaced as a whole.")
-    ] = None,
+    output: AnyOutput = None,
     accept: Annotated[bool, typer.Option("--accept", help="Take the tables as those that reports show.")] = False,
     errors: Annotated[Path | None, typer.Option("--errors", help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
-    from hyperval.campaign import campaign_power
 
-    tables = campaign_power(campaigns, output=output, accept=accept, own=errors, show_progress=settings.show_progress)
+    tables = campaign.campaign_power(
+        campaigns, output=output, accept=accept, own=errors, show_progress=settings.show_progress
+    )
     done = [item.table for item in tables if item.table is not None]
     names = list(dict.fromkeys(name for table in done for name in table.errors))
     print_table(
@@ -484,14 +462,13 @@ def predict(
     output: Output,
 ) -> int:
     """Run the forward model alone."""
-    from hyperval.campaign import predict_to_folder
 
-    return finished(predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
+    return finished(campaign.predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
 
 
 @command("observe campaign.yaml -o out --write-reflectance envi")
 def observe(
-    campaign: Annotated[Path, typer.Argument(help="A campaign file.")],
+    file: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="A campaign file.")],
     output: Output,
     write_reflectance: Annotated[
         Literal["envi", "cog"] | None,
@@ -499,9 +476,8 @@ def observe(
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
-    from hyperval.campaign import observe as run
 
-    code = run(campaign, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
+    code = campaign.observe(file, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
     say_warnings(output)
     return finished(code, output)
 
@@ -528,11 +504,11 @@ def validate(
         return _dry_run(campaigns)
     if output is None:
         raise UsageError("no folder for the results", mend="name one with --output (-o)")
-    from hyperval.campaign import validate as run
+
     from hyperval.run import junit_of
     from hyperval.storage import write_text
 
-    code = run(
+    code = campaign.validate(
         campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note,
         show_progress=settings.show_progress,
     )  # fmt: skip
@@ -553,15 +529,13 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
 
 
 def _dry_run(campaigns: list[Path]) -> int:
-    from hyperval.campaign import WRONG, dry_run, overview, summary
-    from hyperval.errors import InputError
 
-    items = dry_run(campaigns)
+    items = campaign.dry_run(campaigns)
     header = ("campaign", "kind", "state", "what", "detail")
-    print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in overview(items)])
-    for line in summary(items):
+    print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in campaign.overview(items)])
+    for line in campaign.summary(items):
         note(line)
-    if any(i.state == WRONG for i in items):
+    if any(i.state == campaign.WRONG for i in items):
         return UsageError.exit_code
     return InputError.exit_code if any(i.lacking for i in items) else 0
 
@@ -599,9 +573,7 @@ def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, 
 @command("sensor check mine.yaml -o mine-check", of=sensor_app, name="check")
 def sensor_check(
     name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for the datasheet; replaced as a whole.")
-    ] = None,
+    output: AnyOutput = None,
     vary: Annotated[
         float, typer.Option(min=1.0, max=90.0, help="By how much each assumed number is varied [%].")
     ] = 20.0,
@@ -625,12 +597,10 @@ def sensor_check(
 @command("sensor new mine --arms VNIR,SWIR", of=sensor_app, name="new")
 def sensor_new(
     name: Annotated[str, typer.Argument(help="Short name of the sensor.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The file to write; default: NAME.yaml here.")
-    ] = None,
+    output: Draft = None,
     arms: Annotated[str, typer.Option(help="Its spectrometers, with commas between.")] = "VNIR",
 ) -> int:
-    """Write a sensor file to be filled in from a data sheet."""
+    """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet."""
     from hyperval.config import unwritten, write_draft
     from hyperval.sensor.specification import new_sensor_file
 
@@ -653,9 +623,7 @@ def serve(
     ] = None,
     folder: Annotated[Path | None, typer.Option(help="Runs and uploads; by default in the user's data folder.")] = None,
     campaigns: Annotated[Path | None, typer.Option(help="Folder of campaigns that may be run from the pages.")] = None,
-    data: Annotated[
-        Path | None, typer.Option(help="Folder whose cubes, regions and spectra may be named in the pages.")
-    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder whose cubes, regions and spectra pages may name.")] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for predictions.")] = 2,
     long_workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
     scheduler: Scheduler = None,
@@ -697,14 +665,8 @@ def serve(
         if given is not None and not given.is_dir():
             raise UsageError("is no folder", where=str(given), expected=words)
     names = tuple(n.lower() for n in name or ())
-    settings = ServerSettings(place, campaigns, (*LOOPBACK, *names), https, limits, data)
-    if scheduler is not None:
-        from hyperval.web.workers import Cluster
-
-        crews = (Cluster(scheduler, queue, limits.quick_seconds), Cluster(scheduler, queue, limits.long_seconds))
-    else:
-        crews = None
-    application = make_app(settings, crews)
+    settings = ServerSettings(place, campaigns, (*LOOPBACK, *names), https, limits, data, scheduler)
+    application = make_app(settings)
     for words in application.state.store.notices:
         note(words)
     note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C ends it")

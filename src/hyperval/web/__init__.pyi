@@ -7,10 +7,10 @@ from .pages_predict import walk
 from .refusal import said
 from .runs import campaigns_of
 from .store import LOOPBACK, Limits, RunStore, ServerSettings, view_name
-from .workers import Cancelled, Cluster, Full, TaskFailed, WorkerPool, WorkerTask
+from .workers import Cancelled, Full, TaskFailed, WorkerPool, WorkerTask
 
 __all__ = [
-    "LOOPBACK", "POLICY", "Cancelled", "Cluster", "Full", "Limits", "RunStore", "ServerSettings", "TaskFailed",
+    "LOOPBACK", "POLICY", "Cancelled", "Full", "Limits", "RunStore", "ServerSettings", "TaskFailed",
     "WorkerPool", "WorkerTask", "campaigns_of", "connections_of", "make_app", "needs", "plain", "predefined", "said",
     "scenario_form", "view_name", "walk",
 ]  # fmt: skip

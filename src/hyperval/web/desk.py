@@ -31,16 +31,19 @@ class Desk:
 
     Parameters
     ----------
-    pools : what carries out quick tasks, and long ones; default: processes, as the limits say
+    pools : what carries out quick tasks, and long ones; default: as the settings say
     """
 
     def __init__(self, settings: ServerSettings, store: RunStore, pools: tuple[TaskPool, TaskPool] | None = None):
         limits = settings.limits
         self.limits, self.store = limits, store
+
+        def pool(count: int, seconds: float) -> TaskPool:
+            return WorkerPool(count, limits.queue, seconds, limits.memory_bytes, settings.scheduler)
+
         self.quick, self.long = pools or (
-            WorkerPool(limits.quick_workers, limits.queue, limits.quick_seconds, limits.memory_bytes),
-            WorkerPool(limits.long_workers, limits.queue, limits.long_seconds, limits.memory_bytes),
-        )
+            pool(limits.quick_workers, limits.quick_seconds), pool(limits.long_workers, limits.long_seconds)
+        )  # fmt: skip
         self._jobs: dict[str, WorkerTask] = {}
         self._views: dict[tuple[str, ...], WorkerTask] = {}
         self._lock = threading.Lock()

@@ -74,6 +74,7 @@ class ServerSettings:
     data : folder whose cubes and regions may be named, None: none
     hosts : names under which browsers reach it
     secure : whether it is reached by HTTPS alone, through a proxy
+    scheduler : address of a Dask scheduler whose workers carry the tasks out, None: processes of this machine
     """
 
     folder: Path
@@ -82,6 +83,7 @@ class ServerSettings:
     secure: bool = False
     limits: Limits = field(default_factory=Limits)
     data: Path | None = None
+    scheduler: str | None = None
 
 
 ENDED = ("finished", "failed", "cancelled", "lost")

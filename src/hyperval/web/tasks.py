@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import shutil
 import sys
 import warnings
@@ -32,7 +33,7 @@ from hyperval.figures.catalogue import first_figures
 from hyperval.figures.detection import densities_figure, exceedance_figure
 from hyperval.figures.spec import Figure, statement
 from hyperval.figures.spectra import spectra_figure
-from hyperval.imagery import open_raster
+from hyperval.imagery import open_raster, record
 from hyperval.model.roc import detection_at
 from hyperval.observe import open_source
 from hyperval.products import (
@@ -166,9 +167,9 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
     """Write the campaign of what was brought, and run its empirical pipeline."""
     place = Path(folder)
     raster = open_raster(place / sources["cube"])
-    lines, samples, bands = raster.lines, raster.samples, raster.bands
-    if lines * samples * bands > sources["most"]:
-        raise UsageError(f"the cube has {lines * samples * bands:,} values", expected=f"at most {sources['most']:,}")
+    if (count := math.prod(raster.size)) > sources["most"]:
+        raise UsageError(f"the cube has {count:,} values", expected=f"at most {sources['most']:,}")
+    header = {what: value for what, value, _ in record(raster) if what != "assumed"}
     named = StarterSources(
         cube=place / sources["cube"],
         regions=[place / name for name in sources["regions"]],
@@ -180,14 +181,6 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
     write_text(place / "campaign.yaml", text)
     with _command("observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results", show_progress=False)
-    header = {"lines": lines, "samples": samples, "bands": bands, "type": str(raster.dtype)}
-    _, observed = read_pair(place / "results")
-    if observed is not None:
-        nm = observed.axis.centre_nm
-        header["wavelengths"] = f"{nm[0]:g} to {nm[-1]:g} nm"
-    if raster.crs is not None and raster.transform is not None:
-        x, y = raster.transform @ (samples / 2, lines / 2)
-        header["position"] = f"{raster.crs}, centre {x:.6g}, {y:.6g}"
     return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
 
 

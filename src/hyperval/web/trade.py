@@ -21,7 +21,7 @@ from starlette.responses import JSONResponse, RedirectResponse, Response, Stream
 
 from hyperval.errors import UsageError
 from hyperval.model import in_file
-from hyperval.scenario import Scenario, builtin_scenarios
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
 from hyperval.study.trade import KINDS, Live, Offer, Offers, Progress, Trade, completed, notebook, prepared, study_of
@@ -122,12 +122,8 @@ def desk(request: Request) -> Response:
         request, "trade.html.j2", status=status, trade=trade, offers=offers, errors=errors, sliders=shown,
         groups=[(name, list(some)) for name, some in groupby(ordered, lambda o: o.group)],
         scenarios={name: s.title or name for name, s in predefined().items() if not needs(s)}, runs=runs[:20],
-        kinds=KINDS, is_beside=not _goes_by_name(source),
+        kinds=KINDS, is_beside=source not in builtin_scenarios(),
     )  # fmt: skip
-
-
-def _goes_by_name(source: str) -> bool:
-    return source in builtin_scenarios()
 
 
 @pages.get("/trade/live")
@@ -164,38 +160,22 @@ def curve(request: Request) -> Response:
     return StreamingResponse(pieces(), media_type="application/x-ndjson")
 
 
-def _texts(request: Request, given: QueryParams | FormData, *, exact: bool = False) -> dict[str, str]:
-    """The study, and the scenario's file beside it where it goes by no name."""
+def _study(request: Request, given: QueryParams | FormData, *, exact: bool = False) -> tuple[str, dict[str, Any]]:
+    """The scenario of what is asked, its name or its file, and the study."""
     source, trade, _ = _asked(request, given)
-    by_name = _goes_by_name(source)
-    study = study_of(prepared(source, trade), trade, source if by_name else "scenario.yaml", exact=exact)
-    data = study.model_dump(mode="json", by_alias=True, exclude_unset=True)
-    emulated = "atmosphere.engine" in study.settings
-    texts = {"study.yaml": (_NOTE if emulated else "") + yaml_text(data)}
-    if not by_name:
-        texts["scenario.yaml"] = yaml_text(plain(_scenario(request, trade.scenario)))
-    return texts
-
-
-def _scenario(request: Request, name: str) -> Scenario:
-    """A predefined scenario, or the checked one of a run (``run:ID``).
-
-    Raises
-    ------
-    Refused : there is none.
-    """
-    if name.startswith("run:"):
-        uploads = files_of(request.app.state.settings, session_of(request).owner)
-        return checked_scenario(scenario_of(request, name[4:]), uploads)
-    if name in predefined():
-        return predefined()[name]
-    raise Refused(422, [FieldMistake("scenario", f"one of {', '.join(predefined())}, or run: and the name of a run")])
+    named = source if source in builtin_scenarios() else "scenario.yaml"
+    study = study_of(prepared(source, trade), trade, named, exact=exact)
+    return source, study.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 
 @pages.get("/trade/{name}")
 def take_away(request: Request, name: str) -> Response:
     """The study that gives the same numbers, the scenario beside it, or a notebook that runs it."""
-    texts = _texts(request, request.query_params)
+    source, study = _study(request, request.query_params)
+    note = _NOTE if "atmosphere.engine" in study.get("settings", ()) else ""
+    texts = {"study.yaml": note + yaml_text(study)}
+    if source not in builtin_scenarios():
+        texts["scenario.yaml"] = yaml_text(plain(load_scenario(source)))
     if name == "trade.ipynb":
         texts[name] = notebook(texts)
     if name not in texts:
@@ -212,10 +192,8 @@ async def keep(request: Request) -> Response:
 
 
 def _keep(request: Request, form: FormData) -> Response:
-    from hyperval.config import parse_yaml
-
-    data = parse_yaml(_texts(request, form, exact=True)["study.yaml"])[0]
-    run = order_study(request, {**data, "scenario": form.get("scenario") or _FIRST})
+    study = _study(request, form, exact=True)[1]
+    run = order_study(request, {**study, "scenario": form.get("scenario") or _FIRST})
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
@@ -233,7 +211,7 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
     uploads = files_of(state.settings, owner)
-    scenario = _scenario(request, study.scenario)
+    scenario = load_scenario(_source(request, study.scenario))
     mistakes = [*_of_size(study, limits), *_of_paths(study, scenario, uploads)]
     if mistakes:
         raise Refused(422, mistakes)

@@ -20,26 +20,45 @@ from queue import Full
 from typing import Any
 
 from hyperval.errors import HypervalError, internal_error
-from hyperval.executors import NOTHING, Cancelled, Process, TaskFailed, TaskPool, Workers, WorkerTask, workers
+from hyperval.executors import NOTHING, Cancelled, Process, TaskFailed, TaskPool, Worker, Workers, WorkerTask, workers
 from hyperval.progress import set_listener
 from hyperval.web.refusal import said
 
-__all__ = ["Cancelled", "Cluster", "Full", "TaskFailed", "WorkerPool", "WorkerTask"]
+__all__ = ["Cancelled", "Full", "TaskFailed", "WorkerPool", "WorkerTask"]
 TASKS = "hyperval.web.tasks"
 
 
 class WorkerPool(TaskPool):
-    """Some processes that share a bounded queue of tasks.
+    """Some workers that share a bounded queue of tasks.
 
     Parameters
     ----------
     count : of processes;  most : tasks that wait;  seconds : for a task;  memory_bytes : of a process
+    scheduler : address of a Dask scheduler, whose workers then take the place of processes and have limits of their own
     module : what holds the tasks: ``TASKS`` by name, and ``warm``, which loads what they need
+
+    Raises
+    ------
+    UsageError : Dask is not installed, or no scheduler answers.
     """
 
-    def __init__(self, count: int, most: int, seconds: float, memory_bytes: int, module: str = TASKS):
-        start = partial(Process, partial(carried_out, module), partial(_warm, module), memory_bytes)
+    def __init__(
+        self, count: int, most: int, seconds: float, memory_bytes: int, scheduler: str | None = None,
+        module: str = TASKS,
+    ):  # fmt: skip
+        self._stack = ExitStack()
+        start: Callable[[], Worker] = partial(
+            Process, partial(carried_out, module), partial(_warm, module), memory_bytes
+        )
+        if scheduler is not None:
+            at = self._stack.enter_context(workers(scheduler=scheduler))
+            start, count = partial(_Place, at, module), at.width
         super().__init__(start, count, most=most, seconds=seconds)
+
+    def close(self) -> None:
+        """Call off what is on its way, and end the workers or leave their scheduler."""
+        super().close()
+        self._stack.close()
 
 
 def _warm(module: str) -> None:
@@ -68,30 +87,6 @@ def carried_out(module: str, task: str, arguments: Mapping[str, Any]) -> Any:
 _TICK_S = 0.2
 _NEWS, _STOP = ".news.json", ".stop"
 _alone = threading.Lock()  # a worker of several threads has one listener, and one library that draws
-
-
-class Cluster(TaskPool):
-    """A bounded number of tasks on a scheduler's workers.
-
-    Parameters
-    ----------
-    most : tasks that wait besides those that the workers can have at once
-    seconds : for a task; memory is bounded by the workers themselves
-
-    Raises
-    ------
-    UsageError : Dask is not installed, or no scheduler answers.
-    """
-
-    def __init__(self, address: str, most: int, seconds: float, module: str = TASKS):
-        self._stack = ExitStack()
-        at = self._stack.enter_context(workers(scheduler=address))
-        super().__init__(partial(_Place, at, module), at.width, most=most, seconds=seconds)
-
-    def close(self) -> None:
-        """Call off what is on its way, and leave the scheduler."""
-        super().close()
-        self._stack.close()
 
 
 class _Place:
