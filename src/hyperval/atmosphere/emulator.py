@@ -29,7 +29,7 @@ import numpy.typing as npt
 from hyperval.atmosphere import sixs
 from hyperval.atmosphere.cache import Arrays, content_digest
 from hyperval.atmosphere.physics import amounts
-from hyperval.atmosphere.state import AtmosphericState, air_column, standard_profile
+from hyperval.atmosphere.state import AtmosphericState, air_column, coordinates, standard_profile
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import refuse
 
@@ -192,14 +192,14 @@ def emulator_terms(
     UsageError : a state outside the ones that the numbers were made from.
     """
     height, zenith = state.sensor_altitude_km - state.ground_altitude_km, state.sun[0]
-    water, ozone = np.cos(np.deg2rad(zenith)) * amounts(state)[0][1:, 0]
+    at = coordinates(state)
     for name, value, low, high in (
         ("view_zenith_deg", state.view_zenith_deg, 0.0, 0.0),
         ("solar zenith [deg]", zenith, 0.0, 75.0),
         ("aerosol optical depth", state.aerosol_optical_depth, 0.0, 0.8),
         ("ground_altitude_km", state.ground_altitude_km, 0.0, 3.0),
-        ("water vapour [g cm-2]", water, 0.1, 6.0),
-        ("ozone [atm cm]", ozone, 0.2, 0.5),
+        ("water vapour [g cm-2]", at["water_vapour_g_cm2"], 0.1, 6.0),
+        ("ozone [atm cm]", at["ozone_atm_cm"], 0.2, 0.5),
         ("sensor above the ground [km]", _HEIGHTS_KM[1] if state.in_space else height, *_HEIGHTS_KM),
     ):
         refuse(not low - 1e-9 <= value <= high + 1e-9, "emulator.value", name=name, value=value, low=low, high=high)

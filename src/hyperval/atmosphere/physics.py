@@ -144,9 +144,8 @@ def amounts(state: AtmosphericState) -> tuple[Array, Array]:
         if km >= visibility.SPACE_KM:
             return np.zeros((3, 2))
         air = pressure_at(profile, km) / _STP_HPA
-        water = [column_g_cm2(profile, density, km) for density in (profile.water_g_m3, weighted)]
-        ozone = column_g_cm2(profile, profile.ozone_g_m3, km) / visibility.OZONE_G_CM2_PER_ATM_CM
-        return np.array([[air, 0.5 * air**2], water, [ozone, ozone]])
+        water, ozone = visibility.gas_columns(profile, km)
+        return np.array([[air, 0.5 * air**2], [water, column_g_cm2(profile, weighted, km)], [ozone, ozone]])
 
     mu0, mu_v = np.cos(np.deg2rad([state.sun[0], state.view_zenith_deg]))
     ground = above(state.ground_altitude_km)

@@ -81,19 +81,21 @@ def column_g_cm2(profile: Profile, density_g_m3: Array, above_km: float) -> floa
     return float(kg_m2 * 0.1)
 
 
+def gas_columns(profile: Profile, above_km: float) -> tuple[float, float]:
+    """Water vapour [g cm-2] and ozone [atm cm] above an altitude."""
+    water, ozone = (column_g_cm2(profile, gas, above_km) for gas in (profile.water_g_m3, profile.ozone_g_m3))
+    return water, ozone / OZONE_G_CM2_PER_ATM_CM
+
+
 def scaled_profile(model: str, ground_km: float, water_g_cm2: float | None, ozone_atm_cm: float | None) -> Profile:
     """The standard atmosphere with the columns above the ground scaled to the given amounts.
 
     None keeps the model's own density at each altitude, so that high ground has less above it.
     """
     profile = standard_profile(model)
-    if water_g_cm2 is not None:
-        own = column_g_cm2(profile, profile.water_g_m3, ground_km)
-        profile = replace(profile, water_g_m3=profile.water_g_m3 * (water_g_cm2 / own))
-    if ozone_atm_cm is not None:
-        own = column_g_cm2(profile, profile.ozone_g_m3, ground_km) / OZONE_G_CM2_PER_ATM_CM
-        profile = replace(profile, ozone_g_m3=profile.ozone_g_m3 * (ozone_atm_cm / own))
-    return profile
+    own = gas_columns(profile, ground_km)
+    water, ozone = (1.0 if a is None else a / o for a, o in zip((water_g_cm2, ozone_atm_cm), own, strict=True))
+    return replace(profile, water_g_m3=profile.water_g_m3 * water, ozone_g_m3=profile.ozone_g_m3 * ozone)
 
 
 def pressures_at(profile: Profile, altitude_km: Array) -> Array:
@@ -415,10 +417,11 @@ def coordinates(state: AtmosphericState) -> dict[str, float]:
     """Where a state lies on every axis that a table can have."""
     ground, (zenith, azimuth) = state.ground_altitude_km, state.sun
     profile = scaled_profile(state.model, ground, state.water_vapour_g_cm2, state.ozone_atm_cm)
+    water, ozone = gas_columns(profile, ground)
     return {
         "aot550": state.aerosol_optical_depth,
-        "water_vapour_g_cm2": column_g_cm2(profile, profile.water_g_m3, ground),
-        "ozone_atm_cm": column_g_cm2(profile, profile.ozone_g_m3, ground) / OZONE_G_CM2_PER_ATM_CM,
+        "water_vapour_g_cm2": water,
+        "ozone_atm_cm": ozone,
         "ground_altitude_km": ground,
         "sensor_altitude_km": min(state.sensor_altitude_km, SPACE_KM),
         "solar_zenith_deg": zenith,

@@ -24,7 +24,7 @@ from hyperval.atmosphere import AtmosphericState, atmospheric_terms
 from hyperval.atmosphere.between import InterpolatedTerms, interpolated_terms
 from hyperval.atmosphere.physics import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, ways
 from hyperval.atmosphere.solar import SPECTRA, source_samples
-from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
+from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.data import Array, ClassStatistics, Components, Index, statistics_of
 from hyperval.errors import UsageError, told_of
@@ -644,13 +644,11 @@ def unstated_notes(state: AtmosphericState) -> list[str]:
     """Gas columns that come from the standard atmosphere."""
     if state.engine != "sixs":
         return []
-    profile, ground, notes = standard_profile(state.model), state.ground_altitude_km, []
+    (water, ozone), notes = gas_columns(standard_profile(state.model), state.ground_altitude_km), []
     words = f"that of the standard atmosphere {state.model} is taken"
     if state.water_vapour_g_cm2 is None:
-        water = column_g_cm2(profile, profile.water_g_m3, ground)
         notes.append(f"water vapour is not stated: {words}, {water:.2f} g cm-2")
     if state.ozone_atm_cm is None:
-        ozone = column_g_cm2(profile, profile.ozone_g_m3, ground) / OZONE_G_CM2_PER_ATM_CM
         notes.append(f"ozone is not stated: {words}, {ozone:.3f} atm cm")
     return notes
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -36,8 +36,7 @@ _MOST_VALUES = 12
 _MOST_KNEES = 24
 
 
-@dataclass(frozen=True)
-class KneePoint:
+class KneePoint(NamedTuple):
     """The knee of one curve: its place, the curve and its curvature there; NaN with a reason where none is."""
 
     x: float
@@ -178,29 +177,22 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
     return rows
 
 
-class _Drawn(NamedTuple):
-    """What a plot shows: its view, in words, against what in full and in short, and what is to be said of it."""
-
-    view: Panels
-    told: str
-    against: tuple[str, str]
-    notes: str
-    width_in: float
-    legend_title: str = ""
-
-
 def stated_figures(study: StudyFile, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> list[Figure]:
     """All figures that a study asks for, each under its own title or, in full or short words, under what it shows."""
-    kinds, figures = {"tornado": _tornado, "heat": _heat, "lines": _lines}, []
-    for number, plot in enumerate(study.plots, 1):
-        drawn, of = kinds[plot.kind](study, table, plot, knees), _named(study, plot.output)
-        full = plot.title or of.words + drawn.against[0]
-        short = plot.title or (of.label or of.name) + drawn.against[1]
-        figures.append(Figure(
-            f"{number:02d}-{plot.kind}-{plot.output}", "study", full + drawn.notes, drawn.told, (drawn.view,),
-            head=short, legend_title=drawn.legend_title, width_in=drawn.width_in,
-        ))  # fmt: skip
-    return figures
+    kinds, numbered = {"tornado": _tornado, "heat": _heat, "lines": _lines}, enumerate(study.plots, 1)
+    made = {f"{n:02d}-{plot.kind}-{plot.output}": kinds[plot.kind](study, table, plot, knees) for n, plot in numbered}
+    return [replace(figure, name=name) for name, figure in made.items()]
+
+
+def _figure(
+    study: StudyFile, plot: Plot, view: Panels, told: str, against: tuple[str, str], notes: str, width_in: float,
+    legend_title: str = "",
+) -> Figure:  # fmt: skip
+    """What a plot shows: its view, in words, against what in full and in short, and what is to be said of it."""
+    of = _named(study, plot.output)
+    full, short = (plot.title or said for said in (of.words + against[0], (of.label or of.name) + against[1]))
+    more: dict[str, Any] = {"head": short, "legend_title": legend_title, "width_in": width_in}
+    return Figure("", "study", full + notes, told, (view,), **more)
 
 
 def _named(study: StudyFile, name: str | None) -> Any:
@@ -220,7 +212,7 @@ def _shown(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFr
     return table, fixed, f"; at {words_of(fixed)}" if fixed else ""
 
 
-def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> _Drawn:
+def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
     item, output, family, log = _named(study, plot.x), _named(study, plot.output), plot.family, plot.scale == "log"
     frame, fixed, notes = _shown(study, table, plot)
     places, members = _different(frame[item.name]), _different(frame[family]) if family else [None]
@@ -260,12 +252,11 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
     y = Axis(output.words, ends=(-0.03, 1.03) if share else None)
     against = f" against {item.words}", f" against {item.label or item.name}"
     legend_title = _named(study, family).words if family else ""
-    return _Drawn(
-        Panels(across, (Part(y, tuple(marks[::-1])),)), f"Lines. {'; '.join(said)}.", against, notes, 8.6, legend_title
-    )
+    view = Panels(across, (Part(y, tuple(marks[::-1])),))
+    return _figure(study, plot, view, f"Lines. {'; '.join(said)}.", against, notes, 8.6, legend_title)
 
 
-def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> _Drawn:
+def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
     across, up = _named(study, plot.x), _named(study, plot.y)
     frame, _, notes = _shown(study, table, plot)
     scales = ((across, plot.scale == "log"), (up, False))
@@ -282,10 +273,10 @@ def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cur
     words = f"from {number_text(value.min())} to {number_text(value.max())}" if value.size else "empty"
     against = f" over {across.words} and {up.words}", f" over {across.label or across.name} and {up.label or up.name}"
     axis = Axis(across.words, plot.scale, ends=(float(edges[0][0]), float(edges[0][-1])))
-    return _Drawn(Panels(axis, (part,)), f"Heat map, {words}.", against, notes, 7.6)
+    return _figure(study, plot, Panels(axis, (part,)), f"Heat map, {words}.", against, notes, 7.6)
 
 
-def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> _Drawn:
+def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
     output, bars = table[plot.output], list[tuple[Input, list[tuple[float, Any]]]]()
     base = float(output.iloc[0])
     for item in study.inputs:
@@ -313,7 +304,7 @@ def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[
     notes = f"; line: as the scenario stands, {number_text(base)}; at the ends the input's values, "
     notes += "blue where the output is lowest, orange where it is highest"
     against = ": each input alone over its values", ": each input alone"
-    return _Drawn(Panels(x, (part,)), f"Tornado. {'; '.join(said)}.", against, notes, 9.0)
+    return _figure(study, plot, Panels(x, (part,)), f"Tornado. {'; '.join(said)}.", against, notes, 9.0)
 
 
 def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
