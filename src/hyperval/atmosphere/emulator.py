@@ -36,7 +36,6 @@ from hyperval.errors import refuse
 Array = npt.NDArray[np.float64]
 
 FILE = "emulator.npz"
-_LEAST_GAS = 2.5e-5
 _MIDDLE_ATM = {"dry": 0.5, "water": 0.8}  # p0
 _LOST = {"molecules": 0.5, "haze": 0.16}  # part of the scattered light that does not go on forward
 _HEIGHTS_KM = (0.5, 20.0)
@@ -173,7 +172,7 @@ def gas(state: AtmosphericState, held: Arrays) -> Arrays:
         whole, half = (band_depth(numbers["water"], s * water, _MIDDLE_ATM["water"]) for s in (1.0, 0.5))
         depths.append({"dry": alone, "half": alone + half, "full": alone + whole})
     found = {**depths[1], "ground": depths[0]["full"]}
-    return {name: np.maximum(np.exp(-depth), _LEAST_GAS) for name, depth in found.items()}
+    return {name: np.maximum(np.exp(-depth), sixs.LEAST_GAS) for name, depth in found.items()}
 
 
 def emulated(state: AtmosphericState, held: Arrays) -> AtmosphericTerms:

@@ -43,7 +43,6 @@ from hyperval.atmosphere.between import Rule, node_weights
 from hyperval.atmosphere.cache import Arrays, cached, run_program
 from hyperval.atmosphere.physics import EngineRatio, continuum_depth, engine_ratio, low_share, molecular_albedo, ways
 from hyperval.atmosphere.state import (
-    RURAL_MIX,
     AerosolMix,
     AtmosphericState,
     Profile,
@@ -315,10 +314,10 @@ _GREATEST_STAND_IN = 0.5
 _TRACE, _TRACE_NM = 0.002, (412.5, 552.5)  # the least aerosol that changes how 6S treats the molecules, and where
 _SCALE_HEIGHT_KM = 2.0  # of 6S's own aerosol, and of the trace
 _GREATEST_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
-_LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
+LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
 
-_MIXES = {  # the last three as 6S has them itself
-    "rural": RURAL_MIX,
+_MIXES = {  # rural tuned to the radiances that MODTRAN 6 gives with its own, the others as 6S has them itself
+    "rural": AerosolMix(dust=0.55, water_soluble=0.447, soot=0.003),
     "continental": AerosolMix(dust=0.7, water_soluble=0.29, soot=0.01),
     "maritime": AerosolMix(water_soluble=0.05, oceanic=0.95),
     "urban": AerosolMix(dust=0.17, water_soluble=0.61, soot=0.22),
@@ -586,7 +585,7 @@ def _gas(state: AtmosphericState, setting: Setting, folder: Path, show: bool | N
         gases = {}
         for name, text in zip(decks, outputs, strict=True):
             nm, transmittance = parse_steps(text)
-            gases[name] = np.maximum(np.interp(GRID_NM, nm, transmittance), _LEAST_GAS)
+            gases[name] = np.maximum(np.interp(GRID_NM, nm, transmittance), LEAST_GAS)
         return gases
 
     return cached(folder, "gas", inputs, compute)

@@ -251,10 +251,6 @@ class AerosolMix(Model):
         return self
 
 
-# Tuned to the radiances that MODTRAN 6 gives with its rural aerosol.
-RURAL_MIX = AerosolMix(dust=0.55, water_soluble=0.447, oceanic=0.0, soot=0.003)
-
-
 def _number(description: str, **limits: Any) -> Any:
     """A number that may be left out."""
     return Field(None, description=description, **limits)

@@ -94,23 +94,15 @@ class Bands(OneOf):
     source: Source
 
     @property
-    def even(self) -> list[RegularBands]:
-        """Parts of evenly spaced bands; none of a table."""
-        return self.parts or ([self.regular] if self.regular is not None else [])
-
-    @property
-    def fwhms(self) -> list[float]:
-        """Widths as the file lists them [nm]: of each band of a table, or one of each part."""
-        return [fwhm for _, fwhm, _ in self.table or ()] or [part.fwhm_nm for part in self.even]
-
-    @property
     def axis(self) -> SpectralAxis:
         """The bands as an axis (for 3.13)."""
         if self.table is not None:
             rows: Array = np.array(self.table, dtype=np.float64)
             return SpectralAxis(rows[:, 0], rows[:, 1], rows[:, 2] > 0)
-        centres = [r.first_nm + r.step_nm * np.arange(r.count, dtype=np.float64) for r in self.even]
-        return SpectralAxis(np.concatenate(centres), np.repeat(self.fwhms, [r.count for r in self.even]))
+        parts = self.parts or ([self.regular] if self.regular is not None else [])
+        centres = [part.first_nm + part.step_nm * np.arange(part.count, dtype=np.float64) for part in parts]
+        widths = np.repeat([part.fwhm_nm for part in parts], [part.count for part in parts])
+        return SpectralAxis(np.concatenate(centres), widths)
 
 
 _NEEDS = {  # of each convention of (3.14)
