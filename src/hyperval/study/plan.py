@@ -35,6 +35,7 @@ from hyperval.model import (
 from hyperval.model.detection import detect
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import WHOLE, RocArea, curve_area, detection_at, log10_false_alarm_at
+from hyperval.model.stated import state_entries
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
@@ -210,6 +211,11 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
         log.add((study.folder / study.scenario).resolve(), study.scenario)
     points = StudyPoints(study)
     states, nodes = _states(study, scenario)
+    # What has one value beside others that are interpolated is set.
+    alone = {key: nodes.pop(key)[0] for key in [key for key, values in nodes.items() if len(values) == 1]}
+    if alone and scenario.atmosphere is not None:
+        entries = state_entries(scenario.atmosphere, alone)
+        scenario = with_settings(scenario, {f"atmosphere.{key}": value for key, value in entries.items()})
     world = read(scenario, Origins(resolve=log.resolve, show_progress=False), nodes=nodes)
     try_values(study, world)
     world.stated.atmosphere.prepare(states, show_progress)
