@@ -24,7 +24,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check power sample-report scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage cover docs bill audit robustness conformance
+.PHONY: help setup validate check power sample-report scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage cover docs docs-check bill audit robustness conformance
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -92,6 +92,9 @@ docs: $(READY)  ## render the documentation, its examples run; build/docs/index.
 	@$(BIN)/python -c "import furo, myst_nb, sphinx_gallery" 2>/dev/null || \
 	  PYTHON="$(PYTHON)" VENV="$(VENV)" sh scripts/setup.sh requirements-docs.lock
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+
+docs-check: $(READY_DEV) docs  ## follow every link of the rendered documentation, ask it five questions, search it (needs chromium)
+	$(BIN)/python scripts/docs_check.py build/docs reports/docs
 
 lint: $(READY_DEV)  ## check style, which room imports which, and that nothing outgrows budgets.toml
 	$(BIN)/ruff check

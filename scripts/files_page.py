@@ -27,8 +27,8 @@ Made by `scripts/files_page.py` when the documentation is built, from the schema
 Files are YAML 1.2 with plain scalars only: no anchors, no tags, no second key of the same name. Unknown keys are
 errors with file and line. A file reference is relative to the file that holds it; `data:SET/PATH` is a file of the
 data directory (`HYPERVAL_DATA`, else the user's cache); in a campaign that simulates, `simulated:NAME` is a file of
-the simulated collection. Complete examples: [campaigns/](../../campaigns),
-[built-in scenarios](../../src/hyperval/scenarios), [sensors](../../src/hyperval/sensor/library).
+the simulated collection. Complete examples: the [tutorial](../tutorial.md), the folders `campaigns`,
+`src/hyperval/scenarios` and `src/hyperval/sensor/library`.
 """
 
 

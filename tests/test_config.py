@@ -75,7 +75,7 @@ REFUSED = {
     "a: " + "[" * 400_000 + "]" * 400_000: "deep",
     "a: [" + "0," * 100_001 + "]": "too many entries",
     'a: 1\ntitle: "x\\ud800"\n': r"c\.yaml:2: .*invalid Unicode character escape",  # no report could be written
-    'a: 1\ntitle: "x\ud800"\n': r"c\.yaml:2: .*half of a pair of UTF-16",
+    'a: 1\ntitle: "x\ud800"\n': r"c\.yaml:2: .*unpaired UTF-16",
     **dict.fromkeys(["a: [1, 2", "a: {b: 1", "a:\n\t- 1", "a: 'x", "? [1]\n: 2", "a: 1\n---\nb: 2"], SYNTAX),
 }
 
@@ -171,7 +171,7 @@ def test_a_campaign_is_told_from_a_scenario(tmp_path):
         ("scene.classes.gravel.gain", 1.0, "no item 'gravel'"),
         ("scene.classes.99.gain", 1.0, "no item '99'"),
         ("name.first", 1.0, "has no parts"),
-        ("a..b", 1.0, "no dotted path"),
+        ("a..b", 1.0, "not a dotted path"),
         ("scene.[x", 1.0, "bracket"),
         ("processing.seed", -1, "greater than or equal"),
     ],

@@ -1,13 +1,28 @@
-"""The rendered documentation holds every page, and its examples run and draw."""
+"""The rendered documentation holds every page, its examples run and draw, and its blocks run or are read.
+
+Blocks of the shell: every command of the program that is named is parsed in tests/meta; Dask, Slurm and containers are
+not at hand.  Files of tutorial, sensors, flight-line, benchmark, web and regression run in the tests of their rooms.
+"""
 
 import re
 import runpy
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import dedent
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
+import yaml
+from pydantic import TypeAdapter
+from scipy.io import savemat
+
+from hyperval.campaign import Campaign
+from hyperval.collection import CollectionSection
+from hyperval.scenario import Scenario
+from hyperval.spectra import SpectralAxis
+from hyperval.study import StudyFile
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("plot_*.py"))
@@ -26,6 +41,38 @@ def test_the_examples_of_a_page_give_what_it_says(page):
     command = [sys.executable, "-m", "doctest", "-o", "NORMALIZE_WHITESPACE", "-o", "ELLIPSIS", str(page)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # apart: pages register what is theirs
     assert done.stdout + done.stderr == ""
+
+
+def blocks(page: str, python: bool) -> list[str]:
+    """Fenced and indented blocks of a page, of Python or others; lines of one key are alternatives, each a block."""
+    text = (DOCS / f"{page}.md").read_text("utf-8")
+    found = re.findall(r"(?ms)^```\w+\n(.*?)^```|((?:^ {4}[^\n]*\n|^\n(?= {4}))+)", text)
+    every = [dedent(fenced or indented).lstrip("\n") for fenced, indented in found]
+    every = [one for block in every for one in (block.splitlines() if block.startswith("targets:") else [block])]
+    return [block for block in every if block.startswith(("from ", "import ")) is python]
+
+
+KEYS = {i.alias or n: i for m in (StudyFile, Scenario, CollectionSection, Campaign) for n, i in m.model_fields.items()}
+
+
+@pytest.mark.parametrize("page", ["campaigns", "studies", "attribution", "atmosphere"])
+def test_each_part_of_a_file_on_a_page_is_what_its_model_takes(page):
+    read = [data for block in blocks(page, False) if isinstance(data := yaml.safe_load(block), dict)]
+    assert read
+    for key, value in (part for data in read for part in data.items()):
+        assert TypeAdapter(KEYS[key].annotation).validate_python(value) is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["atmosphere", "formats"])
+def test_the_python_of_a_page_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    axis = SpectralAxis(np.arange(450.0, 900.0, 10.0), 10.0)
+    savemat("scene.mat", {"cube": np.ones((4, 5, len(axis))), "wavelength": axis.centre_nm})
+    names = {"axis": axis, "spectra": 0.3 + 0.01 * np.random.default_rng(1).standard_normal((60, len(axis)))}
+    for block in (code := blocks(page, True)):
+        exec(block, names)  # noqa: S102 - our own page
+    assert len(code) == 2
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Files that the HDF5 library does not come back from are refused before the library opens them for good."""
+"""Files that the HDF5 library does not return from are refused before the library opens them for good."""
 
 import os
 import signal
@@ -40,12 +40,12 @@ def test_a_file_that_the_library_follows_for_ever_is_refused(before, tmp_path, m
     monkeypatch.setattr(hdf5, "CPU_SECONDS", 1)
     check_hdf5(damaged(tmp_path / "a.h5", *before))
     looping = damaged(tmp_path / "a.h5", *before, LOOPING)
-    with pytest.raises(InputError, match="does not come back within 1 s") as caught:
+    with pytest.raises(InputError, match="does not return within 1 s") as caught:
         open_cube(looping, quantity="other")
     assert str(looping) in str(caught.value)
     # Once is enough for a file as it stands.
     monkeypatch.setattr(hdf5, "trial", lambda function: pytest.fail("tried again"))
-    with pytest.raises(InputError, match="does not come back"):
+    with pytest.raises(InputError, match="does not return"):
         check_hdf5(looping)
 
 

@@ -88,7 +88,7 @@ def test_other_bands_by_hand():
         (lambda d: d.isel(band_2=slice(0, 4)), r"sizes contradict each other: covariance \(3, 10, 4\)"),
         (lambda d: d.isel(band=slice(0, 0), band_2=slice(0, 0)), "3 classes of 0 bands"),
         (lambda d: d.drop_vars("component_offset"), "without component_offset"),
-        (lambda d: d.assign(component_weight=2.0 * d["component_weight"]), "no parts of a class"),
+        (lambda d: d.assign(component_weight=2.0 * d["component_weight"]), "not those of a mixture"),
         (lambda d: d.assign(component_covariance=-d["component_covariance"]), "not positive semi-definite"),
     ],
 )

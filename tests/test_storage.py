@@ -258,7 +258,7 @@ def test_two_runs_into_one_folder(tmp_path):
     path = tmp_path / "report"
     with storage.whole_folder(path) as new:
         fill(new, results_json=HEAD, first_csv="1")
-        refused(path, f"another run writes here \\(process {os.getpid()} on ")
+        refused(path, f"another run is writing here \\(process {os.getpid()} on ")
     assert set(files(path)) == {"results.json", "first.csv"}
     run(path, second_csv="2")
     assert set(files(path)) == {"results.json", "second.csv"}

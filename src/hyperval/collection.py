@@ -21,11 +21,9 @@ class CubeSource(Model):
 
     path: str
     variable: str | None = Field(None, description="which array is the image, where a file holds several")
-    engine: str | None = Field(None, description="engine of xarray that opens the file; None: as its content says")
+    engine: str | None = Field(None, description="engine of xarray that opens the file; None: by its content")
     header: str | None = Field(None, description="ENVI header that describes it, when it is not beside the cube")
-    quantity: Literal["radiance", "reflectance", "counts"] = Field(
-        description="counts: numbers of which nobody knows the unit"
-    )
+    quantity: Literal["radiance", "reflectance", "counts"] = Field(description="counts: values of unknown unit")
     unit: RadianceUnit | None = Field(
         None, description="of the scaled radiance; None: the product's own, or that of a simulation"
     )
@@ -43,7 +41,7 @@ class CubeSource(Model):
     @model_validator(mode="after")
     def _known_bands(self) -> CubeSource:
         if self.by_number and (self.quantity == "radiance" or self.wavelength_unit or self.sort_bands):
-            raise ValueError("by_number is for reflectance or counts of which no wavelength is known")
+            raise ValueError("by_number is for reflectance or counts without known wavelengths")
         return self
 
     @property
@@ -254,9 +252,11 @@ class TargetTruth(OneOf):
     regions: list[TargetRegions] = Field(default_factory=list)
     rasters: TargetRasters | None = None
     csv: str | None = None
-    finer: FinerTruth | None = Field(None, description="a finer image, which tells the fill of each pixel as well")
+    finer: FinerTruth | None = Field(
+        None, description="a finer image, which gives the fill fraction of each pixel as well"
+    )
     abundances: AbundanceTruth | None = Field(
-        None, description="bands of a truth image that hold the fill of each pixel, as DIRSIG writes them"
+        None, description="bands of a truth image that hold the fill fraction of each pixel, as DIRSIG writes them"
     )
     pixels: Literal["touched", "centre"] = Field(
         "touched", description="pixels of an object: all it may touch, or the one that holds its centre (csv only)"
@@ -319,11 +319,11 @@ class EmpiricalLineSource(Model):
         description="with spectra: black ground as an engine sees it, for each flight line; used where a single "
         "other site is known, which makes a one-point line",
     )
-    intercept: bool = Field(True, description="false: a line through the origin, for radiance without path part")
+    intercept: bool = Field(True, description="false: a line through the origin, for radiance without path radiance")
     saturation: float | None = Field(
         None,
         gt=0,
-        description="value of the cube at which its detector is full: a panel with such a pixel is refused; the "
+        description="value of the cube at which its detector saturates: a panel with such a pixel is refused; the "
         "greatest integer of the stored type always counts as full",
     )
 
@@ -510,7 +510,7 @@ class Detection(Model):
     """How targets are looked for in the image, or anomalies where no target is named."""
 
     targets: list[DetectionTarget] = Field(
-        default_factory=list, description="what is looked for; none: anomalies, by the detector rx alone"
+        default_factory=list, description="what to detect; none: anomalies, by the detector rx alone"
     )
     detectors: list[str] = Field(default_factory=lambda: ["cem"], min_length=1)
     background: list[str] = Field(
@@ -526,7 +526,7 @@ class Detection(Model):
     )
     local_window: LocalWindowSource | None = Field(
         None,
-        description="the background mean moves with the pixel, the covariance stays that of the whole background; "
+        description="the background mean is local to the pixel, the covariance stays that of the whole background; "
         "not for 'osp' and 'sam', which have no mean",
     )
     halo_pixels: int = Field(
@@ -538,7 +538,7 @@ class Detection(Model):
     )
     first_detection: bool = Field(
         False,
-        description="besides: false alarms before the first true detection of a subject, as RIT's self-test counts",
+        description="also: false alarms before the first true detection of a subject, as RIT's self-test counts",
     )
     bands: Literal["all", "good", "windows"] = "good"
     least_snr: float | None = Field(None, gt=0, description="bands with less in the background are left out")

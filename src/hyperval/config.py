@@ -211,7 +211,7 @@ def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int
         raise UsageError(f"not valid YAML: {getattr(error, 'problem', error)}", where=where) from error
     except UnicodeEncodeError as error:
         line = text.count("\n", 0, error.start) + 1
-        raise UsageError("half of a pair of UTF-16 is no character", where=f"{name}:{line}") from error
+        raise UsageError("an unpaired UTF-16 surrogate", where=f"{name}:{line}") from error
     if root is None:
         raise UsageError("the file is empty", where=name)
     lines: dict[Location, int] = {}
@@ -325,7 +325,7 @@ def schema_text(kind: str) -> str:
 def unwritten(path: Path) -> Path:
     """The path of a draft; UsageError where something stands there."""
     if path.exists():
-        raise UsageError("is there already", where=str(path), mend="name another place with --output (-o)")
+        raise UsageError("already exists", where=str(path), mend="name another place with --output (-o)")
     return path
 
 

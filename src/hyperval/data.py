@@ -95,7 +95,7 @@ class Components:
             raise UsageError("components must be finite")
         if np.any(weights <= 0) or abs(float(weights.sum()) - 1.0) > 1e-6:
             raise UsageError(
-                f"the weights {np.array2string(weights, precision=4)} are no parts of a class",
+                f"the weights {np.array2string(weights, precision=4)} are not those of a mixture",
                 expected="positive numbers that sum to 1",
             )
         _check_covariances(covariances, "the covariance of a component")

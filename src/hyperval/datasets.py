@@ -84,7 +84,7 @@ def _receive(address: str, output: Path, size: int, digest: str) -> None:
             if stream.tell() > size:
                 break
     if not has_digest(output, digest):
-        raise ValueError("another content")
+        raise ValueError("different content")
 
 
 def _reason(error: Exception) -> str:

@@ -244,7 +244,7 @@ class Process:
         try:
             return self._connection.recv() if self._connection.poll(_TICK_S) else NOTHING
         except (EOFError, OSError):
-            raise Lost("its process was ended, most likely for want of memory") from None
+            raise Lost("its process was killed, probably for lack of memory") from None
 
     def end(self) -> None:
         """End the process, whose task unwinds first, and whatever it started."""

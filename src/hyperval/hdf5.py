@@ -70,7 +70,7 @@ def trial(function: Callable[[], None]) -> str:
     if os.WIFSIGNALED(status):
         ended = os.WTERMSIG(status)
         late = ended in (signal.SIGXCPU, signal.SIGKILL)
-        return f"does not come back within {CPU_SECONDS} s" if late else f"crashes (signal {ended})"
+        return f"does not return within {CPU_SECONDS} s" if late else f"crashes (signal {ended})"
     return f"asks for more than {MEMORY_BYTES >> 20} MiB" if os.WEXITSTATUS(status) else ""
 
 

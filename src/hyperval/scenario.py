@@ -246,7 +246,7 @@ class Uncertainty(OneOf):
         "detection, as the collection states it for its reflectance",
     )
     wavelength_shift: ShiftUncertainty | None = Field(None, description="of the band centres")
-    fills: list[NamedSpread] = Field(default_factory=list, description="mean fill of targets or their subjects [1]")
+    fills: list[NamedSpread] = Field(default_factory=list, description="mean fill fraction of targets or subjects [1]")
     fractions: list[NamedSpread] = Field(
         default_factory=list, description="area fractions of classes; the others give way in proportion"
     )
@@ -428,7 +428,7 @@ class Scene(Model):
         classes = {c.name for c in self.classes}
         for target in self.targets:
             if target.host not in classes:
-                raise ValueError(f"target {target.name!r}: host {target.host!r} is none of {sorted(classes)}")
+                raise ValueError(f"target {target.name!r}: host {target.host!r} is not one of {sorted(classes)}")
         return self
 
 
@@ -533,7 +533,7 @@ class Scenario(Model):
         classes = {c.name for c in self.scene.classes}
         for name in self.processing.filter_classes:
             if name not in classes:
-                raise ValueError(f"filter_classes: {name!r} is none of {sorted(classes)}")
+                raise ValueError(f"filter_classes: {name!r} is not one of {sorted(classes)}")
         return self
 
     @field_validator("uncertainty")

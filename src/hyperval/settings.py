@@ -108,7 +108,7 @@ def path_parts(path: str) -> list[str]:
             word, _, rest = rest.partition(".")
         parts.append(word)
     if not parts or not all(parts) or path.endswith("."):
-        raise UsageError(f"setting {path!r} is no dotted path", expected="such as atmosphere.aot550")
+        raise UsageError(f"setting {path!r} is not a dotted path", expected="such as atmosphere.aot550")
     return parts
 
 

@@ -96,8 +96,8 @@ def gains(factor):
         ("target covariance by f, not f squared", {"scene.targets.plank.gain": 10.0},
          lambda p: p.radiance["tenth"].pixel_covariance, 1e-9),
         ("target covariance by f, not f squared", {"scene.targets.plank.gain": 10.0}, lambda p: p.roc[KEY].pd, 1e-9),
-        ("fill x 0.8", {"scene.targets.plank.subjects.tenth.fill.fixed": 0.08}, lambda p: p.roc[KEY].pd, 1e-9),
-        ("blur x 1.5", {BLUR: 1.2}, lambda p: p.reflectance["green"].mean, 1e-12),
+        ("fill fraction x 0.8", {"scene.targets.plank.subjects.tenth.fill.fixed": 0.08}, lambda p: p.roc[KEY].pd, 1e-9),
+        ("PSF width x 1.5", {BLUR: 1.2}, lambda p: p.reflectance["green"].mean, 1e-12),
     ],
 )  # fmt: skip
 def test_an_error_gives_what_a_scenario_gives_that_states_it(name, stated, read, tolerance):
@@ -121,9 +121,9 @@ def test_a_spectrum_may_end_before_a_shifted_band(tmp_path):
     ("name", "changes", "words"),
     [
         ("tails left out", {"scene.classes.grass.tail_dof": None}, "no class has tails"),
-        ("blur x 1.5", {BLUR: 0.0}, "blur is 0"),
+        ("PSF width x 1.5", {BLUR: 0.0}, "blur is 0"),
         ("empirical line gain x 1.02", {"processing.elm": "none"}, "no empirical line"),
-        ("fill x 0.8", {"scene.targets": []}, "fill"),
+        ("fill fraction x 0.8", {"scene.targets": []}, "fill"),
         ("target spectra x 0.8", {"scene.targets": []}, "no target"),
     ],
 )
@@ -158,7 +158,7 @@ def test_an_error_of_a_path_that_leads_nowhere_names_it():
 def test_an_input_of_the_budget_moves_from_where_it_was_injected():
     """Two values of one blur were refused, and with them every campaign that states its uncertainty."""
     stated = with_settings(SCENE, {"uncertainty": {"psf_fwhm_pixels": 0.1}})
-    found, there = injected("blur x 1.5", stated).roc, run(with_settings(stated, {BLUR: 1.2})).roc
+    found, there = injected("PSF width x 1.5", stated).roc, run(with_settings(stated, {BLUR: 1.2})).roc
     key = next(k for k in there if k[0] == "green")
     for limit in ("pd_lower", "pd_upper"):
         np.testing.assert_allclose(getattr(found[key], limit), getattr(there[key], limit), rtol=1e-9)

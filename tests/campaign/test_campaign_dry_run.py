@@ -211,7 +211,7 @@ def test_what_the_files_of_a_collection_lack_stands_at_the_key_that_needs_it(sma
     found = {where.split(": ")[1]: what for where, what in mistakes(small.write())}
     assert "ground area of a pixel" in found["detection.areas"]
     assert cli.run(["validate", "--dry-run", str(small.write())]) == 2
-    assert f"small: {len(found)} names that do not fit" in capsys.readouterr().err
+    assert f"small: {len(found)} unknown names" in capsys.readouterr().err
 
 
 def test_names_of_a_simulated_collection_are_those_of_its_scene(small):

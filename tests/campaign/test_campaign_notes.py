@@ -56,7 +56,7 @@ def test_a_raw_cube_lies_where_its_tables_place_it_and_has_the_sun_of_its_angles
     angles.write_text(angles.read_text() + "band names = {Path length, To-sun zenith}\n")
     said = " ".join(warnings(small))
     assert "the cube lies at latitude 44.9" in said
-    assert re.search(r"the sun stands at a zenith angle of 41\.50 degrees in small_obs\.img, at 2\d\.\d\d in", said)
+    assert re.search(r"the sun is at a zenith angle of 41\.50 degrees in small_obs\.img, at 2\d\.\d\d in", said)
 
 
 @pytest.mark.parametrize(

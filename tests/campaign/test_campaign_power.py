@@ -30,7 +30,7 @@ def on_radiance_alone(small, **limit: float) -> Path:
 
 ERRORS = {
     BRIGHT: campaign.Injected(gates=("radiance | grass | sixs | bias_ratio",), informing={"snr": 1}),
-    "blur x 1.5": campaign.Injected(informing={"roc": 2}),
+    "PSF width x 1.5": campaign.Injected(informing={"roc": 2}),
     QUIET: campaign.Injected(),
     TAILS: campaign.Injected(not_applicable="no class has tails"),
 }
@@ -69,7 +69,7 @@ def test_only_what_turns_counts_and_a_gate_that_nothing_fails_sees_nothing(make_
 
 def test_the_sentence_names_what_goes_unseen():
     assert table().sentence == (
-        "The criteria detect 1 of 3 injected model errors. Informational comparisons alone detect: blur x 1.5. "
+        "The criteria detect 1 of 3 injected model errors. Informational comparisons alone detect: PSF width x 1.5. "
         "Undetected: noise x 1.5. Not applicable: tails left out."
     )
     assert table(disagreeing=2).sentence.endswith("2 criteria that are already not met cannot detect any.")

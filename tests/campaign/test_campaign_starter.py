@@ -184,7 +184,7 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_pa
     before = (folder / "campaign.yaml").read_bytes()  # what is there is not replaced
     assert cli.run(["init", "--cube", str(cube), "--unit", UNIT, "-o", str(folder)]) == 2
     assert (folder / "campaign.yaml").read_bytes() == before
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("region", "records", "matched"), data_of("names_of_spectra"))

@@ -197,7 +197,7 @@ def test_tables_of_another_size_or_without_places(tmp_path, bent, axis):
     imagery.write_cube(bent, np.ones((50, BENT[1], 4)), data_type=4, axis=axis)
     table, notes = imagery.table_of(imagery.open_raster(bent))
     assert table is None
-    assert notes[0].startswith("warning: f01_rdn_igm lies beside the cube and is left aside: 60 lines")
+    assert notes[0].startswith("warning: f01_rdn_igm lies beside the cube and is ignored: 60 lines")
     imagery.write_cube(tmp_path / "empty", np.zeros((*BENT, 2)), data_type=4)
     with pytest.raises(InputError, match="no pixel has coordinates"):
         imagery.location_table(imagery.open_raster(tmp_path / "empty"), BENT)

@@ -200,10 +200,8 @@ def test_a_skipped_comparison_counts_as_open_in_a_pool():
     [
         ({"at_most": None}, "a limit is missing"),
         ({"at_least": 0.1}, "more than one limit"),
-        ({"at_most": 1e9}, "100 % or more"),
         ({"at_most": 1.0}, "100 % or more"),
         ({"at_most": math.nan}, "finite number"),
-        ({"at_most": math.inf}, "finite number"),
         ({"at_most": None, "within": (0.1, 0.1)}, "is an empty range"),
         ({"at_most": None, "within": (0.1, -0.1)}, "is an empty range"),
         ({"at_most": None, "within": (math.nan, 0.1)}, "finite number"),
@@ -220,7 +218,6 @@ def test_a_skipped_comparison_counts_as_open_in_a_pool():
         ({"bands_nm": (900.0, 400.0)}, "is an empty range"),
         ({"reason": ""}, "at least 1 character"),
         ({"subjects": []}, "at least 1 item"),
-        ({"metric": ""}, "at least 1 character"),
         ({"product": "radiances"}, "Input should be 'radiance'"),
         ({"at_mots": 0.1}, "Extra inputs"),
     ],

@@ -104,7 +104,6 @@ OF_SENSOR = {
     "sign of the filter (3.22)": (filter_sign, "pd_at_pfa_0.001"),
     "full width taken as sigma": (wrapped("hyperval.spectra.axis.SIGMA_PER_FWHM", lambda _: 1.0), "reference_radiance"),
     "G of (3.13) 2 % too large": (GAIN, "median_electrons_per_radiance"),
-    "G of (3.13) 2 % too large in SNR": (GAIN, "median_snr"),
     "(3.19) without its 1/3": (
         wrapped("hyperval.sensor.noise.bit_error_variance", result(lambda variance: 3.0 * variance)),
         "median_bit_error_noise_at_rate_1e-09",

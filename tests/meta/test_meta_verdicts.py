@@ -78,21 +78,10 @@ def brighter_class(small: SmallCampaign) -> None:
     brighter(small, item, "grass")
 
 
-def swapped_fills(small: SmallCampaign) -> None:
-    one, two = scene(small, "targets", 0)["subjects"]
-    one["name"], two["name"] = two["name"], one["name"]
-
-
 def swapped_panels(small: SmallCampaign) -> None:
     """Two panels of the empirical line change places: the line itself goes wrong."""
     panels = small.data["collection"]["empirical_line"]["panels"]
     panels[0]["region"], panels[2]["region"] = panels[2]["region"], panels[0]["region"]
-
-
-def swapped_regions(small: SmallCampaign) -> None:
-    names = {'"field"': '"x"', '"court"': '"field"', '"x"': '"court"'}
-    for old, new in names.items():
-        small.edit("regions.geojson", lambda text, old=old, new=new: text.replace(old, new))
 
 
 def of_truth(column: str, change: Callable[[Any], Any]) -> Change:
@@ -122,11 +111,7 @@ FALSIFIED: dict[str, tuple[Change, set[tuple[str, str]]]] = {
         {("roc", "small-planks"), ("abundance", "large-planks")},
     ),
     "fill of the small planks": (lambda s: fill(s, 0, 0.04), {("roc", "small-planks")}),
-    "fill of the large planks": (lambda s: fill(s, 1, 0.05), {("roc", "large-planks")}),
-    "fills swapped": (swapped_fills, {("roc", "small-planks")}),
     "area in the truth": (of_truth("area_m2", lambda area: 1.7 * area), {("abundance", "large-planks")}),
-    "regions swapped": (swapped_regions, {("radiance", "field"), ("radiance", "court"), ("reflectance", "field")}),
-    "panels of the line swapped": (swapped_panels, {("abundance", "large-planks")}),
     "targets moved": (of_truth("line", lambda at: at - 2.0), {("roc", "small-planks"), ("roc", "large-planks")}),
     "scale of the cube": (
         lambda s: s.data["collection"]["cube"].update(scale=1.05e-3), {("radiance", "field"), ("radiance", "court")}
@@ -134,11 +119,7 @@ FALSIFIED: dict[str, tuple[Change, set[tuple[str, str]]]] = {
 }  # fmt: skip
 
 
-# What others turn too is left to make test-slow.
-OTHERS_TURN_IT = ("fill of the large planks", "fills swapped", "regions swapped", "panels of the line swapped")
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in OTHERS_TURN_IT)) for n in FALSIFIED])
+@pytest.mark.parametrize("name", FALSIFIED)
 def test_each_falsified_input_turns_the_verdict(name, small):
     change, expected = FALSIFIED[name]
     change(small)

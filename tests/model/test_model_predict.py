@@ -176,7 +176,7 @@ def state(**stated: object) -> AtmosphericState:
 )
 def test_gases_that_are_not_stated_are_named_with_their_columns(standard, water, ozone):
     of_water, of_ozone = model.unstated_notes(state(model=standard))
-    assert of_water.startswith(f"water vapour is not stated: that of the standard atmosphere {standard} is taken, ")
+    assert of_water.startswith(f"water vapour is not stated: that of the standard atmosphere {standard} is used, ")
     assert float(of_water.split()[-3]) == pytest.approx(water, rel=0.05)
     assert of_water.endswith(" g cm-2")
     assert float(of_ozone.split()[-3]) == pytest.approx(ozone, rel=0.05)
@@ -206,7 +206,7 @@ def test_bands_beyond_the_solar_spectrum_are_said():
 def test_more_air_and_water_than_the_engine_was_compared_with_is_said():
     far = state(sensor_altitude_km=700.0, water_vapour_g_cm2=5.0, solar_zenith_deg=60.0)
     air, water = model.engine_notes(far, terms(engine_ratio=True))
-    assert air.startswith("the light goes through 3 atm of air")
-    assert water.startswith("the light goes through 15 g cm-2 of water vapour")
+    assert air.startswith("the light path crosses 3 atm of air")
+    assert water.startswith("the light path crosses 15 g cm-2 of water vapour")
     assert model.engine_notes(far, terms(engine_ratio=False)) == []
     assert model.engine_notes(state(water_vapour_g_cm2=1.0), terms(engine_ratio=True)) == []

@@ -128,7 +128,7 @@ def test_bands_by_number_give_the_scores_that_wavelengths_give(world, request):
     for name, values in known.items():
         np.testing.assert_allclose(found.detected.score_maps[name], values, rtol=1e-9, atol=1e-12)
     assert found.observation.axis.centre_nm.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert any("it is the number of a band" in note for note in found.observation.notes)
+    assert any("labelled nm are band numbers" in note for note in found.observation.notes)
     assert set(found.observation.distribution) == {"corner"}  # tails need no wavelengths
 
 

@@ -114,7 +114,7 @@ def test_a_pair_of_dirsig_is_imagery_and_truth(dirsig):
     assert [t.area_m2 for t in place.targets] == pytest.approx([4 * 2.45, 4 * 0.6])
     np.testing.assert_allclose(place.targets[0].fills[0], abundance[5:7, 8:10])
     assert place.cube.read(0, 1).values.mean() == pytest.approx(0.3 * 8e-3 * 1e3, rel=0.02)  # uW cm-2 sr-1 nm-1
-    warning = "filled in part: was each pixel sampled by one ray"
+    warning = "partly filled: was each pixel sampled by one ray"
     assert not any(warning in note for note in place.notes)
     dirsig_images(folder, rays=1)
     assert any(warning in note for note in dirsig.place().notes)

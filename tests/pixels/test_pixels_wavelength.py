@@ -76,7 +76,7 @@ def test_a_shift_is_warned_of_in_the_notes():
 def test_what_cannot_be_checked_is_said():
     axis = SpectralAxis(np.linspace(400, 700, 50), np.full(50, 6.0))
     assert wavelength_notes([np.ones(50)], axis, reflectance=True) == [
-        "the wavelengths could not be checked: no spectrum shows a red edge of plants or a rest of the oxygen band"
+        "the wavelengths could not be checked: no spectrum shows a red edge of plants or a residual of the oxygen band"
     ]
 
 

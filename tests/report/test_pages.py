@@ -128,7 +128,7 @@ def test_page_runs_no_script_but_those_whose_hash_it_states(text):
 
 def test_evidence_comes_before_tables_and_reasons_after_assumptions(text):
     parts = (
-        'class="verdict', 'class="matrix"', 'alt="Picture of the scene', 'alt="Map of the detector score',
+        'class="verdict', 'class="matrix"', 'alt="Image of the scene', 'alt="Map of the detector score',
         'id="chart-radiance"', 'id="chart-roc"', 'class="rows"', 'id="assumptions"', 'id="budget"', 'id="provenance"',
     )  # fmt: skip
     places = [text.index(part) for part in parts]
@@ -212,7 +212,7 @@ def test_pages_of_one_side_do_not_call_themselves_validations():
 
 def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix():
     """With many subjects the matrix is longer than a screen.  A choice after the data stands after what it was."""
-    detected = [("sunlight x 1.05", "undetected", ""), ("fill x 0.8", "1 criterion", "scores | all | cem | p")]
+    detected = [("sunlight x 1.05", "undetected", ""), ("fill fraction x 0.8", "1 criterion", "scores | all | cem | p")]
     table = report.PowerWords(
         "The criteria detect 1 of 2 injected model errors. Undetected: sunlight x 1.05.", detected, "1"
     )

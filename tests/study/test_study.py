@@ -272,7 +272,7 @@ def test_of_several_solutions_the_lowest_is_told(several, root):
     model = SimpleNamespace(values=lambda columns, outputs: (of_x(columns[FILL])[:, None], {}))
     found = answers(model, {"other": np.zeros(1)}, Required.model_validate(question), [output])
     np.testing.assert_allclose(found.solutions, root, rtol=1e-6)
-    assert found.reasons == ({0: "not monotone: 2 solutions; the lowest is told"} if several else {})
+    assert found.reasons == ({0: "not monotone: 2 solutions; the lowest is reported"} if several else {})
 
 
 @pytest.mark.parametrize("case", MISTAKES, ids=[case["words"] for case in MISTAKES])

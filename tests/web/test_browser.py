@@ -114,7 +114,7 @@ def test_cube_is_brought(page, small_collection, tmp_path):
     assert "of at most" in page.locator("#size").inner_text()
     page.locator("#regions").set_input_files(place / "regions.geojson")
     page.locator("#unit").fill("uW cm-2 sr-1 nm-1")
-    page.get_by_role("button", name="Send and run").click()
+    page.get_by_role("button", name="Upload and run").click()
     assert page.locator(".mistake").all_inner_texts() == ["the ENVI header is needed"]
     assert page.locator("[type=checkbox]:checked").evaluate_all("boxes => boxes.map((box) => box.value)") == [
         "small_rad.img", "regions.geojson"
@@ -125,7 +125,7 @@ def test_cube_is_brought(page, small_collection, tmp_path):
     for field, value in (("name", "mine"), ("time_utc", "2012-09-20T16:31:00Z"), ("altitude_km", "2")):
         page.locator(f"#{field}").fill(value)
     page.locator("#sensor").select_option("prospectir-vs")
-    page.get_by_role("button", name="Send and run").click()
+    page.get_by_role("button", name="Upload and run").click()
     page.wait_for_selector("#files, #reason", timeout=60_000)
     assert page.locator("#reason").count() == 0, page.locator("#reason").inner_text()
     assert "samples" in page.locator("dl").inner_text()

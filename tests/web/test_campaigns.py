@@ -109,7 +109,7 @@ def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run
         compared.set()
         page.wait_for_selector("p.verdict")
         assert page.locator("p.verdict").inner_text() == run[1]["summary"]["verdict"]
-        page.get_by_role("link", name="The whole report").click()
+        page.get_by_role("link", name="Full report").click()
         page.wait_for_url("**/files/report.html")
         assert page.get_by_text(run[1]["summary"]["verdict"]).count()
         page.goto("/validate")

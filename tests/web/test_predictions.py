@@ -72,7 +72,7 @@ def test_source_of_each_value_is_told(client, server):
     fields = dict(sent_of(client.get(url, params={"scenario": EASY["name"]}).text))
     sent = {**fields, "atmosphere.day_of_year": "99", "action": "add:scene.classes"}
     text = client.post(url, data=sent).text
-    assert f"Values are as in {EASY['name']}" in text
+    assert f"Values are those of {EASY['name']}" in text
     for name, is_changed in (("day_of_year", True), ("solar_zenith_deg", False), ("view_zenith_deg", False)):
         field = text[: text.index(f'name="atmosphere.{name}"')]
         assert ("data-changed" in field[field.rindex('<div class="field') :]) == is_changed, name

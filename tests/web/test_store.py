@@ -31,7 +31,7 @@ def test_runs_outlive_a_restart_and_those_on_their_way_are_lost(store):
     second = again(store)
     assert second.run(done.id, "a") == done
     assert second.run(going.id, "a").state == "lost"
-    assert "server ended" in second.run(going.id, "a").reason
+    assert "server stopped" in second.run(going.id, "a").reason
     assert any("1 runs had not finished" in words for words in second.notices)
     third = again(second)
     assert third.notices == []  # told once

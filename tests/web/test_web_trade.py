@@ -60,7 +60,7 @@ def test_a_slider_moves_the_curve_of_detection_and_the_study_is_kept(browser, se
         assert " = " in page.locator("#needed").inner_text()
         assert serious(page) == []
         server.long.gate.clear()
-        page.get_by_role("button", name="Keep it").click()
+        page.get_by_role("button", name="Run with 6S").click()
         page.get_by_role("button", name="Cancel").click()
         server.long.gate.set()
         page.wait_for_selector("#reason")

@@ -145,34 +145,3 @@ def test_3_30_to_3_33_the_curve_by_plain_arithmetic():
     assert some.sum() > 20
     assert curve.pfa[some] == pytest.approx(pfa[some], rel=1e-5)
     assert curve.pd[some] == pytest.approx(norm.sf(curve.threshold[some], mean, np.sqrt(variance)), abs=1e-6)
-
-
-def test_scores_and_curve_of_drawn_pixels():
-    """4e5 background and 1e5 target pixels, drawn, seen, retrieved and scored one by one.
-
-    z of mean and variance of the score, and of P_FA and P_D at 4 thresholds, |z| < 5: false failure under 1e-5.
-    Poisson counts are drawn as normal numbers of the variance at the pixel's own radiance.
-    """
-    hand, rng, n, m = ByHand(), np.random.default_rng(2014), 400_000, 100_000
-    p = predict(scene(), Origins(axis=AXIS, engine=engine))
-
-    def draw(name: str, count: int) -> np.ndarray:
-        c = hand.surfaces[name]
-        return rng.multivariate_normal(c.mean, c.covariance, count, method="cholesky")
-
-    def scored(rho: np.ndarray) -> np.ndarray:
-        level = hand.signal(rho)
-        level = level + rng.standard_normal(level.shape) * np.sqrt(hand.noise.variance(level))
-        return hand.score((level - hand.offset) / hand.gain)
-
-    background = np.concatenate([scored(draw(name, int(share * n))) for name, share in SHARES.items()])
-    target = scored(0.1 * draw("yellow-paint-plank", m) + 0.9 * draw("asphalt", m))
-    expected = p.scores["tenth", "cem"]
-    assert abs(target.mean() - expected.mean) < 5 * expected.sd / np.sqrt(m)
-    assert abs(target.var() / expected.sd**2 - 1) < 5 * np.sqrt(2 / m)
-    curve = p.roc["tenth", "cem", "pixel"]
-    for pfa in (1e-3, 1e-2, 1e-1, 0.3):
-        k = int(np.argmin(np.abs(np.log(curve.pfa / pfa))))
-        x, false_alarm, pd = curve.threshold[k], curve.pfa[k], curve.pd[k]
-        assert abs((background > x).mean() - false_alarm) < 5 * np.sqrt(false_alarm / n)
-        assert abs((target > x).mean() - pd) < 5 * np.sqrt(max(pd * (1 - pd), 1e-6) / m)

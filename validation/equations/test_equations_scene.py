@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import dblquad
 from scipy.special import ndtr
 
 from hyperval.atmosphere import AtmosphericTerms
@@ -191,17 +190,6 @@ def test_the_closed_form_by_hand():
 
 def rectangle(length: float, width: float, blur: Any = 0.0, **more: Any) -> Geometry:
     return Geometry(shape="rectangle", length_m=length, width_m=width, psf_fwhm_pixels=blur, **{"gsd_m": 1.0} | more)
-
-
-def test_fill_with_blur_by_numerical_integration():
-    s = 0.8 / (2 * np.sqrt(2 * np.log(2)))
-
-    def response(x: float) -> float:
-        return float(ndtr((x + 0.5) / s) - ndtr((x - 0.5) / s))
-
-    value, _ = dblquad(lambda y, x: response(x) * response(y), 0.1 - 0.6, 0.1 + 0.6, 0.2 - 0.9, 0.2 + 0.9)
-    fills = pixel_fills(rectangle(1.8, 1.2, 0.8), np.array([[0.1, 0.2]]), [0.0])[0]
-    assert fills[len(fills) // 2, len(fills) // 2] == pytest.approx(value, abs=1e-8)
 
 
 @pytest.mark.parametrize("blur", [0.0, 0.7, 1.5, (1.4, 0.3), (0.0, 1.0), (1.0, 0.0)])

@@ -104,16 +104,6 @@ def test_other_numbers_than_the_files_by_hand():
     assert other.breakdown(np.full(4, 8.0)).calibration == pytest.approx(np.full(4, 0.16**2))
 
 
-def test_binned_bands_by_a_simulated_detector():
-    """1e6 sums of two bands of the same radiance; |z| < 5, false failure 6e-7."""
-    rng = np.random.default_rng(3132)
-    n, level = 1_000_000, 8.0
-    total = sum(rng.poisson(g * level, n) + rng.normal(0, 40, n) for g in (1000.0, 2000.0)) / 3000.0
-    quiet = model(lsb_electrons=np.zeros(4), calibration_percent=np.zeros(4))
-    expected = binned_noise(quiet, 2).variance(np.full(2, level))[0]
-    assert abs(total.var() - expected) < 5 * expected * np.sqrt(2 / n)
-
-
 def test_binned_measured_noise_is_the_mean_of_equal_bands():
     # Equal bands: the variance of a mean of three is a third, whatever c.
     a, b, c = np.full(3, 0.01), np.full(3, 1.2), np.full(3, 2e-3)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from pathlib import Path
 
 import h5py
@@ -12,8 +11,9 @@ import product_shells
 import rasterio
 import scipy.io
 import xarray as xr
-from affine import Affine
-from rasterio.crs import CRS
+from small_files import SHAPE, SQUARE, expected, geojson, on_map, polygon, roi_ascii, roi_binary, xml
+from small_files import TRANSFORM as MAP
+from small_files import UTM18 as UTM
 
 from hyperval.atmosphere import AtmosphericTable, write_table
 from hyperval.atmosphere.table import QUANTITIES
@@ -23,53 +23,22 @@ from hyperval.run import write_products
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class, write_statistics_library
 
-SHAPE = (10, 12)
 NM = np.arange(400.0, 1000.0, 50.0)
 RHO = 0.3 + 0.1 * np.sin(NM / 90.0)
-MAP = Affine(2.0, 0, 300000.0, 0, -2.0, 4700000.0)
-UTM = CRS.from_epsg(32618)
-
-
-def roi_text() -> str:
-    pixels = [(line, sample) for line in range(3, 6) for sample in range(2, 6)]
-    head = ["; ENVI Output of ROIs (4.8) [x]", "; Number of ROIs: 1", "; File Dimension: 12 x 10", ";"]
-    head += ["; ROI name: grass", "; ROI rgb value: {0, 255, 0}", f"; ROI npts: {len(pixels)}", ";   ID    X    Y"]
-    return "\n".join(head + [f"{i + 1:6d} {s + 1:4d} {ln + 1:4d}" for i, (ln, s) in enumerate(pixels)]) + "\n"
-
-
-def roi_binary() -> bytes:
-    table = [0] * 45
-    table[0], table[1], table[3], table[42], table[44] = 12, 10, 3, 1, 1
-    ring = (2.0, 6.0, 6.0, 2.0), (3.0, 3.0, 8.0, 8.0)
-    return (
-        b"JoeB" + struct.pack(">3i", 1, 5, 5) + b"grass\0\0\0" + struct.pack(">45i", *table)
-        + struct.pack(">4i", 3, 38, 39, 40) + struct.pack(">2i8f", 4, 4, *ring[0], *ring[1])
-    )  # fmt: skip
 
 
 def drawn() -> dict[str, tuple[str, bytes]]:
     """File name and content of one region in every format."""
-    ring = [[300004.0, 4699994.0], [300012.0, 4699994.0], [300012.0, 4699984.0], [300004.0, 4699994.0]]
-    shape = {"type": "Polygon", "coordinates": [ring]}
     listed = {
-        "type": "FeatureCollection",
+        **json.loads(geojson(polygon(on_map(SQUARE)))),
         "crs": {"type": "name", "properties": {"name": "EPSG:32618"}},
-        "features": [{"type": "Feature", "properties": {"name": "grass"}, "geometry": shape}],
     }
-    ring_text = "2 3 6 3 6 8 2 8 2 3"
-    for tag in ("Coordinates", "LinearRing", "Exterior", "Polygon"):
-        ring_text = f"<{tag}>{ring_text}</{tag}>"
-    xml = (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<RegionsOfInterest version="1.1">'
-        '<Region name="grass" color="0,255,0">'
-        f"<GeometryDef><CoordSysStr>none</CoordSysStr>{ring_text}</GeometryDef></Region></RegionsOfInterest>"
-    )
-    pixels = "region,row0,col0\n" + "".join(f"grass,{i},{j}\n" for i in range(3, 6) for j in range(2, 6))
+    pixels = "region,row0,col0\n" + "".join(f"grass,{i},{j}\n" for i, j in np.argwhere(expected()))
     return {
         "geojson": ("a.geojson", json.dumps(listed, indent=1).encode()),
-        "roi xml": ("a.xml", xml.encode()),
-        "roi text": ("a.txt", roi_text().encode()),
-        "roi binary": ("a.roi", roi_binary()),
+        "roi xml": ("a.xml", xml(SQUARE).encode()),
+        "roi text": ("a.txt", roi_ascii(expected()).encode()),
+        "roi binary": ("a.roi", roi_binary(points=(38, 39, 40), polygons=[SQUARE])),
         "pixel list": ("a.csv", pixels.encode()),
     }
 

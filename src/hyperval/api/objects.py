@@ -265,7 +265,7 @@ class _Side(_Tables):
         keys = [key for key in self.products.roc if all(a in (None, k) for a, k in zip(asked, key, strict=True))]
         if not keys:
             have = ", ".join("/".join(key) for key in self.products.roc)
-            raise UsageError(f"no ROC curve is of {subject!r}, {detector}, {unit}", expected=f"one of {have}")
+            raise UsageError(f"no ROC curve of {subject!r}, {detector}, {unit}", expected=f"one of {have}")
         curve = self.products.roc[keys[0]]
         limits = (curve.pd, curve.pd_lower, curve.pd_upper)
         return Probability(*(float(detection_at(curve, pfa, values)) for values in limits))

@@ -267,15 +267,15 @@ class AtmosphericState(Model):
     engine: Literal["sixs", "modtran", "table", "emulator"] = Field(
         "sixs",
         title="radiative-transfer engine",
-        description="sixs: the embedded solver; modtran: the user's own, named by HYPERVAL_MODTRAN; "
-        "table: computed before; emulator: fitted to runs of sixs, at once, for studies at nadir over rural haze",
+        description="sixs: the embedded 6S; modtran: your own, named by HYPERVAL_MODTRAN; table: precomputed; "
+        "emulator: fitted to runs of sixs, immediate, for nadir views over rural aerosol",
     )
     table: str | None = Field(
         None,
         description="with engine: table, its NetCDF file, or the run template (.json) of a folder of MODTRAN "
         "channel files",
     )
-    model: AtmosphereModel = Field("midlatitude-summer", title="standard atmosphere", description="profile of the air")
+    model: AtmosphereModel = Field("midlatitude-summer", title="standard atmosphere", description="vertical profile")
     water_vapour_g_cm2: float | None = _number(
         "above the ground [g cm-2]; null: the standard atmosphere's", title="water vapour column", ge=0.01, le=10.0
     )
@@ -337,7 +337,7 @@ class AtmosphericState(Model):
         lacking = [name for name in (_ANGLES if by_angles else _PLACE) if name not in has]
         needs = "both angles" if by_angles else f"{', '.join(_PLACE[:2])} and {_PLACE[2]}, or {' and '.join(_ANGLES)}"
         clear, clash = self.aerosol == "none", ", ".join(sorted(has & set(_PLACE)))
-        ground, sensor, alone = self.ground_altitude_km, self.sensor_altitude_km, "the engine sixs alone takes it"
+        ground, sensor, alone = self.ground_altitude_km, self.sensor_altitude_km, "only the engine sixs takes it"
         exponent, share, given = "angstrom_exponent", "aerosol_share_below", "both are" if amounts else "neither is"
         for wrong, said in (
             (
@@ -348,7 +348,7 @@ class AtmosphericState(Model):
             (not clear and len(amounts) != 1, f"give exactly one of aot550 and meteorological_range_km: {given} given"),
             (exponent in has and "aot550" not in has, f"{exponent} needs aot550, the depth that it starts from"),
             (exponent in has and self.engine != "sixs", f"{exponent}: {alone}"),
-            (share in has and (clear or self.in_space), f"{share} is for a sensor within the air, over aerosol"),
+            (share in has and (clear or self.in_space), f"{share} is for an airborne sensor over aerosol"),
             (share in has and self.engine != "sixs", f"{share}: {alone}"),
             (by_angles and clash, f"the sun is given both by angles or date and by {clash}"),
             (lacking, f"{lacking[:1] and lacking[0]} is missing: the sun needs {needs}"),

@@ -47,7 +47,7 @@ _LONG_NAMES = {
     "spherical_albedo": "spherical albedo of the atmosphere",
     "ground": "irradiance of black ground, E / (pi F)",
     "gas": "two-way gas transmittance",
-    "diffuse": "sky's part of the irradiance of black ground",
+    "diffuse": "diffuse fraction of the irradiance of black ground",
 }
 *QUANTITIES, _DIFFUSE = _LONG_NAMES
 OPTIONAL = (_DIFFUSE,)

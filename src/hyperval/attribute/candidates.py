@@ -63,14 +63,14 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
     ("sensor gain", "sensor", "sensor.gain", 0.01),
     ("sensor noise", "sensor", "sensor.noise", 0.05),
     ("electrons per radiance", "sensor", "sensor.electrons", 0.05),
-    ("fill of the targets", "scene", "fill", 0.05),
-    ("blur of the image", "scene", "blur", 0.10),
+    ("fill fraction of the targets", "scene", "fill", 0.05),
+    ("PSF width", "scene", "blur", 0.10),
 )
 # Where the model is asked besides one unit up and down, in units; between and a little beyond it is interpolated.
 _SIZES = {
     "sunlight": (-20.0, 25.0), "sensor gain": (-20.0, 25.0), "sensor noise": (-10.0, 10.0, 25.0),
     "electrons per radiance": (-12.0, -6.0, 10.0, 25.0),
-    "fill of the targets": (-12.0, -6.0, 6.0, 20.0), "tails": (5.0, 20.0), "blur of the image": (-5.0, 5.0, 10.0),
+    "fill fraction of the targets": (-12.0, -6.0, 6.0, 20.0), "tails": (5.0, 20.0), "PSF width": (-5.0, 5.0, 10.0),
     "path radiance": (-5.0, 10.0), AEROSOL: (-5.0, 10.0),
 }  # fmt: skip
 _OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
@@ -234,10 +234,10 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         kinds: list[list[Truth]] = [
             [{"atmosphere.aerosol": h} if s is not None else {} for s in states] for h in others
         ]
-        out.append(Candidate("type of haze", "atmosphere", "", False, labels=others, moved=lambda i: kinds[int(i)]))
+        out.append(Candidate("aerosol type", "atmosphere", "", False, labels=others, moved=lambda i: kinds[int(i)]))
     for number, world in enumerate(worlds):
         for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
-            one = _part(world, f"fill of {name}", "scene", f"fill.[{name}]", 0.05)
+            one = _part(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", 0.05)
             members = tuple(one if i == number else None for i in range(len(worlds)))
             out.append(Candidate(one.name, one.kind, one.correlation, False, members, (-10.0, 12.0)))
     pairs = {}
@@ -281,8 +281,8 @@ def injected_errors() -> dict[str, Family]:
         "target spectra exchanged": _target_spectra_exchanged,
         "target spectra of another material": _other_material,
         "target covariance by f, not f squared": _fine_texture,
-        "fill x 0.8": partial(_times, path="fill", factor=0.8),
-        "blur x 1.5": partial(_times, path="blur", factor=1.5),
+        "fill fraction x 0.8": partial(_times, path="fill", factor=0.8),
+        "PSF width x 1.5": partial(_times, path="blur", factor=1.5),
         "empirical line gain x 1.02": partial(_line, gain=1.02, offset=0.0),
         "empirical line offset + 0.005": partial(_line, gain=1.0, offset=0.005),
     }

@@ -150,7 +150,7 @@ def _far(size: float, sizes: Sequence[float]) -> bool:
 def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array] | None]:
     """What the model says; None of what cannot be, such as a sun below the horizon."""
     try:
-        return [*evaluate(truths, "reasons: larger errors")]
+        return [*evaluate(truths, "attribution: larger errors")]
     except UsageError:
         half = len(truths) // 2
         return [*_asked(evaluate, truths[:half]), *_asked(evaluate, truths[half:])] if half else [None]
@@ -183,7 +183,7 @@ def causes_of(
 
     moved = candidates([inputs_of(world) for world in worlds], [assumed_inputs(world) for world in worlds])
     steps = [truth for candidate in moved for truth in _one_unit(candidate)]
-    found = iter(evaluate(steps, "reasons: inputs"))
+    found = iter(evaluate(steps, "attribution: inputs"))
     units: dict[Candidate, Array] = {}
     columns: dict[Candidate, Array] = {}
     ends: dict[Candidate, tuple[Array, Array]] = {}
@@ -327,7 +327,7 @@ def _shares(stated: Sequence[Candidate], evaluate: Evaluate, base: Array, ends: 
          for both in zip(stated[i].members, stated[j].members, strict=True)]
         for i, j in pairs
     ]  # fmt: skip
-    found = {pair: value for pair, (_, value) in zip(pairs, evaluate(truths, "reasons: pairs of inputs"), strict=True)}
+    found = {pair: value for pair, (_, value) in zip(pairs, evaluate(truths, "attribution: pairs"), strict=True)}
     return {c: list(both) for c, *both in zip(stated, *sensitivity_indices(base, sides, found), strict=True)}
 
 
@@ -480,7 +480,7 @@ def _what_ifs(
     if not what_ifs:
         return []
     before = left(what_ifs[0], *sides)
-    outcomes = [tried(item) for item in track(what_ifs, "reasons: what-ifs", show=show_progress)]
+    outcomes = [tried(item) for item in track(what_ifs, "attribution: what-ifs", show=show_progress)]
     outcomes.sort(key=lambda o: o.reduced)
     rows = [one for o in outcomes for one in named(o.rows(before), "what-if", "all", o.item.name)]
     return [*rows, *_alarm_rows(before.alarms, outcomes)]

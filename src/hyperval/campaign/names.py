@@ -125,7 +125,7 @@ def summary(items: Sequence[Item]) -> list[str]:
         own = [i for i in items if i.campaign == name]
         files, values, wrong, never = (sum(i.state == s for i in own) for s in (MISSING, TO_FILL_IN, WRONG, NEVER_MET))
         words = [f"{files} files missing, {values} values to fill in"] * bool(files or values)
-        words += [f"{wrong} names that do not fit"] * bool(wrong)
+        words += [f"{wrong} unknown names"] * bool(wrong)
         ready = "ready" + f"; {never} acceptance criteria can never be met" * bool(never)
         states.setdefault((own[0].general(name), ", ".join(words) or ready), []).append(name)
     out = [

@@ -34,8 +34,8 @@ class Sight(StrEnum):
 class Injected(Model):
     """What one injected error turns to "disagrees"; of rows that disagree without it nothing is said."""
 
-    gates: tuple[str, ...] = Field((), description='gates that turn: "product | subject | method | metric"')
-    informing: dict[str, int] = Field(default_factory=dict, description="informational rows that turn, by product")
+    gates: tuple[str, ...] = Field((), description='criteria that detect it: "product | subject | method | metric"')
+    informing: dict[str, int] = Field(default_factory=dict, description="informational rows that detect it, by product")
     not_applicable: str | None = Field(None, description="why it cannot be injected")
     reason: str = Field("", description="what the attribution concludes with it, compared with the unperturbed run")
 
@@ -103,8 +103,8 @@ class PowerTable(Model):
     campaign: str
     version: str = Field(description="of hyperval, which computed it")
     files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
-    gates: int = Field(ge=0, description="criteria that an error could turn")
-    disagreeing: int = Field(ge=0, description="criteria not met without an injected error, which cannot turn")
+    gates: int = Field(ge=0, description="criteria met without an injected error")
+    disagreeing: int = Field(ge=0, description="criteria not met without an injected error, which cannot detect any")
     stated: dict[str, float] = Field(
         default_factory=dict, description="criterion of the model -> its value without an injected error"
     )
@@ -208,6 +208,6 @@ def accepted_table(name: str, folder: Path = ACCEPTED) -> PowerTable | None:
 def write_power_table(path: Path, table: PowerTable) -> None:
     """Write one table as YAML."""
     data = table.model_dump(mode="json", by_alias=True, exclude_defaults=True)
-    head = f"# What the campaign {table.campaign} can tell: errors injected into its model, and the gates that turn.\n"
+    head = f"# Errors injected into the model of campaign {table.campaign}, and the criteria that detect them.\n"
     head += "# `hyperval power CAMPAIGN.yaml --accept` renews it.\n"
     write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))

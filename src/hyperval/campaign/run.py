@@ -376,7 +376,7 @@ class CampaignRun(NamedTuple):
 
     def written(self, run: RunReport, code: int | None) -> Done:
         """Write its folder, and what it was made of where nothing was skipped or went wrong."""
-        with step_of(run.campaign, "report"), working("figures and page", show=self.show_progress):
+        with step_of(run.campaign, "report"), working("figures and report", show=self.show_progress):
             write_outputs(run, self.folder)
         if not any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
             write_record(self.job, run, self.folder)
@@ -501,6 +501,6 @@ def observe(
                 notes.append(written[1])
 
         run = run_campaign(job, predicts=False, show_progress=show_progress, with_observed=cube)
-        with step_of(run.campaign, "report", predicts=False), working("figures and page", show=show_progress):
+        with step_of(run.campaign, "report", predicts=False), working("figures and report", show=show_progress):
             write_outputs(replace(run, notes=[*run.notes, *notes]), folder)
     return 0

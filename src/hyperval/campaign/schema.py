@@ -76,7 +76,7 @@ HIGHEST_KM = 9.0
 class DayScenarios(Model):
     """Scenarios of the half hours of one day."""
 
-    scenario: str = Field(description='scenario file with words in braces, such as aot550: "{aot550}"')
+    scenario: str = Field(description='scenario file with placeholders in braces, such as aot550: "{aot550}"')
     radcalnet: str = Field(description="daily file that ends in .input: surface and state")
     times: list[str] = Field(default_factory=list, description="half hours, such as 04:00; empty: all with values")
 

@@ -155,7 +155,7 @@ def doubts(place: Place | None, detection: Detection | None, scenarios: Sequence
             yield from time_notes(place.cube.extras, parse_utc(str(state.time_utc)), scenario.name)
         if state is not None and sun is not None and abs(sun[0] - state.sun[0]) > MAX_SUN_DEG:
             at = f"at a zenith angle of {sun[0]:.2f} degrees in {sun[1]}, at {state.sun[0]:.2f} in {named}"
-            yield f"warning: the sun stands {at}"
+            yield f"warning: the sun is {at}"
         latitude, longitude = (state.latitude_deg, state.longitude_deg) if state is not None else (None, None)
         if where is not None and latitude is not None and longitude is not None:
             north, east = where[0] - latitude, (where[1] - longitude + 180.0) % 360.0 - 180.0  # on a sphere

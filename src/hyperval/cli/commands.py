@@ -240,7 +240,7 @@ def compare(
 @command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
 def drift(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders that validate wrote.")],
-    metric: Annotated[str, typer.Option(help="Which number is followed.")] = "bias_ratio",
+    metric: Annotated[str, typer.Option(help="Metric to follow.")] = "bias_ratio",
     product: Annotated[str, typer.Option(help="Product of its row.")] = "radiance",
     subject: Annotated[str, typer.Option(help="Subject of its row.")] = "site",
     within: Annotated[
@@ -333,8 +333,8 @@ def init(
     ] = None,
     unit: Annotated[str | None, typer.Option(help="Unit of the radiance, where the image does not say.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Sensor of the library, or a sensor file.")] = None,
-    time: Annotated[str | None, typer.Option(help="Time of the line, UTC: 2012-09-20T16:31:00Z.")] = None,
-    altitude_km: Annotated[float | None, typer.Option(help="Sensor above sea level [km].")] = None,
+    time: Annotated[str | None, typer.Option(help="Acquisition time, UTC: 2012-09-20T16:31:00Z.")] = None,
+    altitude_km: Annotated[float | None, typer.Option(help="Sensor altitude above sea level [km].")] = None,
     pixel_size_m: Annotated[float | None, typer.Option(help="Ground size of a pixel, without a map position.")] = None,
     key: Key = None,
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default: that of the folder.")] = None,
@@ -405,7 +405,7 @@ def benchmark(
             "--scores", metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the resampling.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
     scheduler: Scheduler = None,
 ) -> int:
     """Rank all detectors on every campaign."""
@@ -428,7 +428,7 @@ def benchmark(
 def power(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: AnyOutput = None,
-    accept: Annotated[bool, typer.Option("--accept", help="Take the tables as those that reports show.")] = False,
+    accept: Annotated[bool, typer.Option("--accept", help="Keep the tables as those that reports show.")] = False,
     errors: Annotated[Path | None, typer.Option("--errors", help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
@@ -616,7 +616,7 @@ _MB = 1_000_000
 @command("serve", "serve --campaigns campaigns --data data --port 8080")
 def serve(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8000,
-    host: Annotated[str, typer.Option(help="Address that it listens at; this machine alone by default.")] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Address to listen on; this machine alone by default.")] = "127.0.0.1",
     name: Annotated[
         list[str] | None,
         typer.Option(help="Name under which browsers reach it, besides localhost; may be repeated."),
@@ -628,16 +628,16 @@ def serve(
     long_workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
     scheduler: Scheduler = None,
     memory_mb: Annotated[int, typer.Option(min=500, help="Memory of one process.")] = 3000,
-    seconds: Annotated[float, typer.Option(min=1, help="Longest study or campaign.")] = 3600.0,
+    seconds: Annotated[float, typer.Option(min=1, help="Time limit of a study or campaign.")] = 3600.0,
     queue: Annotated[int, typer.Option(min=1, max=10_000, help="Runs that may wait.")] = 64,
     connections: Annotated[
-        int, typer.Option(min=4, max=100_000, help="Connections of one address; of a proxy before it, all of them.")
+        int, typer.Option(min=4, max=100_000, help="Connections from one address; behind a proxy, all of them.")
     ] = 256,
     upload_mb: Annotated[int, typer.Option(min=1, max=2000, help="Largest upload.")] = 64,
     kept_mb: Annotated[int, typer.Option(min=1, help="Finished runs that are kept; the oldest go first.")] = 5000,
     kept_days: Annotated[float, typer.Option(min=0.01, help="How long finished runs are kept.")] = 30.0,
     https: Annotated[
-        bool, typer.Option("--https", help="A proxy before it speaks HTTPS: cookies go no other way.")
+        bool, typer.Option("--https", help="Behind an HTTPS proxy: cookies are sent over HTTPS only.")
     ] = False,
 ) -> int:
     """Serve the web application, to browsers of this machine by default."""
@@ -669,7 +669,7 @@ def serve(
     application = make_app(settings)
     for words in application.state.store.notices:
         note(words)
-    note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C ends it")
+    note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C stops it")
     uvicorn.run(
         application, host=host, port=port, log_level="warning", access_log=False, server_header=False,
         proxy_headers=False, timeout_keep_alive=30, ws="none", http=connections_of(connections), backlog=64,

@@ -104,7 +104,7 @@ def _internal(error: Exception) -> int:
     if isinstance(error, OSError) and error.errno in _FULL:
         _error(
             f"{error}\n  to fix it: free space there, or name another folder with --output; "
-            f"temporary files stand in {tempfile.gettempdir()} (TMPDIR)"
+            f"temporary files are in {tempfile.gettempdir()} (TMPDIR)"
         )
         return INTERNAL_ERROR
     try:

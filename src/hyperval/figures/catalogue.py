@@ -219,7 +219,7 @@ def _effects(rows: Sequence[Result]) -> Figure:
     alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
     alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
     legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
-    legend += "gap: predicted less measured; spectra relative to the measured mean, P_D as a difference; "
+    legend += "gap: predicted minus measured; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:.2g})" for q in shown]
     ways = row_names(names, _LONGEST), row_names(quantities, 56)

@@ -58,7 +58,7 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     cut = _cut(rgb.shape, view)
     title += f"; {cut}" if cut else ""
     size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f", {cut} of them shown" if cut else "")
-    alt = f"Picture of the scene, {size}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
+    alt = f"Image of the scene, {size}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
     return canvas.drawing("scene", "scene", title, alt, _numbered_names(quicklook.regions))
 
 

@@ -314,7 +314,7 @@ def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str)
     UsageError : an axis of another number of bands.
     """
     if axis == "numbers":
-        note = "warning: bands go by their number: where nm are written, it is the number of a band"
+        note = "warning: bands are identified by number: values labelled nm are band numbers"
         return BandTable(SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (note,))
     refuse(len(axis) != count, "bands.given", where, given=len(axis), count=count)
     return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))

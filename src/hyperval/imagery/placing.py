@@ -363,7 +363,7 @@ def table_of(raster: Raster) -> tuple[LookupTable | None, tuple[str, ...]]:
         try:
             table = open_lookup_table(path, shape) if kind == "glt" else location_table(open_raster(path), shape)
         except HypervalError as error:
-            return None, (f"warning: {path.name} lies beside the cube and is left aside: {error.what}",)
+            return None, (f"warning: {path.name} lies beside the cube and is ignored: {error.what}",)
         return table, (f"{path.name} lies beside the cube and places its pixels",)
     return None, ()
 

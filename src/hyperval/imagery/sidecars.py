@@ -22,7 +22,7 @@ from hyperval.units import is_radiance
 MAX_XML_BYTES = 64 << 20
 MAX_JSON_BYTES = 4 << 20
 MAX_ITEMS = 20  # files of JSON that are looked at for one that names the image
-NO_MAP = "in scanner geometry: a map position of the file is a fit to its corners and is left aside"
+NO_MAP = "in scanner geometry: a map position of the file is a fit to its corners and is ignored"
 _UNRECTIFIED = "one detector in scanner geometry: the other sees a place some lines apart, as a cube of its own"
 
 

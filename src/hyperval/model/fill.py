@@ -295,7 +295,7 @@ def shared_pixel_fills(
     """
     for geometry in (own, *(x.geometry for x in neighbours)):
         if geometry.heading_deg == "random":
-            raise UsageError("a target with a position lies any way", mend="state heading_deg, or leave position_m out")
+            raise UsageError("a target with a position has no heading", mend="state heading_deg or omit position_m")
     fills, chosen = _fullest(own, n)
     others = np.zeros((*fills.shape, len(neighbours)))
     for j, x in enumerate(neighbours):

@@ -212,7 +212,7 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
     terms = light.terms if light.radiant else None
     notes = [f"formulation: {e.scenario.formulation}", *(terms.notes if terms else ())]
     if not e.scenario.uncertainty.model_dump(exclude_defaults=True):
-        notes.append("the scenario states no uncertainty: intervals and tests hold little but the collection's own")
+        notes.append("the scenario states no uncertainty: intervals and tests contain little but the collection's own")
     levels = {name: light.level(of_truth(rho, u)[0]) for name, (rho, _) in each.items()}
     if light.radiant and light.noise is not None:
         if light.noise.full_scale is not None:

@@ -86,7 +86,7 @@ def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], sampl
     if drawn:
         notes.append(
             f"P_D intervals from {samples} draws of the budget, as errors shift the mean by more than its standard "
-            f"deviation, or would if each came alone: {', '.join(named[key] for key in drawn)}"
+            f"deviation, or would if each acted alone: {', '.join(named[key] for key in drawn)}"
         )
     if rough:
         notes.append(

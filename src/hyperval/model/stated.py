@@ -645,7 +645,7 @@ def unstated_notes(state: AtmosphericState) -> list[str]:
     if state.engine != "sixs":
         return []
     (water, ozone), notes = gas_columns(standard_profile(state.model), state.ground_altitude_km), []
-    words = f"that of the standard atmosphere {state.model} is taken"
+    words = f"that of the standard atmosphere {state.model} is used"
     if state.water_vapour_g_cm2 is None:
         notes.append(f"water vapour is not stated: {words}, {water:.2f} g cm-2")
     if state.ozone_atm_cm is None:
@@ -666,7 +666,7 @@ def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
             )
     if sun == "of the table" and "solar_spectrum" in state.model_fields_set:
         notes.append(
-            f"the table brings a solar spectrum of its own: solar_spectrum {state.solar_spectrum}, "
+            f"the table contains its own solar spectrum: solar_spectrum {state.solar_spectrum}, "
             "which the scenario states, is not used"
         )
     if terms.provenance.get("engine_ratio"):
@@ -677,7 +677,7 @@ def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
         ):
             if amount > greatest:
                 notes.append(
-                    f"the light goes through {amount:.2g} {words}: the engine's gases were compared with MODTRAN 6 "
+                    f"the light path crosses {amount:.2g} {words}: the engine's gases were compared with MODTRAN 6 "
                     f"up to {greatest:g}"
                 )
     return notes
@@ -826,7 +826,7 @@ def read_files(
         if count > 1:
             if source.axis is not None:
                 raise UsageError(
-                    "sensor_operation.spectral_binning: the bands of a collection are what they are",
+                    "sensor_operation.spectral_binning: the bands of a collection are fixed",
                     mend="leave spectral_binning out: a binned cube has binned bands already",
                 )
             if count > len(axis):

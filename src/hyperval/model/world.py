@@ -246,7 +246,7 @@ def _found(stated: Stated, path: str) -> Path:
     if name not in names:
         raise UsageError(f"{path}: no such {entry.of}", expected="one of " + ", ".join(names))
     if entry.field == "fine_texture" and name not in stated.names["target"]:
-        raise UsageError(f"{path}: {name!r} is no target")
+        raise UsageError(f"{path}: {name!r} is not a target")
     return entry._replace(item=names.index(name))
 
 

@@ -178,7 +178,7 @@ def detect(place: Place, detection: Detection, resolve: Resolve, *, show_progres
     if detection.first_detection:
         notes.append(
             "alarms_before_first counts false alarms up to the best pixel of any object, as RIT's self-test does: "
-            "it favours targets of many pixels or pieces, of which the luckiest stands for all"
+            "it favours targets of many pixels or pieces, of which the best counts for all"
         )
     areas, nominal = target_areas(place, detection, maps)
     outlines = {key: TargetMasks(list(members.values())) for key, members in outlined.items()}
@@ -301,7 +301,7 @@ def _score_maps(
     maps, lonely = px.score_cube_locally(cube, bank.forms, bank.whitener, window, around, line, bank.bands, **common)
     return maps, [
         f"background means from windows of {window[0]} less {window[1]} pixels; "
-        f"{lonely} pixels without surroundings take the mean of the background. "
+        f"{lonely} pixels without neighbours in the window take the mean of the background. "
         "Predicted scores are against that mean throughout"
     ]
 

@@ -230,7 +230,7 @@ def _notes(
                 f"{within} pixels of targets and their guard are in the filters' statistics, and in no class's"
             )
     notes += [
-        f"warning: region {name!r} is a single pixel: how far pixels differ is not known and in no interval"
+        f"warning: region {name!r} is a single pixel: the spread from pixel to pixel is unknown and in no interval"
         for name in place.regions
         if measured[name].n == 1
     ]

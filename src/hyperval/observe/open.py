@@ -220,7 +220,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
         near = imagery.guard(near, truth.guard_pixels)
     for name in collection.leave_out:
         if name not in regions:
-            raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
+            raise UsageError(f"leave_out names {name!r}, which is not a region", expected=", ".join(regions))
     if collection.leave_out and collection.leave_out_guard_pixels:
         left_out = np.any([regions[name].mask for name in collection.leave_out], axis=0)
         around = imagery.guard(left_out, collection.leave_out_guard_pixels) & ~left_out
@@ -566,8 +566,8 @@ def image_targets(
     remarks = [f"{len(out)} targets of {mean.size} pixels by the abundances in {path.name}"]
     if np.all(mean == 1.0):
         remarks.append(
-            f"warning: no pixel in {path.name} is filled in part: was each pixel sampled by one ray? Their number "
-            "in the simulation is what fills are counted by"
+            f"warning: no pixel in {path.name} is partly filled: was each pixel sampled by one ray? Fill "
+            "fractions are counted in rays per pixel"
         )
     return out, remarks
 

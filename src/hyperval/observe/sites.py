@@ -258,7 +258,7 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
     if not found:
         feature = "an absorption of oxygen or water vapour"
         if reflectance:
-            feature = "a red edge of plants or a rest of the oxygen band"
+            feature = "a red edge of plants or a residual of the oxygen band"
         return [f"the wavelengths could not be checked: no spectrum shows {feature}"]
     parts, warnings = [], []
     for s, count in found:

@@ -438,7 +438,7 @@ def leads(one: Benchmarked) -> list[str]:
         ranks = {" = ".join(g): rank for g in one.groups if (rank := one.standing(g, metric)[1]) is not None}
         first = [name for name, rank in ranks.items() if rank.value == 1]
         near = [name for name, rank in ranks.items() if rank.value > 1 and rank.lower <= 1]
-        words = f"; not told from it: {', '.join(near)}" if near else "; all others are told from it"
+        words = f"; not distinguished from it: {', '.join(near)}" if near else "; all others differ significantly"
         if ranks:
             out.append(f"{title}: {' and '.join(first)}{words if len(one.groups) > len(first) else ''}")
     return out

@@ -73,7 +73,7 @@ class TargetGroup(OneOf):
         default=None,
         gt=0.0,
         lt=1.0,
-        description="share of the brightest pixel of a plank centred on it: sets the side",
+        description="fill fraction of a pixel with a plank at its centre: sets the side",
     )
     side_m: float | None = Field(default=None, gt=0.0, description="side [m], when given instead of the fill")
     count: int = Field(ge=1, le=100_000)

@@ -359,7 +359,7 @@ def study_page(
     """The page: figures first, then answers, knees, what moved, what was asked, and how it was evaluated."""
     study = plan.study
     # Reasons without their numbers, and how many points each has.
-    reasons = Counter(re.sub(r"; it comes to [^;]*", "", text) for text in table["reason"] if text)
+    reasons = Counter(re.sub(r"; the nearest is [^;]*", "", text) for text in table["reason"] if text)
     return page(
         "study.html.j2", figures,
         study=study,

@@ -417,7 +417,7 @@ def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs:
 def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:
     """Number of the interval that holds the lowest root, -1 without, and what is to be said of it."""
     if not np.all(np.isfinite(gap)):
-        return -1, f"{question.output} can not be evaluated over the whole range"
+        return -1, f"{question.output} cannot be evaluated over the whole range"
     signs = np.sign(gap)
     change = np.flatnonzero(signs[:-1] * signs[1:] <= 0)
     # A scan value that is itself a root belongs to two intervals.
@@ -425,9 +425,9 @@ def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:
     if not change.size:
         side, best = ("below", int(np.argmax(gap))) if gap[0] < 0 else ("above", int(np.argmin(gap)))
         reached = f"{gap[best] + question.equals:.4g} at {x[best]:.4g}"
-        return -1, f"no solution: {question.output} stays {side} {question.equals:g}; it comes to {reached}"
+        return -1, f"no solution: {question.output} stays {side} {question.equals:g}; the nearest is {reached}"
     steps = np.diff(gap)
     monotone = bool(np.all(steps >= -1e-12) or np.all(steps <= 1e-12))
     if change.size > 1:
-        return int(change[0]), f"not monotone: {change.size} solutions; the lowest is told"
-    return int(change[0]), "" if monotone else "not monotone over the range, one solution all the same"
+        return int(change[0]), f"not monotone: {change.size} solutions; the lowest is reported"
+    return int(change[0]), "" if monotone else "not monotone over the range, one solution nevertheless"

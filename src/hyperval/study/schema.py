@@ -201,12 +201,12 @@ class Output(Model):
 class Required(Moving):
     """An inverse question: the value of an input at which an output takes a value, at every point of the design."""
 
-    between: tuple[float, float] = Field(description="where it is looked for")
-    spacing: Literal["linear", "log"] = Field("linear", description="how it is looked for between the ends")
-    scan: int = Field(9, ge=3, le=200, description="values at which it is first looked at, for the bracket")
+    between: tuple[float, float] = Field(description="range searched")
+    spacing: Literal["linear", "log"] = Field("linear", description="spacing of the search between the ends")
+    scan: int = Field(9, ge=3, le=200, description="values tried first, to bracket the solution")
     output: str = Field(description="name of an output")
     equals: float = Field(description="what the output is to be")
-    report: list[str] = Field(default_factory=list, description="outputs that are told at the solution")
+    report: list[str] = Field(default_factory=list, description="outputs reported at the solution")
 
     @model_validator(mode="after")
     def _check(self) -> Required:
@@ -220,7 +220,7 @@ class Knee(Model):
 
     output: str
     along: str = Field(description="name of an input with numbers")
-    scale: Literal["linear", "log"] = Field("linear", description="of the input, in which the bend is looked for")
+    scale: Literal["linear", "log"] = Field("linear", description="of the input, within which the bend is sought")
     bend: Literal["any", "concave", "convex"] = Field(
         "any", description="concave: where a rising curve levels off; convex: where it sets in"
     )
@@ -294,7 +294,7 @@ class StudyFile(Model):
         said += [("plots", name, set(inputs)) for p in self.plots for name in (p.x, p.y, p.family) if name is not None]
         for where, name, among in said:
             if name not in among:
-                raise ValueError(f"{where}: {name!r} is none of {', '.join(sorted(among))}")
+                raise ValueError(f"{where}: {name!r} is not one of {', '.join(sorted(among))}")
         for k in self.knees:
             if inputs[k.along].random is not None:
                 raise ValueError(f"knees: {k.along!r} is random; a knee needs values or a grid")

@@ -81,7 +81,7 @@ class Trade(Model):
     background: list[str] = Field(default_factory=list, max_length=_MOST_LINES)
     sensor: list[str] = Field(default_factory=list, max_length=2)
     side_m: float | None = Field(None, gt=0, le=100, description="of a target of fixed fill, so that it has a GSD")
-    wanted: float | None = Field(None, description="value of the output that is looked for along x")
+    wanted: float | None = Field(None, description="required value of the output, solved for along x")
     moved: dict[str, float] = Field(default_factory=dict, max_length=20)
 
     @property
@@ -249,7 +249,7 @@ def completed(trade: Trade, offers: Offers) -> Trade:
     among = offers.surfaces if spectral else offers.targets
     subject = [name for name in trade.subject if name in among] or list(among[:1])
     if not subject:
-        raise UsageError("the scenario has nothing that this is asked of", where="output")
+        raise UsageError("the scenario has no subject for this output", where="output")
     x = trade.x or _usual(offers, "" if spectral else f"[{subject[0]}]")
     for field, key in (("x", x), ("y", trade.y)):
         if (key or field == "x") and key not in offers.inputs:
@@ -262,12 +262,12 @@ def completed(trade: Trade, offers: Offers) -> Trade:
         wrong = [name for name in names if name not in known]
         if wrong:
             raise UsageError(
-                f"{wrong[0]!r} is none of this scenario", where=field, expected="one of " + ", ".join(known)
+                f"{wrong[0]!r} is not in this scenario", where=field, expected="one of " + ", ".join(known)
             )
     if trade.y == x:
-        raise UsageError("is the first input already", where="y")
+        raise UsageError("is already the first input", where="y")
     if not trade.from_nm < trade.to_nm:
-        raise UsageError(f"{trade.to_nm:g} nm lies not above {trade.from_nm:g} nm", where="to_nm")
+        raise UsageError(f"{trade.to_nm:g} nm is not above {trade.from_nm:g} nm", where="to_nm")
     whole = trade.model_copy(update={"output": output, "x": x, "subject": subject})
     ends = dict[str, Any]()
     for field, key in (("x", x), ("y", trade.y)):
@@ -275,7 +275,7 @@ def completed(trade: Trade, offers: Offers) -> Trade:
             offer = offers.inputs[key]
             low, high = offer.ends(getattr(whole, f"{field}_from"), getattr(whole, f"{field}_to"))
             if not low < high:
-                raise UsageError(f"{high:g} lies not above {low:g}", where=f"{field}_to")
+                raise UsageError(f"{high:g} is not above {low:g}", where=f"{field}_to")
             if offer.is_log and low <= 0.0:
                 raise UsageError("a logarithmic axis starts above 0", where=f"{field}_from")
             ends |= {f"{field}_from": low, f"{field}_to": high}
@@ -650,7 +650,7 @@ def _error(p: Prepared, trade: Trade) -> str:
     if p.scenario.atmosphere is None:
         return "The scenario has no atmosphere."
     if p.offers.why:
-        return f"The atmosphere is that of the engine, and is not moved by sliders: {p.offers.why}."
+        return f"The atmosphere is that of the engine, and fixed: {p.offers.why}."
     sky = {k.partition(".")[2]: v for k, v in _constants(p, trade).items() if k.startswith("atmosphere.")}
     terms = p.world.stated.atmosphere.run(sky)
     if terms.path_uncertainty is None:

@@ -174,7 +174,7 @@ def _check(request: Request, field: str, name: str, path: Path) -> None:
     largest = state.settings.limits.samples * 8 if field == "cube" else _LARGEST_TEXT
     wrong = {
         f"ends with none of {', '.join(filter(None, _ENDINGS[field]))}": ending not in _ENDINGS[field],
-        f"is {packed}, which is not taken": packed is not None,
+        f"is {packed}, which is not accepted": packed is not None,
         f"larger than {largest:,} bytes": path.stat().st_size > largest,
     }
     if mistakes := [FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so]:

@@ -217,7 +217,7 @@ def yaml_text(data: Mapping[str, Any]) -> str:
     """Plain data as YAML that the strict reader takes for the same."""
     text = str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
     if parse_yaml(text)[0] != data:
-        raise UsageError("this cannot be written as YAML that reads the same")
+        raise UsageError("this cannot be written as YAML unchanged")
     return text
 
 

@@ -31,9 +31,9 @@ class Problems(BaseModel):
 _PROBLEMS: dict[int | str, dict[str, Any]] = {
     code: {"model": Problems, "description": words}
     for code, words in {
-        400: "unreadable", 403: "asked for by a page of another site", 404: "not there", 409: "not in this state",
-        413: "too large", 422: "mistakes, each with its field", 429: "too many runs of this session",
-        503: "no room for now",
+        400: "unreadable", 403: "requested by a page of another site", 404: "not found", 409: "not in this state",
+        413: "too large", 422: "errors, each with its field", 429: "too many runs of this session",
+        503: "server full",
     }.items()
 }  # fmt: skip
 pages = APIRouter(include_in_schema=False)

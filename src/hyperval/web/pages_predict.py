@@ -76,7 +76,7 @@ def predict_form(
         return _form(request, _FREE)
     data = _first(request, begun)
     if data is None:
-        raise Refused(404, [FieldMistake("scenario", "no scenario or prediction goes by that name")])
+        raise Refused(404, [FieldMistake("scenario", "no scenario or prediction has that name")])
     return _form(request, data, begun)
 
 
@@ -127,7 +127,7 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
     Refused : there is none.
     """
     if run_of(request, run_id).kind != "prediction":
-        raise Refused(404, "this run is no prediction")
+        raise Refused(404, "this run is not a prediction")
     data: dict[str, Any] = load_yaml(request.app.state.store.place(run_id) / "scenario.yaml")[0]
     return data
 

@@ -22,9 +22,9 @@ from hyperval.web.store import ServerSettings
 _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
 _MOST = 40  # mistakes of one request
 _WORDS = {
-    "finite_number": "is no finite number",
+    "finite_number": "is not a finite number",
     "missing": "is missing",
-    "extra_forbidden": "is no known field",
+    "extra_forbidden": "is not a known field",
 }
 
 
@@ -103,7 +103,7 @@ def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
     """A mistake that a model found, at the field of a name."""
     kind, words = item["type"], str(item["msg"]).removeprefix("Value error, ")
     if kind == "too_short" and tuple(item["loc"][-1:]) == ("classes",):
-        words = "no background is chosen: add one at least"
+        words = "no background is chosen: add at least one"
     elif kind == "string_pattern_mismatch":
         words = spelled(item["ctx"]["pattern"]) or words
     return FieldMistake(name[:200], without_paths(_WORDS.get(kind, words))[:500])
@@ -136,7 +136,7 @@ def checked_name(field: str, name: str) -> str:
     """
     if not NAME.fullmatch(name):
         words = "letters, digits, - and _, with one or two endings, at most 80 characters"
-        raise Refused(422, [FieldMistake(field, f"no name that a file is kept under here: {words}")])
+        raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {words}")])
     return name
 
 

@@ -291,7 +291,7 @@ def validations(request: Request, order: ValidationOrder) -> RunAnswer:
     """Run a campaign: predict, observe, compare."""
     known = known_campaigns(request).get(order.campaign)
     if known is None:
-        raise Refused(422, [FieldMistake("campaign", "no campaign of this server goes by that name")])
+        raise Refused(422, [FieldMistake("campaign", "this server has no campaign of that name")])
     own = known.name if not known.name.startswith("run:") else "campaign"
     owner, arguments = session_of(request).owner, {"path": str(known.path)}
     return answer_of(request, request.app.state.desk.order(owner, "validation", own, known.title, **arguments))

@@ -148,9 +148,9 @@ class RunStore:
             elif run is not None and run.state not in ENDED:
                 lost += 1
                 with suppress(OSError):
-                    self.change(run.id, state="lost", reason="the server ended while it waited or ran")
+                    self.change(run.id, state="lost", reason="the server stopped before the run had finished")
         if lost:
-            self.notices.append(f"{lost} runs had not finished when the server ended, and are lost.")
+            self.notices.append(f"{lost} runs had not finished when the server stopped, and are lost.")
         if unreadable:
             self.notices.append(f"{unreadable} folders of runs could not be read and were removed.")
 

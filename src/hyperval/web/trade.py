@@ -46,7 +46,7 @@ def _source(request: Request, name: str) -> str:
         scenario_of(request, name[4:])
         return str(request.app.state.store.place(name[4:]) / "scenario.yaml")
     if name not in predefined():
-        raise Refused(422, [FieldMistake("scenario", "no scenario goes by that name")])
+        raise Refused(422, [FieldMistake("scenario", "no scenario has that name")])
     if missing := needs(predefined()[name]):
         words = "; ".join(f"this server lacks the data set {name}: {how}" for name, how in missing.items())
         raise Refused(422, [FieldMistake("scenario", words)])
@@ -244,9 +244,9 @@ def _of_size(study: StudyFile, limits: Limits) -> Iterator[FieldMistake]:
         states = math.prod(study.atmosphere.nodes if i.random else min(i.size, study.atmosphere.nodes) for i in sky)
     points = study.count * (1 + sum(q.scan + 40 for q in study.required) // 4)
     if points > limits.points:
-        yield FieldMistake("inputs", f"{points:,} evaluations; this server takes at most {limits.points:,}")
+        yield FieldMistake("inputs", f"{points:,} evaluations; this server allows at most {limits.points:,}")
     if states > _MOST_STATES and study.settings.get("atmosphere.engine") != "emulator":
-        yield FieldMistake("inputs", f"{states} states of the atmosphere; this server takes at most {_MOST_STATES}")
+        yield FieldMistake("inputs", f"{states} states of the atmosphere; this server allows at most {_MOST_STATES}")
 
 
 def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
@@ -255,7 +255,7 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
     items += [(f"required.{i}", item) for i, item in enumerate(study.required)]
     for path in study.settings:
         if path.partition(".")[0] not in _SETTABLE:
-            yield FieldMistake("settings", f"{path!r} is not set from here")
+            yield FieldMistake("settings", f"{path!r} cannot be set from here")
             return
     tries = [("settings", study.settings)]
     for at, item in items:

@@ -59,7 +59,7 @@ function showThreshold() {
 
 async function spectrum(line, sample) {
   const box = document.getElementById("pixel");
-  box.textContent = "The pixel is being read.";
+  box.textContent = "Reading the pixel.";
   const answer = await fetch(`/runs/${place.dataset.run}/pixel.json?line=${line}&sample=${sample}`);
   const content = await answer.json();
   box.textContent = answer.ok ? "" : content.errors[0].message;

@@ -91,7 +91,7 @@ async function curve() {
   stream?.abort();
   const own = (stream = new AbortController());
   delete at("trade").dataset.ready;
-  at("left").textContent = "Being computed.";
+  at("left").textContent = "Computing …";
   try {
     const answer = await asked(`/trade/curve?${query()}`, own.signal);
     if (answer === null) return;
@@ -102,7 +102,7 @@ async function curve() {
       for (const told of lines.map(JSON.parse)) {
         if (told.figure) await draw("trade", told.figure);
         at("needed").textContent = (told.needed ?? []).map((words) => `${words}.`).join(" ");
-        at("left").textContent = told.error ?? (told.left > 0 ? "Being computed." : "");
+        at("left").textContent = told.error ?? (told.left > 0 ? "Computing …" : "");
         if (told.left === 0) at("trade").dataset.ready = "yes";
       }
     }
