@@ -182,28 +182,28 @@ def main():
     arguments.add_argument("--rounds", type=int, default=9)
     arguments.add_argument("--folder", help="where the cubes are written; default: a temporary folder")
     arguments.add_argument("--alone", help=argparse.SUPPRESS)
-    given = arguments.parse_args()
-    if given.alone:
-        alone(given.alone)
+    options = arguments.parse_args()
+    if options.alone:
+        alone(options.alone)
         return
     from hyperval.executors import available_cores
 
-    with tempfile.TemporaryDirectory(dir=given.folder) as folder:
+    with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         path = Path(folder) / "cube.img"
-        write_cube(path, given.lines)
+        write_cube(path, options.lines)
         cores = min(2, available_cores())
         close, _ = in_turn(
-            {"floor": lambda: floor(path, given.lines, cores), "ours": lambda: ours(path)},
-            given.rounds,
+            {"floor": lambda: floor(path, options.lines, cores), "ours": lambda: ours(path)},
+            options.rounds,
         )
         peers, scores = in_turn(
             {
                 "ours": lambda: ours(path),
                 "ours, 15 detectors": lambda: ours(path, ("cem", "cem-correlation", "smf"), 5),
-                "one-shot NumPy": lambda: one_shot(path, given.lines),
+                "one-shot NumPy": lambda: one_shot(path, options.lines),
                 "SPy": lambda: spy(path),
             },
-            max(1, given.rounds // 3),
+            max(1, options.rounds // 3),
         )
         to_floor = show(close, "floor")
         to_ours = show(peers, "ours")
@@ -214,7 +214,7 @@ def main():
         short = peak_memory_mb(path)
         path.unlink()
         long = Path(folder) / "long.img"
-        write_cube(long, given.long_lines)
+        write_cube(long, options.long_lines)
         size, peak = long.stat().st_size / 1e9, peak_memory_mb(long)
     print(f"peak memory {short:.0f} MB; with a cube of {size:.2f} GB {peak:.0f} MB")
     found = {

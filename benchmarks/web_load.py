@@ -88,18 +88,18 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--think", type=float, default=5.0, help="mean time between a user's clicks [s]")
     parser.add_argument("--no-charts", action="store_true", help="results and their numbers alone")
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         words = ["serve", "--port", str(PORT), "--folder", str(Path(folder) / "web"), "--queue", "200"]
         server = subprocess.Popen([sys.executable, "-m", "hyperval", *words], env=os.environ)  # noqa: S603 - our own
         try:
             warm()
-            end = time.monotonic() + given.seconds
-            users = [User(number, end, given.think, not given.no_charts) for number in range(given.users)]
+            end = time.monotonic() + options.seconds
+            users = [User(number, end, options.think, not options.no_charts) for number in range(options.users)]
             for user in users:
                 user.start()
             for user in users:
-                user.join(given.seconds + 120.0)
+                user.join(options.seconds + 120.0)
         finally:
             server.terminate()
             server.wait()

@@ -115,9 +115,9 @@ def page() -> str:
     for kind, used in FILES.items():
         schema = json.loads((ROOT / "src" / "hyperval" / "schemas" / f"{kind}.json").read_text("utf-8"))
         parts.append(f"## {kind.capitalize()} file\n\nRead by {used}.\n")
-        own = models_of(schema["title"], {**schema["$defs"], schema["title"]: schema}, {})
-        parts += [section(name, part) for name, part in own.items() if name not in done]
-        done |= own.keys()
+        models = models_of(schema["title"], {**schema["$defs"], schema["title"]: schema}, {})
+        parts += [section(name, part) for name, part in models.items() if name not in done]
+        done |= models.keys()
     return "\n".join(parts)
 
 

@@ -102,11 +102,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit", help="what to compare this checkout with")
     parser.add_argument("--skip", default="", help="of walk, predict, detect_speed, validate, with commas between")
-    given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name, checkout(given.commit, Path(name) / "before") as before:
-        skip = set(given.skip.split(","))
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name, checkout(options.commit, Path(name) / "before") as before:
+        skip = set(options.skip.split(","))
         old, new = (dict(rows(root, Path(name), skip)) for root in (before, ROOT))
-    print(f"| | {given.commit} | this checkout |\n| --- | --- | --- |")
+    print(f"| | {options.commit} | this checkout |\n| --- | --- | --- |")
     for key, value in new.items():
         print(f"| {key} | {old.get(key, '-')} | {value} |")
 

@@ -103,12 +103,12 @@ def spectra(path: Path, entry: dict[str, Any]) -> Numbers:
     if second := entry.get("second"):
         chosen = next(s for s in found if s.name == second.get("record", s.name))
         columns = {"values": chosen.values, "sd": chosen.standard_deviation}
-        at = {
+        interpolated = {
             key: np.interp(second["nm"], chosen.wavelength_nm, v).tolist()
             for key, v in columns.items()
             if v is not None
         }
-        out["second"] = {**at, "n": chosen.n}
+        out["second"] = {**interpolated, "n": chosen.n}
     return out
 
 

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 from hyperval.api import load_scenario, predict
 
 plate = {"name": "plate", "fill": {"geometry": {"side_m": 0.4, "gsd_m": 1.0}}}
-mine = load_scenario("yellow-planks-asphalt").with_values({
+scenario = load_scenario("yellow-planks-asphalt").with_values({
     "sensor": str(Path("my-sensor.yaml").resolve()),
     "scene.targets.yellow plank.spectrum": {"file": str(Path("my-paint.csv").resolve())},
     "scene.targets.yellow plank.subjects": [plate],
@@ -20,7 +20,7 @@ mine = load_scenario("yellow-planks-asphalt").with_values({
 })  # fmt: skip
 sizes = [0.6, 0.9, 1.2, 1.6, 2.0]  # ground size of a pixel [m] of 1 mrad
 fill = "scene.targets.yellow plank.subjects.plate.fill.geometry.gsd_m"
-heights = [mine.with_values({fill: gsd, "atmosphere.sensor_altitude_km": 0.17 + gsd}) for gsd in sizes]
+heights = [scenario.with_values({fill: gsd, "atmosphere.sensor_altitude_km": 0.17 + gsd}) for gsd in sizes]
 found = [predict(scenario).pd("plate", pfa=1e-3) for scenario in heights]
 
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")

@@ -150,8 +150,8 @@ def test_what_a_comparison_could_have_seen_stands_beside_it():
     within = gate(at_most=None, within=(-0.05, 0.05))
     (found,) = judged([row(0.03)], [within])
     assert found.detectable == pytest.approx(0.0571470, rel=1e-6)
-    seen = found.detectable + 0.005 / 1.959964 * np.random.default_rng(5).standard_normal(2000)
-    told = np.mean([judged([row(v)], [within])[0].outcome is D for v in seen])
+    values = found.detectable + 0.005 / 1.959964 * np.random.default_rng(5).standard_normal(2000)
+    told = np.mean([judged([row(v)], [within])[0].outcome is D for v in values])
     assert abs(told - 0.8) < 0.036  # four standard errors: one failure in 16000
 
 

@@ -210,11 +210,11 @@ def test_a_row_of_the_model_moves_with_the_prediction_and_a_row_of_the_pipeline_
     before, after = (compare_products(p, observed, equivalence_margin=0.1) for p in (predicted, moved(predicted)))
     key = lambda r: str((r.product, r.subject, r.method, r.metric, r.band_nm))  # noqa: E731
     later = {key(row): row.value for row in after}
-    still, restless, seen = set(), set(), set()
+    still, restless, names = set(), set(), set()
     for row in before:
         if key(row) not in later or math.isnan(row.value):
             continue
-        seen.add(metric_of(row.metric).name)
+        names.add(metric_of(row.metric).name)
         same = row.value == pytest.approx(later[key(row)], rel=1e-9, abs=0.0, nan_ok=True)
         if row.evidence is Evidence.MODEL and same and metric_of(row.metric).kind not in COARSE:
             still.add((row.product, row.subject, row.metric))
@@ -222,5 +222,5 @@ def test_a_row_of_the_model_moves_with_the_prediction_and_a_row_of_the_pipeline_
             restless.add((row.product, row.subject, row.metric))
     assert not still, "they claim to be evidence of the model and do not move with it"
     assert not restless, "they claim to be checks of the pipeline and move with the prediction"
-    assert len(seen) > 60
+    assert len(names) > 60
     assert {r.evidence for r in before if r.subject == "tape"} == {Evidence.PIPELINE}

@@ -27,9 +27,9 @@ RELATIVE, PER_OPTICAL_DEPTH = 0.0015, 0.06
 
 def smoothed(wavelength_nm: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Gaussian mean over SMOOTH_NM of the values that there are."""
-    there = np.isfinite(values)
-    weights = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm) / SMOOTH_NM) ** 2) * there
-    return (weights @ np.where(there, values, 0.0)) / weights.sum(axis=1)
+    finite = np.isfinite(values)
+    weights = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm) / SMOOTH_NM) ** 2) * finite
+    return (weights @ np.where(finite, values, 0.0)) / weights.sum(axis=1)
 
 
 def residuals(pairs: list[Pair]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

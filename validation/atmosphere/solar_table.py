@@ -46,11 +46,11 @@ def projection(nm: Array, irradiance: Array, corners_nm: Array) -> Array:
     step = np.diff(nm)
     ends = np.concatenate([[0.0], step]) + np.concatenate([step, [0.0]])
     mass = diags_array([step / 6.0, ends / 3.0, step / 6.0], offsets=[-1, 0, 1])  # mean products of straight lines
-    left = np.clip(np.searchsorted(corners_nm, nm, side="right") - 1, 0, corners_nm.size - 2)
-    share = (nm - corners_nm[left]) / np.diff(corners_nm)[left]
+    corner = np.clip(np.searchsorted(corners_nm, nm, side="right") - 1, 0, corners_nm.size - 2)
+    share = (nm - corners_nm[corner]) / np.diff(corners_nm)[corner]
     rows = np.arange(nm.size)
     lines = csr_matrix(
-        (np.concatenate([1.0 - share, share]), (np.tile(rows, 2), np.concatenate([left, left + 1]))),
+        (np.concatenate([1.0 - share, share]), (np.tile(rows, 2), np.concatenate([corner, corner + 1]))),
         shape=(nm.size, corners_nm.size),
     )
     return np.asarray(spsolve((lines.T @ mass @ lines).tocsc(), lines.T @ (mass @ irradiance)))
@@ -111,17 +111,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--document", type=Path)
-    given = parser.parse_args()
+    options = parser.parse_args()
     nm, irradiance = np.loadtxt(resolve(SOURCE), unpack=True)
-    if given.write:
+    if options.write:
         rows = "".join(f"{a:g},{b:.6g}\n" for a, b in zip(*made(), strict=True))
         Path(solar.__file__).with_name(solar.TSIS_1).write_text(HEAD + rows, "utf-8")
     text = table(nm, irradiance)
     print(text)
-    if given.document:
-        page = given.document.read_text("utf-8")
+    if options.document:
+        page = options.document.read_text("utf-8")
         before, rest = page.split(BEGIN)
-        given.document.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", "utf-8")
+        options.document.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", "utf-8")
     return 0
 
 

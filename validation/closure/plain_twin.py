@@ -93,8 +93,8 @@ def radiance(terms: dict[str, Array], reflectance: float, world: World | None = 
     light = light_on(FINE_NM, world)
     t = {name: np.interp(FINE_NM, terms["wavelength_nm"], values) for name, values in terms.items()}
     s = world.spherical_albedo * t["spherical_albedo"]
-    seen = world.path * t["path"] + (t["direct"] * reflectance + t["adjacency"] * GROUND) / (1.0 - s * GROUND)
-    return band_means(FINE_NM, light * seen, world.shift)
+    signal = world.path * t["path"] + (t["direct"] * reflectance + t["adjacency"] * GROUND) / (1.0 - s * GROUND)
+    return band_means(FINE_NM, light * signal, world.shift)
 
 
 def electrons_per_radiance(world: World | None = None) -> Array:

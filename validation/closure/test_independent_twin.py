@@ -147,6 +147,6 @@ def test_line_filter_and_scores_of_drawn_pixels(engine, tmp_path):
     assert scores.std() == pytest.approx(score.sd, rel=0.03)
     background = np.sort(ground @ weights - constant)
     for level in (1e-1, 1e-2):
-        at = int(np.argmin(np.abs(np.log(curve.pfa / level))))
-        found = float(np.mean(scores > background[int((1.0 - curve.pfa[at]) * background.size)]))
-        assert found == pytest.approx(curve.pd[at], abs=0.03)
+        point = int(np.argmin(np.abs(np.log(curve.pfa / level))))
+        found = float(np.mean(scores > background[int((1.0 - curve.pfa[point]) * background.size)]))
+        assert found == pytest.approx(curve.pd[point], abs=0.03)

@@ -187,9 +187,9 @@ def counted(rows: Iterable[Result]) -> Iterator[tuple[Key, list[float]]]:
     yield ("campaign", "all", "any criterion not met", "small"), [float(wrong)]
     sides: dict[tuple[str, str], list[tuple[bool, bool]]] = {}
     for row in rows:
-        known = metric_of(row.metric)
-        if known.kind is Kind.QUANTITY and "_abs_" not in row.metric and np.isfinite(row.lower + row.upper):
-            side = row.lower > known.agreement, row.upper < known.agreement
+        metric = metric_of(row.metric)
+        if metric.kind is Kind.QUANTITY and "_abs_" not in row.metric and np.isfinite(row.lower + row.upper):
+            side = row.lower > metric.agreement, row.upper < metric.agreement
             sides.setdefault((row.product, row.metric), []).append(side)
     for (product, metric), found in sides.items():
         for side, which in enumerate(("above", "below")):

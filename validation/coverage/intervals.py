@@ -45,12 +45,12 @@ AREA_M2 = 4.0  # of a pixel
 
 def background(rng: np.random.Generator, clustered: bool, side: int = SIDE) -> Array:
     """Standard normal scores (side, side), independent or in square clusters."""
-    own = rng.standard_normal((side, side))
+    independent = rng.standard_normal((side, side))
     if not clustered:
-        return own
+        return independent
     count = -(-side // TILE)
     common = rng.standard_normal((count, count)).repeat(TILE, 0).repeat(TILE, 1)[:side, :side]
-    return np.asarray(np.sqrt(CORRELATION) * common + np.sqrt(1.0 - CORRELATION) * own)
+    return np.asarray(np.sqrt(CORRELATION) * common + np.sqrt(1.0 - CORRELATION) * independent)
 
 
 def rates(
@@ -60,9 +60,9 @@ def rates(
     blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool), classes=classes)
     curve, found = exceedance_curve(blocks), []
     for level in levels:
-        at = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
-        if np.isfinite(curve.lower[at]):
-            inside = curve.lower[at] <= tail(float(curve.threshold[at])) <= curve.upper[at]
+        point = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
+        if np.isfinite(curve.lower[point]):
+            inside = curve.lower[point] <= tail(float(curve.threshold[point])) <= curve.upper[point]
             found.append((f"P_FA near {level:g}{words}", bool(inside)))
     return blocks, found
 

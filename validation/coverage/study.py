@@ -171,24 +171,24 @@ class Batch:
                 ("reflectance", "field"),
                 ("snr", "bright"),
             ):
-                mine = [r for r in rows if (r.product, r.subject) == (product, subject)]
-                yield (product, subject, "95 % interval", method), _ratio_held(mine)
+                selected = [r for r in rows if (r.product, r.subject) == (product, subject)]
+                yield (product, subject, "95 % interval", method), _ratio_held(selected)
                 if product != "snr":
-                    yield (product, subject, "full test rejects", method), _rejected(mine)
+                    yield (product, subject, "full test rejects", method), _rejected(selected)
             if self.detection:
-                mine = [r for r in rows if r.product == "roc" and r.method == "cem/pixel"]
+                selected = [r for r in rows if r.product == "roc" and r.method == "cem/pixel"]
                 for pfa in FALSE_ALARMS:
                     label = f"@{pfa:.0e}".replace("e-0", "e-")
-                    inside = [r.value for r in mine if r.metric == f"pd_inside_interval{label}"]
+                    inside = [r.value for r in selected if r.metric == f"pd_inside_interval{label}"]
                     yield ("P_D", "plank", f"95 % interval at {pfa:g}", method), inside
-                yield ("AUC", "plank", "95 % interval", method), _area_held(mine)
+                yield ("AUC", "plank", "95 % interval", method), _area_held(selected)
                 together = [r for r in rows if (r.subject, r.metric) == ("plank", "objects_inside_95")]
                 inside = [float(i < round(r.value * (r.n or 0))) for r in together for i in range(r.n or 0)]
                 yield ("scores", "plank", "object inside its 95 % interval", method), inside
         tilted = observed(collect(t, np.random.default_rng([self.seed, i, 1]), detection=False, extra=tilt(TILT)))
         rows = _compared(p["linear"], tilted, "linear")
-        mine = [r for r in rows if (r.product, r.subject) == ("radiance", "bright")]
-        yield ("radiance", "bright", f"full test rejects {100 * TILT:g} % tilt", "linear"), _rejected(mine)
+        selected = [r for r in rows if (r.product, r.subject) == ("radiance", "bright")]
+        yield ("radiance", "bright", f"full test rejects {100 * TILT:g} % tilt", "linear"), _rejected(selected)
 
 
 def _compared(p: PredictedProducts, o: ObservedProducts, method: str) -> list[Result]:

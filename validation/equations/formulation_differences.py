@@ -48,8 +48,8 @@ def radiometric_rows() -> list[str]:
         return mean_radiance(TERMS, rho, average, "thesis") / mean_radiance(TERMS, rho, average)
 
     def variance(rho: np.ndarray, covariance: np.ndarray, form: str) -> np.ndarray:
-        seen = radiance_covariance(TERMS, rho, covariance, average, spread, kappa=KAPPA, formulation=form)  # type: ignore[arg-type]
-        return np.diag(seen)
+        found = radiance_covariance(TERMS, rho, covariance, average, spread, kappa=KAPPA, formulation=form)  # type: ignore[arg-type]
+        return np.diag(found)
 
     def pixel(form: str) -> np.ndarray:
         return target_pixel_covariance(

@@ -99,9 +99,9 @@ def test_noise_fractions_by_hand_and_whitening():
     cov, noise = a @ a.T + np.eye(6), np.linspace(0.1, 2.0, 6)
     psi = minimum_noise_fraction(cov, noise, 6)
     assert feature_covariance(psi, np.diag(noise)) == pytest.approx(np.eye(6), abs=1e-12)
-    seen = feature_covariance(psi, cov)
-    assert seen == pytest.approx(np.diag(np.diag(seen)), abs=1e-9)
-    assert np.all(np.diff(np.diag(seen)) <= 1e-9)
+    whitened = feature_covariance(psi, cov)
+    assert whitened == pytest.approx(np.diag(np.diag(whitened)), abs=1e-9)
+    assert np.all(np.diff(np.diag(whitened)) <= 1e-9)
 
 
 def test_smf_by_hand():

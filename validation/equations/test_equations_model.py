@@ -119,9 +119,9 @@ class Plain:
         return [self.seen(s.mean, s.mean, g * s.covariance, g) for s, g in found]
 
     def filter(self) -> tuple[np.ndarray, np.ndarray]:
-        seen = self.classes()
-        mu = sum(f * m for f, (m, _) in zip(self.f, seen, strict=True))
-        sigma = sum(f * (c + np.outer(m - mu, m - mu)) for f, (m, c) in zip(self.f, seen, strict=True))
+        classes = self.classes()
+        mu = sum(f * m for f, (m, _) in zip(self.f, classes, strict=True))
+        sigma = sum(f * (c + np.outer(m - mu, m - mu)) for f, (m, c) in zip(self.f, classes, strict=True))
         d = (self.level(SURFACES["plank"].mean) - self.b) / self.k - mu  # (3.22)
         w = np.linalg.inv(sigma) @ d / (d @ np.linalg.inv(sigma) @ d)  # (3.23)-(3.25)
         return w, mu
@@ -243,12 +243,12 @@ def test_3_28_by_monte_carlo():
     f = rng.choice(fill.values, n, p=fill.weights)[:, None]
     light = one.light(0.4, 0.8)
     target = light * rng.multivariate_normal(own.mean, own.covariance, n)
-    behind = rng.multivariate_normal(host.mean, one.g[1] * host.covariance, n)
+    background = rng.multivariate_normal(host.mean, one.g[1] * host.covariance, n)
     trapping = 1 - one.t.spherical_albedo * one.average
     under = f * 0.8 * own.mean + (1 - f) * host.mean
     d_b = (one.t.direct * one.t.spherical_albedo * under + one.t.adjacency) / trapping**2
     away = rng.multivariate_normal(np.zeros(B), one.kappa * one.g[1] * one.surroundings, n)
-    level = one.level(f * target + (1 - f) * behind) + d_b * away
+    level = one.level(f * target + (1 - f) * background) + d_b * away
     typical = one.level(f * light * own.mean + (1 - f) * host.mean)
     level = level + rng.standard_normal((n, B)) * np.sqrt(one.noise.variance(typical))
     score = ((level - one.b) / one.k) @ filters.weights[1] - filters.offset[1]

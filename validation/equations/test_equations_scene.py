@@ -83,9 +83,9 @@ def test_3_11_slopes_by_hand_and_by_differences():
     assert adjacency_slope(atmosphere(), [0.4], [0.25]) == pytest.approx([3.8 / 0.9025])
     assert adjacency_slope(atmosphere(), [0.4], [0.25], "thesis") == pytest.approx([3.75])
     h = 1e-6
-    own = (mean_radiance(atmosphere(), [0.4 + h], [0.25]) - mean_radiance(atmosphere(), [0.4 - h], [0.25])) / (2 * h)
+    pixel = (mean_radiance(atmosphere(), [0.4 + h], [0.25]) - mean_radiance(atmosphere(), [0.4 - h], [0.25])) / (2 * h)
     around = (mean_radiance(atmosphere(), [0.4], [0.25 + h]) - mean_radiance(atmosphere(), [0.4], [0.25 - h])) / (2 * h)
-    assert direct_slope(atmosphere(), [0.25]) == pytest.approx(own, rel=1e-8)
+    assert direct_slope(atmosphere(), [0.25]) == pytest.approx(pixel, rel=1e-8)
     assert adjacency_slope(atmosphere(), [0.4], [0.25]) == pytest.approx(around, rel=1e-8)
 
 

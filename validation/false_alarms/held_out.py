@@ -40,8 +40,8 @@ class Image:
     def __init__(self) -> None:
         job = jobs_of(CAMPAIGN)[0]
         detection = job.campaign.detection.model_copy(update={"unmixing": None})
-        seen = observe(job.campaign.collection, detection, InputLog.of_file(job.path).resolve, show_progress=False)
-        place, detected = seen.place, seen.detected
+        observed = observe(job.campaign.collection, detection, InputLog.of_file(job.path).resolve, show_progress=False)
+        place, detected = observed.place, observed.detected
         counted = place.background(detection.false_alarms)
         self.lines, self.samples = np.nonzero(counted)
         self.spectra = place.cube.spectra((self.lines, self.samples))[:, detected.bank.bands]
@@ -59,11 +59,11 @@ def laws(image: Image, rows: Pixels, count: object, tails: bool) -> list[ClassSc
     """Scores of the laws of all classes, for each filter, of the pixels ``rows``."""
     parts, means, covariances, dofs = [], [], [], []
     for kind in np.unique(image.kind):
-        own = rows[image.kind[rows] == kind]
-        x = image.spectra[own]
-        fit = class_mixture(x, image.block[own], count, tails=tails)
+        members = rows[image.kind[rows] == kind]
+        x = image.spectra[members]
+        fit = class_mixture(x, image.block[members], count, tails=tails)
         mixture = None if fit is None else fit.components(x)
-        share = own.size / rows.size
+        share = members.size / rows.size
         if mixture is None:
             parts += [share]
             means += [x.mean(axis=0)]
@@ -108,10 +108,10 @@ def repeated(image: Image, told: Pixels, rows: Pixels) -> np.ndarray:
 
 
 def halves(image: Image, splits: int) -> list[tuple[Pixels, Pixels]]:
-    blocks, at = np.unique(image.block, return_inverse=True)
+    blocks, block_of = np.unique(image.block, return_inverse=True)
     out = []
     for number in range(splits):
-        first = (np.random.default_rng(number).permutation(blocks.size) % 2)[at] == 0
+        first = (np.random.default_rng(number).permutation(blocks.size) % 2)[block_of] == 0
         one, other = np.flatnonzero(first), np.flatnonzero(~first)
         out += [(one, other), (other, one)]
     return out
@@ -122,8 +122,8 @@ def jackknife(image: Image, count: object, tails: bool) -> tuple[np.ndarray, np.
     every = np.arange(image.kind.size)
     ordered = np.sort(image.scores, axis=1)[:, ::-1]
     thresholds = [ordered[:, max(round(level * every.size), 1)] for level in LEVELS]
-    blocks, at = np.unique(image.block, return_inverse=True)
-    group = (np.random.default_rng(0).permutation(blocks.size) % GROUPS)[at]
+    blocks, block_of = np.unique(image.block, return_inverse=True)
+    group = (np.random.default_rng(0).permutation(blocks.size) % GROUPS)[block_of]
     modelled, measured = [], []
     for g in range(GROUPS):
         rows = every[group != g]

@@ -63,8 +63,8 @@ def overwrite(raw: bytearray, draw: random.Random) -> None:
 def word(raw: bytearray, draw: random.Random) -> None:
     """An extreme number in binary over what stands there."""
     new = draw.choice(WORDS)
-    at = _place(raw, draw)
-    raw[at : at + len(new)] = new
+    start = _place(raw, draw)
+    raw[start : start + len(new)] = new
 
 
 def clear(raw: bytearray, draw: random.Random) -> None:
@@ -88,8 +88,8 @@ def repeat(raw: bytearray, draw: random.Random) -> None:
 def move(raw: bytearray, draw: random.Random) -> None:
     """A span at another place too."""
     part = raw[_span(raw, draw)]
-    at = _place(raw, draw)
-    raw[at : at + len(part)] = part
+    start = _place(raw, draw)
+    raw[start : start + len(part)] = part
 
 
 def cut(raw: bytearray, draw: random.Random) -> None:
@@ -99,8 +99,8 @@ def cut(raw: bytearray, draw: random.Random) -> None:
 
 def insert(raw: bytearray, draw: random.Random) -> None:
     """A sign with a meaning to some format."""
-    at = _place(raw, draw)
-    raw[at:at] = draw.choice(TOKENS)
+    start = _place(raw, draw)
+    raw[start:start] = draw.choice(TOKENS)
 
 
 def number(raw: bytearray, draw: random.Random) -> None:

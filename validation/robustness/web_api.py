@@ -35,16 +35,16 @@ STUDY = {
 }  # fmt: skip
 
 
-def hooks(known: dict[str, Any]) -> None:
+def hooks(shared: dict[str, Any]) -> None:
     """Let some requests name what is there, and count what is answered."""
     import schemathesis
 
-    chance, seen = random.Random(18), Counter[str]()  # noqa: S311 - no secret
+    chance, counts = random.Random(18), Counter[str]()  # noqa: S311 - no secret
     sensor = (resources.files("hyperval.sensor") / "library" / "enmap.yaml").read_bytes()
     bodies: dict[str, tuple[int, dict[str, Any]]] = {  # how often at most; a campaign takes its time
         "/predictions": (10**9, {"json": {"name": "panels"}}),
         "/studies": (5, {"json": {"study": STUDY}}),
-        "/validations": (1, {"json": {"campaign": known["campaign"]}}),
+        "/validations": (1, {"json": {"campaign": shared["campaign"]}}),
         "/uploads": (50, {"files": [("spectra", ("a.csv", b"nm,a\n400,0.1\n500,0.2\n")),
                                     ("sensors", ("a.yaml", sensor))]}),
     }  # fmt: skip
@@ -55,28 +55,28 @@ def hooks(known: dict[str, Any]) -> None:
         if case.meta is None or not case.meta.generation.mode.is_positive or chance.random() > SHARE:
             return
         if "run_id" in (case.path_parameters or {}):
-            run = (_new_run(known) if chance.random() < 0.1 else None) if method == "DELETE" else known["run"]
+            run = (_new_run(shared) if chance.random() < 0.1 else None) if method == "DELETE" else shared["run"]
             case.path_parameters["run_id"] = run or case.path_parameters["run_id"]
             if path.endswith("{name}"):
                 case.path_parameters["name"] = chance.choice(("scenario.yaml", "results.csv", "figures/scores.svg"))
             (case.query or {}).pop("beside", None)
         elif "name" in (case.path_parameters or {}):
             case.path_parameters["name"] = chance.choice(("enmap", "prospectir-vs"))
-        elif method == "POST" and path in bodies and seen[f"{path} body"] < bodies[path][0]:
-            seen[f"{path} body"] += 1
+        elif method == "POST" and path in bodies and counts[f"{path} body"] < bodies[path][0]:
+            counts[f"{path} body"] += 1
             kwargs.update(bodies[path][1])
 
     @schemathesis.hook
     def after_call(context: Any, case: Any, response: Any) -> None:
         path = case.operation.path.removeprefix("/api/v1")
-        seen[f"{case.operation.method.upper()} {path} -> {response.status_code}"] += 1
+        counts[f"{case.operation.method.upper()} {path} -> {response.status_code}"] += 1
 
-    atexit.register(lambda: Path(known["counts"]).write_text(json.dumps(seen)))
+    atexit.register(lambda: Path(shared["counts"]).write_text(json.dumps(counts)))
 
 
-def _new_run(known: dict[str, Any]) -> str | None:
-    headers = known["headers"]
-    answer = requests.post(f"{known['api']}/predictions", json={"name": "panels"}, headers=headers, timeout=60)
+def _new_run(shared: dict[str, Any]) -> str | None:
+    headers = shared["headers"]
+    answer = requests.post(f"{shared['api']}/predictions", json={"name": "panels"}, headers=headers, timeout=60)
     return str(answer.json()["id"]) if answer.status_code == 201 else None
 
 
@@ -87,20 +87,20 @@ def main() -> int:
     parser.add_argument("--phases", default="coverage,fuzzing", help="of Schemathesis")
     parser.add_argument("--campaign", type=Path, help="folder of a campaign that may be run")
     parser.add_argument("--port", type=int, default=8766)
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        campaigns = [] if given.campaign is None else ["--campaigns", str(given.campaign.resolve().parent)]
-        words = ["serve", "--port", str(given.port), "--folder", str(folder / "web"), "--queue", "1000", *campaigns]
+        campaigns = [] if options.campaign is None else ["--campaigns", str(options.campaign.resolve().parent)]
+        words = ["serve", "--port", str(options.port), "--folder", str(folder / "web"), "--queue", "1000", *campaigns]
         server = subprocess.Popen([sys.executable, "-m", "hyperval", *words])  # noqa: S603 - our own
         try:
-            return run(f"http://127.0.0.1:{given.port}/api/v1", folder, given)
+            return run(f"http://127.0.0.1:{options.port}/api/v1", folder, options)
         finally:
             server.terminate()
             server.wait()
 
 
-def run(api: str, folder: Path, given: argparse.Namespace) -> int:
+def run(api: str, folder: Path, options: argparse.Namespace) -> int:
     """Run the cases against a server."""
     session = requests.Session()
     for _ in range(300):
@@ -112,26 +112,26 @@ def run(api: str, folder: Path, given: argparse.Namespace) -> int:
     cookie = "; ".join(f"{c.name}={c.value}" for c in session.cookies)
     headers = {"Cookie": cookie}
     order = session.post(f"{api}/predictions?wait=60", json={"name": "yellow-planks-asphalt"}, timeout=90).json()
-    known = {"api": api, "headers": headers, "run": order["id"], "counts": str(folder / "counts.json"),
-             "campaign": given.campaign.name if given.campaign else "none"}  # fmt: skip
-    (folder / "known.json").write_text(json.dumps(known))
+    shared = {"api": api, "headers": headers, "run": order["id"], "counts": str(folder / "counts.json"),
+             "campaign": options.campaign.name if options.campaign else "none"}  # fmt: skip
+    (folder / "known.json").write_text(json.dumps(shared))
     (folder / "schemathesis.toml").write_text(
         "[checks.negative_data_rejection]\nexpected-statuses = [400, 403, 404, 405, 409, 413, 415, 422, 429, 503]\n"
     )
-    own = {PLACE: str(folder / "known.json"), "SCHEMATHESIS_HOOKS": str(Path(__file__).resolve())}
+    environment = {PLACE: str(folder / "known.json"), "SCHEMATHESIS_HOOKS": str(Path(__file__).resolve())}
     words = [part for name, value in headers.items() for part in ("-H", f"{name}: {value}")]
-    words += ["--max-examples", str(given.examples), "--seed", "18", "--continue-on-failure", "--no-color"]
+    words += ["--max-examples", str(options.examples), "--seed", "18", "--continue-on-failure", "--no-color"]
     # A body may be of its form and be refused for what it says: a scenario whose fractions sum to 2.
     words += [
         "--request-timeout",
         "60",
         "--phases",
-        given.phases,
+        options.phases,
         "--exclude-checks",
         "positive_data_acceptance",
     ]
     start = [sys.executable, "-m", "schemathesis.cli", "run", f"{api}/openapi.json", *words]
-    code = subprocess.run(start, env=os.environ | own, check=False, cwd=folder).returncode  # noqa: S603 - our own
+    code = subprocess.run(start, env=os.environ | environment, check=False, cwd=folder).returncode  # noqa: S603 - our own
     counts = json.loads((folder / "counts.json").read_text())
     table: dict[str, dict[str, int]] = {}
     for what, count in counts.items():
