@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from modtran_cases import put_between_marks
 from scipy.sparse import csr_matrix, diags_array
 from scipy.sparse.linalg import spsolve
 
@@ -29,7 +30,6 @@ SOURCE = "data:sensors/tsis_f0_0p5.txt"  # mW m-2 nm-1, every half nanometre
 STEP_NM = 1.0
 WIDTHS_NM = (3.0, 5.0, 10.0)
 REGIONS_NM = ((365, 400), (400, 500), (500, 700), (700, 1000), (1000, 1750), (1750, 2480))
-BEGIN, END = "<!-- solar_table.py: begin -->", "<!-- solar_table.py: end -->"
 HEAD = """\
 # Solar irradiance at 1 au by TSIS-1, made by validation/atmosphere/solar_table.py: corners of straight lines.
 # O. M. Coddington et al., The TSIS-1 Hybrid Solar Reference Spectrum, Geophys. Res. Lett. 48 (2021) e2020GL091709,
@@ -119,9 +119,7 @@ def main() -> int:
     text = table(nm, irradiance)
     print(text)
     if options.document:
-        page = options.document.read_text("utf-8")
-        before, rest = page.split(BEGIN)
-        options.document.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", "utf-8")
+        put_between_marks(options.document, "solar_table.py", text)
     return 0
 
 
