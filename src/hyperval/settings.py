@@ -47,15 +47,13 @@ def numbers_of(model: BaseModel) -> list[str]:
             for number, item in enumerate(at):
                 name = next((f"[{item[k]}]" for k in _LABELS if k in item), str(number))
                 walk(item, f"{path}.{name}")
-        elif at != () and at != [] and all(_is_number(x) for x in (at if isinstance(at, list | tuple) else [at])):
-            out.append(path)
+        elif at not in ((), []):
+            each = at if isinstance(at, list | tuple) else [at]
+            if all(isinstance(x, int | float) and not isinstance(x, bool) for x in each):
+                out.append(path)
 
     walk(model.model_dump(mode="python", by_alias=True), "")
     return out
-
-
-def _is_number(x: object) -> bool:
-    return isinstance(x, int | float) and not isinstance(x, bool)
 
 
 def with_settings(model: M, changes: Mapping[str, Any]) -> M:
@@ -89,7 +87,7 @@ def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
         raise UsageError(f"setting {path!r}: {here} is set as a whole")
     if not isinstance(at, list | tuple):
         raise UsageError(f"setting {path!r}: {here} has no parts")
-    number, items = _index(at, part, path), list(at)
+    number, items = _key(at, part, path), list(at)
     items[number] = _changed(items[number], rest, value, path)
     return items
 
@@ -120,13 +118,9 @@ def _key(at: Any, part: str, path: str) -> Any:
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise UsageError(f"setting {path!r}: no {part!r}{hint}", expected="one of " + ", ".join(map(str, at)))
     if isinstance(at, list | tuple):
-        return _index(at, part, path)
+        labels = ([item[k] for k in _LABELS if k in item] if isinstance(item, dict) else [] for item in at)
+        return item_number([next(iter(names), None) for names in labels], part, path)
     raise UsageError(f"setting {path!r}: nothing lies below {part!r}")
-
-
-def _index(items: list[Any] | tuple[Any, ...], part: str, path: str) -> int:
-    names = [next((item[k] for k in _LABELS if k in item), None) if isinstance(item, dict) else None for item in items]
-    return item_number(names, part, path)
 
 
 def item_number(names: Sequence[Any], part: str, path: str) -> int:

@@ -72,7 +72,7 @@ def test_engine_error_grows_with_gas_absorption():
 
 def test_field_spectrum_error_from_its_file():
     surface = model.SurfaceStatistics(
-        "x", np.full(10, 0.3), np.zeros((10, 10)), "file", standard_deviation=np.full(10, 0.02), n=16
+        "x", AXIS, np.full(10, 0.3), np.zeros((10, 10)), 16, "file", standard_deviation=np.full(10, 0.02)
     )
     spread = SpectrumUncertainty(subject="x", from_file=True)
     error = SpectrumUncertainty(subject="x", from_file=True, divisor="standard_error")

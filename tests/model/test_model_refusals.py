@@ -40,7 +40,7 @@ AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 MEAN, COVARIANCE = np.array([0.1, 0.2]), np.array([[4e-4, 1e-4], [1e-4, 9e-4]])
 ONE = {"side_m": 1.0, "gsd_m": 1.0}
 WEIGHTS, OFFSETS, TWO = np.array([0.5, 0.5]), np.zeros((2, 2)), np.stack([COVARIANCE, COVARIANCE])
-PANEL = model.SurfaceStatistics("x", MEAN, COVARIANCE, "file", n=16)
+PANEL = model.SurfaceStatistics("x", AXIS, MEAN, COVARIANCE, 16, "file")
 FROM_FILE = SpectrumUncertainty(subject="x", from_file=True, divisor="standard_error")
 
 
@@ -71,9 +71,6 @@ def few_pixels() -> Any:
         (lambda: builtin_class("lawn", AXIS), "unknown built-in surface"),
         (lambda: builtin_class("grey-panel-100", AXIS), "unknown built-in surface"),
         (lambda: model.spectrum_error_sd(FROM_FILE, PANEL, AXIS), "no standard deviation"),
-        (lambda: model.average_reflectance([0.5, 0.4], np.ones((2, 2))), "not a partition"),
-        (lambda: model.average_reflectance([1.5, -0.5], np.ones((2, 2))), "not a partition"),
-        (lambda: model.average_reflectance([], np.ones((0, 2))), "not a partition"),
         (lambda: model.beta_fill(0.0, 0.1), "no fill fraction between 0 and 1 has mean"),
         (lambda: model.beta_fill(0.5, 0.5), "no fill fraction between 0 and 1 has mean"),
         (lambda: model.beta_fill(0.1, 0.31), "no fill fraction between 0 and 1 has mean"),

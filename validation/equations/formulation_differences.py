@@ -9,9 +9,7 @@ import numpy as np
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.model import (
-    average_reflectance,
     mean_radiance,
-    mixture_covariance,
     radiance_covariance,
     target_pixel_covariance,
 )
@@ -39,9 +37,10 @@ FILL, FILL_SD = 0.1, 0.03
 def radiometric_rows() -> list[str]:
     """Printed over corrected, per band."""
     classes = [builtin_class(n, AXIS) for n in FRACTIONS]
-    f = list(FRACTIONS.values())
+    f = np.array(list(FRACTIONS.values()))
     means, covariances = [c.mean for c in classes], [c.covariance for c in classes]
-    average, spread = average_reflectance(f, means), mixture_covariance(f, means, covariances)
+    average = f @ means
+    spread = np.tensordot(f, covariances, 1) + (np.transpose(means - average) * f) @ (means - average)
     host, plank = classes[0], builtin_class("yellow-paint-plank", AXIS)
 
     def mean_ratio(rho: np.ndarray) -> np.ndarray:

@@ -37,6 +37,9 @@ def some_terms(level: float) -> AtmosphericTerms:
                             None, np.linspace(0.3, 0.1, B))  # fmt: skip
 
 
+AXIS = SpectralAxis(np.linspace(450.0, 900.0, B), np.full(B, 10.0))
+
+
 def some_noise(scale: float) -> NoiseModel:
     return NoiseModel(scale * 4e3 * np.ones(B), 30.0 * np.ones(B), 1.0, np.full(B, 5.0), 12, 0.0, "bit",
                       np.full(B, 0.5 * scale))  # fmt: skip
@@ -44,13 +47,12 @@ def some_noise(scale: float) -> NoiseModel:
 
 def surface(name: str, mean: float, spread: float) -> SurfaceStatistics:
     x = RNG.normal(0.0, spread, (40, B)).cumsum(axis=1)
-    return SurfaceStatistics(name, mean + 0.02 * np.arange(B), np.cov(x.T) + spread**2 * np.eye(B), "drawn")
+    return SurfaceStatistics(name, AXIS, mean + 0.02 * np.arange(B), np.cov(x.T) + spread**2 * np.eye(B))
 
 
 SURFACES = {s.name: s for s in (surface("soil", 0.2, 0.02), surface("grass", 0.35, 0.03), surface("plank", 0.55, 0.02))}
 TERMS, NOISE = (some_terms(3.0), some_terms(2.0)), (some_noise(1.0), some_noise(0.5))
 BEAM, SKY = np.array([1.0, 0.4]), np.array([1.0, 0.8])
-AXIS = SpectralAxis(np.linspace(450.0, 900.0, B), np.full(B, 10.0))
 SCENARIO = {
     "name": "two",
     "sensor": "prospectir-vs",

@@ -22,7 +22,6 @@ from hyperval.model import (
     fixed_fill,
     lattice_positions,
     mean_radiance,
-    mixture_covariance,
     object_fills,
     pixel_fills,
     radiance_covariance,
@@ -34,6 +33,7 @@ from hyperval.model import (
     touched_counts,
     touched_pixel_fill,
 )
+from hyperval.model.radiance import Background
 from hyperval.scenario import Geometry
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import _SURFACES, _modes, builtin_class, builtin_mean
@@ -68,7 +68,8 @@ def test_3_7_is_the_sum_of_all_bounces():
 def test_3_8_average_and_mixture_by_hand():
     assert average_reflectance([0.25, 0.75], [[0.4], [0.2]]) == pytest.approx([0.25])
     # Within 0.25 * 4e-4 + 0.75 * 1e-4 = 1.75e-4; between 0.25 * 0.15^2 + 0.75 * 0.05^2 = 7.5e-3.
-    found = mixture_covariance([0.25, 0.75], [[0.4], [0.2]], [[[4e-4]], [[1e-4]]])
+    f, means, spread = np.array([[0.25, 0.75]]), np.array([[[0.4], [0.2]]]), (np.array([[4e-4]]), np.array([[1e-4]]))
+    found = Background(f, np.ones((1, 2)), means, means - 0.25, spread, np.ones((1, 2, 1)), (), f, {}).covariance()
     assert found == pytest.approx(np.array([[7.675e-3]]), rel=1e-12)
 
 

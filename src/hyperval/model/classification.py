@@ -28,7 +28,7 @@ from hyperval.model.stated import Origins, Truth, correlation
 from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, TargetSubject
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra.axis import in_window
 
 
 def bhattacharyya_distance(
@@ -335,12 +335,14 @@ def _objects(
     spread = ClassLaw(np.zeros(index.size), _full_rank(cut(stated.surfaces[target.name].covariance, index)))
     fills = fills_of_objects(population.fill)
     f = fills[rng.integers(fills.shape[0], size=draws)][..., None]
-    shape = f.shape[:2]
-    background = _of_host(laws or [(1.0, law)], shape, rng)
-    material = _from_pool(spread, shape, rng)
+    background = _of_host(laws or [(1.0, law)], f.shape[:2], rng)
+    material = _from_pool(spread, f.shape[:2], rng)
     material += spectrum + moved[index]
     if item.relative_uncertainty > 0:
-        material += _errors(item, stated.axis, index, draws, rng)[:, None]
+        sd = item.relative_uncertainty * spectrum  # of the endmember as a picture of the target
+        shape = correlation(stated.axis.select(index), item.correlation_nm)
+        error = ClassLaw(np.zeros(index.size), _full_rank(np.outer(sd, sd) * shape))
+        material += error.draw(draws, rng)[:, None]
     around = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))
     endmembers = np.stack([np.broadcast_to(spectrum, around.shape), around], axis=1)
     material -= background
@@ -366,13 +368,6 @@ def _from_pool(law: ClassLaw, shape: tuple[int, ...], rng: np.random.Generator) 
     pool, at = law.standard_draw(_POOL, rng), rng.integers(_POOL, size=shape)
     some, place = np.unique(at, return_inverse=True)
     return law.pixels(pool[some])[place.reshape(shape)]
-
-
-def _errors(item: UnmixedSubject, axis: SpectralAxis, index: Index, draws: int, rng: np.random.Generator) -> Array:
-    """(draws, F) error of the endmember as a picture of the target."""
-    sd = item.relative_uncertainty * item.spectrum[index]
-    shape = correlation(axis, item.correlation_nm)[np.ix_(index, index)]
-    return ClassLaw(np.zeros(index.size), _full_rank(np.outer(sd, sd) * shape)).draw(draws, rng)
 
 
 def _full_rank(covariance: Array) -> Array:

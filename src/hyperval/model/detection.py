@@ -431,29 +431,28 @@ def ace_curves(e: Evaluation, target: int, pfa: Array, units: Sequence[str]) -> 
     for u in range(len(e)):
         background, thresholds[u], alarm_error, at_fill = _ace_truth(e, u, target, pfa)
         behind.append(_distribution(background))
-        fills, whole = {i: e.fills(i).of(u) for i in of}, {i: _objects(e, u, i) for i in of}
         # Those of whole objects too, even where their curve is not asked for.
-        every = np.concatenate([*(f.values for f in fills.values()), *(w[1].ravel() for w in whole.values())])
-        nodes = _nodes(float(every.min()), float(every.max()))
+        places = {(i, unit): _places(e, u, i, unit) for i in of for unit in ("pixel", "object")}
+        every = np.concatenate([fills.ravel() for fills, _ in places.values()])
+        middle, reach = 0.5 * (every.max() + every.min()), 0.5 * (every.max() - every.min())
+        nodes = np.unique(middle - reach * np.cos(np.pi * np.arange(_NODES) / (_NODES - 1)))
         at_nodes = [at_fill(float(f)) for f in nodes]
         errors.append((max(float(x.standard_error.max()) for x in at_nodes), alarm_error))
         for i in of:
-            pixel = _averaged(at_nodes, nodes, fills[i].values[:, None], fills[i].weights)
-            own[i].append(_distribution(pixel))
-            shape, places = whole[i]
-            each = np.full(len(places), 1.0 / len(places))
+            above = {unit: _averaged(at_nodes, nodes, *places[i, unit]) for unit in units}
+            own[i].append(_distribution(above["pixel"]))
             for unit in units:
-                alone = unit == "pixel" or shape is None
-                pd[i][unit][u] = exceedance_at(
-                    thresholds[u], pixel if alone else _averaged(at_nodes, nodes, places, each)
-                )
+                pd[i][unit][u] = exceedance_at(thresholds[u], above[unit])
     return {name: Curves(thresholds, pd[i], own[i], behind, len(e) * [None], errors) for i, name in of.items()}
 
 
-def _objects(e: Evaluation, u: int, number: int) -> tuple[tuple[int, ...] | None, Array]:
-    """Fills of the pixels of whole objects in one truth, (places, pixels); no shape where a pixel is an object."""
-    whole = e.fills(number, True)
-    return whole.shape, of_truth(whole.values, u).reshape(whole.shape or (-1, 1))
+def _places(e: Evaluation, u: int, number: int, unit: str) -> tuple[Array, Array]:
+    """Fills of the pixels of each object (places, pixels) in one truth, or of single pixels, and their weights."""
+    fills = e.fills(number, unit == "object")
+    values, weights = of_truth(fills.values, u), of_truth(fills.weights, u)
+    if fills.shape is None:
+        return values[:, None], weights
+    return values.reshape(fills.shape), np.full(fills.shape[0], 1.0 / fills.shape[0])
 
 
 def _ace_truth(
@@ -541,19 +540,10 @@ def _mixed(parts: Array, each: Sequence[Exceedance]) -> Exceedance:
     return Exceedance(each[0].scores, np.asarray(sum(part * one.probability for part, one in pairs)), error)
 
 
-def _nodes(low: float, high: float) -> Array:
-    if high - low < 1e-9:
-        return np.array([low])
-    return 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
-
-
 def _averaged(at_nodes: list[Exceedance], nodes: Array, fills: Array, weights: Array) -> Exceedance:
     """Probability that any of the pixels with ``fills`` (K, n) passes, averaged with ``weights`` (K,)."""
     scores, error = at_nodes[0].scores, np.max([e.standard_error for e in at_nodes], axis=0)
     z = ndtri(np.clip([e.probability for e in at_nodes], 1e-300, 1.0 - 1e-16))  # (nodes, S)
-    if nodes.size == 1:
-        missed = (1.0 - ndtr(z[0])) ** fills.shape[1]
-        return Exceedance(scores, 1.0 - missed, error)
     distinct, inverse = np.unique(fills.round(6), return_inverse=True)
     table = ndtr(np.stack([np.interp(distinct, nodes, row) for row in z.T], axis=1))  # (fills, S)
     log_missed = np.log(np.clip(1.0 - table, 1e-300, 1.0))

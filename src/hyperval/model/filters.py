@@ -5,10 +5,6 @@ The names collide in the literature.  The source of the equations calls the filt
 field calls that the normalised (unit-response) matched filter and keeps CEM for the form with the
 correlation matrix and no mean removal (Harsanyi 1993).  Both are here, under both names.
 
-Symmetric matrices (F, F) are factorised in LAPACK's rectangular full packed form: half the memory, the speed of whole
-ones.  What many settings of one scene put together, element by element, is put together in vectors of F (F + 1) / 2
-numbers.  Their order is LAPACK's (transr N, uplo L) and nobody else's business.
-
 Linear features of spectra (3.21): F = Psi X.
 
 Abundances of endmembers in a pixel by fully constrained least squares, and their error.
@@ -18,17 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dsfrk, dtfttr, dtrttf
+from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dtfttr
 
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError
-from hyperval.model.radiance import Background, Seen, latest, of_truth
+from hyperval.model.radiance import Seen, add_products, diagonal_places, of_truth, packed, unpacked
 from hyperval.model.stated import Stated
 from hyperval.scenario import Features
 
@@ -37,31 +33,6 @@ MAX_CONDITION = 1e13
 # Below this ratio of the squared pivots at unit diagonal a matrix can not be near that limit in practice; above it the
 # condition number is estimated.
 _SUSPECT = 1e8
-
-
-def packed(matrix: Array) -> Array:
-    """(P,) of a symmetric matrix (F, F)."""
-    values, _ = dtrttf(matrix.T, uplo="L")  # the transpose of C order is Fortran's, and the matrix is symmetric
-    return np.asarray(values)
-
-
-def unpacked(values: Array, size: int) -> Array:
-    """(F, F) the whole matrix."""
-    lower = np.tril(dtfttr(size, values, uplo="L")[0])
-    return np.asarray(lower + np.tril(lower, -1).T)
-
-
-@lru_cache(maxsize=32)
-def diagonal_places(size: int) -> Index:
-    """(F,) where the diagonal stands."""
-    return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
-
-
-def add_products(values: Array, rows: Array, *, fresh: bool = False) -> Array:
-    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``; ``fresh``: in place of the matrix."""
-    count, size = rows.shape
-    keep = 0.0 if fresh else 1.0
-    return np.asarray(dsfrk(size, count, 1.0, rows.T, keep, values, uplo="L", overwrite_c=1))
 
 
 class PositiveDefinite:
@@ -267,7 +238,10 @@ def principal_components(covariance: npt.ArrayLike, count: int) -> Array:
     cov = np.asarray(covariance, dtype=float)
     if not 1 <= count <= cov.shape[0]:
         raise UsageError(f"{count} principal components of {cov.shape[0]} bands", expected="1 to the number of bands")
-    return _signed(np.linalg.eigh(cov)[1][:, ::-1][:, :count].T)
+    vectors = np.linalg.eigh(cov)[1][:, ::-1][:, :count].T
+    # The sign of an eigenvector is arbitrary: the largest entry is made positive, so that runs agree.
+    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(vectors * np.sign(largest))
 
 
 def minimum_noise_fraction(covariance: npt.ArrayLike, noise_variance: npt.ArrayLike, count: int) -> Array:
@@ -293,12 +267,6 @@ def minimum_noise_fraction(covariance: npt.ArrayLike, noise_variance: npt.ArrayL
         )
     scale = 1.0 / np.sqrt(noise)
     return np.asarray(principal_components(np.asarray(covariance, dtype=float) * scale[:, None] * scale, count) * scale)
-
-
-def _signed(vectors: Array) -> Array:
-    # The sign of an eigenvector is arbitrary: the largest entry is made positive, so that runs agree.
-    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=1)[:, None], axis=1)
-    return np.asarray(vectors * np.sign(largest))
 
 
 def features(psi: npt.ArrayLike, spectra: npt.ArrayLike) -> Array:
@@ -352,7 +320,6 @@ class Mixtures:
 
     def __init__(self, chosen: Mask, choice: Features | None):
         self._chosen, self._choice = chosen, choice
-        self._kept: dict[str, tuple[bytes, Array]] = {}
         self._latest: tuple[Array, ...] = ()
         self._still: Array | None = None  # the covariance of the latest truth over the slopes, but for the noise
 
@@ -378,7 +345,7 @@ class Mixtures:
         of = seen.of
         f = np.where(self._chosen, of_truth(of.fraction, u), 0.0)
         f = f if self._chosen.all() else f / f.sum()
-        inner, surroundings = self._classes(of, f * of_truth(of.gain, u), u), self._surroundings(of, u)
+        inner, surroundings = of.mixed(f * of_truth(of.gain, u), u), of.surroundings(u)
         used, slope = f > 0.0, of_truth(seen.slope, u)
         f, means, noise = f[used], of_truth(seen.means, u)[used], of_truth(seen.noise, u)[used]
         mean, under = f @ means, np.sqrt(f)[:, None] / slope
@@ -399,27 +366,6 @@ class Mixtures:
         else:
             psi = minimum_noise_fraction(covariance, noise_of(seen, u, mean), self._choice.mnf or 0)
         return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
-
-    def _classes(self, of: Background, weights: Array, u: int) -> Array:
-        """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
-        stretch = of_truth(of.stretch, u)
-        stack = latest(self._kept, "stack", b"", lambda: np.array([packed(c) for c in of.covariances]))
-
-        def made() -> Array:
-            if stretch.shape[1] == 1:
-                return np.asarray((weights * stretch[:, 0] ** 2) @ stack)
-            each = zip(weights, stretch, stack, strict=True)
-            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in each))
-
-        return latest(self._kept, "classes", weights.tobytes() + stretch.tobytes(), made)
-
-    def _surroundings(self, of: Background, u: int) -> Array:
-        """(P,) Sigma_ave of (3.11) of one truth, packed; kept while it stays."""
-        f, between = (of_truth(x, u) for x in (of.fraction, of.between))
-        return latest(
-            self._kept, "around", of.key(u),
-            lambda: add_products(self._classes(of, f, u).copy(), np.sqrt(f)[:, None] * between),
-        )  # fmt: skip
 
 
 def noise_of(seen: Seen, u: int, reflectance: Array) -> Array:

@@ -19,7 +19,6 @@ from hyperval.data import Array, Errors, Index
 from hyperval.model.detection import Evaluation, RocKey, detect, evaluations
 from hyperval.model.inputs import (
     UncertainInput,
-    drawn_truths,
     inputs_of,
     interpolation_input,
     spectrum_errors,
@@ -30,19 +29,7 @@ from hyperval.model.objects import (
     object_scores,
     shares_of,
 )
-from hyperval.model.propagate import (
-    DRAWN_SHIFT,
-    Changes,
-    emulated,
-    laws_left_out,
-    mean_shifts,
-    probit,
-    tabulated,
-    with_intervals,
-    with_law_errors,
-    with_limits,
-    worlds_without,
-)
+from hyperval.model.propagate import Changes, joined, probit, with_law_errors, with_uncertainty
 from hyperval.model.radiance import (
     Background,
     Light,
@@ -57,7 +44,6 @@ from hyperval.model.radiance import (
 from hyperval.model.stated import Origins, Stated, Truth
 from hyperval.model.world import World, find, read, settled, with_truths
 from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
-from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
 from hyperval.spectra.axis import SpectralAxis
 
@@ -159,15 +145,6 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
     return out
 
 
-def joined(parts: Iterable[tuple[Index, Mapping[Any, Array]]], size: int) -> dict[Any, Array]:
-    """Values (U, ...) of all truths, in their order, from those (n or 1, ...) of parts of them."""
-    out: dict[Any, Array] = {}
-    for index, values in parts:
-        for key, value in values.items():
-            out.setdefault(key, np.empty((size, *value.shape[1:])))[index] = value
-    return out
-
-
 def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralErrors:
     """Errors of the mean spectra of one truth: half the difference of up and down along each direction of each input,
     the rest held.
@@ -208,7 +185,7 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
     bands, populations = len(e.axis), [p.name for _, _, p in stated.populations]
     means = {key: of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
     each = e.once("reflectances", partial(reflectances, e))
-    light, one = e.light.row(v), e.light.rows(np.array([v]))
+    light = e.light.row(v)
     terms = light.terms if light.radiant else None
     notes = [f"formulation: {e.scenario.formulation}", *(terms.notes if terms else ())]
     if not e.scenario.uncertainty.model_dump(exclude_defaults=True):
@@ -221,35 +198,39 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
         notes += [*stated.notes, *saturation_notes(out["full_scale"], e.axis)]
     out["distribution"] = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
     out |= {"notes": tuple(notes), "provenance": provenance_of(stated, terms)}
-    if errors is None:
-        for (product, key), mean in means.items():
-            out[product][key] = SpectralEstimate(mean, np.broadcast_to(0.0, (bands, bands)))
-        return PredictedProducts(e.axis, **out)
-    pixels = {
-        name: _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
-        for name in each
-    }
-    around, line = Background.of(e.at, np.arange(bands)).covariance(v), light.library_line
-    # One piece of memory for all: new pages for each matrix take longer than the numbers in it.
-    *room, scratch = np.empty((1 + 2 * len(each), bands, bands))
-    for number, (name, (_, met)) in enumerate(each.items()):
-        covariance, gain, others = pixels[name]
-        seen = light.pixel_covariance(
-            levels[name], of_truth(met, u)[0], covariance, around, gain, room[2 * number], scratch
-        )
-        retrieved = retrieved_covariance(line, seen, room[2 * number + 1])
-        through = {source: light.through(c) for source, c in others.items()}
-        back = {source: retrieved_covariance(line, c) for source, c in through.items()}
-        spreads = {"radiance": (known(seen), through), "reflectance": (known(retrieved), back)}
-        for product in ("radiance", "toa_reflectance", "snr", "reflectance"):
-            for key in (name, without_calibration_error(name)):
-                if (product, key) in means:
-                    pixel, shapes = spreads.get(product, (None, {}))
-                    own = errors.get((product, key), {})
-                    total, budget = combined(own, shapes, bands)
-                    estimate = SpectralEstimate(means[product, key], total, pixel, None, budget)
-                    out[product][key] = replace(estimate, errors={} if product == "snr" else own)
+    spreads = {} if errors is None else pixel_spreads(e, u, levels)
+    for (product, key), mean in means.items():
+        pixel, shapes = spreads.get((product, key), (None, {}))
+        own = (errors or {}).get((product, key), {})
+        total, budget = (np.broadcast_to(0.0, 2 * (bands,)), {}) if errors is None else combined(own, shapes, bands)
+        own = {} if product == "snr" else own
+        out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=own)
     return PredictedProducts(e.axis, **out)
+
+
+Spread = tuple[Array, Mapping[str, Array]]
+
+
+def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tuple[str, str], Spread]:
+    """(product, subject) -> covariance of the pixels of one truth (3.11, 3.12), and of the mean of an object at its
+    place by source, (B, B) each.
+
+    ``levels`` : subject -> (B,) mean signal
+    """
+    world, v, bands = e.world.rows(np.array([u])), int(e.which[u]), np.arange(len(e.axis))
+    populations = [p.name for _, _, p in e.stated.populations]
+    light, one, around = e.light.row(v), e.light.rows(np.array([v])), Background.of(e.at, bands).covariance(v)
+    line, slope, out = light.library_line, light.slope(), dict[tuple[str, str], Spread]()
+    for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
+        covariance, gain, others = (
+            _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
+        )
+        seen = light.pixel_covariance(levels[name], of_truth(met, u)[0], covariance, around, gain)
+        through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # D_A of (3.11)
+        back = {source: retrieved_covariance(line, c) for source, c in through.items()}
+        out["radiance", name] = known(seen), through
+        out["reflectance", name] = known(retrieved_covariance(line, seen)), back
+    return out
 
 
 def _of_surface(world: World, name: str) -> tuple[Array, float]:
@@ -357,26 +338,11 @@ def predict(
     source = origins or Origins()
     world = settled(with_truths(read(scenario, source), [truth or {}]))[0][1]
     world = replace(world, stated=replace(world.stated, before=None))
-    inputs, lit = inputs_of(world), scenario.atmosphere is not None
+    inputs, errors, lit = inputs_of(world), spectrum_errors(world), scenario.atmosphere is not None
     linear = [i for i in inputs if lit or not i.of_light]
     of_spectra = spectral_errors(world, [*linear, *interpolation_input(world)])
-    products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
-    u, drawn = scenario.uncertainty, inputs if truth is None else []
-    shifts = mean_shifts(products.roc, changes)
-    far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
-    if not drawn or not (far or u.method != "linear"):
-        return with_limits(scenario, products, changes, shifts, {})
-    made = emulated(world, drawn) if lit else None
-    world = made.world if made else world
-    truths = track(drawn_truths(drawn, u.samples, u.seed), "draws of the budget", show=source.show_progress)
-    draws = tabulated(_predictions(world, truths))
-    curves = {key: draws["curve", *key] for key in far if u.method == "linear"}
-    products = with_limits(scenario, products, changes, shifts, curves)
-    return (
-        products
-        if u.method == "linear"
-        else with_intervals(products, drawn, partial(_predictions, world), draws, u, made)
-    )
+    products, changes = _prediction(world, of_spectra, errors, linear, objects, object_curves, source, truth or {})
+    return with_uncertainty(products, world, inputs if truth is None else [], changes, _predictions)
 
 
 def predictions(
@@ -419,13 +385,13 @@ def _predictions(
 
 
 def _prediction(
-    world: World, of_spectra: SpectralErrors, inputs: Sequence[UncertainInput], objects: bool | int,
-    object_curves: bool, origins: Origins, truth: Truth,
+    world: World, of_spectra: SpectralErrors, errors: Mapping[str, Array], inputs: Sequence[UncertainInput],
+    objects: bool | int, object_curves: bool, origins: Origins, truth: Truth,
 ) -> tuple[PredictedProducts, dict[RocKey, Changes]]:  # fmt: skip
     """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
     input; of the targets' field spectra for the one that their filter looks along.
     """
-    stated, errors = world.stated, spectrum_errors(world)
+    stated = world.stated
     light = [i for i in inputs if i.of_light and i.kind != "engine"]
     # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
     others = [i for i in inputs if not i.of_light and (i.subject in stated.classes or i.kind != "surface")]
@@ -442,13 +408,12 @@ def _prediction(
     for _, part in parts[1:]:
         detect(part, object_curves=object_curves)
     if prediction.roc:
-        known = worlds_without(stated.scenario, origins, truth)
         if objects:
             steps = np.array([0, *range(1, pairs + 1), *range(len(moves) + 1, len(moves) + pairs + 1)])
             here = Evaluation(every.rows(steps), errors)
             scores = object_scores(here, np.arange(steps.size), None if objects is True else objects)
             prediction = replace(prediction, object_scores=scores, expected_scores=expected_scores(here))
-        prediction = replace(prediction, exceedance=with_law_errors(prediction.exceedance, laws_left_out(e, known)))
+        prediction = with_law_errors(prediction, e, origins, truth)
     z = joined(((index, {key: probit(pd) for key, pd in part.curves.items()}) for index, part in parts), every.size)
     up, down = slice(1, len(moves) + 1), slice(len(moves) + 1, None)
     return prediction, {key: (x[up] - x[0], x[down] - x[0]) for key, x in z.items()}

@@ -190,10 +190,6 @@ class UncertainInput:
         """The truth ``z`` units along the leading direction."""
         return self.direction(0, z)
 
-    def drawn(self, rng: np.random.Generator) -> Truth:
-        """A truth drawn from the distribution of this input alone."""
-        return self.along(rng.standard_normal(self.size))
-
 
 def together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
     """The truth in which several inputs are moved at once: changes of what stands at one path add up."""
@@ -207,7 +203,7 @@ def together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
 def drawn_truths(inputs: Sequence[UncertainInput], count: int, seed: int) -> list[dict[str, Any]]:
     """Truths with every input drawn from its distribution, independently of the others."""
     rng = np.random.default_rng(seed)
-    return [together((item, item.drawn(rng)) for item in inputs) for _ in range(count)]
+    return [together((i, i.along(rng.standard_normal(i.size))) for i in inputs) for _ in range(count)]
 
 
 def number_input(

@@ -148,9 +148,12 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
     for owner, population in populations:
         number = names.index(owner)
         beside = [] if thesis else neighbours_of(population, populations)
+        _, parts, dof = e.host_laws(number)
+        laws = tuple(zip(parts.tolist(), of_truth(dof, u).tolist(), strict=True))
+        laws = () if laws == ((1.0, math.inf),) else laws  # one normal law
         wanted = Objects(
             population, tuple(s for _, s in beside), uncertainty.position_m,
-            (draws or ROWS * COLUMNS) if certain else COLUMNS, thesis, host_laws(e, number, u), len(linear), seed,
+            (draws or ROWS * COLUMNS) if certain else COLUMNS, thesis, laws, len(linear), seed,
         )  # fmt: skip
         numbers = _few_numbers(wanted) if certain and draws else drawn_numbers(wanted, drawn.blur)
         others = [names.index(name) for name, _ in beside]
@@ -167,13 +170,6 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
     return out
 
 
-def host_laws(e: Evaluation, number: int, point: int) -> Laws:
-    """Parts and degrees of freedom of the laws of a target's host in one truth; none: one normal law."""
-    _, parts, dof = e.host_laws(number)
-    laws = tuple(zip(parts.tolist(), of_truth(dof, point).tolist(), strict=True))
-    return () if laws == ((1.0, math.inf),) else laws
-
-
 @dataclass(frozen=True)
 class Objects:
     """What the drawn numbers of the objects of one population follow from, besides the widths of the blur."""
@@ -183,7 +179,7 @@ class Objects:
     position_m: float | None
     columns: int
     thesis: bool
-    host: Laws
+    host: Laws  # none: one normal law
     detectors: int
     seed: int
 
@@ -217,14 +213,6 @@ class Numbers:
     def rest(self) -> Array:
         """(L, n) parts of the host."""
         return np.asarray(1.0 - self.fills - self.others.sum(axis=-1))
-
-    def shared_sd(self, variance: Array, host_sd: Array, spread: Array) -> Array:
-        """(L, n) standard deviation of pixels with parts of neighbours in place of the host (3.28).
-
-        ``variance`` (L, n) without them;  ``spread`` (J,) : of pixels full of each neighbour
-        """
-        host = (self.rest**2 - (1.0 - self.fills) ** 2) * host_sd**2
-        return np.asarray(np.sqrt(np.clip(variance + self.others**2 @ spread**2 + host, 0.0, None)))
 
 
 def drawn_numbers(objects: Objects, blur: Array) -> Numbers:
@@ -299,18 +287,13 @@ def _pixels_at_place(
     shifts, phases = None, 1 if geometry.phase == "centred" else PHASES
     if position_m is not None:
         shifts = rng.normal(0.0, position_m / geometry.gsd_m, (phases, len(beside), 2))
-    placed, n = [placed_beside(population, subject, change) for subject in beside], pixels_of_object(population.fill)
+    placed, n = [], pixels_of_object(population.fill)
+    for subject in beside:
+        other, here, there = subject.fill.geometry, population.position_m or (), subject.position_m or ()
+        assert other is not None  # noqa: S101 - as neighbours_of has chosen them
+        away = np.subtract(there, here) / geometry.gsd_m
+        placed.append(Neighbour(widened(other, change), tuple(away)))
     return shared_pixel_fills(widened(geometry, change), n, placed, shifts if placed else None)
-
-
-def placed_beside(population: TargetSubject, subject: TargetSubject, change: float = 0.0) -> Neighbour:
-    """A neighbour as an object's pixels see it; ``change`` is added to the width of the blur [pixels]."""
-    here, there = population.position_m, subject.position_m
-    geometry, other = population.fill.geometry, subject.fill.geometry
-    if here is None or there is None or geometry is None or other is None:
-        raise ValueError("a neighbour without a place")
-    away = (there[0] - here[0]) / geometry.gsd_m, (there[1] - here[1]) / geometry.gsd_m
-    return Neighbour(widened(other, change), away)
 
 
 def _half_diagonal(geometry: Geometry) -> float:
@@ -338,14 +321,16 @@ def _greatest_scores(
     if full:
         by += [mean + c - means[0, 0] for (mean, _), c in zip(full, change[1:], strict=True)]
         parts += list(np.moveaxis(numbers.others, -1, 0))
-        host_sd, full_sd = (np.sqrt(np.clip(v, 0.0, None)) for v in (variances[0, 0], np.array(full)[:, 1]))
-        sd = numbers.shared_sd(variance, host_sd, full_sd)
+        # Parts of neighbours are in place of the host (3.28).
+        host_part, full_parts = (np.clip(v, 0.0, None) for v in (variances[0, 0], np.array(full)[:, 1]))
+        host_part = (numbers.rest**2 - (1.0 - numbers.fills) ** 2) * host_part
+        sd = np.sqrt(np.clip(variance + numbers.others**2 @ full_parts + host_part, 0.0, None))
     mean = _mean_draws(each[0], np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places)
     if more is None or host is None:
         return ObjectScores((mean + sd[numbers.places] * numbers.host).max(axis=2))
     flat, places, laws = sd.reshape(1, -1), numbers.places, []
-    for part in host.parts(np.zeros(flat.shape), flat):
-        laws.append([a.reshape(sd.shape) for a in (part.mean, np.sqrt(part.tailed), np.sqrt(part.normal))])
+    for _, away, normal, tailed, _ in host.parts(np.zeros(flat.shape), flat):
+        laws.append([a.reshape(sd.shape) for a in (away, np.sqrt(tailed), np.sqrt(normal))])
     which = 0 if numbers.law is None else numbers.law
     away, tailed, normal = (np.array(a)[which, places[..., None], range(sd.shape[1])] for a in zip(*laws, strict=True))
     return ObjectScores((mean + away + tailed * numbers.host + normal * more).max(axis=2))

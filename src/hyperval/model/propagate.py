@@ -8,21 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from hyperval.data import Array
+from hyperval.data import Array, Index
 from hyperval.model.detection import Evaluation, RocKey, class_scores
-from hyperval.model.inputs import UncertainInput
+from hyperval.model.inputs import UncertainInput, drawn_truths
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.radiance import light_of, seen_classes
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm
 from hyperval.model.stated import Origins, Truth, state_value
 from hyperval.model.world import World, read, settled, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PredictedProducts, RocCurve, SpectralEstimate
+from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
 
 Key = tuple[str, ...]
@@ -118,46 +119,59 @@ def _normal_draws(directions: int) -> Array:
     return draws
 
 
+def joined(parts: Iterable[tuple[Index, Mapping[Any, Array]]], size: int) -> dict[Any, Array]:
+    """Values (U, ...) of all truths, in their order, from those (n or 1, ...) of parts of them."""
+    out: dict[Any, Array] = {}
+    for index, values in parts:
+        for key, value in values.items():
+            out.setdefault(key, np.empty((size, *value.shape[1:])))[index] = value
+    return out
+
+
 def probit(p: Array) -> Array:
     """Phi^-1 of probabilities, kept finite."""
     return np.asarray(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))
 
 
 Filter = tuple[str, str]
-Regions = Iterable[tuple[str, Sequence[World]]]  # their names, and the world without each part of them
 
 
-def worlds_without(scenario: Scenario, origins: Origins, truth: Truth) -> Regions:
-    """Each region whose law is known from its pixels, and the scenario as it truly is without each part of them."""
-    if origins.left_out is None or not scenario.scene.targets or not scenario.processing.linear_detectors:
-        return
-    # A part may leave a mixture with fewer components than the class asks for.
-    classes = [c.model_copy(update={"mixture": "auto"}) if c.has_mixture else c for c in scenario.scene.classes]
-    free = scenario.model_copy(update={"scene": scenario.scene.model_copy(update={"classes": classes})})
-    for region, without in origins.left_out():
-        measured = origins.measured or {}
-        parts = (read(free, replace(origins, measured={**measured, region: part})) for part in without)
-        yield region, [settled(with_truths(world, [truth]))[0][1] for world in parts]
+def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origins, truth: Truth) -> PredictedProducts:
+    """The prediction with 95 % limits of P_FA where the law was fitted to pixels.
 
-
-def laws_left_out(e: Evaluation, regions: Regions) -> dict[Filter, dict[str, Array]]:
-    """(target, linear detector) -> region -> (G, K) ln P_FA (3.33) at the thresholds of its curve without each part.
-
-    The filters stay: they look at both sides through the same weights.
+    By the scenario as it truly is without each part of a region whose law is known from its pixels: ln P_FA (3.33) at
+    the thresholds of the curve, (G, K).  The filters stay: they look at both sides through the same weights.  The
+    parts of a region are independent of each other: the squares of their directions add up.
 
     Parameters
     ----------
     e : the scenario as it truly is, its first truth
     """
-    names = [(t, d) for t in e.targets for d in e.stated.linear_detectors]
-    thresholds = {(t.name, d): e.scores(t.populations[0].name, d).thresholds(e.pfa[None])[0] for t, d in names}
+    scenario, curves = e.scenario, dict(prediction.exceedance)
+    if origins.left_out is None or not e.targets or not e.stated.linear_detectors:
+        return prediction
+    # A part may leave a mixture with fewer components than the class asks for.
+    classes = [c.model_copy(update={"mixture": "auto"}) if c.has_mixture else c for c in scenario.scene.classes]
+    free = scenario.model_copy(update={"scene": scenario.scene.model_copy(update={"classes": classes})})
+    thresholds = {
+        (t.name, d): e.scores(t.populations[0].name, d).thresholds(e.pfa[None])[0]
+        for t in e.targets for d in e.stated.linear_detectors
+    }  # fmt: skip
     out: dict[Filter, dict[str, Array]] = {key: {} for key in thresholds}
-    for region, worlds in regions:
-        laws = [_law_scores(e, world) for world in worlds]
+    for region, without in origins.left_out():
+        parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in without)
+        laws = [_law_scores(e, settled(with_truths(read(free, part), [truth]))[0][1]) for part in parts]
         for key, x in thresholds.items():
             row = np.zeros(x.size, int)
             out[key][region] = np.array([log_false_alarm(x, law[key].rows(row))[0] for law in laws])
-    return out
+    for key, regions in out.items():
+        if regions:
+            squares = sum((jackknife_directions(of) ** 2).sum(axis=0) for of in regions.values())
+            half, p = Z95 * np.sqrt(squares)[::-1], curves[key].probability
+            limits = p * np.exp(-half), np.minimum(p * np.exp(half), 1.0)
+            rising = {region: of[:, ::-1] for region, of in regions.items()}
+            curves[key] = replace(curves[key], lower=limits[0], upper=limits[1], left_out=rising)
+    return replace(prediction, exceedance=curves)
 
 
 def _law_scores(e: Evaluation, world: World) -> dict[Filter, ClassScores]:
@@ -165,24 +179,6 @@ def _law_scores(e: Evaluation, world: World) -> dict[Filter, ClassScores]:
     seen, own = seen_classes(light_of(world), world, e.bands), e.which[:1]
     fraction, dof = np.atleast_2d(world.law_fraction), np.atleast_2d(world.law_dof)
     return {key: ClassScores(fraction, *class_scores(seen, f.rows(own)), dof) for key, (f, _, _) in e.filters.items()}
-
-
-def with_law_errors(
-    exceedance: Mapping[Filter, ExceedanceCurve], left_out: Mapping[Filter, Mapping[str, Array]]
-) -> dict[Filter, ExceedanceCurve]:
-    """The predicted curves, with 95 % limits where the law was fitted to pixels.
-
-    The parts of a region are independent of each other: the squares of their directions add up.
-    """
-    curves = dict(exceedance)
-    for key, regions in left_out.items():
-        if regions:
-            squares = sum((jackknife_directions(of) ** 2).sum(axis=0) for of in regions.values())
-            half, p = Z95 * np.sqrt(squares)[::-1], curves[key].probability
-            limits = p * np.exp(-half), np.minimum(p * np.exp(half), 1.0)
-            rising = {region: of[:, ::-1] for region, of in regions.items()}
-            curves[key] = replace(curves[key], lower=limits[0], upper=limits[1], left_out=rising)
-    return curves
 
 
 def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:
@@ -386,6 +382,30 @@ def with_intervals(
     record = {"method": u.method, "samples": u.samples, "seed": u.seed, "agreements": table}
     provenance = {**stated.provenance, "propagation": record}
     return replace(stated, roc=roc, **spectra, notes=(*stated.notes, *notes), provenance=provenance)
+
+
+def with_uncertainty(
+    products: PredictedProducts, world: World, inputs: Sequence[UncertainInput], changes: Mapping[RocKey, Changes],
+    predicted: Callable[[World, Iterable[Truth]], Iterable[PredictedProducts]],
+) -> PredictedProducts:  # fmt: skip
+    """The prediction of a world with the intervals of its curves: from its directions, or from draws of its inputs.
+
+    ``inputs`` : to be drawn from where the scenario asks for it, or errors shift the mean of P_D by so much that their
+    directions do not add up
+    """
+    scenario, u = world.stated.scenario, world.stated.scenario.uncertainty
+    shifts = mean_shifts(products.roc, changes)
+    far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
+    if not inputs or not (far or u.method != "linear"):
+        return with_limits(scenario, products, changes, shifts, {})
+    made = emulated(world, inputs) if scenario.atmosphere is not None else None
+    of_world = partial(predicted, made.world if made else world)
+    show = world.stated.origins.show_progress
+    draws = tabulated(of_world(track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget", show=show)))
+    linear = u.method == "linear"
+    curves = {key: draws["curve", *key] for key in far if linear}
+    products = with_limits(scenario, products, changes, shifts, curves)
+    return products if linear else with_intervals(products, inputs, of_world, draws, u, made)
 
 
 def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:

@@ -26,11 +26,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg.lapack import dsfrk, dtfttr, dtrttf
 from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere.terms import AtmosphericTerms
@@ -43,51 +44,15 @@ from hyperval.sensor.noise import NoiseModel, with_signal
 
 
 def average_reflectance(fractions: npt.ArrayLike, means: npt.ArrayLike) -> Array:
-    """Area-average reflectance rho_ave = sum f_m rho_m (3.8).
+    """Area-average reflectance rho_ave = sum f_m rho_m (3.8), (..., B) [1].
 
     Parameters
     ----------
-    fractions : (M,) area fractions, sum 1
-    means : (M, B) class means [1]
-
-    Raises
-    ------
-    UsageError : negative fractions, or fractions that do not sum to 1.
+    fractions : (..., M) area fractions, sum 1
+    means : (..., M, B) class means [1]
     """
-    f = _fractions(fractions)
-    return np.asarray(f @ np.asarray(means, dtype=float))  # (3.8)
-
-
-def mixture_covariance(
-    fractions: npt.ArrayLike, means: npt.ArrayLike, covariances: Sequence[npt.ArrayLike] | Array
-) -> Array:
-    """Covariance of a pixel drawn from the whole scene, Sigma_ave of (3.11).
-
-    sum f_m [Sigma_m + (rho_m - rho_ave)(rho_m - rho_ave)^T]: within-class and between-class spread.
-
-    Parameters
-    ----------
-    fractions : (M,) area fractions, sum 1
-    means : (M, B)
-    covariances : M arrays (B, B)
-    """
-    f = _fractions(fractions)
-    mu = np.asarray(means, dtype=float)
-    d = mu - average_reflectance(f, mu)
-    result = (d * f[:, None]).T @ d
-    for part, covariance in zip(f, covariances, strict=True):
-        result += part * np.asarray(covariance, dtype=float)
-    return np.asarray(result)  # Sigma_ave of (3.11)
-
-
-def _fractions(fractions: npt.ArrayLike) -> Array:
     f = np.asarray(fractions, dtype=float)
-    if f.ndim != 1 or f.size == 0 or np.any(f < 0) or abs(float(f.sum()) - 1.0) > 1e-6:
-        raise UsageError(
-            f"the area fractions {np.array2string(f, precision=4)} are not a partition of the scene",
-            expected="non-negative numbers that sum to 1",
-        )
-    return f
+    return np.asarray(np.matmul(f[..., None, :], np.asarray(means, dtype=float))[..., 0, :])  # (3.8)
 
 
 Formulation = Literal["corrected", "thesis"]
@@ -214,8 +179,6 @@ def radiance_covariance(
     adjacency_gain: float = 1.0,
     kappa: float = 0.0,
     formulation: Formulation = "corrected",
-    out: Array | None = None,
-    scratch: Array | None = None,
 ) -> Array:
     """Pixel-to-pixel covariance of radiance before the sensor (3.11), also (3.12) with the target pixel's.
 
@@ -230,7 +193,6 @@ def radiance_covariance(
     adjacency_gain : g_B on the adjacency term
     kappa : 1/N_eff, the variance of the neighbourhood average as a part of that of one pixel; the
         printed form has 1, whatever is given here
-    out, scratch : (B, B) memory for the result and to work in; None: fresh memory
 
     Returns
     -------
@@ -239,10 +201,10 @@ def radiance_covariance(
     d_a = direct_slope(terms, average_reflectance, formulation)
     d_b = adjacency_slope(terms, reflectance, average_reflectance, formulation)
     weight = adjacency_gain * (kappa if formulation == "corrected" else 1.0)
-    result: Array = np.multiply(np.asarray(covariance, dtype=float), d_a[:, None], out=out)
+    result: Array = np.asarray(covariance, dtype=float) * d_a[:, None]
     result *= d_a
     if weight:
-        around = np.multiply(np.asarray(average_covariance, dtype=float), (weight * d_b)[:, None], out=scratch)
+        around = np.asarray(average_covariance, dtype=float) * (weight * d_b)[:, None]
         around *= d_b
         result += around
     return result  # (3.11)
@@ -341,15 +303,10 @@ def retrieved_reflectance(line: TwoPanelLine, radiance: npt.ArrayLike) -> Array:
     return np.asarray((np.asarray(radiance, dtype=float) - line.offset) / line.gain)
 
 
-def retrieved_covariance(line: TwoPanelLine, covariance: npt.ArrayLike, out: Array | None = None) -> Array:
-    """Sigma^_ij = Sigma_L,ij / (k_i k_j), (B, B) [1] (before 3.21); the offset does not enter.
-
-    ``out`` : (B, B) memory for the result
-    """
+def retrieved_covariance(line: TwoPanelLine, covariance: npt.ArrayLike) -> Array:
+    """Sigma^_ij = Sigma_L,ij / (k_i k_j), (B, B) [1] (before 3.21); the offset does not enter."""
     slope = 1.0 / line.gain
-    result: Array = np.multiply(np.asarray(covariance, dtype=float), slope[:, None], out=out)
-    result *= slope
-    return result
+    return np.asarray(np.asarray(covariance, dtype=float) * slope[:, None] * slope)
 
 
 def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.ArrayLike, pixels: int) -> Array:
@@ -513,16 +470,15 @@ class Light:
         return (own, own, factor) if np.ndim(factor) == 0 else (own * factor, own * sky, factor)
 
     def pixel_covariance(
-        self, level: Array, under_sky: Array, covariance: Array, around: Array, gain: float = 1.0,
-        out: Array | None = None, scratch: Array | None = None,
-    ) -> Array:  # fmt: skip
+        self, level: Array, under_sky: Array, covariance: Array, around: Array, gain: float = 1.0
+    ) -> Array:
         """Pixel covariance (B, B) of the signal with sensor noise (3.11, 3.16-3.19), of one truth.
 
         ``under_sky`` (B,) enters D_B; ``around`` (B, B) is the covariance of the surroundings.
         """
         result = radiance_covariance(
             self.terms, under_sky, covariance, self.average, around, adjacency_gain=gain,
-            kappa=float(self.kappa.reshape(-1)[0]), formulation=self.formulation, out=out, scratch=scratch,
+            kappa=float(self.kappa.reshape(-1)[0]), formulation=self.formulation,
         )  # fmt: skip
         if self.noise is not None:
             result.flat[:: level.size + 1] += self.noise.variance(level)
@@ -535,10 +491,6 @@ class Light:
     def slope(self) -> Array:
         """(..., B) change of the signal per change of the pixel's reflectance (D_A of 3.11)."""
         return direct_slope(self.terms, self.average, self.formulation)
-
-    def through(self, covariance: Array) -> Array:
-        """An error (B, B) of the pixel's reflectance as one of the signal, through D_A (3.11)."""
-        return covariance * np.outer(self.slope(), self.slope())
 
     def adjacency_slope(self, reflectance: Array) -> Array:
         """(..., B) change of the signal per change of the surroundings (D_B of 3.11)."""
@@ -602,7 +554,7 @@ def light_of(world: World) -> Light:
             ground_irradiance=e * terms.ground_irradiance,
             diffuser_radiance=None if white is None else e * white,
         )
-    average = np.matmul(world.fraction[:, None, :], means)  # (3.8)
+    average = average_reflectance(world.fraction, means)[:, None, :]
     if stated.surroundings is not None:
         average = stated.surroundings[None, None, :]
     models, which = world.sensor_noise
@@ -655,6 +607,36 @@ def latest(kept: dict[str, tuple[bytes, Array]], name: str, key: bytes, make: Ca
     return kept[name][1]
 
 
+# Symmetric matrices (F, F) are in LAPACK's rectangular full packed form: half the memory, the speed of whole ones.
+# What many settings of one scene put together, element by element, is put together in vectors of F (F + 1) / 2
+# numbers.  Their order is LAPACK's (transr N, uplo L) and nobody else's business.
+
+
+def packed(matrix: Array) -> Array:
+    """(P,) of a symmetric matrix (F, F)."""
+    values, _ = dtrttf(matrix.T, uplo="L")  # the transpose of C order is Fortran's, and the matrix is symmetric
+    return np.asarray(values)
+
+
+def unpacked(values: Array, size: int) -> Array:
+    """(F, F) the whole matrix."""
+    lower = np.tril(dtfttr(size, values, uplo="L")[0])
+    return np.asarray(lower + np.tril(lower, -1).T)
+
+
+@lru_cache(maxsize=32)
+def diagonal_places(size: int) -> Index:
+    """(F,) where the diagonal stands."""
+    return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
+
+
+def add_products(values: Array, rows: Array, *, fresh: bool = False) -> Array:
+    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``; ``fresh``: in place of the matrix."""
+    count, size = rows.shape
+    keep = 0.0 if fresh else 1.0
+    return np.asarray(dsfrk(size, count, 1.0, rows.T, keep, values, uplo="L", overwrite_c=1))
+
+
 @dataclass(frozen=True, eq=False)
 class Background:
     """The classes of U truths, on some bands.
@@ -697,7 +679,7 @@ class Background:
 
         covariances, laws, kept = stated.once(("background", bands.tobytes()), on_bands)
         means = world.surroundings[1]
-        between = means - np.matmul(world.fraction[:, None, :], means)
+        between = means - average_reflectance(world.fraction, means)[:, None, :]
         stretch = world.stretch[:, :classes]
         return Background(
             world.fraction, world.column("class_gain"), world.mean[:, :classes, bands], between[..., bands],
@@ -710,19 +692,37 @@ class Background:
         changes: dict[str, Any] = {n: at_rows(getattr(self, n), index) for n in of_truths}
         return replace(self, **changes)
 
-    def covariance(self, u: int = 0) -> Array:
-        """(F, F) Sigma_ave of (3.11)."""
+    def mixed(self, weights: Array, u: int = 0) -> Array:
+        """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
+        stretch = of_truth(self.stretch, u)
+        stack = latest(self.kept, "stack", b"", lambda: np.array([packed(c) for c in self.covariances]))
 
         def made() -> Array:
-            f, between, stretch = (of_truth(x, u) for x in (self.fraction, self.between, self.stretch))
-            pairs = zip(stretch, self.covariances, strict=True)
-            return mixture_covariance(
-                f, between, [c * (g[0] ** 2 if g.size == 1 else np.outer(g, g)) for g, c in pairs]
-            )
+            if stretch.shape[1] == 1:
+                return np.asarray((weights * stretch[:, 0] ** 2) @ stack)
+            each = zip(weights, stretch, stack, strict=True)
+            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in each))
 
-        return latest(self.kept, "covariance", self.key(u), made)
+        return latest(self.kept, "classes", weights.tobytes() + stretch.tobytes(), made)
 
-    def key(self, u: int) -> bytes:
+    def surroundings(self, u: int = 0) -> Array:
+        """(P,) covariance of a pixel drawn from the whole scene, packed; kept while it stays.
+
+        Sigma_ave = sum f_m [Sigma_m + (rho_m - rho_ave)(rho_m - rho_ave)^T]: within the classes and between them.
+        """
+        f, between = (of_truth(x, u) for x in (self.fraction, self.between))
+
+        def made() -> Array:
+            return add_products(self.mixed(f, u).copy(), np.sqrt(f)[:, None] * between)  # Sigma_ave of (3.11)
+
+        return latest(self.kept, "around", self._key(u), made)
+
+    def covariance(self, u: int = 0) -> Array:
+        """(F, F) Sigma_ave of (3.11), whole."""
+        make = partial(unpacked, self.surroundings(u), self.means.shape[-1])
+        return latest(self.kept, "covariance", self._key(u), make)
+
+    def _key(self, u: int) -> bytes:
         """What Sigma_ave of one truth follows from."""
         return b"".join(of_truth(x, u).tobytes() for x in (self.fraction, self.between, self.stretch))
 

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -267,16 +266,6 @@ def host_part(total: Array, share: Array, law: Array, whole: Array) -> tuple[Arr
     return total, np.minimum(share**2 * law, total)
 
 
-class _HostPart(NamedTuple):
-    """Pixels whose host is of one law: probability (n,), mean, normal and tailed variance (n, J), dof (n,)."""
-
-    probability: Array
-    mean: Array
-    normal: Array
-    tailed: Array
-    dof: Array
-
-
 @dataclass(frozen=True)
 class Host:
     """The class that fills the rest of the pixels, in n evaluations.
@@ -304,25 +293,26 @@ class Host:
         one = self.laws.dof.shape[1] == 1
         return np.isinf(self.laws.dof[:, 0]) if one else np.zeros(self.mean.size, dtype=bool)
 
-    def parts(self, means: Array, sds: Array) -> Iterator[_HostPart]:
-        """Pixels of mean and standard deviation (n, J) by the law of their host."""
+    def parts(self, means: Array, sds: Array) -> Iterator[tuple[Array, ...]]:
+        """Pixels of mean and standard deviation (n, J) by the law of their host: probability (n,), mean, normal and
+        tailed variance (n, J), and degrees of freedom (n,).
+        """
         for fraction, mean, sd, dof in zip(*(a.T for a in vars(self.laws).values()), strict=True):
             total, tailed = host_part(sds**2, self.share, sd[:, None] ** 2, self.variance[:, None])
             away = self.share * (mean - self.mean)[:, None]
-            yield _HostPart(fraction, means + away, total - tailed, tailed, dof)
+            yield fraction, means + away, total - tailed, tailed, dof
 
     def exceedance(self, threshold: Array, means: Array, sds: Array, *, density: bool = False) -> Array:
         """(n, K, J) P(score > x) of pixels at x (n, K), or the density of their score there (3.31)."""
         out = np.zeros((*threshold.shape, means.shape[1]))
-        for part in self.parts(means, sds):
-            away = part.mean[:, None, :] - threshold[:, :, None]
-            for factor, probability in zip(*(a.T[:, :, None] for a in mixing(part.dof)), strict=True):
-                variance = part.normal + part.tailed * factor
-                sd = np.sqrt(np.maximum(variance, SMALLEST_SD**2))[:, None, :]
-                weight = (part.probability[:, None] * probability)[:, :, None]
+        for part, mean, normal, tailed, dof in self.parts(means, sds):
+            away = mean[:, None, :] - threshold[:, :, None]
+            for factor, probability in zip(*(a.T[:, :, None] for a in mixing(dof)), strict=True):
+                sd = np.sqrt(np.maximum(normal + tailed * factor, SMALLEST_SD**2))[:, None, :]
+                weight = (part[:, None] * probability)[:, :, None]
                 z = away / sd
-                normal = np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * sd) if density else ndtr(z)
-                out += weight * normal  # (3.31)
+                above = np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * sd) if density else ndtr(z)
+                out += weight * above  # (3.31)
         return out
 
     def between(self, threshold: Array, means: Array, sds: Array) -> Callable[[slice], Array]:

@@ -67,32 +67,22 @@ _ENVIRONMENT = (
 
 
 @dataclass(frozen=True)
-class SurfaceStatistics:
-    """A surface on the axis; bands that its source does not cover are NaN in ``mean``.
+class SurfaceStatistics(ClassStatistics):
+    """A surface of the scene; bands that its source does not cover are NaN in ``mean``.
 
     Attributes
     ----------
-    mean : (B,) reflectance [1]
-    covariance : (B, B), zero where nothing is known of the spread
     standard_deviation : (B,) that a spectrum's file carries, None without
-    components : the clusters that the pixels of a class fall into, None where they are one law
     sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
-    n : samples behind it
     mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
-    tail_scale : factor on the covariance of the law that was fitted to its tails
     """
 
-    name: str
-    mean: Array
-    covariance: Array
-    source: str
-    tail_dof: float | None = None
     standard_deviation: Array | None = None
-    n: int | None = None
-    mean_error: Array | None = None
     sampled_deviation: tuple[Array, Array] | None = None
-    components: Components | None = None
-    tail_scale: float = 1.0
+    mean_error: Array | None = None
+
+    def __post_init__(self) -> None:
+        """What it is made of has passed the checks."""
 
 
 def replicate_statistics(
@@ -129,7 +119,9 @@ def replicate_statistics(
     covariance[at] = sample.shrunk_covariance if few else sample.covariance
     error[at] = mean_error_covariance(sample.covariance, sample.n)
     words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
-    return SurfaceStatistics("", mean, covariance, words, None, deviation, sample.n, error)
+    return SurfaceStatistics(
+        "", axis, mean, covariance, sample.n, words, standard_deviation=deviation, mean_error=error
+    )
 
 
 def mean_error_covariance(covariance: Array, n: int) -> Array:
@@ -212,13 +204,8 @@ def band_error_covariance(
     Of C_kl = u_k u_l exp(-(dl / length)^2 / 2): errors that are each sample's own partly cancel within a band,
     which the band average of their standard deviation alone does not know.
     """
-    u = np.nan_to_num(standard_deviation)
-    covariance = (wavelength_nm[:, None] - wavelength_nm) / correlation_nm
-    covariance *= -0.5 * covariance  # in place, as a spectrometer's samples are thousands
-    np.maximum(covariance, -100.0, out=covariance)  # nothing is left there, and what float64 cannot hold is slow
-    np.exp(covariance, out=covariance)
-    covariance *= u
-    covariance *= u[:, None]
+    u, gap = np.nan_to_num(standard_deviation), (wavelength_nm[:, None] - wavelength_nm) / correlation_nm
+    covariance = np.outer(u, u) * np.exp(np.maximum(-0.5 * gap**2, -100.0))  # below it nothing is left
     return covariance_in_bands(wavelength_nm, covariance, axis)
 
 
@@ -273,7 +260,7 @@ class Sources:
             return found
         if source.constant is not None:
             flat, nothing = np.full(len(self.axis), source.constant), np.zeros((len(self.axis), len(self.axis)))
-            return SurfaceStatistics(name, flat, nothing, "constant reflectance")
+            return SurfaceStatistics(name, self.axis, flat, nothing, source="constant reflectance")
         return self._from_file(source, name)
 
     def _of_pixels(self, source: SpectrumSource | CovarianceSource, name: str) -> SurfaceStatistics | None:
@@ -293,10 +280,8 @@ class Sources:
             known = self._measured(source.measured, name)
         else:
             return None
-        return SurfaceStatistics(
-            name, known.mean, known.covariance, known.source or source.library or "measured", known.tail_dof, None,
-            known.n, components=known.components, tail_scale=known.tail_scale,
-        )  # fmt: skip
+        named = {"name": name, "source": known.source or source.library or "measured"}
+        return SurfaceStatistics(**vars(known) | named)
 
     def _library(self, file: str, record: str | int | None) -> ClassStatistics:
         asked = (self.resolve(file), record)
@@ -324,7 +309,10 @@ class Sources:
         if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
             errors = covariance_in_bands(read.wavelength_nm, read.errors.covariance(), axis)
         zero = np.zeros((len(axis), len(axis)))
-        return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n, errors, sampled)
+        return SurfaceStatistics(
+            name, axis, mean, zero, read.n, str(source.file), standard_deviation=spread, sampled_deviation=sampled,
+            mean_error=errors,
+        )  # fmt: skip
 
     def _measured(self, region: str, name: str) -> ClassStatistics:
         if region not in self.measured:

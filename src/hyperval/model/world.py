@@ -649,8 +649,10 @@ def settled(world: World) -> list[tuple[Index, World]]:
         p: np.broadcast_to(v, (world.size, *v.shape[1:])) for p, v in world.moved.items() if reads_again(stated, p, v)
     }
     geometric = [i for i, (*_, p) in enumerate(stated.populations) if p.fill.geometry is not None]
-    fills = [world.fill_models(number) for number in geometric]
+    fills = [world.fill_models(number) for number in geometric if world.of_fill(number)]
     sizes = [np.array([pixels_of_object(fill) for fill in models])[which] for models, which in fills]
+    if not again and not sizes:
+        return [(np.arange(world.size), world.made())]
     first, which = distinct([*again.values(), *sizes], world.size)
     rest, out = World(stated, {p: v for p, v in world.moved.items() if p not in again}, world.size), []
     for i, u in enumerate(first):
