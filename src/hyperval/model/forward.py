@@ -203,7 +203,7 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
         pixel, shapes = spreads.get((product, key), (None, {}))
         own = (errors or {}).get((product, key), {})
         total, budget = (np.broadcast_to(0.0, 2 * (bands,)), {}) if errors is None else combined(own, shapes, bands)
-        own = {} if product == "snr" else own
+        pixel, own = None if pixel is None else known(pixel), {} if product == "snr" else own
         out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=own)
     return PredictedProducts(e.axis, **out)
 
@@ -219,17 +219,19 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     """
     world, v, bands = e.world.rows(np.array([u])), int(e.which[u]), np.arange(len(e.axis))
     populations = [p.name for _, _, p in e.stated.populations]
-    light, one, around = e.light.row(v), e.light.rows(np.array([v])), Background.of(e.at, bands).covariance(v)
-    line, slope, out = light.library_line, light.slope(), dict[tuple[str, str], Spread]()
+    light, one = e.light.row(v), e.light.rows(np.array([v]))
+    pixels = {
+        name: _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
+        for name in levels
+    }
+    around, line, slope = Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
+    out: dict[tuple[str, str], Spread] = {}
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
-        covariance, gain, others = (
-            _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
-        )
+        covariance, gain, others = pixels[name]
         seen = light.pixel_covariance(levels[name], of_truth(met, u)[0], covariance, around, gain)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # D_A of (3.11)
         back = {source: retrieved_covariance(line, c) for source, c in through.items()}
-        out["radiance", name] = known(seen), through
-        out["reflectance", name] = known(retrieved_covariance(line, seen)), back
+        out["radiance", name], out["reflectance", name] = (seen, through), (retrieved_covariance(line, seen), back)
     return out
 
 
