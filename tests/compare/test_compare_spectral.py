@@ -237,20 +237,6 @@ def test_the_interval_of_the_share_inside_holds_what_right_errors_give(length):
     assert (np.mean(wide < 0.95) > 0.9) == (length < 1.0)
 
 
-def test_a_leading_source_holds_more_than_half_of_the_variance():
-    def side(mean, **parts):
-        budget = {name: np.full(3, np.sqrt(v)) for name, v in parts.items()}
-        return SpectralEstimate(np.full(3, mean), sum(parts.values()) * np.eye(3), budget=budget)
-
-    for p, o, words in (
-        (side(1.0, spectrum=0.45, noise=0.1), side(1.0, sampling=0.45), ""),
-        (side(1.0, spectrum=0.6, noise=0.1), side(1.0, sampling=0.3), "60 % of the variance: spectrum"),
-        # d(p/o) = dp/o - p do/o^2: of equal errors that of o counts by (p/o)^2.
-        (side(1.0, p=1.0), side(2.0, o=1.0), "80 % of the variance: p"),
-    ):
-        assert compare.leading_source(p, o, np.ones(3, bool)) == words
-
-
 def test_a_prediction_that_is_too_bright_has_a_positive_z():
     axis = SpectralAxis(np.linspace(450.0, 890.0, 12), 10.0)
     covariance = 1e-4 * (0.5 * np.eye(12) + 0.5)

@@ -106,7 +106,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
 
         prediction = predicted_side(side, predicted)
         rows = outcomes(side, prediction)
-        deciding = undecided(rows, prediction, observed.observation)
+        deciding = undecided(side, rows, prediction)
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         rows += reasons(side, prediction, show_progress=show_progress)
@@ -115,7 +115,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     else:
         from hyperval.compare.products import product_rows
 
-        rows = product_rows(observed.observation, "observed")
+        rows = list(product_rows(observed.observation, "observed"))
     notes = [
         *(["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []),
         *campaign.assumptions,
@@ -188,12 +188,12 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     return told_apart(judged(rows, side.campaign.comparisons), side.campaign.fitted_on)
 
 
-def undecided(rows: Iterable[Result], prediction: Products, observation: Products) -> list[tuple[Result, str]]:
+def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:
     """The inconclusive criteria, each with what would have to be known better, or counted, to decide it."""
     from hyperval.compare.joint import would_decide
 
-    found = [(row, would_decide(row, prediction, observation)) for row in rows
-             if row.gates and row.outcome is Outcome.UNDECIDED]  # fmt: skip
+    sides = prediction, side.observed.observation, side.campaign.fitted_on
+    found = [(row, would_decide(row, *sides)) for row in rows if row.gates and row.outcome is Outcome.UNDECIDED]
     return [(row, words) for row, words in found if words]
 
 
@@ -203,7 +203,7 @@ def undecided_by(job: Job) -> list[tuple[Result, str]]:
 
     with collected(job, show_progress=False) as side:
         prediction = predicted_side(side, [predict(s, side.origins(s, False)) for s in side.scenarios])
-        return undecided(outcomes(side, prediction), prediction, side.observed.observation)
+        return undecided(side, outcomes(side, prediction), prediction)
 
 
 def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bool | None = None) -> list[Result]:

@@ -249,7 +249,9 @@ def compare_distribution(predicted: PixelDistribution | None, observed: PixelDis
     if observed is None:
         return
     o, dof, ends = observed, observed.leading_tail_dof, (observed.leading_lower, observed.leading_upper)
-    note = "no predicted law to compare with" if predicted is None else f"predicted {_dof_text(predicted.tail_dof)}"
+    p = math.nan if predicted is None else predicted.tail_dof
+    note = "predicted normal pixels" if math.isinf(p) else f"predicted {p:.3g} degrees of freedom"
+    note = "no predicted law to compare with" if predicted is None else note
     why = f"{note}; in {o.dimension} bands"
     yield row("background_tail_dof", o.tail_dof, (o.tail_lower, o.tail_upper), n=o.n, reason=why)
     if not math.isnan(dof):
@@ -262,7 +264,3 @@ def compare_distribution(predicted: PixelDistribution | None, observed: PixelDis
     yield row("normality_p_value", o.normality_p_value, n=o.n, about=about)
     if o.effective_n is not None and o.effective_n.size:
         yield row("effective_pixels", o.effective_n[0], n=o.n)
-
-
-def _dof_text(dof: float) -> str:
-    return "normal pixels" if math.isinf(dof) else f"{dof:.3g} degrees of freedom"

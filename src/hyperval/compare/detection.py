@@ -22,7 +22,7 @@ from hyperval.model.intervals import (
     difference_ratio_uncertainty,
     zero_count_upper_limit,
 )
-from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at
+from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at, log10_false_alarm_at
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import (
     Abundance,
@@ -158,9 +158,7 @@ def compare_classification(p: ClassificationError, o: ClassificationError) -> It
     left = row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
     right = row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
     difference = difference_row("error_difference", left, right)
-    about = Effect(difference.value, difference.lower, difference.upper)
-    yield from (left, right, difference)
-    yield row("error_inside_interval", about.lower <= 0.0 <= about.upper, n=o.n, about=about)
+    yield from (left, right, difference, _inside_row("error_inside_interval", difference, right))
     yield row("error_approximation", p.approximation)
     yield row("distance_predicted", p.distance)
     yield row("distance_observed", o.distance, n=o.n)
@@ -588,7 +586,7 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
     >>> counts = {"n_target": 40, "n_background": 10_000, "background_area_km2": 0.04}
     >>> observed = replace(predicted, **counts, at_detection=(point,))
     >>> [(r.metric, round(r.value)) for r in far_at_detection_rows(predicted, observed)]
-    [('far_predicted@pd0.5', 1160), ('far_measured@pd0.5', 1000), ('far_difference@pd0.5', 160)]
+    [('far_predicted@pd0.5', 1252), ('far_measured@pd0.5', 1000), ('far_difference@pd0.5', 252)]
     """
     density = samples_per_km2(observed)
     for point in observed.at_detection:
@@ -605,7 +603,8 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
         if predicted is None:
             yield measured
             continue
-        p, low, high = (_pfa_at(predicted, y, point.pd) for y in (predicted.pd, predicted.pd_upper, predicted.pd_lower))
+        curves = (predicted.pd, predicted.pd_upper, predicted.pd_lower)
+        p, low, high = (10.0 ** log10_false_alarm_at(predicted, point.pd, y) for y in curves)
         if math.isnan(p):
             why = f"the predicted curve does not reach P_D {point.pd:g} within its range of P_FA"
             (left,) = skipped(Cause.BEYOND_CURVE, why, names[0])
@@ -615,44 +614,6 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
             ends = (p, p) if np.isnan(predicted.pd_lower).any() else ends
             left = row(names[0], p * density, (ends[0] * density, ends[1] * density))
         yield from (left, measured, difference_row(names[2], left, measured))
-
-
-def _pfa_at(curve: RocCurve, values: np.ndarray, pd: float) -> float:
-    """P_FA at which a rising curve reaches ``pd``, NaN where it does not on its range."""
-    known = np.isfinite(values)
-    pfa, value = np.append(curve.pfa[known], 1.0), np.append(values[known], 1.0)
-    value = np.maximum.accumulate(value)
-    reached = np.flatnonzero(value >= pd)
-    if known.sum() == 0 or reached[0] == 0:
-        return math.nan
-    i = int(reached[0])
-    step = value[i] - value[i - 1]
-    part = (pd - value[i - 1]) / step
-    return float(np.exp(np.log(pfa[i - 1]) + part * (np.log(pfa[i]) - np.log(pfa[i - 1]))))
-
-
-def first_detection_rows(observed: RocCurve) -> Iterator[Result]:
-    """``alarms_before_first`` (:func:`~hyperval.pixels.roc.alarms_before_first`), where it was counted.
-
-    Examples
-    --------
-    >>> pfa = np.array([1e-2, 1e-1])
-    >>> curve = RocCurve(pfa, pfa, pfa, pfa, -pfa, "object", 7, 10_000, alarms_before_first=3)
-    >>> [(r.metric, r.value) for r in first_detection_rows(curve)]
-    [('alarms_before_first', 3.0)]
-    """
-    if observed.alarms_before_first is not None:
-        why = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
-        why += "favours targets with many pixels or parts"
-        yield row("alarms_before_first", observed.alarms_before_first, n=observed.n_target, reason=why)
-
-
-def predicted_area(curve: RocCurve, area: RocArea) -> tuple[float, Interval]:
-    """Area of a predicted curve and of the limits of its band; without a band the interval is a point."""
-    value = curve_area(curve, area)
-    low, high = (curve_area(curve, area, limit) for limit in (curve.pd_lower, curve.pd_upper))
-    known = not (math.isnan(low) or math.isnan(high))
-    return value, ((min(low, value), max(high, value)) if known else (value, value))
 
 
 def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) -> Result:
@@ -672,8 +633,8 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
     """``auc_predicted``, ``auc_measured``, ``auc_difference`` and the same of the partial and log-weighted areas.
 
     The names of partial areas end in their range of P_FA.  The predicted interval is that of the curve's band, as
-    if its errors went together over the whole curve; the measured one is explained in its reason.  The difference
-    (predicted - measured) has the interval of :func:`~hyperval.compare.difference_interval`.
+    if its errors went together over the whole curve, a point without one; the measured one is explained in its reason.
+    The difference (predicted - measured) has the interval of :func:`~hyperval.compare.difference_interval`.
 
     Examples
     --------
@@ -692,7 +653,8 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
         name, at, span = full.partition("@")
         names, sides = [f"{name}_{side}{at}{span}" for side in _SIDES], []
         if predicted is not None:
-            value, ends = predicted_area(predicted, area)
+            value, *limits = (curve_area(predicted, area, y) for y in (None, predicted.pd_lower, predicted.pd_upper))
+            ends = (value, value) if any(map(math.isnan, limits)) else (min(*limits, value), max(*limits, value))
             why = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
             sides += skipped(Cause.BEYOND_CURVE, why, names[0]) if math.isnan(value) else [row(names[0], value, ends)]
         if observed is not None:
@@ -709,7 +671,6 @@ WIDEST_INTERVAL = 0.9
 METRICS = (
     "pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval",
 )  # fmt: skip
-VERDICTS = ("pd_equivalent", "pd_equivalence")
 # The two readings of (3.30-3.33) are told apart where their P_D differ by more than this.
 SAME_READING = 1e-3
 
@@ -720,24 +681,18 @@ def read_at(curve: RocCurve, pfa: float) -> tuple[float, Interval]:
     return value, (low, high)
 
 
-def equivalent(interval: Interval, margin: float) -> bool:
-    """Two one-sided tests: the whole 95 % interval of the difference lies inside +-``margin``.
-
-    That rejects "the difference is at least the margin" on both sides at the 2.5 % level.  No difference
-    found is not equivalence: a wide interval fails.  Source: Schuirmann, J. Pharmacokinet. Biopharm. 15, 657, 1987.
-    """
-    refuse(not 0.0 < margin < 1.0, "compare.margin", margin=margin)
-    return -margin < interval[0] and interval[1] < margin
-
-
 def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
     """The three outcomes of a comparison with a margin: 1 equivalent, -1 different, 0 undecided, and the word.
 
-    Different is a 95 % interval of the difference that lies wholly beyond 0: with many targets a difference may be
-    certain and yet within the margin, which is then equivalent for the purpose, and the word says both.
+    Equivalent by two one-sided tests: the whole 95 % interval of the difference lies inside +-``margin``, which rejects
+    "the difference is at least the margin" on both sides at the 2.5 % level.  No difference found is not equivalence: a
+    wide interval fails.  Source: Schuirmann, J. Pharmacokinet. Biopharm. 15, 657, 1987.  Different is an interval that
+    lies wholly beyond 0: with many targets a difference may be certain and yet within the margin, which is then
+    equivalent for the purpose, and the word says both.
     """
+    refuse(not 0.0 < margin < 1.0, "compare.margin", margin=margin)
     apart = interval[0] > 0.0 or interval[1] < 0.0
-    if equivalent(interval, margin):
+    if -margin < interval[0] and interval[1] < margin:
         return 1.0, "equivalent, though significantly different" if apart else "equivalent"
     return (-1.0, "different") if apart else (0.0, "undecided")
 
@@ -757,8 +712,7 @@ def compare_roc(
       measured interval widened by the predicted half-width *in quadrature*.  That the two intervals
       overlap (widths added) is not enough.  Where the predicted curve has no width it is the next rule;
     - ``pd_inside_measured_interval``: the predicted P_D lies in the measured interval as it stands;
-    - ``pd_equivalent`` (with ``equivalence_margin``): two one-sided tests, :func:`equivalent`; and
-      ``pd_equivalence``: 1 equivalent, -1 different, 0 undecided, :func:`equivalence`.
+    - ``pd_equivalence`` (with ``equivalence_margin``): 1 equivalent, -1 different, 0 undecided, :func:`equivalence`.
 
     ``pd_predicted_preset`` and ``pd_inside_interval_preset`` read the predicted curve at the preset P_FA of (3.30),
     that of the worst class alone, where that differs from the P_FA of the whole background (3.33).
@@ -789,15 +743,28 @@ def compare_roc(
 
 
 def whole_curve_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator[Result]:
-    """False alarms at detection probabilities and before the first detection, and areas."""
+    """False alarms at detection probabilities and areas; ``alarms_before_first``
+    (:func:`~hyperval.pixels.roc.alarms_before_first`), where it was counted.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-2, 1e-1])
+    >>> curve = RocCurve(pfa, pfa, pfa, pfa, -pfa, "object", 7, 10_000, alarms_before_first=3)
+    >>> first, *_ = whole_curve_rows(None, curve)
+    >>> first.metric, first.value
+    ('alarms_before_first', 3.0)
+    """
     yield from far_at_detection_rows(predicted, observed)
-    yield from first_detection_rows(observed)
+    if (first := observed.alarms_before_first) is not None:
+        why = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
+        why += "favours targets with many pixels or parts"
+        yield row("alarms_before_first", first, n=observed.n_target, reason=why)
     yield from area_rows(predicted, observed)
 
 
 def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> Iterator[Result]:
     label = scientific(pfa)
-    names = [f"{m}@{label}" for m in (*METRICS, *(VERDICTS if margin is not None else ()))]
+    names = [f"{m}@{label}" for m in (*METRICS, *(["pd_equivalence"] if margin is not None else []))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
         why = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
@@ -824,11 +791,10 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
     known = math.nan if math.isnan(low + high) else 1.0
     yield row(names[4], known * (low <= p <= high), n=n)
     if margin is not None:
-        ends, words = (difference.lower, difference.upper), f"margin {margin:g}"
-        about = Effect(difference.value, *ends, partial(_within, margin))
+        ends = difference.lower, difference.upper
+        about = Effect(difference.value, *ends, lambda _: (-margin, margin))
         code, word = equivalence(ends, margin)
-        yield row(names[5], known * equivalent(ends, margin), n=n, reason=words, about=about)
-        yield row(names[6], known * code, n=n, reason=f"{word} by a {words}", about=about)
+        yield row(names[5], known * code, n=n, reason=f"{word} by a margin {margin:g}", about=about)
     yield from _preset_rows(predicted, pfa, p, right)
 
 
@@ -837,11 +803,6 @@ def _inside_row(metric: str, difference: Result, measured: Result, why: str = ""
     known = math.nan if math.isnan(measured.lower + measured.upper) else 1.0
     about = Effect(difference.value, difference.lower, difference.upper)
     return row(metric, known * (about.lower <= 0.0 <= about.upper), n=measured.n, reason=why, about=about)
-
-
-def _within(margin: float, level: float) -> Interval:
-    """The range of a difference of P_D, whatever the level."""
-    return -margin, margin
 
 
 def _preset_rows(predicted: RocCurve, pfa: float, swept: float, measured: Result) -> Iterator[Result]:

@@ -1,24 +1,35 @@
-"""All subjects of one sensor together: their common difference by region, and what would decide a criterion.
+"""All subjects of one sensor together: what they have in common over wavelength, and what would decide a criterion.
 
-The relative difference of subject s in a region, d(s), is what all share, x, and errors.  An error of the model's
-inputs or of the calibration is the same draw for every subject, one of the atmosphere for every subject of a day; of
-the field readings and the noise each has its own.  With C their covariance x is the mean of least variance with
-weights from 0 to 1; (d - y)^T C^-1 (d - y) about the generalised mean y tells whether the subjects differ by more than
-their own errors say.
+The difference d(s, q) = ln(predicted / measured) of subject s in a piece q of the spectrum is x(q) + e(s, q): x is
+what all share, of the sensor or of the model, and may be anything.  The errors e have the covariance C of all stated
+sources at once: one of the model's inputs or of the calibration is the same draw for every subject and piece, one of
+the atmosphere for every subject of a day, one of the field readings for every piece of its own subject.  So an input
+that is off shows in all pieces together, and x is what it cannot explain.  In the logarithm the size of a relative
+error does not depend on the difference itself, which would pull x down (Peelle's puzzle; Chiba & Smith 1991,
+ANL/NDM-121).
+
+Errors of smooth sources leave next to nothing between neighbouring pieces, where real spectra differ by some tenths of
+a percent.  C alone would read inputs from these; so each e has an error of its own besides, of the standard deviation
+t that the differences between subjects show: its posterior by their restricted likelihood (Harville, J. Am. Stat.
+Assoc. 72, 320-338, 1977) with a half-Cauchy prior (Gelman, Bayesian Anal. 1, 515-534, 2006), over which x is averaged.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from hyperval.compare.rows import Array, Mask, row
-from hyperval.compare.spectra import comparable_bands, regions
+from hyperval.compare.spectra import comparable_bands, regions, shares
+from hyperval.data import Index
 from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95
 from hyperval.products import Products, SpectralEstimate
@@ -27,180 +38,182 @@ from hyperval.spectra.axis import in_window
 
 ALL_SUBJECTS, UNSEEN_SUBJECTS = "all subjects", "unseen subjects"
 REGIONS_NM = ((400, 450), (450, 700), (700, 1000), (1200, 1760), (2050, 2400))
-# Bands that give one number of the sensor's gain.
-PIECES_NM = tuple((a, a + 30) for a in range(400, 1000, 30)) + tuple((a, a + 100) for a in range(1000, 2500, 100))
+# The bands between two of these have one gain of the sensor; every region is made of such pieces.
+EDGES_NM = (
+    400, 430, *range(450, 690, 30), *range(700, 1000, 30), *range(1000, 1701, 100), 1760, 2050, *range(2200, 2501, 100),
+)  # fmt: skip
+PIECES_NM = tuple(pairwise(EDGES_NM))
 OWN = "field spectrum"  # each subject's own draw
 CALIBRATION, REST = "calibration", "noise and the rest"
-_FEWEST_BANDS = 3
+UNSTATED = "differences that no source states"
+_FEWEST_BANDS = 2
 _APART = 0.05  # of the brightest: subjects alike tell no gain from an offset
-FLOOR = 1e-4  # of the radiance: what interpolation and rounding of the model leave between subjects
+# Standard deviations of what no source states, from what interpolation and rounding of the model leave; the median of
+# its prior, as AVIRIS-NG's spectra differ from band to band.
+UNSTATED_RATIOS, USUAL_RATIO = np.geomspace(1e-4, 0.1, 25), 0.01
 _LEAST_LEFT = 0.1  # hardly anybody knows an input ten times better
+
+
+class InCommon(NamedTuple):
+    """What subjects have in common, with what no source states averaged over.
+
+    Attributes
+    ----------
+    value, covariance : (k,), (k, k)
+    weights : (k, N) that make the value of the differences
+    errors : (N,) C^-1 times what is left of the differences: errors of one source are its covariance times these
+    unstated : standard deviation of what no source states: median and 95 % limits
+    """
+
+    value: Array
+    covariance: Array
+    weights: Array
+    errors: Array
+    unstated: Array
 
 
 @dataclass(frozen=True)
 class JointDifference:
-    """Relative difference (predicted - measured) / measured of some subjects in the same bands.
+    """N differences ln(predicted / measured), each a mean over bands of one subject.
 
     Attributes
     ----------
-    subjects : (S,) names
-    difference, level : (S,) means over the bands, and those of the prediction
-    sources : name -> (S, S) error covariance from one source, independent of the others
-    scales : name -> standard uncertainty of the input behind a source, and its unit
+    subject, piece : (N,) of which subject and which bands it is, as numbers
+    difference : (N,)
+    inverse_level : (N,) mean of 1 / predicted: the measured noise, which is in the difference, would bias an offset
+    bands : (N,) how many there are
+    sources : name -> (N, N) error covariance from one source, independent of the others
     """
 
-    subjects: tuple[str, ...]
+    subject: Index
+    piece: Index
     difference: Array
-    level: Array
+    inverse_level: Array
+    bands: Array
     sources: Mapping[str, Array]
-    scales: Mapping[str, tuple[float, str]]
 
-    @property
+    @cached_property
     def covariance(self) -> Array:
-        """(S, S)."""
+        """(N, N) of all stated sources."""
         return np.asarray(sum(self.sources.values()))
 
-    @property
-    def weights(self) -> Array:
-        """(S,) of the mean of least variance whose weights are no less than 0, sum 1.
+    @cached_property
+    def of_piece(self) -> Array:
+        """(N, Q) 1 where a difference is of a piece, in the order of their numbers."""
+        return np.asarray(self.piece[:, None] == np.unique(self.piece), dtype=float)
 
-        Without that bound subjects whose errors are nearly the same are extrapolated from, to far outside of them all
-        where anything that no source states makes them differ.
-        """
-        rows = np.linalg.cholesky(self.covariance).T
-        heavy = 1e4 * float(np.abs(rows).max())
-        found = scipy.optimize.nnls(np.vstack([rows, heavy * np.ones(len(rows))]), np.eye(len(rows) + 1)[-1])[0]
-        return np.asarray(found / found.sum())
+    def in_common(self, columns: Array) -> InCommon:
+        """Coefficients of ``columns`` (N, k) that all subjects share."""
+        fits, c = [], self.covariance
+        for unstated in UNSTATED_RATIOS:
+            whole = c + unstated**2 * np.eye(len(c))
+            solved = np.linalg.solve(whole, np.column_stack([columns, self.difference]))
+            information = columns.T @ solved[:, :-1]
+            covariance = np.linalg.inv(information)
+            weights = covariance @ solved[:, :-1].T
+            value = weights @ self.difference
+            errors = solved[:, -1] - solved[:, :-1] @ value
+            size = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(information)[1]
+            fits.append((value, covariance, weights, errors, -0.5 * (self.difference @ errors + size)))
+        values, covariances, weights, errors, evidence = map(np.stack, zip(*fits, strict=True))
+        # The prior of the logarithm, in even steps of which the standard deviations are.
+        evidence += np.log(UNSTATED_RATIOS / (1.0 + (UNSTATED_RATIOS / USUAL_RATIO) ** 2))
+        share = np.exp(evidence - scipy.special.logsumexp(evidence))
+        value = share @ values
+        spread = np.tensordot(share, covariances, 1) + np.einsum("t,ti,tj->ij", share, values - value, values - value)
+        limits = np.interp([0.5, 0.025, 0.975], np.cumsum(share) - 0.5 * share, UNSTATED_RATIOS)
+        return InCommon(value, spread, np.tensordot(share, weights, 1), share @ errors, limits)
 
-    @property
-    def value(self) -> float:
-        """The mean of least variance, which lies between the subjects' own differences."""
-        return float(self.weights @ self.difference)
-
-    @property
-    def budget(self) -> dict[str, float]:
-        """Standard uncertainty of :attr:`value` by source."""
-        return {name: math.sqrt(max(float(self.weights @ c @ self.weights), 0.0)) for name, c in self.sources.items()}
-
-    @property
-    def between(self) -> tuple[float, int]:
-        """Chi-square of what the subjects differ by about their generalised mean, with its degrees of freedom."""
-        solved = np.linalg.solve(self.covariance, np.ones(len(self.subjects)))
-        left = self.difference - solved @ self.difference / solved.sum()
-        return float(left @ np.linalg.solve(self.covariance, left)), left.size - 1
-
-    @property
-    def gain_and_offset(self) -> tuple[Array, Array]:
-        """(2,) gain and offset of the sensor that differences not ``relative`` have in common, and their covariance.
-
-        -d = a level + o by generalised least squares, gain 1 + a, where both may be anything: the calibration's own
-        uncertainty, which says what they might be, is no error here.
-        """
-        rows = np.column_stack([self.level, np.ones(self.level.size)])
-        solved = np.linalg.solve(self.covariance - self.sources.get(CALIBRATION, np.zeros(())), rows)
-        covariance = np.linalg.inv(rows.T @ solved)
-        return np.array([1.0, 0.0]) - covariance @ solved.T @ self.difference, covariance
-
-
-def joint_differences(
-    predicted: Products,
-    observed: Products,
-    regions_nm: Iterable[tuple[int, int]] = REGIONS_NM,
-    *,
-    relative: bool = True,
-) -> Iterator[tuple[tuple[int, int], JointDifference]]:
-    """Region [nm] -> radiance of all subjects there, where two and more show it on both sides."""
-    here, axis = observed.radiance, observed.axis
-    mixed = {subject for subject, _ in predicted.scores}
-    pairs = {s: (p, here[s]) for s, p in predicted.radiance.items() if s in here and s not in mixed and p.errors}
-    good = {
-        s: comparable_bands(*pair, axis) & in_window(axis.centre_nm) & (pair[1].mean > 0) for s, pair in pairs.items()
-    }
-    for low, high in regions_nm:
-        inside = (axis.centre_nm >= low) & (axis.centre_nm < high)
-        use = {s: keep & inside for s, keep in good.items() if np.count_nonzero(keep & inside) >= _FEWEST_BANDS}
-        if len(use) > 1:
-            yield (low, high), joint_difference({s: pairs[s] for s in use}, use, relative=relative)
+    def budget(self, found: InCommon, combined: Array) -> dict[str, float]:
+        """Standard uncertainty by source of a combination (k,) of what subjects have in common."""
+        weights = combined @ found.weights
+        parts = {name: float(weights @ c @ weights) for name, c in self.sources.items()}
+        parts[UNSTATED] = float(combined @ found.covariance @ combined) - sum(parts.values())
+        return {name: math.sqrt(max(part, 0.0)) for name, part in parts.items()}
 
 
 def joint_difference(
-    pairs: Mapping[str, tuple[SpectralEstimate, SpectralEstimate]], use: Mapping[str, Mask], *, relative: bool = True
+    pairs: Mapping[str, tuple[SpectralEstimate, SpectralEstimate]], use: Mapping[str, Sequence[Mask]]
 ) -> JointDifference:
-    """Of spectra of both sides by subject, in the bands (B,) that each subject uses; not ``relative``: predicted less
-    measured, which an offset of the sensor would make alike.
-    """
-    shared: dict[str, dict[int, tuple[str, Array]]] = {}  # source -> subject -> of which draw, its directions
-    own: dict[str, Array] = {}  # source -> (S,) variance of each subject by itself
-
-    def add(source: str, subject: int, variance: float) -> None:
-        own.setdefault(source, np.zeros(len(pairs)))[subject] += max(variance, 0.0)
-
-    difference, level = np.empty((2, len(pairs)))
-    measured, scales = [], dict[str, tuple[float, str]]()
-    weights: list[Array] = []
-    for i, (subject, (p, m)) in enumerate(pairs.items()):
-        at = use[subject]
-        one = np.where(at, 1.0, 0.0) / at.sum()
-        of_predicted = np.divide(one, m.mean, out=np.zeros_like(one), where=at) if relative else one
-        of_measured = np.divide(of_predicted * p.mean, m.mean, out=np.zeros_like(one), where=at) if relative else one
-        weights.append(of_predicted)
-        difference[i], level[i] = of_predicted[at] @ (p.mean - m.mean)[at], of_predicted[at] @ p.mean[at]
+    """Of spectra of both sides by subject, in the bands (B,) of every piece that each subject uses."""
+    every = [(i, q, at) for i, s in enumerate(pairs) for q, at in enumerate(use[s]) if at.any()]
+    subject, piece = (np.array(numbers, dtype=np.intp) for numbers in list(zip(*every, strict=True))[:2])
+    count = len(every)
+    by_predicted, by_measured, of_sensor = np.zeros((3, count, every[0][2].size))
+    difference, noise, relative = np.empty(count), np.zeros((count, count)), np.zeros(())
+    for n, (i, _, at) in enumerate(every):
+        p, m = list(pairs.values())[i]
+        by_predicted[n, at], by_measured[n, at] = 1.0 / p.mean[at] / at.sum(), 1.0 / m.mean[at] / at.sum()
+        difference[n] = np.log(p.mean[at] / m.mean[at]).mean()
+    directions: dict[tuple[str, str, int], Array] = {}  # source, draw and their number
+    for i, (name, (p, m)) in enumerate(pairs.items()):
+        own, left = subject == i, np.nan_to_num(m.error_covariance)
         for source, errors in p.errors.items():
-            directions = np.nan_to_num(errors.rows) @ of_predicted
-            scales[source] = (errors.size, errors.unit)
-            shared.setdefault(source, {})[i] = (subject if source == OWN else errors.draw), directions
-        measured.append((of_measured, m))
-    if len(pairs) > 1:
-        scales[OWN] = (math.nan, "")  # field spectra of several subjects have no one uncertainty
-    sources = {name: _same_draw(rows, len(pairs)) for name, rows in shared.items()}
-    if any(m.calibration is not None for _, m in measured):
-        sources[CALIBRATION] = _calibration(measured)
-    for i, (p, m) in enumerate(pairs.values()):
-        of_predicted, of_measured = weights[i], measured[i][0]
-        add(REST, i, (FLOOR * float(of_measured @ np.nan_to_num(m.mean))) ** 2)
-        add(REST, i, _variance(p.error_covariance, of_predicted) - sum(
-            float(np.sum((np.nan_to_num(e.rows) @ of_predicted) ** 2)) for e in p.errors.values()
-        ))  # fmt: skip
-        left = _variance(m.error_covariance, of_measured) - sources.get(CALIBRATION, np.zeros((i + 1, i + 1)))[i, i]
-        parts = {name: float(np.nansum((of_measured * u) ** 2)) for name, u in m.budget.items() if name != CALIBRATION}
-        whole = sum(parts.values())
-        for name, part in (parts or {REST: 1.0}).items():
-            add(name, i, left * part / whole if whole > 0.0 else left / len(parts or [0]))
-    sources |= {name: np.diag(values) for name, values in own.items()}
-    return JointDifference(tuple(pairs), difference, level, sources, scales)
+            key = source, name if source == OWN else errors.draw, len(errors.rows)
+            rows = directions.setdefault(key, np.zeros((len(errors.rows), count)))
+            rows[:, own] = np.nan_to_num(errors.rows) @ by_predicted[own].T
+        if m.calibration is not None:  # a relative error that all spectra of a sensor share
+            level, common = np.where(m.mean > 0.0, m.mean, np.inf), np.nan_to_num(m.calibration)
+            of_sensor[own], relative = by_measured[own] * np.nan_to_num(m.mean), common / np.outer(level, level)
+            left = left - common
+        noise[np.ix_(own, own)] = by_measured[own] @ left @ by_measured[own].T
+    sources = {REST: noise}
+    for (source, *_), rows in directions.items():
+        sources[source] = sources.get(source, 0.0) + rows.T @ rows
+    if of_sensor.any():
+        sources[CALIBRATION] = of_sensor @ relative @ of_sensor.T
+    bands = np.array([float(at.sum()) for *_, at in every])
+    return JointDifference(subject, piece, difference, by_predicted.sum(axis=1), bands, sources)
 
 
-def _variance(covariance: Array, weights: Array) -> float:
-    used = np.flatnonzero(weights)
-    return float(weights[used] @ covariance[np.ix_(used, used)] @ weights[used])
+def joint_pieces(predicted: Products, observed: Products) -> JointDifference | None:
+    """Differences of the radiance by subject and piece, where two subjects and more show it on both sides."""
+    here, axis = observed.radiance, observed.axis
+    mixed = {subject for subject, _ in predicted.scores}
+    pairs = {s: (p, here[s]) for s, p in predicted.radiance.items() if s in here and s not in mixed and p.errors}
+    pieces = [(axis.centre_nm >= low) & (axis.centre_nm < high) & in_window(axis.centre_nm) for low, high in PIECES_NM]
+    use: dict[str, list[Mask]] = {}
+    for s, pair in pairs.items():
+        good = comparable_bands(*pair, axis) & (pair[0].mean > 0) & (pair[1].mean > 0)
+        use[s] = [m if np.count_nonzero(m := good & piece) >= _FEWEST_BANDS else m & False for piece in pieces]
+    shown = np.sum([[m.any() for m in own] for own in use.values()], axis=0) > 1
+    if not np.any(shown):
+        return None
+    use = {s: [m & some for m, some in zip(own, shown, strict=True)] for s, own in use.items()}
+    return joint_difference(pairs, use)
 
 
-def _same_draw(rows: Mapping[int, tuple[str, Array]], count: int) -> Array:
-    """(S, S) covariance of what moves subjects of one draw along the same directions."""
-    out = np.zeros((count, count))
-    for i, (one, a) in rows.items():
-        for j, (other, b) in rows.items():
-            out[i, j] = float(a @ b) if one == other and a.size == b.size else 0.0
-    return out
+def _regions(joint: JointDifference) -> Iterator[tuple[str, Array, Array]]:
+    """Of each region its name, the combination of pieces (Q,) that is its mean, and those (S, N) of each subject."""
+    ends = np.array(PIECES_NM)[joint.piece]
+    for low, high in REGIONS_NM:
+        bands = np.where((ends[:, 0] >= low) & (ends[:, 1] <= high), joint.bands, 0.0)
+        if np.any(bands):
+            own = bands * (joint.subject == np.unique(joint.subject[bands > 0.0])[:, None])
+            pieces = bands @ joint.of_piece
+            yield f"{low}-{high}", pieces / pieces.sum(), own / own.sum(axis=1, keepdims=True)
 
 
-def _calibration(measured: Sequence[tuple[Array, SpectralEstimate]]) -> Array:
-    """(S, S) covariance of a relative error of the calibration, which all spectra of a sensor share."""
-    out = np.zeros((len(measured), len(measured)))
-    for i, (a, one) in enumerate(measured):
-        for j, (b, other) in enumerate(measured):
-            if one.calibration is not None and other.calibration is not None:
-                used, there = np.flatnonzero(a), np.flatnonzero(b)
-                relative = one.calibration[np.ix_(used, there)] / np.outer(one.mean[used], one.mean[there])
-                out[i, j] = float((a * one.mean)[used] @ relative @ (b * other.mean)[there])
-    return out
+def _left(covariance: Array, difference: Array, column: Array) -> float:
+    """Chi-square of what no multiple of a column makes of differences."""
+    c = covariance + UNSTATED_RATIOS[0] ** 2 * np.eye(column.size)
+    solved = np.linalg.solve(c, np.stack([column, difference], axis=1))
+    left = solved[:, 1] - solved[:, 0] * (column @ solved[:, 1]) / (column @ solved[:, 0])
+    return float(difference @ left)
+
+
+def groups(observed: Products, fitted_on: Sequence[str]) -> dict[str, Products]:
+    """What is compared jointly: everything; and what budget and settings were not ``fitted_on``, where they were."""
+    unseen = {s: m for s, m in observed.radiance.items() if not any(fnmatchcase(s, name) for name in fitted_on)}
+    return {ALL_SUBJECTS: observed} | ({UNSEEN_SUBJECTS: replace(observed, radiance=unseen)} if fitted_on else {})
 
 
 def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
     """Rows of each region: ``joint_difference_ratio@LOW-HIGH``; ``p_value_between``: whether the subjects differ.
 
     Of each piece of the spectrum ``sensor_gain`` where there is no offset, ``sensor_gain_beside_offset`` and
-    ``sensor_offset`` where both are fitted.
+    ``sensor_offset`` where both are fitted; ``unstated_difference_ratio``: what subjects differ by from piece to piece
+    beyond all stated errors.
 
     Examples
     --------
@@ -212,31 +225,58 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
     >>> seen = {name: SpectralEstimate(one, 0.0001 * np.eye(3)) for name in "ab"}
     >>> level, between, *gains = compare_jointly(Products(axis, radiance=sites), Products(axis, radiance=seen))
     >>> level.metric, round(level.value, 6), round(level.upper - level.value, 3), round(between.value, 6)
-    ('joint_difference_ratio@400-450', 0.1, 0.059, 1.0)
+    ('joint_difference_ratio@400-450', 0.1, 0.065, 1.0)
     """
-    rows, offsets = list[Result](), dict(joint_differences(predicted, observed, relative=False))
-    for (low, high), joint in joint_differences(predicted, observed):
-        u, (chi, dof), n = math.hypot(*joint.budget.values()), joint.between, len(joint.subjects)
-        shares = sorted(joint.budget.items(), key=lambda item: -item[1])[:3]
-        why = "half width by source: " + ", ".join(f"{name} {Z95 * x:.1%}" for name, x in shares)
-        rows.append(row(f"joint_difference_ratio@{low}-{high}", joint.value, half=Z95 * u, n=n, reason=why))
-        p, offset = float(scipy.stats.chi2.sf(chi, dof)), offsets[low, high].between[0]
-        why = f"chi-square {chi:.3g} of {dof} as a gain, {offset:.3g} as an offset"
-        rows.append(row(f"p_value_between@{low}-{high}", p, n=n, reason=why))
-    for (low, high), joint in joint_differences(predicted, observed, PIECES_NM):
-        gain = 1.0 / (1.0 + joint.value)
-        half = Z95 * math.hypot(*joint.budget.values()) * gain**2
-        rows.append(row(f"sensor_gain@{(low + high) // 2}", gain, half=half, n=len(joint.subjects)))
-    for (low, high), joint in joint_differences(predicted, observed, PIECES_NM, relative=False):
-        if np.ptp(joint.level) > _APART * joint.level.max():
-            values, covariance = joint.gain_and_offset
-            halves, at, n = Z95 * np.sqrt(np.diag(covariance)), (low + high) // 2, len(joint.subjects)
-            rows.append(row(f"sensor_gain_beside_offset@{at}", values[0], half=halves[0], n=n))
-            rows.append(row(f"sensor_offset@{at}", values[1], half=halves[1], n=n))
-    return rows
+    joint = joint_pieces(predicted, observed)
+    if joint is None:
+        return []
+    found, rows = joint.in_common(joint.of_piece), list[Result]()
+    for label, pieces, own in _regions(joint):
+        budget, d, n = joint.budget(found, pieces), own @ joint.difference, len(own)
+        shares = sorted(budget.items(), key=lambda item: -item[1])[:3]
+        why = f"with inputs as stated {np.expm1(d.min()):+.1%} to {np.expm1(d.max()):+.1%}; half width by source: "
+        why += ", ".join(f"{name} {Z95 * x:.1%}" for name, x in shares)
+        value, half = float(pieces @ found.value), Z95 * math.hypot(*budget.values())
+        number, *ends = np.expm1([value, value - half, value + half]).tolist()
+        rows.append(row(f"joint_difference_ratio@{label}", number, ends, n=n, reason=why))
+        columns, c = (np.ones(n), own @ joint.inverse_level), own @ joint.covariance @ own.T
+        gain, offset = (_left(c, d, column) for column in columns)
+        why = f"chi-square {gain:.3g} of {n - 1} as a gain, {offset:.3g} as an offset"
+        rows.append(row(f"p_value_between@{label}", float(scipy.stats.chi2.sf(gain, n - 1)), n=n, reason=why))
+    middle, *ends = found.unstated.tolist()
+    rows.append(row("unstated_difference_ratio", middle, ends, n=joint.difference.size, reason=_moved(joint, found)))
+    return [*rows, *_sensor_rows(joint, found)]
 
 
-def would_decide(item: Result, predicted: Products, observed: Products) -> str:
+def _moved(joint: JointDifference, found: InCommon) -> str:
+    """How far from what is stated the inputs are, those that are farthest first."""
+    sizes = {k: np.linalg.norm(c @ found.errors) / max(np.trace(c), 1e-300) ** 0.5 for k, c in joint.sources.items()}
+    first = sorted(joint.sources.keys() - {CALIBRATION, REST}, key=lambda name: (-sizes[name], name))[:4]
+    return "inputs in units of their stated uncertainty: " + ", ".join(f"{name} {sizes[name]:.1f}" for name in first)
+
+
+def _sensor_rows(joint: JointDifference, found: InCommon) -> Iterator[Result]:
+    """Gain of the sensor by pieces, and gain and offset together where subjects are not equally bright.
+
+    Its own stated uncertainty, which says what the gain might be, is no error of it here.
+    """
+    count, numbers = joint.of_piece.sum(axis=0).astype(int), np.unique(joint.piece)
+    common = np.exp(joint.difference @ joint.of_piece / count)
+    by_level = joint.inverse_level[:, None] * joint.of_piece * common  # 1 / measured without its noise
+    dark = np.where(by_level > 0.0, by_level, np.inf).min(axis=0)
+    apart = np.flatnonzero(by_level.max(axis=0) * (1.0 - _APART) > dark).tolist()
+    both = joint.in_common(np.hstack([joint.of_piece, -by_level[:, apart]]))
+    of_calibration = joint.sources.get(CALIBRATION, np.zeros(joint.covariance.shape))
+    for name, fit, some in (("sensor_gain", found, range(count.size)), ("sensor_gain_beside_offset", both, apart)):
+        halves = Z95 * np.sqrt(np.diag(fit.covariance - fit.weights @ of_calibration @ fit.weights.T))
+        for k, q in enumerate(some):
+            at, n, (x, half) = sum(PIECES_NM[numbers[q]]) // 2, count[q], (fit.value[q], halves[q])
+            yield row(f"{name}@{at}", math.exp(-x), (math.exp(-x - half), math.exp(half - x)), n=int(n))
+            if fit is both:
+                yield row(f"sensor_offset@{at}", fit.value[count.size + k], half=halves[count.size + k], n=int(n))
+
+
+def would_decide(item: Result, predicted: Products, observed: Products, fitted_on: Sequence[str] = ()) -> str:
     """What would decide an inconclusive criterion, in words: how well which sources would have to be known, or how many
     more would have to be counted.
     """
@@ -244,7 +284,8 @@ def would_decide(item: Result, predicted: Products, observed: Products) -> str:
     if metric.kind is Kind.TEST:
         found = metric.departure or "its alternative"
         return f"every stated uncertainty {times:.2g} times smaller, to detect {found}" if times > 1 else ""
-    joint = _behind(item, predicted, observed)
+    side = groups(observed, fitted_on).get(item.subject)
+    budget, subjects = _of_region(item, predicted, side) if side else (_of_level(item, predicted, observed), 1)
     ends = [end for end in (item.limit_low, item.limit_high) if math.isfinite(end)]
     half = 0.5 * (item.upper - item.lower)
     if not ends or not half > 0.0:
@@ -252,24 +293,33 @@ def would_decide(item: Result, predicted: Products, observed: Products) -> str:
     wanted = min(abs(item.value - end) for end in ends) / half  # of the half width that is there
     if wanted <= 0.0:
         return "another collection: the value is at the limit of its range"
-    if joint is None:
+    if not budget:
         more = f"a count of {math.ceil(item.n / wanted**2)} in place of {item.n}; or " if item.n else ""
         return f"{more}an interval {1.0 / wanted:.2g} times narrower"
-    return deciding(joint.budget, wanted, joint.scales, len(joint.subjects))
+    same = [p for s, p in getattr(predicted, item.product).items() if side or s == item.subject]
+    scales = {name: (e.size, e.unit) for p in same for name, e in p.errors.items()}
+    if side:
+        scales[OWN] = math.nan, ""  # field spectra of several subjects have no one uncertainty
+    return deciding(budget, wanted, scales, subjects)
 
 
-def _behind(item: Result, predicted: Products, observed: Products) -> JointDifference | None:
-    """The sources of a level of spectra; None of any other row."""
-    if item.subject == ALL_SUBJECTS:
-        return next(
-            (j for (a, b), j in joint_differences(predicted, observed) if item.metric.endswith(f"@{a}-{b}")), None
-        )
+def _of_region(item: Result, predicted: Products, observed: Products) -> tuple[dict[str, float], int]:
+    """Standard uncertainty by source of what subjects have in common in a region, and how many they are."""
+    joint = joint_pieces(predicted, observed)
+    for label, pieces, own in _regions(joint) if joint else ():
+        if joint and item.metric == f"joint_difference_ratio@{label}":
+            return joint.budget(joint.in_common(joint.of_piece), pieces), len(own)
+    return {}, 1
+
+
+def _of_level(item: Result, predicted: Products, observed: Products) -> dict[str, float]:
+    """The same of the level of one spectrum, all of them together 1; none of any other row."""
     left, right = (getattr(side, item.product, {}).get(item.subject) for side in (predicted, observed))
     if not isinstance(left, SpectralEstimate) or not isinstance(right, SpectralEstimate):
-        return None
-    parts, comparable = regions(observed.axis), comparable_bands(left, right, observed.axis)
-    use = parts.get(item.metric.rpartition("_")[2], parts["windows"]) & comparable
-    return joint_difference({item.subject: (left, right)}, {item.subject: use}) if use.any() else None
+        return {}
+    parts, use = regions(observed.axis), comparable_bands(left, right, observed.axis) & (right.mean > 0)
+    use &= parts.get(item.metric.rpartition("_")[2], parts["windows"])
+    return {name: math.sqrt(share) for name, share in shares(left, right, use)} if use.any() else {}
 
 
 def deciding(
@@ -307,10 +357,9 @@ def deciding(
         return " and ".join(words)
 
     out = [known([name]) for name in largest if left([name]) > _LEAST_LEFT][:3]
-    pairs = sorted(combinations(largest, 2), key=lambda pair: -left(pair))[:1]
-    some = next((largest[:k] for k in range(3, len(largest) + 1) if left(largest[:k]) > _LEAST_LEFT), [])
-    out = out or [known(names) for names in (*pairs, some) if names and left(names) > _LEAST_LEFT][:1]
-    own = budget.get(OWN, 0.0) ** 2 + budget.get(REST, 0.0) ** 2
+    some = [largest[:k] for k in range(2, len(largest) + 1) if left(largest[:k]) > _LEAST_LEFT]
+    out = out or [known(names) for names in some[:1]]
+    own = sum(budget.get(name, 0.0) ** 2 for name in (OWN, REST, UNSTATED))
     if subjects > 1 and wanted**2 * total > total - own:
         out.append(f"{math.ceil(subjects * own / (wanted**2 * total - (total - own)))} subjects in place of {subjects}")
     return " or ".join(out) or "more than this collection can provide: every source would need a smaller uncertainty"

@@ -6,8 +6,6 @@ Rows of one side alone, where there is nothing to compare with.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from fnmatch import fnmatchcase
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,7 +25,7 @@ MOST_NAMED = 6
 K = TypeVar("K")
 
 
-def product_rows(products: Products, side: str) -> list[Result]:
+def product_rows(products: Products, side: str) -> Iterator[Result]:
     """Rows of one side alone: spectra by band, score moments, P_D at decades of P_FA, areas.
 
     Examples
@@ -43,10 +41,6 @@ def product_rows(products: Products, side: str) -> list[Result]:
     [('mean', 0.9), ('sd', 0.25), ('pd@1e-2', 0.398), ('pd@1e-1', 0.631), ('auc_predicted', 0.836), ('area',
     3.8)]
     """
-    return list(_rows_of_one(products, side))
-
-
-def _rows_of_one(products: Products, side: str) -> Iterator[Result]:
     for product in SPECTRA:
         unit = "uW cm-2 sr-1 nm-1" if product == "radiance" else "1"
         for subject, estimate in getattr(products, product).items():
@@ -138,11 +132,8 @@ def compare_products(
     rows: list[Result] = []
     for product in SPECTRA:
         rows += of(spectra.compare_spectra, product, product=product, axis=axis)
-    rows += named(joint.compare_jointly(predicted, observed), "radiance", joint.ALL_SUBJECTS, method)
-    if fitted_on:
-        unseen = {s: m for s, m in observed.radiance.items() if not any(fnmatchcase(s, name) for name in fitted_on)}
-        apart = joint.compare_jointly(predicted, replace(observed, radiance=unseen))
-        rows += named(apart, "radiance", joint.UNSEEN_SUBJECTS, method)
+    for subject, side in joint.groups(observed, fitted_on).items():
+        rows += named(joint.compare_jointly(predicted, side), "radiance", subject, method)
     shown = "radiance" if observed.radiance else "reflectance"
     rows += named(spectra.shifted_rows(observed), shown, joint.ALL_SUBJECTS, method)
     for quantity in SPREAD:

@@ -55,9 +55,13 @@ def median_interval(ratio: Array, covariance: Array) -> Interval:
     """
     if not np.any(covariance):
         return math.nan, math.nan
-    centre = float(np.median(ratio))
-    half = Z95 * float(np.sqrt(max(float(np.mean(covariance)), 0.0)))
+    centre, half = float(np.median(ratio)), half_of_mean(covariance)
     return centre - half, centre + half
+
+
+def half_of_mean(covariance: Array) -> float:
+    """Half of the 95 % interval of an unweighted mean over bands; NaN without any."""
+    return Z95 * math.sqrt(max(float(np.sum(covariance)), 0.0)) / (len(covariance) or math.nan)
 
 
 def size_intervals(ratio: Array, covariance: Array) -> tuple[Interval, Interval]:
@@ -567,22 +571,15 @@ def fraction_inside_stated(difference: Array, stated: Array) -> float:
     return float(np.mean(np.abs(difference) <= STATED_COVERAGE * stated))
 
 
-def leading_source(predicted: SpectralEstimate, observed: SpectralEstimate, bands: Mask) -> str:
-    """In words, the source that holds more than half of the variance of both sides in ``bands``; empty without one.
-
-    It bounds what a test can tell: a mixed pixel whose host varies more than the target shows tests the host.
-    """
-    name, share = next(iter(_shares(predicted, observed, bands)), ("", 0.0))
-    return f"{100.0 * share:.0f} % of the variance: {name}" if share > 0.5 else ""
-
-
-def _shares(left: SpectralEstimate, right: SpectralEstimate, bands: Mask) -> list[tuple[str, float]]:
+def shares(left: SpectralEstimate, right: SpectralEstimate, bands: Mask) -> list[tuple[str, float]]:
     """Sources of both sides with their parts of the variance of the mean difference ratio, the largest first."""
     p, o = left.mean[bands], right.mean[bands]
     found: dict[str, float] = {}
     for side, slope in ((left, 1.0 / o), (right, p / o**2)):
         whole = float(slope @ side.error_covariance[np.ix_(bands, bands)] @ slope)
         by_source = {name: float(np.nansum((slope * u[bands]) ** 2)) for name, u in side.budget.items()}
+        for name, errors in side.errors.items():
+            by_source[name] = float(np.sum((np.nan_to_num(errors.rows[:, bands]) @ slope) ** 2))
         for name, part in by_source.items():
             found[name] = found.get(name, 0.0) + whole * part / max(sum(by_source.values()), 1e-300)
     total = sum(found.values())
@@ -625,16 +622,21 @@ def _consistency(
     else:
         tested = whitening(cov, [part.bands(window) for part in (*predicted.estimated, *observed.estimated)])
         tilts, full = detectable_tilts(o, centre_nm[window], tested), chi_square_full(r, tested)
+        parts = shares(predicted, observed, window)
         known = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"
         why = "; ".join((
             *([f"{full.dof} of {count} directions kept"] if full.dof < count else []),
             *([known] if math.isfinite(full.covariance_dof) else []),
-            *filter(None, [leading_source(predicted, observed, window)]),
+            # A mixed pixel whose host varies more than the target shows tests the host.
+            *(f"{100.0 * share:.0f} % of the variance: {k}" for k, share in parts if share > 0.5),
         ))  # fmt: skip
         yield from _test_rows("diagonal", chi_square_diagonal(r, cov))
         yield from _test_rows("full", full, tilts[0], why)
-        bias, sd = _mean_ratio(difference_ratio(p, o), difference_ratio_covariance(predicted, observed)[here])
-        yield row("bias_ratio", bias, half=Z95 * sd, n=full.dof)
+        # A mean by the inverse covariance lies outside of all its data where shapes differ (Chiba & Smith 1991).
+        ratio, errors = difference_ratio(p, o), difference_ratio_covariance(predicted, observed)[here]
+        use = np.isfinite(ratio)
+        bias = float(ratio[use].sum()) / (np.count_nonzero(use) or math.nan)
+        yield row("bias_ratio", bias, half=half_of_mean(errors[np.ix_(use, use)]), n=full.dof)
         yield from _test_rows("shape", chi_square_shape(r, o, tested), tilts[1])
         inside, limits = share_inside(r, cov)
         yield row("fraction_inside_95", inside, limits, n=count)
@@ -644,15 +646,3 @@ def _consistency(
 def _test_rows(name: str, test: ChiSquare, tilt: float = math.nan, why: str = "") -> Iterator[Result]:
     yield row(f"chi2_reduced_{name}", test.reduced, n=test.dof, reason=why)
     yield row(f"p_value_{name}", test.p_value, n=test.dof, detectable=tilt, reason=why, about=test.effect)
-
-
-def _mean_ratio(ratio: Array, covariance: Array) -> tuple[float, float]:
-    """Unweighted mean of the difference ratio over bands and its standard uncertainty.
-
-    The weighted mean by the inverse covariance is left to the test of shape: where errors are strongly correlated
-    and the shapes differ it lies outside of all its data (Peelle's puzzle; Chiba & Smith 1991, ANL/NDM-121).
-    """
-    use = np.isfinite(ratio)
-    if not use.any():
-        return math.nan, math.nan
-    return float(ratio[use].mean()), float(np.sqrt(max(covariance[np.ix_(use, use)].sum(), 0.0))) / int(use.sum())

@@ -402,10 +402,10 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
     return np.asarray(np.where(inside, pd, np.nan))
 
 
-def log10_false_alarm_at(curve: RocCurve, pd: float) -> float:
-    """log10 P_FA at which a curve reaches the detection probability ``pd``, by the same reading; NaN outside it."""
-    known = np.clip(curve.pd, 1e-300, 1.0 - 1e-16)
-    return float(np.log10(ndtr(np.interp(ndtri(pd), ndtri(known), ndtri(curve.pfa), np.nan, np.nan))))
+def log10_false_alarm_at(curve: RocCurve, pd: float, values: Array) -> float:
+    """log10 P_FA at which ``values`` (K,), P_D or a limit of it, reach ``pd``, by the same reading; NaN outside."""
+    x, y = ndtri(np.clip([curve.pfa, np.maximum.accumulate(np.nan_to_num(values))], 1e-300, 1.0 - 1e-16))
+    return float(np.log10(ndtr(np.interp(ndtri(pd), y, x, np.nan, np.nan))))
 
 
 def detection_probability(

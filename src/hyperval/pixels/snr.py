@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -54,20 +52,16 @@ def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
     has none (NaN).
     """
     average = np.asarray(mean, dtype=float)
-    variance = _noise(np.asarray(covariance, dtype=float), average, np.inf).variance
+    variance = _noise(np.asarray(covariance, dtype=float), average, np.inf)[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(variance > 0, average / np.sqrt(variance), np.nan)
 
 
-@dataclass(frozen=True)
-class _Noise:
-    variance: Array  # (B,)
-    relative_variance: Array  # (B,) of that variance, its error
-    correlation: Array  # (B, B) of those errors
+def _noise(covariance: Array, mean: Array, dof: float) -> tuple[Array, Array, Array]:
+    """(B,) variance of the noise of each band and its relative variance, and the (B, B) correlation of their errors.
 
-
-def _noise(covariance: Array, mean: Array, dof: float) -> _Noise:
-    """Variance of the noise of each band and its error; see :func:`snr_decorrelated`."""
+    As in :func:`snr_decorrelated`.
+    """
     bands = len(covariance)
     noise, error, residuals, unexplained = np.zeros(bands), np.zeros(bands), np.eye(bands), np.zeros(bands)
     neighbours = np.array([[1, 2], *((b - 1, b + 1) for b in range(1, bands - 1)), [bands - 3, bands - 2]])
@@ -106,7 +100,7 @@ def _noise(covariance: Array, mean: Array, dof: float) -> _Noise:
     size = np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
     correlation = (shared / np.outer(size, size)) ** 2
     np.fill_diagonal(correlation, 1.0)
-    return _Noise(noise, error, correlation)
+    return noise, error, correlation
 
 
 def _texture(covariance: Array, brightness: Array, b: int, dof: float) -> tuple[float, float]:
@@ -121,16 +115,16 @@ def _texture(covariance: Array, brightness: Array, b: int, dof: float) -> tuple[
     return float(relative[i, j].mean()), float(pairs.mean() / dof)
 
 
-def _estimate(mean: Array, noise: _Noise, n: int) -> SpectralEstimate:
-    dof = n - 3
-    sd = np.sqrt(noise.variance) / (1.0 - 2.0 / (9.0 * dof)) ** 1.5
+def _estimate(mean: Array, noise: tuple[Array, Array, Array], n: int) -> SpectralEstimate:
+    (variance, relative_variance, correlation), dof = noise, n - 3
+    sd = np.sqrt(variance) / (1.0 - 2.0 / (9.0 * dof)) ** 1.5
     with np.errstate(divide="ignore", invalid="ignore"):
         snr = np.where(sd > 0, mean / sd, np.nan)
     # First order: var(mean/s) = 1/n + snr^2 times a quarter of the relative variance of s^2; the two parts are
     # independent for normal noise.
-    of_noise = np.abs(snr) * np.sqrt(noise.relative_variance) / 2.0
+    of_noise = np.abs(snr) * np.sqrt(relative_variance) / 2.0
     budget = {"mean": np.full(snr.shape, n**-0.5), "noise estimate": of_noise}
-    covariance = np.outer(np.nan_to_num(of_noise), np.nan_to_num(of_noise)) * noise.correlation
+    covariance = np.outer(np.nan_to_num(of_noise), np.nan_to_num(of_noise)) * correlation
     return SpectralEstimate(snr, covariance + np.diag(budget["mean"] ** 2), None, n, budget)
 
 

@@ -134,7 +134,7 @@ def _of_curves(e: Evaluation, detector: str, output: Output, pfa: Array | None) 
             assert at is not None  # noqa: S101 - the schema asks for it
             values[i] = detection_at(curve, at)
         elif output.kind == "log10-pfa":
-            values[i] = log10_false_alarm_at(curve, output.pd)
+            values[i] = log10_false_alarm_at(curve, output.pd, curve.pd)
         else:
             area = WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True)
             values[i] = curve_area(curve, area)
