@@ -23,7 +23,7 @@ from pathlib import Path
 from PIL import Image
 
 from hyperval import cli
-from hyperval.campaign import spread_curves
+from hyperval.campaign import eigenvalues_of
 from hyperval.figures.print import Print
 from hyperval.report.html import run_drawings
 
@@ -46,7 +46,7 @@ def smaller(content: bytes) -> str:
 def with_pictures(run: Path) -> str:
     """The page of a run with each of its figures as a picture, without what would draw them and without diagnostics."""
     pictures = {}
-    for drawing in run_drawings(run, Print("png", False), spread_curves):
+    for drawing in run_drawings(run, Print("png", False), eigenvalues_of):
         picture = f'<div class="card"><img src="{smaller(drawing.content)}" alt="{html.escape(drawing.alt)}"></div>'
         pictures.setdefault(drawing.name.removesuffix("-1"), picture)
 

@@ -134,7 +134,7 @@ def test_validate_says_the_verdict_of_each_campaign_and_errors_even_when_quiet(c
     assert out == ""
     assert "one: Met. 1 acceptance criterion is met (" in err
     assert "two: Not met. 1 acceptance criterion ended in an error" in err
-    assert err.endswith("acceptance criteria: 1 met, 1 error, 2 not run\n")
+    assert err.endswith("acceptance criteria: 1 error, 2 not run, 1 met\n")
     assert "two: error: turf.txt: no such file\n" in err
     assert "\nthree, four: skipped: hyperval data fetch x\n" in err
     cli.run(["-q", "validate", "a.yaml", "-o", str(tmp_path)])

@@ -136,11 +136,6 @@ class TaskPool:
         self._queue.put_nowait(task)
         return task
 
-    @property
-    def waiting(self) -> int:
-        """Tasks that wait."""
-        return self._queue.qsize()
-
     def close(self) -> None:
         """End every worker; tasks on their way are called off."""
         self._is_closed = True

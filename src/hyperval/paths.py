@@ -47,12 +47,12 @@ def matching(path: Path) -> list[Path]:
     return sorted(matches)[: MAX_MATCHES + 1]
 
 
-def nearest(name: str, known: Iterable[str], count: int = 3) -> list[str]:
+def nearest(name: str, known: Iterable[str]) -> list[str]:
     """The known names most like ``name``, case left aside; the best first."""
     by_lower: dict[str, str] = {}
     for one in known:
         by_lower.setdefault(one.lower(), one)
-    return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, count, 0.6)]
+    return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, 3, 0.6)]
 
 
 def checked_file(path: Path | str, *, root: Path | None = None, what: str = "file", most: int | None = None) -> Path:
@@ -75,9 +75,9 @@ def checked_file(path: Path | str, *, root: Path | None = None, what: str = "fil
     return out
 
 
-def checked_folder(path: Path | str, *, root: Path | None = None, what: str = "folder") -> Path:
-    """The path of a folder under ``root`` that holds all of its files, by the rules of :func:`checked_file`."""
-    given = _checked(Path(path), root, what, folder=True)
+def checked_folder(path: Path | str, *, what: str = "folder") -> Path:
+    """The path of a folder that holds all of its files, by the rules of :func:`checked_file`."""
+    given = _checked(Path(path), None, what, folder=True)
     real = given.resolve()
     if any(not p.resolve().is_relative_to(real) for p in given.rglob("*")):
         raise UsageError(f"the {what} leads to files outside it", where=str(path), mend="copy the files into it")

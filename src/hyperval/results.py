@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,12 +26,26 @@ class Outcome(StrEnum):
     NONE = "none"
 
 
-# The outcome that counts where several rows or criteria are one entry: the first of these that one of them has.
-WORST_FIRST = (
-    Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.AGREES, Outcome.NONE,
-)  # fmt: skip
+class Said(NamedTuple):
+    """How an outcome is said: in a word, by a letter, of one criterion, of several, and as an element of JUnit."""
+
+    word: str
+    letter: str
+    of_one: str
+    of_several: str
+    element: str
 
 
+# The one order: where several rows or criteria are one entry, the first of these counts that one of them has.
+OUTCOMES = {
+    Outcome.ERROR: Said("error", "E", "ended in an error", "ended in an error", "error"),
+    Outcome.DISAGREES: Said("not met", "N", "is not met", "are not met", "failure"),
+    Outcome.UNDECIDED: Said("inconclusive", "I", "is inconclusive", "are inconclusive", "skipped"),
+    Outcome.SKIPPED: Said("not run", "S", "was not run", "were not run", "skipped"),
+    Outcome.AGREES: Said("met", "M", "is met", "are met", ""),
+    Outcome.NONE: Said("without a range", "", "", "", ""),
+}
+WORST_FIRST = tuple(OUTCOMES)
 EVERY = ("*", "all subjects", "all objects")  # subjects of rows about all of them
 
 
@@ -234,10 +248,6 @@ class ResultTable:
     def where(self, **equal: Any) -> ResultTable:
         """The rows whose named fields equal the given values."""
         return ResultTable(r for r in self._rows if all(getattr(r, k) == v for k, v in equal.items()))
-
-    def gates(self) -> ResultTable:
-        """The rows that decide."""
-        return ResultTable(r for r in self._rows if r.gates)
 
     def frame(self) -> pd.DataFrame:
         """The table in the column order of the output contract."""

@@ -62,7 +62,7 @@ from hyperval.products import (
     RocCurve,
     SpectralEstimate,
 )
-from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role, row_name
+from hyperval.results import COLUMNS, OUTCOMES, Cause, Outcome, Result, ResultTable, Role, row_name
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import write_text
 
@@ -255,9 +255,6 @@ def _write_score_map(path: Path, name: str, score_map: Any) -> None:
 _values = attrgetter(*COLUMNS)
 # What XML 1.0 cannot hold at all, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-_ELEMENTS = {
-    Outcome.DISAGREES: "failure", Outcome.ERROR: "error", Outcome.SKIPPED: "skipped", Outcome.UNDECIDED: "skipped",
-}  # fmt: skip
 _READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
 _NUMBERS = tuple(f.name for f in fields(Result) if f.type == "float")
@@ -374,7 +371,7 @@ def junit_xml(rows: Iterable[Result]) -> str:
         for row in own:
             names = {"classname": _in_xml(f"{row.campaign}.{row.product}"), "name": _in_xml(row_name(row))}
             case = ElementTree.SubElement(suite, "testcase", names)
-            if element := _ELEMENTS.get(row.outcome):
+            if element := OUTCOMES[row.outcome].element:
                 undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
                 ElementTree.SubElement(case, element, message=_in_xml(undecided + _why(row)))
     ElementTree.indent(root, " ")
@@ -382,7 +379,7 @@ def junit_xml(rows: Iterable[Result]) -> str:
 
 
 def _tally(rows: Iterable[Result]) -> dict[str, str]:
-    count = Counter(_ELEMENTS.get(row.outcome, "") for row in rows)
+    count = Counter(OUTCOMES[row.outcome].element for row in rows)
     parts = {"tests": count.total(), **{f"{name}s": count[name] for name in ("failure", "error")}}
     return {name: str(number) for name, number in {**parts, "skipped": count["skipped"]}.items()}
 
@@ -501,7 +498,8 @@ def _json(path: Path) -> dict[str, Any]:
 
 Entry = tuple[tuple[str, ...], Any, Mapping[str, Any]]  # axes, values, attributes
 Arrays = dict[str, Entry]
-_SCALES = ("wavelength", "wavelength_2", "object_score_probability")
+_PROBABILITY = "object_score_probability"
+_SCALES = ("wavelength", "wavelength_2", _PROBABILITY)
 
 
 class Column(NamedTuple):
@@ -557,7 +555,6 @@ def _layout(name: str, about: Mapping[str, Any]) -> Layout:
 OBJECT_QUANTILES = (0.001, 0.005, 0.01, 0.025, 0.05, *np.round(np.arange(0.1, 0.95, 0.1), 1).tolist(),
                     0.95, 0.975, 0.99, 0.995, 0.999)  # fmt: skip
 _LAW_VALUES = 1000
-_TARGET = ("subject", "detector")
 _PARTS = {
     "subject": "target or background",
     "detector": "detector",
@@ -593,9 +590,18 @@ def to_arrays(products: Products) -> Arrays:
     flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "not_used used"}
     good = {"units": "1", "long_name": "whether the band is used", **flags}
     data["good_band"] = (("band",), axis.good.astype(np.int8), good)
+    held = {name: [(_key(key), item) for key, item in getattr(products, name, {}).items()] for name in _layouts()}
+    for key, own in products.object_scores.items():
+        if np.ndim(own.values) == 2:  # a law
+            held["object_score_law"].append((key, np.quantile(own.values, OBJECT_QUANTILES)))
+        else:
+            names = own.names or [""] * len(own.values)
+            held["object_score"] += [((*key, name), value) for name, value in zip(names, own.values, strict=True)]
     for name, layout in _layouts().items():
-        _add(data, layout, [(_key(key), item) for key, item in getattr(products, name, {}).items()])
-    _add_object_scores(data, products.object_scores)
+        _add(data, layout, held[name])
+    if held["object_score_law"]:
+        words = {"units": "1", "long_name": "probability of a lower score"}
+        data[_PROBABILITY] = ((_PROBABILITY,), np.array(OBJECT_QUANTILES), words)
     return data
 
 
@@ -653,23 +659,6 @@ def _add_column(
             if value is not None:
                 row[tuple(slice(n) for n in np.shape(value))] = np.asarray(value)[..., None]
         data[name] = (axes, out, {"units": column.unit, **words})
-
-
-def _add_object_scores(data: Arrays, scores: Mapping[tuple[str, str], ObjectScores]) -> None:
-    """Measured: one score for each object; predicted: quantiles of the law of an object's score."""
-    text = "greatest score over the pixels of an object"
-    each = [((*key, name), value) for key, own in scores.items() if np.ndim(own.values) == 1
-            for name, value in zip(own.names or [""] * len(own.values), own.values, strict=True)]  # fmt: skip
-    column = Column("self", "object_score", text, "1")
-    _add(data, Layout("object_score", None, "object_score_entry", (*_TARGET, "name"), (column,)), each)
-    laws = [(key, np.quantile(own.values, OBJECT_QUANTILES)) for key, own in scores.items() if np.ndim(own.values) == 2]
-    if laws:
-        _add(data, Layout("object_score_law", None, "object_score_law_entry", _TARGET), laws)
-        lower = "object_score_probability"
-        words = {"units": "1", "long_name": "probability of a lower score"}
-        data[lower] = ((lower,), np.array(OBJECT_QUANTILES), words)
-        axes, values = ("object_score_law_entry", lower), np.stack([values for _, values in laws])
-        data["object_score_quantile"] = (axes, values, {"units": "1", "long_name": f"quantile of the {text}"})
 
 
 def write_products(folder: Path, sides: Mapping[str, Products | None], *, title: str, simulated: bool) -> None:
@@ -783,11 +772,19 @@ def is_simulated(folder: Path) -> bool:
 def _products(group: Any, kind: type[Products]) -> Products:
     centre, fwhm, good = (group[name][...] for name in ("wavelength", "fwhm", "good_band"))
     axis = SpectralAxis(centre, fwhm, good.astype(bool))
-    content: dict[str, Any] = {}
-    for name, layout in _layouts().items():
-        if entries := _entries(group, layout):
-            content[name] = {key[0] if len(layout.key) == 1 else key: item for key, item in entries}
-    return kind(axis=axis, **content, object_scores=_object_scores(group))
+    held = {name: entries for name, layout in _layouts().items() if (entries := _entries(group, layout))}
+    scores, each = dict[Any, ObjectScores](), dict[Any, list[tuple[str, float]]]()
+    for key, quantiles in held.pop("object_score_law", []):
+        at = (np.arange(_LAW_VALUES) + 0.5) / _LAW_VALUES
+        scores[key] = ObjectScores(np.interp(at, group[_PROBABILITY][...], quantiles)[None])
+    for (subject, detector, name), value in held.pop("object_score", []):
+        each.setdefault((subject, detector), []).append((name, float(value)))
+    for key, own in each.items():
+        scores[key] = ObjectScores(np.array([value for _, value in own]), tuple(name for name, _ in own))
+    content: dict[str, Any] = {
+        name: {key[0] if len(key) == 1 else key: item for key, item in entries} for name, entries in held.items()
+    }
+    return kind(axis=axis, **content, object_scores=scores)
 
 
 def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
@@ -863,21 +860,3 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
 @cache
 def _hints(kind: type) -> dict[str, str]:
     return {f.name: str(f.type) for f in fields(kind)}
-
-
-def _object_scores(group: Any) -> dict[tuple[str, str], ObjectScores]:
-    """Scores of the measured objects, or the law of those of a predicted one."""
-    out: dict[tuple[str, str], ObjectScores] = {}
-    if "object_score_quantile" in group:
-        at, known = (np.arange(_LAW_VALUES) + 0.5) / _LAW_VALUES, group["object_score_probability"][...]
-        keys = zip(*(_texts(group[f"object_score_law_{part}"]) for part in _TARGET), strict=True)
-        for (subject, detector), quantiles in zip(keys, group["object_score_quantile"][...], strict=True):
-            out[subject, detector] = ObjectScores(np.interp(at, known, quantiles)[None])
-    if "object_score" in group:
-        each: dict[tuple[str, str], list[tuple[str, float]]] = {}
-        names = (_texts(group[f"object_score_{part}"]) for part in (*_TARGET, "name"))
-        for subject, detector, name, value in zip(*names, group["object_score"][...], strict=True):
-            each.setdefault((subject, detector), []).append((name, float(value)))
-        for key, own in each.items():
-            out[key] = ObjectScores(np.array([value for _, value in own]), tuple(name for name, _ in own))
-    return out

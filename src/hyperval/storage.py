@@ -120,17 +120,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
-def scratch_folder(purpose: str, beside: Path | None = None) -> Iterator[Path]:
+def scratch_folder(purpose: str) -> Iterator[Path]:
     """Give a folder for temporary files, removed at the end; those that killed processes left are removed first.
 
-    Parameters
-    ----------
-    purpose : one word that stands in its name
-    beside : the folder in which it is made, made where it is not there; default: that of temporary files
+    ``purpose`` : one word that stands in its name
     """
-    place = Path(tempfile.gettempdir()) if beside is None else beside
-    place.mkdir(parents=True, exist_ok=True)
-    start = f".hyperval-{purpose}-" if beside is not None else f"hyperval-{purpose}-"
+    place, start = Path(tempfile.gettempdir()), f"hyperval-{purpose}-"
     remove_left(place, start)
     with tempfile.TemporaryDirectory(prefix=f"{start}{os.getpid()}-", dir=place, ignore_cleanup_errors=True) as folder:
         yield Path(folder)

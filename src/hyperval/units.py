@@ -7,7 +7,6 @@ reflectance as a fraction 0-1, angles in degrees at the interfaces.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -22,50 +21,39 @@ IRRADIANCE_UNIT = "uW cm-2 nm-1"
 # A wavelength outside this range is a sign of the wrong unit [nm].
 PLAUSIBLE_NM = (100.0, 100_000.0)
 
-_WAVELENGTH_TO_NM = {
-    "nm": 1.0, "nanometer": 1.0, "nanometers": 1.0, "nanometre": 1.0, "nanometres": 1.0,
-    "um": 1e3, "µm": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3,
-    "micrometer": 1e3, "micrometers": 1e3, "micrometre": 1e3, "micrometres": 1e3,
-    "angstrom": 0.1, "angstroms": 0.1,
-}  # fmt: skip
-
-# What one of the named unit is in uW cm-2 sr-1 nm-1.
-_RADIANCE_TO_INTERNAL = {
-    "uW cm-2 sr-1 nm-1": 1.0,
-    "mW cm-2 sr-1 um-1": 1.0,
-    "W m-2 sr-1 um-1": 0.1,
-    "W m-2 sr-1 nm-1": 100.0,
-    "mW m-2 sr-1 nm-1": 0.1,
-    "W cm-2 sr-1 nm-1": 1e6,
-    "W cm-2 sr-1 um-1": 1e3,
-    "mW cm-2 sr-1 nm-1": 1e3,
-    "uW cm-2 sr-1 um-1": 1e-3,
-    "nW cm-2 sr-1 nm-1": 1e-3,
+# Symbol -> the kind of unit that it is, its power of ten in W, m or sr, and how it is spelled.
+_SYMBOLS = {
+    "W": ("power", 0, "w watt watts"),
+    "mW": ("power", -3, "mW milliw milliwatt milliwatts"),
+    "uW": ("power", -6, "uw microw microwatt microwatts"),
+    "nW": ("power", -9, "nanowatt nanowatts"),
+    "m": ("area", 0, "meter meters metre metres"),
+    "cm": ("area", -2, "centimeter centimeters centimetre centimetres"),
+    "um": ("wavelength", -6, "micron microns micrometer micrometers micrometre micrometres"),
+    "nm": ("wavelength", -9, "nanometer nanometers nanometre nanometres"),
+    "angstrom": ("wavelength", -10, "angstroms"),
+    "sr": ("angle", 0, "steradian steradians ster str"),
 }
-
-# What one of the named unit is in uW cm-2 nm-1.
-_IRRADIANCE_TO_INTERNAL = {
-    "uW cm-2 nm-1": 1.0,
-    "W m-2 um-1": 0.1,
-    "W m-2 nm-1": 100.0,
-    "mW m-2 nm-1": 0.1,
-    "mW m-2 um-1": 1e-4,
-    "uW cm-2 um-1": 1e-3,
-    "mW cm-2 nm-1": 1e3,
-    "W cm-2 nm-1": 1e6,
+_SPELLED = {word: symbol for symbol, (*_, words) in _SYMBOLS.items() for word in (symbol, *words.split())}
+_WATTS = {"power": 1, "area": -2, "wavelength": -1}
+# Quantity -> powers of the kinds of its unit, the power of ten of the internal unit, and what is expected.
+_QUANTITIES = {
+    "wavelength": ({"wavelength": 1}, -9, "nm, um, angstrom"),
+    "radiance": (_WATTS | {"angle": -1}, 7, f"{RADIANCE_UNIT}, W m-2 sr-1 um-1 and others of W, mW, uW or nW"),
+    "irradiance": (_WATTS, 7, f"{IRRADIANCE_UNIT}, W m-2 um-1 and others of W, mW, uW or nW"),
 }
 
 
 def wavelength_to_nm(unit: str) -> float:
     """Factor that turns a wavelength in ``unit`` into nm; raises UsageError for an unknown unit."""
-    return _factor(_WAVELENGTH_TO_NM, unit.strip().lower(), "wavelength")
+    return _factor(unit, "wavelength")
 
 
 def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
     """The unit, nm or um, in which all of the wavelengths are plausible; None where both are, or neither is."""
     numbers = np.asarray(values, dtype=float)
     low, high = PLAUSIBLE_NM
-    each = {unit: numbers * _WAVELENGTH_TO_NM[unit] for unit in ("nm", "um") if numbers.size}
+    each = {unit: numbers * wavelength_to_nm(unit) for unit in ("nm", "um") if numbers.size}
     fits = [unit for unit, nm in each.items() if nm.min() >= low and nm.max() <= high]
     return fits[0] if len(fits) == 1 else None
 
@@ -78,12 +66,12 @@ def wavelength_unit_note(values: npt.ArrayLike, unit: str) -> str:
 
 def radiance_to_internal(unit: str) -> float:
     """Factor that turns a spectral radiance in ``unit`` into uW cm-2 sr-1 nm-1."""
-    return _factor(_RADIANCE_TO_INTERNAL, unit, "radiance")
+    return _factor(unit, "radiance")
 
 
 def irradiance_to_internal(unit: str) -> float:
     """Factor that turns a spectral irradiance in ``unit`` into uW cm-2 nm-1."""
-    return _factor(_IRRADIANCE_TO_INTERNAL, unit, "irradiance")
+    return _factor(unit, "irradiance")
 
 
 def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_cm: npt.ArrayLike) -> Array:
@@ -94,74 +82,54 @@ def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_c
     """
     nu = np.asarray(wavenumber_cm, dtype=float)
     per_wavelength = np.asarray(radiance_per_wavenumber, dtype=float) * nu**2
-    return np.asarray(per_wavelength * _RADIANCE_TO_INTERNAL["W m-2 sr-1 um-1"])
+    return np.asarray(per_wavelength * radiance_to_internal("W m-2 sr-1 um-1"))
 
 
 def in_nm(unit: str | None) -> float | None:
     """Nanometres of one of a unit; None where it is none of wavelengths."""
-    return _known(_WAVELENGTH_TO_NM, (unit or "").strip().lower())
+    return _known(unit or "", "wavelength")
 
 
 def is_radiance(unit: str | None) -> bool:
     """Whether a unit is one of spectral radiance."""
-    return _known(_RADIANCE_TO_INTERNAL, unit or "") is not None
+    return _known(unit or "", "radiance") is not None
 
 
-def _known(table: dict[str, float], unit: str) -> float | None:
-    wanted = _parts(unit)
-    return table.get(unit) or next((factor for name, factor in table.items() if wanted == _parts(name)), None)
+def _known(unit: str, quantity: str) -> float | None:
+    powers, own, _ = _QUANTITIES[quantity]
+    parts = _parts(unit)
+    if {_SYMBOLS[symbol][0]: power for symbol, power in parts} != powers or len(parts) != len(powers):
+        return None
+    return float(f"1e{sum(_SYMBOLS[symbol][1] * power for symbol, power in parts) - own}")
 
 
-def _factor(table: dict[str, float], unit: str, quantity: str) -> float:
-    factor = _known(table, unit)
+def _factor(unit: str, quantity: str) -> float:
+    factor = _known(unit, quantity)
     if factor is None:
-        raise UsageError(f"unknown {quantity} unit {unit!r}", expected="one of " + ", ".join(table))
+        raise UsageError(f"unknown {quantity} unit {unit!r}", expected=f"one of {_QUANTITIES[quantity][2]}")
     return factor
 
 
-def _parts(unit: str) -> frozenset[tuple[str, int]] | None:
-    """Names and powers of a unit: W/m^2/sr/um, W/(m2 sr um) and W m-2 sr-1 um-1 are one; None: not readable."""
+def _parts(unit: str) -> list[tuple[str, int]]:
+    """Symbols and powers of a unit: W/m^2/sr/um, W/(m2 sr um) and W m-2 sr-1 um-1 are one; none where not readable."""
     text = re.sub(r"\b(?:square|sq\.?)\s*([a-z]+)", r"\g<1>2", unit.strip(), flags=re.IGNORECASE)
     text = re.sub(r"\sper\s", "/", text, flags=re.IGNORECASE)
     text = text.replace("**", "^").translate(_SIGNS).replace("^", "")
     grouped = re.fullmatch(r"[^()/]+/\s*\([^()/]*\)", text) is not None  # W/(m2 sr um): all are divided by
     if not grouped and re.search(r"[()]", text):
-        return None
+        return []
     numerator, *divisors = re.sub(r"[()]", " ", text).split("/")
-    products: list[tuple[str, int]] = [(word, 1) for word in numerator.split()]
+    words = [(word, 1) for word in numerator.split()]
     for divisor in divisors:
         first, *rest = divisor.split() or [""]
-        products += [(first, -1), *((word, -1 if grouped else 1) for word in rest)]
-    read = [_named_power(word, sign) for word, sign in products]
-    parts = [item for item in read if item is not None]
-    return frozenset(parts) if len(parts) == len(read) == len({name for name, _ in parts}) else None
-
-
-def _named_power(word: str, sign: int) -> tuple[str, int] | None:
-    match = re.fullmatch(r"([A-Za-z]+)([+-]?\d)?", word)
-    if match is None:
-        return None
-    name = next((short for short, names in _SPELLINGS if match[1] in names or match[1].lower() in names), match[1])
-    return name, sign * int(match[2] or 1)
-
-
-def _spelled(*pairs: tuple[str, str]) -> Iterable[tuple[str, frozenset[str]]]:
-    return tuple((short, frozenset(names.split())) for short, names in pairs)
+        words += [(first, -1), *((word, -1 if grouped else 1) for word in rest)]
+    found = [(re.fullmatch(r"([A-Za-z]+)([+-]?\d)?", word), sign) for word, sign in words]
+    parts = [(_SPELLED.get(m[1]) or _SPELLED.get(m[1].lower()), sign * int(m[2] or 1)) for m, sign in found if m]
+    known = [(symbol, power) for symbol, power in parts if symbol is not None]
+    return known if len(known) == len(words) else []
 
 
 # Micro, minus and dot have several characters; raised digits are digits.
 _SIGNS = str.maketrans({
     "µ": "u", "μ": "u", "−": "-", "–": "-", "⁻": "-", "·": " ", "*": " ", "²": "2", "¹": "1",
 })  # fmt: skip
-
-_SPELLINGS = _spelled(
-    ("sr", "sr steradian steradians ster str"),
-    ("W", "w watt watts"),
-    ("mW", "mW milliw milliwatt milliwatts"),
-    ("nW", "nW nanowatt nanowatts"),
-    ("uW", "uW uw microw microwatt microwatts"),
-    ("nm", "nm nanometer nanometers nanometre nanometres"),
-    ("um", "um micron microns micrometer micrometers micrometre micrometres"),
-    ("cm", "cm centimeter centimeters centimetre centimetres"),
-    ("m", "m meter meters metre metres"),
-)

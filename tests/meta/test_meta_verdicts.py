@@ -25,7 +25,7 @@ def table_of(small: SmallCampaign) -> ResultTable:
 
 def failing(table: ResultTable) -> set[tuple[str, str]]:
     """Product and subject of every gate that disagrees."""
-    return {(row.product, row.subject) for row in table.gates().where(outcome=Outcome.DISAGREES)}
+    return {(row.product, row.subject) for row in table.where(role="gate").where(outcome=Outcome.DISAGREES)}
 
 
 def with_spread(small: SmallCampaign) -> None:
@@ -47,9 +47,9 @@ def test_the_campaign_passes_as_it_stands(small):
     with_spread(small)
     table = table_of(small)
     assert failing(table) == set()
-    met = {row.product for row in table.gates().where(outcome=Outcome.AGREES)}
+    met = {row.product for row in table.where(role="gate").where(outcome=Outcome.AGREES)}
     assert met == {"radiance", "reflectance", "abundance", "covariance", "classification"}
-    curves = [row for row in table.gates() if row.product == "roc"]
+    curves = [row for row in table.where(role="gate") if row.product == "roc"]
     assert {(row.outcome, row.value) for row in curves} == {(Outcome.UNDECIDED, 1.0)}  # coverage
     assert len(table.where(outcome=Outcome.ERROR)) == 0
     assert table.exit_code() == 0
@@ -128,7 +128,7 @@ def test_each_falsified_input_turns_the_verdict(name, small):
     assert table.exit_code() == 1
     if name == "fill of the small planks":  # a harness that fails everything would satisfy the lines above
         assert failing(table) == expected
-        assert len(table.gates().where(outcome=Outcome.AGREES)) == 8
+        assert len(table.where(role="gate").where(outcome=Outcome.AGREES)) == 8
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_statistics_of_the_collection_itself_are_not_compared_with_themselves(sm
 def test_a_line_whose_panels_contradict_each_other_decides_no_reflectance(small):
     swapped_panels(small)
     table = table_of(small)
-    gates = [row for row in table.gates() if row.product == "reflectance"]
+    gates = [row for row in table.where(role="gate") if row.product == "reflectance"]
     assert {row.subject for row in gates} == {"field", "court"}
     assert all(row.outcome is Outcome.UNDECIDED and row.value > row.limit_high for row in gates)
     panels = [r for r in table.where(product="reflectance", metric="p_value_full") if "panel" in r.subject]
@@ -212,7 +212,7 @@ def test_an_uncertainty_does_not_excuse_a_wrong_mean(small):
     brighter_class(small)
     small.data["collection"]["calibration"] = {"relative": 0.5}
     table = table_of(small)
-    (row,) = table.gates().where(product="radiance", subject="field", metric=MEDIAN)
+    (row,) = table.where(role="gate").where(product="radiance", subject="field", metric=MEDIAN)
     assert row.lower < row.limit_high < row.value < row.upper
     assert (row.outcome, row.cause) == (Outcome.UNDECIDED, Cause.NEVER)
     assert row.upper - row.value > max(1.96 * 0.5 * 0.9, row.limit_high)

@@ -15,7 +15,7 @@ from scipy.stats import norm
 from synthetic_run import axis, make_run
 
 from hyperval import figures
-from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve
+from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, PixelDistribution, RocCurve
 from hyperval.results import Outcome, Result, ResultTable, Role
 
 LONG = "field spectrum of a target with a long name"
@@ -32,7 +32,7 @@ def stated(figure: figures.Figure) -> list[dict[str, Any]]:
 
 
 def further(*sides) -> dict[str, figures.Figure]:
-    return {figure.name: figure for figure in figures.further_figures(sides, ResultTable(), {}, {}, None)}
+    return {figure.name: figure for figure in figures.further_figures(sides, ResultTable(), {}, None)}
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +87,9 @@ def reasons() -> list[Result]:
 def every_figure(sides) -> dict[str, figures.Figure]:
     e, d = np.geomspace(10.0, 1e-4, 20), np.linspace(0.5, 9.0, 30)
     spread = {("grass $x$", "radiance"): figures.EigenvalueSpectrum(1.02 * e, e, 0.95 * e, 1.05 * e, 5000)}
-    share = np.exp(-d)
-    tails = {"grass": figures.TailCurve(d, share, 0.8 * share, 1.2 * share, None, share**2, share, None, 6.0, 4, 900)}
-    made = [*figures.first_figures(sides), *figures.further_figures(sides, ResultTable(reasons()), spread, tails, 0.1)]
+    law = PixelDistribution(leading_tail_dof=6.0, leading_dimension=4, n=900, distance=d**2, exceedance=np.exp(-d))
+    sides = sides[0], dataclasses.replace(sides[1], distribution={"grass": law})
+    made = [*figures.first_figures(sides), *figures.further_figures(sides, ResultTable(reasons()), spread, 0.1)]
     made += [
         figures.densities_figure([("one", sides[0]), ("other", sides[1])]),
         figures.criteria_figure(list(make_run().table)),
@@ -138,7 +138,7 @@ def test_the_words_of_a_figure_have_its_numbers(charts):
         "pixel-tails": ("6 degrees of freedom measured",),
         "class-error": ("a / b, 2 bands: predicted 0.1 (0.08 to 0.1)",),
         "unmixing-areas": ("predicted: 0.2 m² at 1 m², 0.2 m² at 4 m²",),
-        "object-scores": ("target 0 & $x$ cem: 0.95, predicted 0.", ", outside"),
+        "object-scores": ("target 0 & $x$, cem: predicted 0.", "measured 0.95;", "1 of 6 outside"),
         "object-transforms": ("6 objects",),
         "roc-difference": ("at P_FA",),
         "what-ifs": ("from 1.5 to 1.2",),

@@ -74,7 +74,7 @@ def test_subjects_that_nothing_was_fitted_on_stand_apart():
 
 def test_what_disagrees_fails_and_was_skipped_is_named_and_many_are_counted():
     assert words([row(D, "lawn"), row(E, "turf"), row(U, "lot"), row(A)]) == (
-        f"Not met. 1 acceptance criterion is not met ({WHAT}: lawn), 1 ended in an error ({WHAT}: turf), "
+        f"Not met. 1 acceptance criterion ended in an error ({WHAT}: turf), 1 is not met ({WHAT}: lawn), "
         f"1 is inconclusive ({WHAT}: lot), 1 is met ({WHAT}: grass)."
     )
     many = [replace(row(S), campaign=f"line-{i}") for i in range(10)]
@@ -87,7 +87,7 @@ def test_what_disagrees_fails_and_was_skipped_is_named_and_many_are_counted():
     metrics = ("p_value_full", *(f"median_difference_ratio_{part}" for part in parts))
     every = [replace(other, metric=metric) for metric in metrics for other in others]
     assert "60 informational comparisons are not met (60 of radiance)" in words([row(A), *every])
-    assert last_line([row(A), row(U), row(U), informing()]) == "acceptance criteria: 1 met, 2 inconclusive"
+    assert last_line([row(A), row(U), row(U), informing()]) == "acceptance criteria: 2 inconclusive, 1 met"
     assert last_line([informing()]) == "acceptance criteria: none"
 
 

@@ -180,24 +180,17 @@ def all_runs(
 
 def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     name = job.outline.name
-    inner = source / name
-    run = Run.open(inner if is_run(inner) else source)
+    folder = source / name if is_run(source / name) else source
+    run = Run.open(folder)
     table = run.table.where(campaign=name)
     refuse(not len(table), "baseline.absent", source, name=name)
-    folder = run.folder or source
     stale = finished and (folder / RECORD).is_file() and as_before(job, folder) is None
     refuse(stale, "baseline.stale", folder, name=name)
-    packages = run.provenance.get("packages")
+    made_with = versions(run.provenance.get("packages"), run.provenance.get("python"))
     return RunNumbers(
-        "campaign",
-        name,
-        job.outline.title,
-        campaign_metrics(table),
-        versions(packages if isinstance(packages, dict) else None, run.provenance.get("python")),
-        skipped_reason(table),
-        bool(job.outline.simulated),
-        str(job.path),
-    )
+        "campaign", name, job.outline.title, campaign_metrics(table), made_with, skipped_reason(table),
+        bool(job.outline.simulated), str(job.path),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

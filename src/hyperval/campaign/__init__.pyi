@@ -12,7 +12,7 @@ from .schema import Campaign, DayScenarios, day_scenarios
 from .sides import (
     Collected,
     collected,
-    spread_curves,
+    eigenvalues_of,
     with_fills_of_truth,
     with_measured_fractions,
     without_circles,
@@ -22,8 +22,8 @@ from .starter import StarterSources, starter_campaign
 __all__ = [
     "WRONG", "Campaign", "Collected", "DayScenarios", "Injected", "Item", "Job", "Power", "PowerTable", "Sight",
     "StarterSources", "accepted_table", "campaign_power", "collected", "command_without_output", "day_scenarios",
-    "dry_run", "expected_maps", "gate_values", "job_of", "jobs_of", "observe", "overview", "own_files",
-    "package_versions", "power_table", "predict_to_folder", "read_jobs", "record_of", "run_campaign", "scene_content",
-    "source_revision", "spread_curves", "starter_campaign", "summary", "validate", "with_fills_of_truth",
+    "dry_run", "eigenvalues_of", "expected_maps", "gate_values", "job_of", "jobs_of", "observe", "overview",
+    "own_files", "package_versions", "power_table", "predict_to_folder", "read_jobs", "record_of", "run_campaign",
+    "scene_content", "source_revision", "starter_campaign", "summary", "validate", "with_fills_of_truth",
     "with_measured_fractions", "without_circles", "write_power_table",
 ]  # fmt: skip

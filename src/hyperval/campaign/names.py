@@ -226,15 +226,16 @@ class Lookup:
             expected = f"expected: one of {', '.join(known) or 'none'}"
             self.add(location, f"{whose or 'no'} {noun}{name!r}; {expected}")
 
-    def named(self, content: Any, pattern: Sequence[str], at: Location = ()) -> Iterator[tuple[Location, str]]:
-        """Each text of a configuration at a pattern of its keys, and where it stands; * is each entry of a list."""
-        if not pattern:
-            yield at, str(content)
-        elif pattern[0] == "*":
+    def named(self, content: Any, pattern: str, at: Location = ()) -> Iterator[tuple[Location, Any]]:
+        """What a configuration holds at a pattern of its keys, and where; * is each entry of a list."""
+        part, _, rest = pattern.partition(".")
+        if not part and content is not None:
+            yield at, content
+        elif part == "*":
             for i, item in enumerate(content):
-                yield from self.named(item, pattern[1:], (*at, i))
+                yield from self.named(item, rest, (*at, i))
         elif content is not None:
-            yield from self.named(getattr(content, pattern[0]), pattern[1:], (*at, pattern[0]))
+            yield from self.named(getattr(content, part), rest, (*at, part))
 
 
 @dataclass(frozen=True)
@@ -321,17 +322,15 @@ def _offered(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
         known["detector of this campaign"] = detection.detectors
         known |= {"subject": offered.subjects} if offered.subjects else {}
     for pattern, noun in NAMES:
-        for at, name in lookup.named(campaign, pattern.split(".")) if noun in known else ():
-            lookup.one(at, name, known[noun], "region " if noun == "set of pixels" else f"{noun} ")
+        for at, name in lookup.named(campaign, pattern) if noun in known else ():
+            lookup.one(at, str(name), known[noun], "region " if noun == "set of pixels" else f"{noun} ")
     if collection.spectra:
         return offered
-    line, by_number = collection.empirical_line, collection.cube is not None and collection.cube.by_number
-    for i, panel in enumerate(line.panels if line else ()):
-        at = ("collection", "empirical_line", "panels", i, "spectrum")
-        _spectrum(lookup, at, panel.spectrum, panel.region, offered.axis, find)
-    for i, target in enumerate(detection.targets if detection and not by_number else ()):  # those are read by bands
-        at = ("detection", "targets", i, "spectrum")
-        _spectrum(lookup, at, target.spectrum, target.name, offered.axis, find)
+    for at, panel in lookup.named(collection, "empirical_line.panels.*", ("collection",)):
+        _spectrum(lookup, (*at, "spectrum"), panel.spectrum, panel.region, offered.axis, find)
+    by_number = collection.cube is not None and collection.cube.by_number
+    for at, target in lookup.named(campaign, "detection.targets.*") if not by_number else ():  # those are read by bands
+        _spectrum(lookup, (*at, "spectrum"), target.spectrum, target.name, offered.axis, find)
     if detection and (detection.areas or detection.unmixing) and not offered.pixel_size:
         lookup.add(
             ("detection", "areas" if detection.areas else "unmixing"),
@@ -393,13 +392,11 @@ def _simulated(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionName
         written = [p.name for p in scene.panels]
         regions = (*written, *(r.name for r in scene.regions), *(str(r.name) for r in collection.regions if not r.file))
         materials = list(dict.fromkeys(g.material for g in scene.targets))
-        for i, target in enumerate(detection.targets if detection else ()):
-            at: Location = ("detection", "targets", i, "material")
-            lookup.one(at, target.material, materials, "target of material ", "the scene has no")
-        for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
-            if panel.spectrum.file == f"{SIMULATED}panel_spectra.csv":
-                at = ("collection", "empirical_line", "panels", i, "spectrum")
-                lookup.one(at, str(panel.spectrum.record), written, "spectrum ", "the simulation writes no")
+        for at, material in lookup.named(campaign, "detection.targets.*.material"):
+            lookup.one(at, material, materials, "target of material ", "the scene has no")
+        for at, source in lookup.named(campaign, "collection.empirical_line.panels.*.spectrum"):
+            if source.file == f"{SIMULATED}panel_spectra.csv":
+                lookup.one(at, str(source.record), written, "spectrum ", "the simulation writes no")
         grouped = detection is not None and detection.group == "{group}"
         return CollectionNames(axis, regions, tuple(g.name for g in scene.targets) if grouped else ())
     return CollectionNames()
@@ -423,8 +420,7 @@ def _scenario_mistakes(
             axis = axis or sensor.axis
     regions = offered.regions if measured else None
     for kind in ("classes", "panels", "sites", "targets"):
-        for i, surface in enumerate(getattr(scene, kind)):
-            at: Location = ("scene", kind, i)
+        for at, surface in lookup.named(scenario, f"scene.{kind}.*"):
             _spectrum(lookup, (*at, "spectrum"), surface.spectrum, surface.name, axis, find, regions)
             spread = surface.covariance
             if spread is not None and spread.measured is not None:
@@ -432,9 +428,8 @@ def _scenario_mistakes(
             if spread is not None and spread.builtin is not None and axis is not None:
                 with lookup.within(*at, "covariance", "builtin"):
                     builtin_class(spread.builtin, axis)
-    if scene.adjacency.spectrum is not None:
-        at = ("scene", "adjacency", "spectrum")
-        _spectrum(lookup, at, scene.adjacency.spectrum, "surroundings", axis, find, regions)
+    for at, source in lookup.named(scenario, "scene.adjacency.spectrum"):
+        _spectrum(lookup, at, source, "surroundings", axis, find, regions)
     surfaces = (*scene.classes, *scene.panels, *scene.sites)
     return [*(s.name for s in surfaces), *(p.name for t in scene.targets for p in t.populations)]
 

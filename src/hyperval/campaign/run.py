@@ -102,7 +102,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     prediction = None
     # What compares takes 30 MB: not before the imagery is done with.
     if predicted:
-        from hyperval.campaign.sides import predicted_side, spread_curves
+        from hyperval.campaign.sides import eigenvalues_of, predicted_side
 
         prediction = predicted_side(side, predicted)
         rows = outcomes(side, prediction)
@@ -110,8 +110,8 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         rows += reasons(side, prediction, show_progress=show_progress)
-        eigenvalues, tails = spread_curves(prediction, observed.observation)
-        more = {"kind": "Campaign", "deciding": deciding, "eigenvalues": eigenvalues, "tails": tails}
+        eigenvalues = eigenvalues_of(prediction, observed.observation)
+        more = {"kind": "Campaign", "deciding": deciding, "eigenvalues": eigenvalues}
     else:
         from hyperval.compare.products import product_rows
 

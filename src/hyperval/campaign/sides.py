@@ -1,4 +1,4 @@
-"""Curves that only figures need: eigenvalue spectra with their sampling bands, and tails.
+"""Curves that only figures need: eigenvalue spectra with their sampling bands.
 
 Scenarios that leave to the collection what it tells: fractions of the classes, fills of the targets.
 
@@ -32,27 +32,26 @@ from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
 from hyperval.compare.products import SPREAD
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, one_of, refusal, refuse
-from hyperval.figures.spec import EigenvalueSpectrum, TailCurve
+from hyperval.figures.spec import EigenvalueSpectrum
 from hyperval.imagery.acquisition import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
 from hyperval.imagery.truth import TargetObject
 from hyperval.model import Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
-from hyperval.model.intervals import clopper_pearson
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_pixels, target_groups
 from hyperval.observe import observe as observe_collection
-from hyperval.pixels import average_roc, band_limits, compact_parts, exceedance_of_distance, with_shared_pixels
+from hyperval.pixels import average_roc, band_limits, compact_parts, with_shared_pixels
 from hyperval.products import (
     Abundance,
     ClassificationError,
     ExceedanceCurve,
     ObservedProducts,
-    PixelDistribution,
     PredictedProducts,
     Products,
     RocCurve,
 )
-from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario, Target
+from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario
+from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
 
 if TYPE_CHECKING:
@@ -76,10 +75,7 @@ def with_measured_fractions(scenario: Scenario, place: Place | None) -> Scenario
     counts = [int(np.count_nonzero(place.pixels_of(_region_of(c, place)))) for c in scenario.scene.classes]
     total = sum(counts)
     refuse(total == 0, "fractions.none", name=scenario.name)
-    classes = [
-        c.model_copy(update={"fraction": n / total}) for c, n in zip(scenario.scene.classes, counts, strict=True)
-    ]
-    return scenario.model_copy(update={"scene": scenario.scene.model_copy(update={"classes": classes})})
+    return with_settings(scenario, {f"scene.classes.{i}.fraction": n / total for i, n in enumerate(counts)})
 
 
 def _region_of(surface: BackgroundClass, place: Place) -> str:
@@ -99,27 +95,28 @@ def with_fills_of_truth(
     ------
     UsageError : a subject whose objects the truth does not know, or not by the fill of their pixels.
     """
-    asked = (p for s in scenarios for item in s.scene.targets for p in item.populations)
-    if all(population.fill.truth is None for population in asked):
-        return list(scenarios)
-    known = fills_of(_members(place, detection))
-
-    def fill(stated: Fill | None, subject: str) -> Fill | None:
-        if stated is None or stated.truth is None:
-            return stated
-        there = one_of(known, "targets from a finer image or from abundances")
+    asked = [
+        {path: subject for path, subject, fill in _fills(scenario) if fill is not None and fill.truth is not None}
+        for scenario in scenarios
+    ]
+    known = fills_of(_members(place, detection)) if any(asked) else {}
+    there = one_of(known, "targets from a finer image or from abundances")
+    for subject in (subject for own in asked for subject in own.values()):
         refuse(subject not in known, "fractions.fill", name=subject, there=there)
-        return Fill(listed=known[subject])
+    return [
+        with_settings(scenario, {path: {"listed": known[subject]} for path, subject in own.items()})
+        if own
+        else scenario
+        for scenario, own in zip(scenarios, asked, strict=True)
+    ]
 
-    def with_fill(item: Target) -> Target:
-        subjects = [s.model_copy(update={"fill": fill(s.fill, s.name)}) for s in item.subjects]
-        return item.model_copy(update={"fill": fill(item.fill, item.name), "subjects": subjects})
 
-    out = []
-    for scenario in scenarios:
-        scene = scenario.scene.model_copy(update={"targets": [with_fill(item) for item in scenario.scene.targets]})
-        out.append(scenario.model_copy(update={"scene": scene}))
-    return out
+def _fills(scenario: Scenario) -> Iterator[tuple[str, str, Fill | None]]:
+    """Path, subject and fill of each population of targets."""
+    for i, item in enumerate(scenario.scene.targets):
+        yield f"scene.targets.{i}.fill", item.name, item.fill
+        for k, subject in enumerate(item.subjects):
+            yield f"scene.targets.{i}.subjects.{k}.fill", subject.name, subject.fill
 
 
 def _members(place: Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
@@ -447,13 +444,10 @@ def _areas(
 MOST_SUBJECTS = 6  # in each quantity; those with the most pixels
 
 
-def spread_curves(
+def eigenvalues_of(
     prediction: PredictedProducts, observation: ObservedProducts
-) -> tuple[dict[tuple[str, str], EigenvalueSpectrum], dict[str, TailCurve]]:
-    """How the pixels of both sides spread: eigenvalues by (subject, quantity), tails by subject.
-
-    Eigenvalues of the classes that both sides hold, with the band of chance alone; tails in the leading components.
-    """
+) -> dict[tuple[str, str], EigenvalueSpectrum]:
+    """Eigenvalues of the classes that both sides hold by (subject, quantity), with the band of chance alone."""
     eigenvalues = {}
     for quantity in SPREAD:
         left, right = getattr(prediction, quantity), getattr(observation, quantity)
@@ -465,22 +459,4 @@ def spread_curves(
             low, high = band_limits(sample.band.eigenvalues)
             measured, mean = sample.measured.eigenvalues, sample.band.eigenvalues.mean(axis=0)
             eigenvalues[subject, quantity] = EigenvalueSpectrum(measured, mean, low, high, sample.n)
-    tails = {
-        subject: _curve(law, getattr(prediction.distribution.get(subject), "tail_dof", None))
-        for subject, law in observation.distribution.items()
-        if law.distance is not None and law.exceedance is not None and law.leading_dimension is not None
-    }
-    return eigenvalues, tails
-
-
-def _curve(distribution: PixelDistribution, predicted_dof: float | None) -> TailCurve:
-    distance, share = np.asarray(distribution.distance), np.asarray(distribution.exceedance)
-    n, dimension = distribution.n or 1, distribution.leading_dimension or 1
-    lower, upper = clopper_pearson(share * n, np.full(share.size, n))
-    normal = exceedance_of_distance(distance, dimension, np.inf)
-    fitted = exceedance_of_distance(distance, dimension, distribution.leading_tail_dof)
-    predicted = None if predicted_dof is None else exceedance_of_distance(distance, dimension, predicted_dof)
-    return TailCurve(
-        np.sqrt(distance), share, lower, upper, predicted, normal, fitted,
-        predicted_dof, distribution.leading_tail_dof, dimension, n,
-    )  # fmt: skip
+    return eigenvalues

@@ -26,6 +26,7 @@ from hyperval.config import FILL_IN, Location, parse_yaml
 from hyperval.errors import HypervalError, InputError, UsageError, refusal, refuse
 from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
+from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra import SpectralAxis, in_window, read_records
@@ -40,7 +41,7 @@ _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
 _SCALES = (0.01, 0.001, 0.0001)  # percent, and reflectance times 1000 or 10000
 _WHOLE = {"name": "whole image", "whole_image": True}
 _FEW = 5  # pixels that tell no spread
-Array = npt.NDArray[np.float64]
+_SOME = 2000  # pixels that tell a mean
 Mask = npt.NDArray[np.bool_]
 
 
@@ -191,8 +192,9 @@ def _by_wavelength(sources: StarterSources, raster: Raster, draft: Draft, quanti
         draft.guess("no image", further=further or "nothing")
         return
     _scale(raster, draft)
-    for entry in collection["regions"] if sources.regions else ():
-        _coordinates(entry, draft)
+    for entry in collection["regions"] if sources.regions else ():  # where they are not those of the format
+        kinds = {kind: {"file": entry["file"], "kind": kind} for kind in ("pixel", "map")}
+        _stated(entry, "coordinates", kinds, draft, regions=[entry])
     place = _place(sources, draft)
     if not any(place.pixels_of(region).any() for region in place.regions):  # of targets alone
         collection["regions"].append(_WHOLE)
@@ -452,22 +454,11 @@ def _host(place: Place, members: Sequence[TargetObject], classes: Sequence[str])
     ring = guard(own, _RING_PIXELS) & ~place.near_targets
     likeness = [float(np.sum(ring & place.region(name))) for name in classes]
     if max(likeness) == 0.0 and ring.any():
-        around, *means = _means(place, [ring, *(place.region(name) for name in classes)])
+        good, rng = place.cube.axis.good, np.random.default_rng(0)
+        masks = [ring, *(place.region(name) for name in classes)]
+        around, *means = (place.cube.spectra(drawn_pixels(m, _SOME, rng))[:, good].mean(axis=0) for m in masks)
         likeness = [around @ m / (np.linalg.norm(around) * np.linalg.norm(m)) for m in means]
     return classes[int(np.argmax(likeness))]
-
-
-def _means(place: Place, masks: Sequence[Mask]) -> Array:
-    """(R, B) mean of the pixels of each mask in the bands that are good."""
-    good = place.cube.axis.good
-    sums, counts = np.zeros((len(masks), int(good.sum()))), np.zeros((len(masks), 1))
-    for block in place.cube.blocks(dtype=np.float32):
-        rows = slice(block.first_line, block.first_line + block.values.shape[0])
-        for i, mask in enumerate(masks):
-            chosen = block.values[mask[rows] & block.valid][:, good]
-            sums[i] += chosen.sum(axis=0, dtype=float)
-            counts[i] += len(chosen)
-    return np.asarray(sums / np.maximum(counts, 1.0))
 
 
 def _fill(place: Place, members: Sequence[TargetObject]) -> dict[str, Any]:
@@ -571,30 +562,22 @@ def _scale(raster: Raster, draft: Draft) -> None:
             tried = {
                 1.0 / factor: f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
             }
-    scale = _stated(cube, "scale", list(tried), draft)
-    if scale is not None:
-        draft.guess("scale", why=tried[scale])
+    _stated(cube, "scale", {scale: {"why": why} for scale, why in tried.items()}, draft)
 
 
-def _coordinates(entry: dict[str, Any], draft: Draft) -> None:
-    """State what the coordinates of a file of regions are, where they are not those that its format has."""
-    kind = _stated(entry, "coordinates", ["pixel", "map"], draft, regions=[entry])
-    if kind is not None:
-        draft.guess("coordinates", file=entry["file"], kind=kind)
-
-
-def _stated(entry: dict[str, Any], key: str, values: Sequence[Any], draft: Draft, **parts: Any) -> Any:
-    """The first value of a key, stated in the entry, with which the collection opens; None where it opens without."""
+def _stated(
+    entry: dict[str, Any], key: str, values: Mapping[Any, Mapping[str, Any]], draft: Draft, **parts: Any
+) -> None:
+    """State the first value of a key with which the collection opens, and its guess; none where it opens without."""
     try:
         draft.opened(**parts)
     except HypervalError as first:
-        for value in values:
+        for value, words in values.items():
             entry[key] = value
             with suppress(HypervalError):
                 draft.opened(**parts)
-                return value
+                return draft.guess(key, **words)
         raise first from None
-    return None
 
 
 def _place(sources: StarterSources, draft: Draft) -> Place:

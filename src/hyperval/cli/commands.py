@@ -286,7 +286,7 @@ def figures(
     from hyperval.figures.print import Print
     from hyperval.report.html import figures_to_folder
 
-    return finished(figures_to_folder(folder, output, Print(kind, style == "journal"), campaign.spread_curves), output)
+    return finished(figures_to_folder(folder, output, Print(kind, style == "journal"), campaign.eigenvalues_of), output)
 
 
 @command("metrics", "metrics bias_ratio")

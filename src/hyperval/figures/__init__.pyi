@@ -17,14 +17,13 @@ from .spec import (
     Part,
     Quicklook,
     ScoreMap,
-    TailCurve,
     statement,
 )
 from .spectra import MOST_SUBJECTS, spectra_figure
 
 __all__ = [
     "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "EigenvalueSpectrum", "ExpectedScores", "Figure", "Mark",
-    "Panels", "Part", "Print", "Quicklook", "ScoreMap", "TailCurve", "campaigns_figure", "canvas_of", "criteria_figure",
+    "Panels", "Part", "Print", "Quicklook", "ScoreMap", "campaigns_figure", "canvas_of", "criteria_figure",
     "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure", "first_figures", "further_figures",
     "house_style", "many_objects_figure", "reason_figures", "spectra_figure", "statement",
 ]  # fmt: skip

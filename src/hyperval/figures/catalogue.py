@@ -24,7 +24,6 @@ from hyperval.figures.spec import (
     Panels,
     Part,
     Sides,
-    TailCurve,
     left_out,
     of_rows,
     row_names,
@@ -50,14 +49,13 @@ def further_figures(
     sides: Sides,
     table: ResultTable,
     eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum],
-    tails: Mapping[str, TailCurve],
     margin: float | None,
 ) -> list[Figure]:
-    """What else the products, the rows and the spread of pixels of a run give, with its margin of P_D."""
+    """What else the products, the rows and the eigenvalues of a run give, with its margin of P_D."""
     made = [
         spectra.budget_figure(sides),
         *(spectra.sampled_eigenvalue_figures(eigenvalues) if eigenvalues else [spectra.eigenvalue_figure(sides)]),
-        spectra.tail_figure(tails),
+        spectra.tail_figure(sides),
         spectra.class_error_figure(sides),
         detection.score_figure(sides),
         detection.object_score_figure(sides),

@@ -25,12 +25,8 @@ from hyperval.figures.spec import (
     row_names,
 )
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import WORST_FIRST, Outcome, Result
+from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result
 
-WORDS = {
-    Outcome.AGREES: "met", Outcome.DISAGREES: "not met", Outcome.ERROR: "error", Outcome.UNDECIDED: "inconclusive",
-    Outcome.SKIPPED: "not run", Outcome.NONE: "without a range",
-}  # fmt: skip
 _LOOKS = {
     Outcome.DISAGREES: (NOT_MET, "square"), Outcome.ERROR: (NOT_MET, "x"), Outcome.UNDECIDED: (INCONCLUSIVE, "diamond"),
     Outcome.AGREES: (MET, "circle"), Outcome.SKIPPED: (NOT_RUN, "triangle"),
@@ -149,7 +145,8 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
         groups.setdefault((row.product, row.effect_unit or _words(row)), []).append(row)
     if not groups:
         return None
-    shown = list(groups.values())[:_MOST_PARTS]
+    apart = [own for own in groups.values() if own[0].outcome is not Outcome.AGREES] or list(groups.values())
+    shown = apart[:_MOST_PARTS]
     room = [1 + sum(row.outcome is not Outcome.AGREES for row in own) for own in shown]
     room = [min(most, len(own)) for most, own in zip(room, shown, strict=True)]
     while sum(room) > _MOST_ROWS - len(shown) and max(room) > 1:
@@ -161,7 +158,9 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, nothing), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
-    words = "; ".join(f"{row.product} {row_label(row)}: {WORDS[row.outcome]}, {effect_text(row)}" for row in every)
+    words = "; ".join(
+        f"{row.product} {row_label(row)}: {OUTCOMES[row.outcome].word}, {effect_text(row)}" for row in every
+    )
     kind = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
     return Figure(
         "criteria", "criteria", f"{kind} as effects with their 95 % intervals, the worst first",
@@ -179,7 +178,7 @@ def _part(own: Sequence[Result], most: int) -> Part:
     notes = [effect_text(row) for row in own[:most]]
     rest, first = own[most:], own[0]
     if rest:
-        counts = Counter(WORDS[row.outcome] for row in rest)
+        counts = Counter(OUTCOMES[row.outcome].word for row in rest)
         names.append(
             f"{len(rest)} more, {', '.join(counts if len(counts) == 1 else (f'{n} {w}' for w, n in counts.items()))}"
         )
@@ -240,7 +239,9 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
             said = tuple(f"{row_label(row)}: {effect_text(row)}" for _, row in own)
             hollow = outcome is Outcome.UNDECIDED
             marks.append(
-                Mark("dots", columns, WORDS[outcome], colour, marker=marker, hollow=hollow, along="x", words=said)
+                Mark(
+                    "dots", columns, OUTCOMES[outcome].word, colour, marker=marker, hollow=hollow, along="x", words=said
+                )
             )
     found = [(d, y) for y, row in at for d in _detectable(row) if ends[0] <= d <= ends[1]]
     if found:
@@ -264,9 +265,9 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
         share = np.array([100.0 * own[outcome] / own.total() for own in counts.values()])
         if share.any():
             edges = {"left": start, "right": start + share, "bottom": y - 0.3, "top": y + 0.3}
-            marks.append(Mark("bars", edges, WORDS[outcome], colour, alpha=1.0))
+            marks.append(Mark("bars", edges, OUTCOMES[outcome].word, colour, alpha=1.0))
             start = start + share
-    notes = tuple(", ".join(f"{own[o]} {WORDS[o]}" for o in WORST_FIRST if own[o]) for own in counts.values())
+    notes = tuple(", ".join(f"{own[o]} {OUTCOMES[o].word}" for o in WORST_FIRST if own[o]) for own in counts.values())
     x = Axis("share of acceptance criteria [%]", ends=(0.0, 100.0))
     words = "; ".join(f"{name}: {note}" for name, note in zip(counts, notes, strict=True))
     title = "Acceptance criteria of the model by campaign, the worst first"

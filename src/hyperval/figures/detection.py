@@ -13,7 +13,6 @@ from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
     GREY,
-    MEASURED,
     MOST_ROWS,
     PREDICTED,
     SIDES,
@@ -34,10 +33,8 @@ from hyperval.figures.spec import (
     drawn_of,
     left_out,
     measured_mark,
-    of_rows,
     of_side,
     predicted_mark,
-    row_names,
 )
 from hyperval.model.intervals import Z95
 from hyperval.model.roc import detection_at
@@ -293,37 +290,27 @@ def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
 
 
 def object_score_figure(sides: Sides) -> Figure | None:
-    """Single objects: predicted 95 % interval of the score and what was measured, a row each."""
-    pairs = [(key, p, float(m[0])) for key, p, m in _objects(sides) if m.size == 1]
-    shown = pairs[:MOST_ROWS]
-    if not shown:
-        return None
-    names = [", ".join(key) for key, *_ in shown]
-    at, measured = np.arange(float(len(shown))), np.array([m for *_, m in shown])
-    low, middle, high = np.array([np.quantile(draws, [0.025, 0.5, 0.975]) for _, draws, _ in shown]).T
-    inside = (low <= measured) & (measured <= high)
-    words = tuple(
-        f"{name.replace(',', '')}: {m:.3g}, predicted {a:.3g} to {b:.3g}{'' if within else ', outside'}"
-        for name, m, a, b, within in zip(names, measured, low, high, inside, strict=True)
-    )
-    interval = {"left": low, "right": high, "bottom": at - 0.2, "top": at + 0.2}
-    marks = [
-        Mark("bars", interval, "predicted 95 %", PREDICTED, alpha=0.3, words=words),
-        Mark("dots", {"x": middle, "y": at}, "predicted median", PREDICTED, marker="tick", along="x"),
-    ]
-    for own, label, hollow in ((inside, "measured", False), (~inside, "measured, outside", True)):
-        if own.any():
-            said, columns = tuple(np.array(words)[own].tolist()), {"x": measured[own], "y": at[own]}
-            marks.append(measured_mark("dots", columns, label, marker="square", hollow=hollow, words=said))
-    title = "Score of each object: predicted interval and measured value"
-    title += left_out(len(shown), len(pairs), "results.csv")
-    alt = f"Measured score of each object beside its predicted 95 % interval. {'; '.join(words)}."
-    x = Axis("greatest score of the object")
-    return of_rows("object-scores", "scores", title, alt, x, row_names(names), marks, rules=(0.0,))
+    """Single objects: predicted median and 95 % interval of the score, and what was measured, a row each."""
+    pairs = {key: (np.quantile(p, [0.025, 0.5, 0.975]), float(m[0])) for key, p, m in _objects(sides) if m.size == 1}
+    outside = sum(not low <= m <= high for (low, _, high), m in pairs.values())
+
+    def columns(own: Sequence[Array]) -> dict[str, Array]:
+        return dict(zip(("low", "x", "high"), np.array(own).T, strict=True))
+
+    def words(numbers: Array) -> str:
+        low, middle, high = numbers
+        return f"{middle:.3g}" + (f" ({low:.3g} to {high:.3g})" if low < high else "")
+
+    return a_row_each(
+        "object-scores", "scores",
+        f"Score of each object: predicted median and 95 % interval, and as measured; {outside} of {len(pairs)} outside",
+        list(pairs), [{k: law for k, (law, _) in pairs.items()}, {k: np.full(3, m) for k, (_, m) in pairs.items()}],
+        Axis("greatest score of the object"), columns, words, rules=(0.0,),
+    )  # fmt: skip
 
 
 def transform_figure(sides: Sides) -> Figure | None:
-    """Probability integral transforms of all objects: in order, with a band, and as a histogram, by detector."""
+    """Probability integral transforms of all objects in order, with a band, by detector."""
     by_detector: dict[str, list[Array]] = {}
     for (_, detector), draws, measured in _objects(sides):
         below = np.searchsorted(np.sort(draws), measured)
@@ -334,14 +321,14 @@ def transform_figure(sides: Sides) -> Figure | None:
         inside = float(np.mean((u >= 0.025) & (u <= 0.975)))
         x = Axis("probability of a lower score", ends=(0.0, 1.0))
         words = f"{detector}: {u.size} objects, {inside:.0%} in the central 95 %"
-        return Panels(x, (_ordered(u), _histogram(u)), detector), words
+        return Panels(x, (_ordered(u),), detector), words
 
     return a_view_each(
         "object-transforms", "scores",
         "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction",
         "Probability integral transforms of the objects' scores in order against the uniform distribution with its "
-        "95 % band for independent objects, and their histogram with that of a uniform sample. Objects share "
-        "errors of the inputs, which the band leaves out.", list(by_detector), view,
+        "95 % band for independent objects. Objects share errors of the inputs, which the band leaves out.",
+        list(by_detector), view,
     )  # fmt: skip
 
 
@@ -353,21 +340,6 @@ def _ordered(u: Array) -> Part:
     uniform = Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", GREY, "dotted")
     objects = measured_mark("line", {"x": at, "y": u}, "objects, in order")
     return Part(Axis("transform value", ends=(0.0, 1.0)), (band, uniform, objects))
-
-
-def _histogram(u: Array) -> Part:
-    bins = 10 if u.size >= 50 else 5
-    counts, edges = np.histogram(u, bins, (0.0, 1.0))
-    expected = u.size / bins
-    half, ends = Z95 * math.sqrt(expected * (1.0 - 1.0 / bins)), np.array([0.0, 1.0])
-    band = {"x": ends, "low": np.full(2, max(expected - half, 0.0)), "high": np.full(2, expected + half)}
-    bars = {"left": edges[:-1], "right": edges[1:], "bottom": np.zeros(bins), "top": counts}
-    marks = (
-        Mark("bars", bars, colour=MEASURED, words=tuple(f"{n} objects" for n in counts)),
-        Mark("area", band, colour=PREDICTED),
-        Mark("line", {"x": ends, "y": np.full(2, expected)}, colour=GREY, dash="dotted"),
-    )
-    return Part(Axis("objects", ends=(0.0, max(float(counts.max()), expected + half) * 1.1)), marks)
 
 
 def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:

@@ -521,34 +521,6 @@ class EigenvalueSpectrum:
     n: int
 
 
-@dataclass(frozen=True)
-class TailCurve:
-    """Share of a class's pixels beyond a distance from its mean.
-
-    Attributes
-    ----------
-    distance : (Q,) Mahalanobis distance [standard deviations]
-    measured, lower, upper : (Q,) share of pixels beyond it and its 95 % limits
-    predicted, normal, fitted : (Q,) probability under the predicted law, the normal one, and the fitted t; the
-        first None where nothing was predicted
-    predicted_dof, fitted_dof : degrees of freedom of these, inf for the normal law
-    dimension : components in which the distance is taken
-    n : pixels
-    """
-
-    distance: npt.NDArray[np.float64]
-    measured: npt.NDArray[np.float64]
-    lower: npt.NDArray[np.float64]
-    upper: npt.NDArray[np.float64]
-    predicted: npt.NDArray[np.float64] | None
-    normal: npt.NDArray[np.float64]
-    fitted: npt.NDArray[np.float64]
-    predicted_dof: float | None
-    fitted_dof: float
-    dimension: int
-    n: int
-
-
 def of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
     """A product of a side, empty where the side is absent."""
     return {} if side is None else getattr(side, product)

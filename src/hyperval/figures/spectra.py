@@ -27,11 +27,8 @@ from hyperval.figures.spec import (
     Panels,
     Part,
     Sides,
-    TailCurve,
     a_row_each,
     a_view_each,
-    both_first,
-    both_sides,
     count_text,
     difference,
     drawn_of,
@@ -43,7 +40,8 @@ from hyperval.figures.spec import (
     robust_limits,
     single,
 )
-from hyperval.model.intervals import Z95
+from hyperval.model.intervals import Z95, clopper_pearson
+from hyperval.pixels import exceedance_of_distance
 from hyperval.products import ClassificationError, SpectralEstimate
 from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis
@@ -233,54 +231,59 @@ def sampled_eigenvalue_figures(spectra: Mapping[tuple[str, str], EigenvalueSpect
 
 
 def eigenvalue_figure(sides: Sides) -> Figure | None:
-    """Eigenvalues of the pixel covariance of the radiance of both sides, where no band of chance is known."""
-    spectra = [{k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides]
-    every = both_first(*spectra)
-
-    def columns(estimate: SpectralEstimate) -> dict[str, Array]:
-        n, values = estimate.n, _eigenvalues(estimate)
-        # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
-        factor = math.exp(Z95 * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
-        return {"x": np.arange(1.0, values.size + 1), "y": values, "low": values / factor, "high": values * factor}
+    """Eigenvalues of the pixel covariance of the radiance of a side alone, for which no band of chance is known."""
+    if (sides[0] is None) == (sides[1] is None):
+        return None
+    side, make = (sides[1], measured_mark) if sides[0] is None else (sides[0], predicted_mark)
+    known = {k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None}
 
     def view(subject: str) -> tuple[Panels, str]:
-        both = [columns(own[subject]) if subject in own else None for own in spectra]
-        firsts = [f"{own['y'][0]:.3g}" if own["y"].size else "none" for own in both if own is not None]
+        n, values = known[subject].n, _eigenvalues(known[subject])
+        # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
+        factor = math.exp(Z95 * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
+        columns = {"y": values, "low": values / factor, "high": values * factor}
+        mark = make("line", {"x": np.arange(1.0, values.size + 1), **columns}, marker="circle")
         x = Axis("number of the eigenvalue", ends=(0.0, MOST_EIGENVALUES + 1.0))
-        part = Part(Axis(f"eigenvalue [{_UNITS['radiance']}]", "log"), tuple(both_sides("line", both)))
-        return Panels(x, (part,), subject), f"{subject} {' and '.join(firsts)}"
+        part = Part(Axis(f"eigenvalue [{_UNITS['radiance']}]", "log"), (mark,))
+        return Panels(x, (part,), subject), f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
 
     return a_view_each(
         "radiance-eigenvalues", "covariance",
         "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)",
         f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
-        "logarithmic scale. Largest:",
-        every if None in sides else [s for s in every if all(s in own for own in spectra)], view,
+        "logarithmic scale. Largest:", list(known), view,
     )  # fmt: skip
 
 
-def tail_figure(tails: Mapping[str, TailCurve]) -> Figure | None:
+def tail_figure(sides: Sides) -> Figure | None:
     """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best."""
+    predicted, measured = (of_side(side, "distribution") for side in sides)
 
     def view(subject: str) -> tuple[Panels, str]:
-        t = tails[subject]
-        columns = {"x": t.distance, "y": t.measured, "low": t.lower, "high": t.upper}
-        marks = [measured_mark("line", columns, "measured, with its 95 % interval")]
-        if t.predicted is not None:
-            marks.append(predicted_mark("line", {"x": t.distance, "y": t.predicted}, "predicted law"))
-        marks.append(Mark("line", {"x": t.distance, "y": t.normal}, "normal law", GREY, "dotted"))
-        marks.append(Mark("line", {"x": t.distance, "y": t.fitted}, "fitted t", DIFFERENCE, "dashdot"))
-        predicted = "" if t.predicted_dof is None else f", {_dof(t.predicted_dof)} predicted"
-        part = Part(Axis("share of pixels farther out", "log", ends=(0.3 / t.n, 1.5)), tuple(marks))
-        x = Axis("Mahalanobis distance", ends=(0.0, float(t.distance[-1]) * 1.03))
-        name = f"{subject}: {t.dimension} components, n = {count_text(t.n)}"
-        return Panels(x, (part,), name), f"{subject}: {_dof(t.fitted_dof)} measured{predicted}"
+        law, stated = measured[subject], predicted.get(subject)
+        n, dimension, distance = law.n or 1, law.leading_dimension, np.sqrt(law.distance)
+        low, high = clopper_pearson(law.exceedance * n, np.full(distance.size, n))
+        columns = {"x": distance, "y": law.exceedance, "low": low, "high": high}
 
+        def curve(dof: float) -> dict[str, Array]:
+            return {"x": distance, "y": exceedance_of_distance(law.distance, dimension, dof)}
+
+        marks = [measured_mark("line", columns, "measured, with its 95 % interval")]
+        marks += [] if stated is None else [predicted_mark("line", curve(stated.tail_dof), "predicted law")]
+        marks.append(Mark("line", curve(math.inf), "normal law", GREY, "dotted"))
+        marks.append(Mark("line", curve(law.leading_tail_dof), "fitted t", DIFFERENCE, "dashdot"))
+        told = "" if stated is None else f", {_dof(stated.tail_dof)} predicted"
+        part = Part(Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5)), tuple(marks))
+        x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
+        name = f"{subject}: {dimension} components, n = {count_text(n)}"
+        return Panels(x, (part,), name), f"{subject}: {_dof(law.leading_tail_dof)} measured{told}"
+
+    known = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
     return a_view_each(
         "pixel-tails", "covariance",
         "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)",
         "Share of a class's pixels beyond a Mahalanobis distance in the leading components, logarithmic: measured "
-        "with its 95 % interval, under the predicted law, the normal law, and the fitted t.", list(tails), view,
+        "with its 95 % interval, under the predicted law, the normal law, and the fitted t.", known, view,
     )  # fmt: skip
 
 

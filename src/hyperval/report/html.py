@@ -24,16 +24,16 @@ from markupsafe import Markup
 import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import first_figures, further_figures
-from hyperval.figures.criteria import WORDS, campaigns_figure, criteria_figure
+from hyperval.figures.criteria import campaigns_figure, criteria_figure
 from hyperval.figures.detection import many_objects_figure
-from hyperval.figures.spec import Drawing, EigenvalueSpectrum, Figure, TailCurve, statement
+from hyperval.figures.spec import Drawing, EigenvalueSpectrum, Figure, statement
 from hyperval.figures.spectra import SPECTRA
 from hyperval.metrics import Evidence, explained
 from hyperval.products import ObservedProducts, PredictedProducts, background_of
 from hyperval.report import verdict as v
 from hyperval.report.run import WARNING, RunReport
 from hyperval.report.verdict import outcome_words, worst
-from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, row_name
+from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
 
@@ -76,12 +76,6 @@ def page_hashes(figures: bool = True) -> str:
     return " ".join(
         f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'" for text in texts
     )
-
-
-LETTERS = {
-    Outcome.AGREES: "M", Outcome.DISAGREES: "N", Outcome.ERROR: "E", Outcome.UNDECIDED: "I", Outcome.SKIPPED: "S",
-    Outcome.NONE: "",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -155,11 +149,11 @@ def _cell(rows: Sequence[Result], link: str) -> Cell:
         return Cell(Outcome.NONE, "", "not planned", "")
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     outcome = worst(gates or rows)
-    letter = LETTERS[outcome] if gates else LETTERS[outcome].lower()
+    letter = OUTCOMES[outcome].letter if gates else OUTCOMES[outcome].letter.lower()
     parts = [f"criteria: {outcome_words(gates)}"] if gates else []
     informing = [row for row in rows if not row.gates and row.outcome is not Outcome.ERROR]
     if gates and outcome is not Outcome.DISAGREES and worst(informing) is Outcome.DISAGREES:
-        letter += f" {LETTERS[Outcome.DISAGREES].lower()}"  # what decides does not, something else does
+        letter += f" {OUTCOMES[Outcome.DISAGREES].letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
     return Cell(outcome, letter, "; ".join(parts), link)
 
@@ -194,7 +188,6 @@ _MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others a
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
 _MOST_ROWS = 60  # rows of one section that nothing was planned for
-_INPUTS_UNDER_FIGURE = 3
 
 SECTIONS = {
     "attribution": "Why they differ",
@@ -229,7 +222,7 @@ class Section:
 
     name: str
     title: str
-    figures: list[dict[str, Any]]
+    figures: list[Drawing]
     charts: list[Figure]
     gates: list[Result]
     informing: list[Result]
@@ -244,7 +237,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     many = many_objects_figure(run.score_maps, sides)
     shown_first = [*spectra, *([many] if many is not None else [])]
     charts, further = shown_first[:_MOST_OPEN_FIGURES], shown_first[_MOST_OPEN_FIGURES:]
-    plots = further_figures(sides, run.table, run.eigenvalues, run.tails, equivalence_margin(run.provenance))
+    plots = further_figures(sides, run.table, run.eigenvalues, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
     planned = [row for row in rows if row.planned]
@@ -255,7 +248,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     statements = {one.name: statement(one) for one in (*first, *charts, *folded)}
     embedded = _embedded(drawings, statements)
     shown = same_background_once(rows)
-    sections = _sections(run, drawings, folded, embedded, shown)
+    sections = _sections(drawings, folded, shown)
     compared = [row for row in shown if row.product not in _REASONS]
     matrices = []
     for title, kinds in _NUMBERS if run.sentence else _MATRICES:
@@ -277,14 +270,15 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),
         charts=charts,
-        pictures=_figures(run, [d for d in drawings if d.name in PICTURES], embedded),
+        pictures=[d for d in drawings if d.name in PICTURES],
+        embedded=embedded,
         budget=[chart for chart in folded if chart.name == _BUDGET],
         sections=[section for section in sections if section.name not in _REASONS],
         reasons=[section for section in sections if section.name in _REASONS],
         undone=_undone(rows),
-        notes=_all_notes(run),
+        notes=run.notes,
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
-        facts=_facts(run),
+        facts=list(flat({k: v for k, v in run.provenance.items() if k != "inputs"}).items()),
         maps=len(run.score_maps),
         metrics=explained(row.metric for row in planned),
         most_open=_MOST_OPEN,
@@ -364,6 +358,7 @@ def strict_templates(package: str) -> jinja2.Environment:
     )
 
 
+@functools.cache
 def environment() -> jinja2.Environment:
     """The templates of reports, with the filters of rows."""
     environment = strict_templates("hyperval.report")
@@ -374,7 +369,7 @@ def environment() -> jinja2.Environment:
         limits=v.limits_text,
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         row_name=row_name,
-        outcome=lambda word: WORDS[Outcome(word)],
+        outcome=lambda word: OUTCOMES[Outcome(word)].word,
         breakable=_breakable,
         subject=_subject_text,
         anchor=anchor,
@@ -448,13 +443,7 @@ def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figur
     return sorted(charts, key=rank)
 
 
-def _sections(
-    run: RunReport,
-    drawings: Sequence[Drawing],
-    charts: Sequence[Figure],
-    embedded: Mapping[str, str],
-    rows: Sequence[Result],
-) -> list[Section]:
+def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Sequence[Result]) -> list[Section]:
     names = [*_COMPARED, *_REASONS]
     names += [p for p in dict.fromkeys(row.product for row in rows) if p not in names]
     sections = []
@@ -466,7 +455,7 @@ def _sections(
         section = Section(
             name,
             SECTIONS.get(name, name),
-            _figures(run, own_drawings, embedded),
+            own_drawings,
             [chart for chart in charts if chart.section == name and chart.name != _BUDGET],
             [row for row in planned if row.gates],
             [row for row in planned if not row.gates],
@@ -475,15 +464,6 @@ def _sections(
         if own_drawings or section.charts or planned or section.others:
             sections.append(section)
     return sections
-
-
-def _figures(run: RunReport, drawings: Sequence[Drawing], embedded: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Each with what made it, which is not said again under the next one."""
-    origin, before = _made_from(run), "Inputs: those of the figure before."
-    return [
-        {"drawing": drawing, "source": embedded.get(drawing.name), "from": before if i else origin}
-        for i, drawing in enumerate(drawings)
-    ]
 
 
 def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dict[str, str]:
@@ -507,29 +487,8 @@ def _rank(drawing: Drawing) -> int:
     return len(PICTURES) + drawing.name.startswith("score-map")
 
 
-def _made_from(run: RunReport) -> str:
-    """Inputs, their licence, version and seed, in one line."""
-    inputs = [_input(item) for item in run.provenance.get("inputs", ())]
-    words = [i["reference"] + (f" ({i['licence']})" if i["licence"] else "") for i in inputs[:_INPUTS_UNDER_FIGURE]]
-    if len(inputs) > _INPUTS_UNDER_FIGURE:
-        words.append(f"{len(inputs) - _INPUTS_UNDER_FIGURE} more in the provenance table")
-    cited = list(dict.fromkeys(i["citation"] for i in inputs if i["citation"]))
-    parts = [f"Inputs: {'; '.join(words) or 'none recorded'}", "; ".join([*cited[:2], *(["…"] if cited[2:] else [])])]
-    parts.append(f"hyperval {hyperval.__version__}")
-    parts += [f"{k} {run.provenance[k]}" for k in ("formulation", "seed") if run.provenance.get(k) is not None]
-    return ". ".join(part.rstrip(".") for part in parts if part) + "."
-
-
 def _input(item: Mapping[str, Any]) -> dict[str, str]:
     return {key: str(item.get(key) or "") for key in ("reference", "sha256", "licence", "citation")}
-
-
-def _facts(run: RunReport) -> list[tuple[str, str]]:
-    """Everything in the provenance but the inputs, nested keys joined by dots."""
-    facts = flat({key: value for key, value in run.provenance.items() if key != "inputs"})
-    for name, side in (("predicted", run.prediction), ("observed", run.observation)):
-        facts |= flat(side.provenance, name) if side is not None else {}
-    return list(facts.items())
 
 
 def flat(value: Any, at: str = "") -> dict[str, str]:
@@ -543,27 +502,18 @@ def flat(value: Any, at: str = "") -> dict[str, str]:
     return {at: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}
 
 
-def _all_notes(run: RunReport) -> list[str]:
-    notes = list(run.notes)
-    for name, side in (("Prediction", run.prediction), ("Observation", run.observation)):
-        if side is not None:
-            notes += [f"{name}: {note}" for note in side.notes if note not in run.notes]
-    return list(dict.fromkeys(notes))
+Eigenvalues = Callable[[PredictedProducts, ObservedProducts], Mapping[tuple[str, str], EigenvalueSpectrum]]
 
 
-Spread = tuple[Mapping[tuple[str, str], EigenvalueSpectrum], Mapping[str, TailCurve]]
-Curves = Callable[[PredictedProducts, ObservedProducts], Spread]
-
-
-def figures_to_folder(run: Path, output: Path, print_as: Print, curves: Curves | None = None) -> int:
-    """Draw what the products of ``run`` allow into a new folder, with the spread of its pixels by ``curves``.
+def figures_to_folder(run: Path, output: Path, print_as: Print, eigenvalues: Eigenvalues | None = None) -> int:
+    """Draw what the products of ``run`` allow into a new folder, with the spread of its pixels by ``eigenvalues``.
 
     Raises
     ------
     InputError : no products.nc, or a damaged one.
     UsageError : products of which nothing can be drawn.
     """
-    drawings = run_drawings(run, print_as, curves)
+    drawings = run_drawings(run, print_as, eigenvalues)
     refuse(not drawings, "results.figures", run)
     with whole_folder(output) as folder:
         for drawing in drawings:
@@ -571,7 +521,7 @@ def figures_to_folder(run: Path, output: Path, print_as: Print, curves: Curves |
     return 0
 
 
-def run_drawings(run: Path, print_as: Print, curves: Curves | None = None) -> list[Drawing]:
+def run_drawings(run: Path, print_as: Print, eigenvalues: Eigenvalues | None = None) -> list[Drawing]:
     """The figures of the products of a folder, and of the reasons that its table holds."""
     from hyperval.figures.print import drawings_of
 
@@ -579,7 +529,7 @@ def run_drawings(run: Path, print_as: Print, curves: Curves | None = None) -> li
     known = Run.open(run) if is_run(run) else Run(ResultTable())
     margin = equivalence_margin(known.provenance) if known.provenance else None
     predicted, observed = sides
-    spread = curves(predicted, observed) if curves and predicted and observed else ({}, {})
+    spread = eigenvalues(predicted, observed) if eigenvalues and predicted and observed else {}
     figures = [criteria_figure(list(known.table)), *first_figures(sides)]
-    figures += further_figures(sides, known.table, *spread, margin)
+    figures += further_figures(sides, known.table, spread, margin)
     return drawings_of([one for one in figures if one], simulated=simulated, print_as=print_as)

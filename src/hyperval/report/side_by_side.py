@@ -24,7 +24,6 @@ from hyperval.storage import whole_folder
 _FIGURE_BYTES = 4_200_000
 _MOST_MOVED = 60
 _MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
-_RANK = {o: i for i, o in enumerate(WORST_FIRST)}
 
 
 def compare_runs(one: Path, other: Path, output: Path) -> int:
@@ -60,7 +59,9 @@ def difference_table(pairs: Sequence[Pair]) -> ResultTable:
 
 def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     """The page: both verdicts, verdicts that changed, what moved most, provenance that differs, figures."""
-    changed = sorted((p for p in pairs if p.verdict_changed), key=lambda p: _RANK[(p.b or p.either).outcome])
+    changed = sorted(
+        (p for p in pairs if p.verdict_changed), key=lambda p: WORST_FIRST.index((p.b or p.either).outcome)
+    )
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
     charts = [] if len(moved) + len(changed) == 0 else _charts(a, b)

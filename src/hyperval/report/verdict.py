@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from hyperval.figures.criteria import WORDS, criteria_of, effect_text, ranked, row_label, short_text
+from hyperval.figures.criteria import criteria_of, effect_text, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import EVERY, WORST_FIRST, Cause, Outcome, Result
+from hyperval.results import EVERY, OUTCOMES, WORST_FIRST, Cause, Outcome, Result
 
 _MOST_NAMED = 9
 _MOST_KINDS = 5
@@ -20,15 +20,6 @@ _KINDS = {
     Evidence.MODEL: ("acceptance criterion", "acceptance criteria"),
     Evidence.PIPELINE: ("check of the pipeline", "checks of the pipeline"),
 }
-# (outcome, of one, of several)
-_VERBS = (
-    (Outcome.DISAGREES, "is not met", "are not met"),
-    (Outcome.ERROR, "ended in an error", "ended in an error"),
-    (Outcome.UNDECIDED, "is inconclusive", "are inconclusive"),
-    (Outcome.SKIPPED, "was not run", "were not run"),
-    (Outcome.AGREES, "is met", "are met"),
-)
-
 # What the criterion that stands first is.
 _AHEAD = {
     Outcome.DISAGREES: "Worst", Outcome.ERROR: "Worst", Outcome.UNDECIDED: "Least certain",
@@ -126,7 +117,7 @@ def _words(opening: str, gates: Sequence[Result], rows: Sequence[Result]) -> str
 def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome, int]], str]:
     counts = Counter(row.outcome for row in rows)
     parts = [(o, counts[o]) for o in WORST_FIRST if counts[o]]
-    words = f"all {len(rows)} {WORDS[parts[0][0]]}" if len(parts) == 1 < len(rows) else outcome_words(rows)
+    words = f"all {len(rows)} {OUTCOMES[parts[0][0]].word}" if len(parts) == 1 < len(rows) else outcome_words(rows)
     return product_words(name), parts, words
 
 
@@ -243,12 +234,12 @@ def _most_reduced(tests: Sequence[Result], rows: Sequence[Result]) -> float:
 def _counted(gates: Sequence[Result], kind: Evidence, *, named: bool = True) -> str:
     """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
-    for outcome, one, several in _VERBS:
+    for outcome, said in OUTCOMES.items():
         own = [row for row in gates if row.outcome is outcome]
         if own:
             noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
             told = f" ({_named(own)})" if named else ""
-            parts.append(f"{len(own)}{noun} {one if len(own) == 1 else several}{told}")
+            parts.append(f"{len(own)}{noun} {said.of_one if len(own) == 1 else said.of_several}{told}")
     return f"{', '.join(parts)}." if parts else ""
 
 
@@ -270,7 +261,7 @@ def disagrees_without_gating(row: Result) -> bool:
 def outcome_words(rows: Iterable[Result]) -> str:
     """Number of rows by outcome: "3 met, 1 not met, 40 without a range"."""
     count = Counter(row.outcome for row in rows)
-    return ", ".join(f"{count[key]} {name}" for key, name in WORDS.items() if count[key]) or "no rows"
+    return ", ".join(f"{count[key]} {said.word}" for key, said in OUTCOMES.items() if count[key]) or "no rows"
 
 
 def accepted_words(rows: Iterable[Result]) -> str:
