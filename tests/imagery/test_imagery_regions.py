@@ -269,7 +269,7 @@ def test_which_attribute_names_the_regions_is_asked_where_none_is_known(tmp_path
 def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatch, head):
     monkeypatch.setitem(sys.modules, "pyogrio", None)
     (tmp_path / "r.bin").write_bytes(head + bytes(100))
-    with pytest.raises(UsageError, match=r"pip install hyperval\[vector\]"):
+    with pytest.raises(UsageError, match=r"pip install '?hyperval\[vector\]"):
         read_regions(tmp_path / "r.bin", SHAPE)
 
 

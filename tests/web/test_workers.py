@@ -48,7 +48,7 @@ def test_what_ends_a_process_ends_its_task_alone(pool, request):
     if request.node.callspec.params["pool"] == "processes":
         first = result(pool, "pid")
         assert result(pool, "pid") == first  # it stays warm
-        with pytest.raises(TaskFailed, match="process was ended"):
+        with pytest.raises(TaskFailed, match="process was killed"):
             result(pool, "die")
         assert result(pool, "pid") != first
         with pytest.raises(TaskFailed, match="more memory"):
