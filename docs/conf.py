@@ -78,6 +78,11 @@ def write_reference(app: Any) -> None:
         subprocess.run([sys.executable, str(script), "--write"], check=True)  # noqa: S603
 
 
+def link_files(app: Any, page: str, source: list[str]) -> None:
+    """Pages of the repository that are none of the documentation are linked as files."""
+    source[0] = re.sub(r"\]\((\.\./[^)#\s]+\.md)(?:#[\w-]+)?\)", r"](<path:\1>)", source[0])
+
+
 def add_dark_twins(app: Any, tree: nodes.document) -> None:
     """A picture NAME.png with NAME-dark.png beside it is shown on light screens, its twin on dark ones."""
     for image in list(tree.findall(nodes.image)):
@@ -91,6 +96,7 @@ def add_dark_twins(app: Any, tree: nodes.document) -> None:
 
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    app.connect("source-read", link_files)
     app.connect("doctree-read", add_dark_twins, priority=400)
     app.connect("builder-inited", write_reference)
     app.connect("autodoc-process-docstring", errors_as_list, priority=400)

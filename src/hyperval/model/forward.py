@@ -229,7 +229,7 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
         covariance, gain, others = pixels[name]
         seen = light.pixel_covariance(levels[name], of_truth(met, u)[0], covariance, around, gain)
-        through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # D_A of (3.11)
+        through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
         back = {source: retrieved_covariance(line, c) for source, c in through.items()}
         out["radiance", name], out["reflectance", name] = (seen, through), (retrieved_covariance(line, seen), back)
     return out
