@@ -117,9 +117,7 @@ class Components:
     def through(self, weights: Array) -> Components:
         """The components of ``weights`` (C, B) times the spectra, such as those on other bands."""
         covariances = weights @ self.covariances @ weights.T
-        return replace(
-            self, offsets=self.offsets @ weights.T, covariances=0.5 * (covariances + covariances.transpose(0, 2, 1))
-        )
+        return self._with(self.offsets @ weights.T, 0.5 * (covariances + covariances.transpose(0, 2, 1)))
 
     def stretched(self, gain: Array | float) -> Components:
         """The components of spectra times ``gain`` (B,), of which a single number is the root of a factor on the

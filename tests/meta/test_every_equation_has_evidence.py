@@ -31,7 +31,7 @@ MODULES = (
 BESIDE = {
     "ace_curves", "add_products", "at_rows", "class_features", "curve_area", "cut", "detect", "detection_at",
     "detection_bands", "evaluations", "feature_bands", "fill_distribution", "fills_of_objects", "fills_of_population",
-    "fully_constrained", "labelled", "latest", "library_names", "light_of", "linear_curves",
+    "filter_base", "fully_constrained", "labelled", "latest", "library_names", "light_of", "linear_curves",
     "load_sensor", "log10_false_alarm_at", "measured_error", "moments", "new_sensor_file", "of_truth", "on_bands",
     "own_mean_sampling", "packed", "pixels_of_object", "predicted_areas", "predicted_classification",
     "predicted_error", "read_statistics_library", "score_distributions", "seen_classes", "spread", "stacked",

@@ -19,7 +19,7 @@ from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
 from hyperval.errors import UsageError
 from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 from hyperval.model.fill import FillDistribution
-from hyperval.model.filters import LinearFilter, Mixtures
+from hyperval.model.filters import LinearFilter, filter_base
 from hyperval.model.radiance import (
     Background,
     Material,
@@ -246,12 +246,11 @@ class Evaluation(Keeps):
     def filters(self) -> Mapping[tuple[str, str], tuple[LinearFilter, Array, Array]]:
         """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
         seen, linear, shape = self.seen, self.stated.linear_detectors, (self.at.size, self.bands.size)
-        mixtures = Mixtures.of(self.stated, self.bands)
         wanted = {(t.name, d): seen.looked_for[t.name] for t in self.targets for d in linear}
         made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
         for v in range(self.at.size):
             try:
-                base = mixtures.base(seen, v)
+                base = filter_base(self.stated, seen, v)
                 each = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
             except UsageError as error:
                 self.problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
@@ -461,7 +460,7 @@ def _ace_truth(
     """One truth: exceedance of the background, thresholds, error of P_FA, and target pixels at a fill."""
     processing, named = e.scenario.processing, e.targets[target]
     v, seen = int(e.which[u]), e.seen.rows(e.which[u : u + 1])
-    of, base, looked_for = seen.of, Mixtures.of(e.stated, e.bands).base(e.seen, v), seen.looked_for[named.name][0]
+    of, base, looked_for = seen.of, filter_base(e.stated, e.seen, v), seen.looked_for[named.name][0]
     space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
     slope, surroundings = seen.slope[0], e.seen.of.covariance(v)
 

@@ -22,11 +22,10 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dtfttr
 
-from hyperval.data import Array, Index, Mask
+from hyperval.data import Array, Index
 from hyperval.errors import UsageError
-from hyperval.model.radiance import Seen, add_products, diagonal_places, of_truth, packed, unpacked
+from hyperval.model.radiance import Seen, add_products, diagonal_places, latest, of_truth, packed, unpacked
 from hyperval.model.stated import Stated
-from hyperval.scenario import Features
 
 # Beyond this the float64 solve keeps fewer than about three correct digits.
 MAX_CONDITION = 1e13
@@ -309,63 +308,45 @@ class FilterBase:
         return LinearFilter(weights if self.psi is None else weights @ self.psi, offset)
 
 
-class Mixtures:
-    """The background that the filter of each truth is built on, a mixture of classes (3.8, 3.11).
+def filter_base(stated: Stated, seen: Seen, u: int) -> FilterBase:
+    """Mean and covariance of the background that the filter of one truth is built on, factorised (3.8, 3.11).
 
-    Parameters
-    ----------
-    chosen : (M,) which classes the filter is made of
-    choice : features of the bands
+    Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
+    divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
+    matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
+    the sensor changes is the diagonal alone, and the rest of the latest truth serves again.
+
+    Raises
+    ------
+    UsageError : a matrix that can not be inverted.
     """
+    of, chosen, choice = seen.of, stated.scenario.processing.filter_classes, stated.scenario.processing.features
+    f = np.where([not chosen or name in chosen for name in stated.classes], of_truth(of.fraction, u), 0.0)
+    f = f / f.sum() if chosen else f
+    weights, used, slope = f * of_truth(of.gain, u), f > 0.0, of_truth(seen.slope, u)
+    f, means, noise = f[used], of_truth(seen.means, u)[used], of_truth(seen.noise, u)[used]
+    mean, under = f @ means, np.sqrt(f)[:, None] / slope
+    around, between = under * of_truth(seen.around, u)[used], under * (means - mean)
 
-    def __init__(self, chosen: Mask, choice: Features | None):
-        self._chosen, self._choice = chosen, choice
-        self._latest: tuple[Array, ...] = ()
-        self._still: Array | None = None  # the covariance of the latest truth over the slopes, but for the noise
+    def still() -> Array:
+        """The covariance over the slopes, but for the noise."""
+        inner = of.mixed(weights, u)
+        total = add_products(np.empty_like(inner), around, fresh=True)
+        total *= of.surroundings(u)
+        total += inner
+        return add_products(total, between)
 
-    @staticmethod
-    def of(stated: Stated, bands: Index) -> Mixtures:
-        """Those of a scenario on some bands; what they keep serves its next truths."""
-        processing = stated.scenario.processing
-        chosen = np.array([not processing.filter_classes or n in processing.filter_classes for n in stated.classes])
-        return stated.once(("mixtures", bands.tobytes()), lambda: Mixtures(chosen, processing.features))
-
-    def base(self, seen: Seen, u: int) -> FilterBase:
-        """Mean and covariance of one truth, factorised.
-
-        Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
-        divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
-        matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
-        the sensor changes is the diagonal alone, and the rest of the latest truth serves again.
-
-        Raises
-        ------
-        UsageError : a matrix that can not be inverted.
-        """
-        of = seen.of
-        f = np.where(self._chosen, of_truth(of.fraction, u), 0.0)
-        f = f if self._chosen.all() else f / f.sum()
-        inner, surroundings = of.mixed(f * of_truth(of.gain, u), u), of.surroundings(u)
-        used, slope = f > 0.0, of_truth(seen.slope, u)
-        f, means, noise = f[used], of_truth(seen.means, u)[used], of_truth(seen.noise, u)[used]
-        mean, under = f @ means, np.sqrt(f)[:, None] / slope
-        around, between = under * of_truth(seen.around, u)[used], under * (means - mean)
-        parts = around, between, inner, surroundings
-        if not self._latest or not all(map(np.array_equal, parts, self._latest)):
-            still = add_products(np.empty_like(inner) if self._still is None else self._still, around, fresh=True)
-            still *= surroundings
-            still += inner
-            self._latest, self._still = parts, add_products(still, between)
-        values = np.array(self._still)
-        values[diagonal_places(slope.size)] += f @ noise / slope**2
-        if self._choice is None:
-            return FilterBase(mean, None, PositiveDefinite(values, slope))
-        covariance = unpacked(values, slope.size) * np.outer(slope, slope)
-        if self._choice.pca is not None:
-            psi = principal_components(covariance, self._choice.pca)
-        else:
-            psi = minimum_noise_fraction(covariance, noise_of(seen, u, mean), self._choice.mnf or 0)
-        return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
+    key = b"".join([weights.tobytes(), around.tobytes(), between.tobytes(), of.key(u)])
+    values = np.array(latest(of.kept, "still", key, still))
+    values[diagonal_places(slope.size)] += f @ noise / slope**2
+    if choice is None:
+        return FilterBase(mean, None, PositiveDefinite(values, slope))
+    covariance = unpacked(values, slope.size) * np.outer(slope, slope)
+    if choice.pca is not None:
+        psi = principal_components(covariance, choice.pca)
+    else:
+        psi = minimum_noise_fraction(covariance, noise_of(seen, u, mean), choice.mnf or 0)
+    return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
 
 
 def noise_of(seen: Seen, u: int, reflectance: Array) -> Array:

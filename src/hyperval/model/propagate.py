@@ -160,10 +160,12 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
     out: dict[Filter, dict[str, Array]] = {key: {} for key in thresholds}
     for region, without in origins.left_out():
         parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in without)
-        laws = [_law_scores(e, settled(with_truths(read(free, part), [truth]))[0][1]) for part in parts]
+        of_parts = [settled(with_truths(read(free, part), [truth]))[0][1] for part in parts]
+        laws = [(w.law_fraction, w.law_dof, seen_classes(light_of(w), w, e.bands)) for w in of_parts]
         for key, x in thresholds.items():
-            row = np.zeros(x.size, int)
-            out[key][region] = np.array([log_false_alarm(x, law[key].rows(row))[0] for law in laws])
+            row, one = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
+            scores = [ClassScores(fraction, *class_scores(seen, one), dof) for fraction, dof, seen in laws]
+            out[key][region] = np.array([log_false_alarm(x, s.rows(row))[0] for s in scores])
     for key, regions in out.items():
         if regions:
             squares = sum((jackknife_directions(of) ** 2).sum(axis=0) for of in regions.values())
@@ -172,13 +174,6 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
             rising = {region: of[:, ::-1] for region, of in regions.items()}
             curves[key] = replace(curves[key], lower=limits[0], upper=limits[1], left_out=rising)
     return replace(prediction, exceedance=curves)
-
-
-def _law_scores(e: Evaluation, world: World) -> dict[Filter, ClassScores]:
-    """Scores of the background's laws of another world by the filters of the first truth of an evaluation."""
-    seen, own = seen_classes(light_of(world), world, e.bands), e.which[:1]
-    fraction, dof = np.atleast_2d(world.law_fraction), np.atleast_2d(world.law_dof)
-    return {key: ClassScores(fraction, *class_scores(seen, f.rows(own)), dof) for key, (f, _, _) in e.filters.items()}
 
 
 def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:

@@ -715,14 +715,14 @@ class Background:
         def made() -> Array:
             return add_products(self.mixed(f, u).copy(), np.sqrt(f)[:, None] * between)  # Sigma_ave of (3.11)
 
-        return latest(self.kept, "around", self._key(u), made)
+        return latest(self.kept, "around", self.key(u), made)
 
     def covariance(self, u: int = 0) -> Array:
         """(F, F) Sigma_ave of (3.11), whole."""
         make = partial(unpacked, self.surroundings(u), self.means.shape[-1])
-        return latest(self.kept, "covariance", self._key(u), make)
+        return latest(self.kept, "covariance", self.key(u), make)
 
-    def _key(self, u: int) -> bytes:
+    def key(self, u: int) -> bytes:
         """What Sigma_ave of one truth follows from."""
         return b"".join(of_truth(x, u).tobytes() for x in (self.fraction, self.between, self.stretch))
 
