@@ -35,8 +35,6 @@ from hyperval.progress import track
 from hyperval.storage import has_digest, sha256_of, size_of, whole_file
 
 ATTEMPTS = 3
-TIMEOUT_S = 60
-CHUNK_BYTES = 1 << 14
 
 
 def download(address: str, target: Path, *, size: int, digest: str, pack: bool = False, mend: str = "") -> Path:
@@ -77,9 +75,9 @@ def _receive(address: str, output: Path, size: int, digest: str) -> None:
     """Write the answer to ``output``; ValueError for another content than the registered, cut off beyond its size."""
     import requests
 
-    with requests.get(address, stream=True, timeout=TIMEOUT_S) as answer, open(output, "wb") as stream:
+    with requests.get(address, stream=True, timeout=60) as answer, open(output, "wb") as stream:
         answer.raise_for_status()
-        for chunk in answer.iter_content(CHUNK_BYTES):
+        for chunk in answer.iter_content(1 << 14):
             stream.write(chunk)
             if stream.tell() > size:
                 break

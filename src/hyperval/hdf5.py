@@ -42,11 +42,9 @@ def check_hdf5(path: Path | str) -> None:
 @lru_cache(maxsize=256)
 def _trial(path: str, changed_ns: int, size: int) -> str:
     """What the library does that it must not, empty where it comes back; once for a file as it stands."""
-    if not hasattr(os, "fork"):
-        return ""
     import h5py  # before the fork: the limits are for the file
 
-    if not h5py.is_hdf5(path):
+    if not hasattr(os, "fork") or not h5py.is_hdf5(path):
         return ""  # by its first bytes, which the library looks at before anything else
     return trial(lambda: _walk(h5py, path))
 

@@ -95,6 +95,13 @@ def is_radiance(unit: str | None) -> bool:
     return _known(unit or "", "radiance") is not None
 
 
+def power_unit(unit: str) -> str | None:
+    """A unit of spectral radiance or irradiance as the project writes it, such as W m-2 sr-1 um-1; None for another."""
+    symbols = {_SYMBOLS[symbol][0]: f"{symbol}{power if power < 0 else ''}" for symbol, power in _parts(unit)}
+    is_known = any(_known(unit, quantity) is not None for quantity in ("radiance", "irradiance"))
+    return " ".join(symbols[k] for k in ("power", "area", "angle", "wavelength") if k in symbols) if is_known else None
+
+
 def _known(unit: str, quantity: str) -> float | None:
     powers, own, _ = _QUANTITIES[quantity]
     parts = _parts(unit)

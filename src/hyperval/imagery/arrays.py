@@ -6,7 +6,6 @@ image; MATLAB and NumPy files; arrays of xarray and SPy that are at hand.
 
 from __future__ import annotations
 
-import mmap
 import re
 import tempfile
 import threading
@@ -43,7 +42,6 @@ Selection = tuple[slice, ...]
 Numbers = npt.NDArray[Any]
 AXES = "bls"  # bands, lines, samples: the order in which values are handed out
 MAX_CHUNK_BYTES = 256 << 20
-SMALL_BYTES = 1 << 20
 CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 MB, though each is asked for once
 SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored in blocks
 MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
@@ -100,12 +98,7 @@ class Store:
         with self.kept_open() as opened:
             try:
                 array = opened[name]
-                if not isinstance(array, h5py.Dataset):
-                    return np.asarray(array[selection])
-                shape = tuple(len(range(*s.indices(n))) for s, n in zip(selection, array.shape, strict=True))
-                out = _page_array(shape, array.dtype)
-                array.read_direct(out, selection)
-                return out
+                return np.asarray(array[selection])
             except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
                 raise refusal("array.unreadable", self.path, name=name, why=error) from error
 
@@ -183,18 +176,6 @@ def _two_fills() -> AbstractContextManager[Any]:
     import xarray as xr
 
     return warnings.catch_warnings(action="ignore", category=xr.SerializationWarning)
-
-
-def _page_array(shape: tuple[int, ...], dtype: np.dtype) -> Numbers:
-    """An array in pages of its own, which go back to the system with it.
-
-    After the first few large arrays the C library serves the next ones from memory that it keeps, and a pass over
-    an image would end with several times what it needs at once.
-    """
-    size = int(np.prod(shape)) * dtype.itemsize
-    if size < SMALL_BYTES:
-        return np.empty(shape, dtype)
-    return np.frombuffer(mmap.mmap(-1, size), dtype).reshape(shape)
 
 
 def check_own_values(path: Path) -> None:
@@ -305,7 +286,7 @@ class ArrayRaster(Raster):
         row = self.samples * self.dtype.itemsize
 
         def read(start: int, count: int) -> Numbers:
-            out = _page_array((count, self.bands, self.samples), self.dtype)
+            out = np.empty((count, self.bands, self.samples), self.dtype)
             file.seek(start * self.bands * row)
             file.readinto(out.data.cast("B"))
             return out.transpose(1, 0, 2)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from hyperval.errors import refusal, refuse
 from hyperval.spectra.record import MAX_JOINS, MAX_ROWS, FieldSpectrum
-from hyperval.units import only_wavelength_unit
+from hyperval.units import only_wavelength_unit, power_unit
 
 Array = npt.NDArray[np.float64]
 MAX_HEADER_LINES, MAX_COLUMNS, MAX_TITLE = 1000, 2000, 1000
@@ -215,18 +215,8 @@ def power_unit_in(text: str) -> str | None:
 
     None where the text holds none that is known.
     """
-    match = re.search(r"(?<![a-z])(m|u|µ|μ)?W(?![a-z])[^()\[\]]*", text, re.IGNORECASE)
-    if match is None:
-        return None
-    words = match.group()
-    # Below the fraction bar stand an area, perhaps a solid angle, and a wavelength.
-    area = re.search(r"(?<![a-z])(c?)m(?:\^|\*\*)?-?[2²]", words, re.IGNORECASE)
-    per = re.search(r"(?<![a-z])([nuµμ])m(?!\w*[2²])", words[1:], re.IGNORECASE)
-    if area is None or per is None:
-        return None
-    watt = {"": "W", "m": "mW"}.get((match.group(1) or "").lower(), "uW")
-    angle = "sr-1 " if re.search(r"(?<![a-z])sr(?![a-z])", words, re.IGNORECASE) else ""
-    return f"{watt} {'cm' if area.group(1) else 'm'}-2 {angle}{'nm' if per.group(1).lower() == 'n' else 'um'}-1"
+    match = re.search(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", text, re.IGNORECASE)
+    return None if match is None else power_unit(match.group().strip())
 
 
 def _entry(header: str, key: str) -> str | None:
