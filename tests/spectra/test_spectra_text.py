@@ -89,9 +89,9 @@ def test_units_that_nobody_states_or_that_disagree(tmp_path):
     percent = read(tmp_path, rows(WAVE, (0.4 + RHO) * 100), reflectance_unit="percent")
     assert np.allclose(percent.values, 0.4 + RHO, rtol=1e-5)
     for text, options, message in (
-        (rows([4.0, 500.0, 700.0], RHO[:3]), {}, r"nm, or um \(then they are 4000 to 700000 nm\)"),
+        (rows([4.0, 500.0, 700.0], RHO[:3]), {}, "4 to 700 may be nm or um"),
         (rows(WAVE / 1000, RHO), {"wavelength_unit": "nm"}, "cannot be in nm"),
-        ("nm,r\n" + rows(WAVE, RHO), {"wavelength_unit": "um"}, "states wavelengths in nm, the caller in um"),
+        ("nm,r\n" + rows(WAVE, RHO), {"wavelength_unit": "um"}, "states wavelengths in nm, wavelength_unit says um"),
         ("nm,r [%]\n" + rows(WAVE, RHO), {"reflectance_unit": "fraction"}, "percent, the caller in fraction"),
         *((rows(WAVE, RHO), {"reflectance_unit": u}, "scaled:10000") for u in ("per mille", "scaled:0", "scaled:nan")),
         ("name,Measurement Units,400,500,600,700\na,Percent," + ",".join(map(str, RHO)), {}, "(?s)percent.*_unit"),

@@ -22,17 +22,9 @@ from rasterio.errors import CRSError
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
+from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, wavelengths_in_nm
 from hyperval.storage import number_of
-from hyperval.units import (
-    PLAUSIBLE_NM,
-    RADIANCE_UNIT,
-    in_nm,
-    only_wavelength_unit,
-    radiance_to_internal,
-    wavelength_to_nm,
-    wavelength_unit_note,
-)
+from hyperval.units import RADIANCE_UNIT, radiance_to_internal, wavelength_to_nm
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -47,7 +39,6 @@ _SPREAD = r"(?:(?:\+\s*/?\s*-|±)\s*[0-9.]+\s*)?"  # half a width, as ITRES writ
 _NAMED = re.compile(
     rf"\(\s*([0-9]+\.[0-9]{{3,}})\s*\)|(?<![0-9.])([0-9]+(?:\.[0-9]+)?)\s*{_SPREAD}{_UNIT}(?![a-z])", re.IGNORECASE
 )
-_UNSTATED = ("", "unknown", "none")
 _REFLECTANCE_UNITS = {"fraction": 1.0, "1": 1.0, "percent": 0.01, "%": 0.01}
 _MAX_GAIN_BYTES = 1 << 20
 
@@ -202,13 +193,8 @@ class Description:
         refuse(not has.size, "bands.without", where)
         listed, notes = bands.wavelength[has], list(bands.notes)
         at = {key: bands.where.get(key, where) for key in ("wavelength", "wavelength units", "fwhm", "bbl")}
-        unit, note = _stated_unit(bands.unit, given_unit, listed, at["wavelength units"])
+        centre, unit, note = wavelengths_in_nm(listed, bands.unit, given_unit, at["wavelength units"])
         to_nm = wavelength_to_nm(unit)
-        centre = listed * to_nm
-        low, high = PLAUSIBLE_NM
-        if centre.min() < low or centre.max() > high:
-            limits = {"least": listed.min(), "most": listed.max(), "low": low, "high": high}
-            raise refusal("bands.implausible", at["wavelength"], unit=unit, **limits)
         notes += note
         if has.size < bands.wavelength.size:
             notes.append(f"{bands.wavelength.size - has.size} stored bands without a wavelength are left out")
@@ -345,22 +331,6 @@ def _spacing_by_detector(centre: Array) -> Array:
     out = np.empty_like(centre)
     out[order] = fwhm_from_spacing(centre[order])
     return out
-
-
-def _stated_unit(in_file: str | None, given: str | None, values: Array, where: str) -> tuple[str, tuple[str, ...]]:
-    """The wavelength unit that the file or the caller states, else the only one that the values can be in, noted."""
-    text = (in_file or "").strip(" \t\"'")
-    if text.lower() in _UNSTATED:
-        unit = given or only_wavelength_unit(values)
-        if unit is None:
-            raise refusal("bands.unstated", where, least=values.min(), most=values.max())
-        return unit, () if given else (wavelength_unit_note(values, unit),)
-    factor = in_nm(text)
-    if factor is None:
-        raise refusal("bands.unit", where, unit=text)
-    if given is not None and wavelength_to_nm(given) != factor:
-        raise refusal("bands.units", where, stated=text, given=given)
-    return text, ()
 
 
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
@@ -596,9 +566,9 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         centre, width = table.axis.centre_nm, table.axis.fwhm_nm
         stated = listed.where.get("wavelength", by)
         row("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated)
-        silent = (listed.unit or "").strip(" \t\"'").lower() in _UNSTATED
-        unit = only_wavelength_unit(listed.wavelength) if silent else listed.unit
-        row("wavelength unit", str(unit), "guess: by the values" if silent else stated)
+        known = listed.wavelength[np.isfinite(listed.wavelength)]
+        _, unit, guessed = wavelengths_in_nm(known, listed.unit, None, where)
+        row("wavelength unit", unit, "guess: by the values" if guessed else stated)
         by_width = "convention: the spacing of the bands" if listed.fwhm is None else origin("fwhm")
         row("widths", f"{width.min():g} to {width.max():g} nm", by_width)
         notes += table.notes

@@ -138,8 +138,7 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
     if about.centers is None:
         raise refusal("exchange.no_wavelengths")
     widths = None if about.bandwidths is None else np.asarray(about.bandwidths, float)
-    unit = None if about.band_unit in (None, "<unspecified>") else str(about.band_unit)
-    bands = ListedBands(np.asarray(about.centers, float), widths, unit)
+    bands = ListedBands(np.asarray(about.centers, float), widths, about.band_unit)
     dtype = np.dtype(np.float32 if isinstance(image, SpyFile) else image.dtype)
     values = np.asarray(image) if isinstance(image, np.ndarray) else image
     piece = Piece((Term("image"),), "lsb", tuple(image.shape), dtype)

@@ -18,8 +18,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from hyperval.errors import refuse
-from hyperval.units import PLAUSIBLE_NM
+from hyperval.errors import refusal, refuse
+from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, wavelength_to_nm, wavelength_unit_note
+
+_UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
 
 # (from nm, to nm, gas)
 ABSORPTION_BANDS_NM: tuple[tuple[float, float, str], ...] = (
@@ -99,6 +101,34 @@ class SpectralAxis:
     def matches(self, other: SpectralAxis, tolerance_nm: float = 0.05) -> bool:
         """True when both axes have the same band centres to ``tolerance_nm``."""
         return len(self) == len(other) and bool(np.all(np.abs(self.centre_nm - other.centre_nm) <= tolerance_nm))
+
+
+def wavelengths_in_nm(
+    values: npt.NDArray[np.float64], stated: str | None, given: str | None, where: str
+) -> tuple[npt.NDArray[np.float64], str, tuple[str, ...]]:
+    """Wavelengths [nm], their unit, and a note where nobody states it and only one is possible.
+
+    Parameters
+    ----------
+    stated, given : by the file, and by its caller
+
+    Raises
+    ------
+    InputError : a unit in which they cannot be used.
+    UsageError : file and caller contradict each other, nobody states a unit, or they are implausible in it.
+    """
+    text = (stated or "").strip(" \t\"'")
+    text = "" if text.lower() in _UNSTATED else text
+    refuse(text and in_nm(text) is None, "wavelengths.unit", where, unit=text)
+    unlike = text and given is not None and wavelength_to_nm(given) != in_nm(text)
+    refuse(unlike, "wavelengths.units", where, stated=text, given=given)
+    unit, ends = text or given or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
+    if unit is None:
+        raise refusal("wavelengths.unstated", where, **ends)
+    nm, (low, high) = values * wavelength_to_nm(unit), PLAUSIBLE_NM
+    plausible = bool(np.all((nm >= low) & (nm <= high)))
+    refuse(not plausible, "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
+    return nm, unit, () if text or given else (wavelength_unit_note(values, unit),)
 
 
 def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> npt.NDArray[np.float64]:

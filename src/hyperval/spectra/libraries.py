@@ -89,8 +89,7 @@ def library_at_hand(library: Any) -> list[FieldSpectrum]:
 def _records(
     names: Iterable[Any], wavelength: Any, rows: Any, where: object, unit: str | None, scale: str | None = None
 ) -> list[FieldSpectrum]:
-    """Spectra (spectrum, channel) on one set of wavelengths, whose unit may be said to be unknown."""
-    unit = None if unit is None or unit.lower() in ("", "unknown", "none", "<unspecified>") else unit
+    """Spectra (spectrum, channel) on one set of wavelengths."""
     named = zip(names, np.asarray(rows, float), strict=True)
     record = FieldSpectrum(
         "", np.asarray(wavelength, float), np.array([]), source=str(where), wavelength_unit=unit, unit=scale

@@ -9,15 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import refusal, refuse
+from hyperval.spectra.axis import wavelengths_in_nm
 from hyperval.storage import number_of
-from hyperval.units import (
-    PLAUSIBLE_NM,
-    irradiance_to_internal,
-    only_wavelength_unit,
-    radiance_to_internal,
-    wavelength_to_nm,
-    wavelength_unit_note,
-)
+from hyperval.units import irradiance_to_internal, radiance_to_internal
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp] | slice
@@ -129,13 +123,16 @@ def finished(
     other = record.quantity and quantity not in ("other", record.quantity)
     lit = quantity == "reflectance" and record.quantity in ("radiance", "irradiance")
     refuse(other, "spectrum.lit" if lit else "spectrum.other", where, found=record.quantity, wanted=quantity)
-    record, factor = _ordered(_without_gaps(_in_nm(record, wavelength_unit))), 1.0
+    nm, _, notes = wavelengths_in_nm(record.wavelength_nm, record.wavelength_unit, wavelength_unit, where)
+    record, factor = replace(record, wavelength_nm=nm, wavelength_unit="nm", notes=(*record.notes, *notes)), 1.0
+    record = _ordered(_without_gaps(record))
     if quantity in _FACTORS:
         stated = record.unit if record.unit and ("W " in record.unit) == of_light else None
         given, doubt = unit if of_light else reflectance_unit, record.doubt if quantity == "reflectance" else None
         refuse(doubt and given is None, "spectrum.doubt", where, doubt=doubt)
-        final = _agreed(stated, given, _FACTORS[quantity], quantity, where)
-        final = final or (unit_if_unstated if of_light else "fraction")
+        unlike = stated and given and _FACTORS[quantity](stated) != _FACTORS[quantity](given)
+        refuse(unlike, "spectrum.units", where, of=quantity, stated=stated, given=given)
+        final = stated or given or (unit_if_unstated if of_light else "fraction")
         refuse(final is None, "spectrum.unit", where, quantity=quantity)
         factor = _FACTORS[quantity](str(final))
         if not of_light:
@@ -143,13 +140,6 @@ def finished(
     spread = record.standard_deviation
     refuse(spread is not None and np.any(spread < 0), "spectrum.spread", where)
     return replace(_kept(record, slice(None), factor, f"values x {factor:g}" * (factor != 1.0)), quantity=quantity)
-
-
-def _agreed(stated: str | None, given: str | None, factor: Callable[[str], float], what: str, where: str) -> str | None:
-    """The unit that a file states or its caller gives; UsageError where they are not the same."""
-    unlike = stated is not None and given is not None and factor(stated) != factor(given)
-    refuse(unlike, "spectrum.units", where, of=what, stated=stated, given=given)
-    return stated or given
 
 
 def _check_reflectance(record: FieldSpectrum, factor: float) -> None:
@@ -160,27 +150,6 @@ def _check_reflectance(record: FieldSpectrum, factor: float) -> None:
     middle = float(np.median(record.values)) * factor
     name = "scaled:10000" if middle > 150.0 else "percent"
     refuse(middle > PLAUSIBLE_REFLECTANCE, "spectrum.percent", record.source, middle=middle, name=name)
-
-
-def _in_nm(record: FieldSpectrum, given: str | None) -> FieldSpectrum:
-    """The record with wavelengths in nm; a unit that nobody states is noted where only one is possible.
-
-    Raises
-    ------
-    UsageError : the unit is not stated and not plain from the numbers, or cannot be true.
-    """
-    values, where, notes = record.wavelength_nm, record.source, record.notes
-    unit = _agreed(record.wavelength_unit, given, wavelength_to_nm, "wavelengths", where)
-    if unit is None and (unit := only_wavelength_unit(values)) is not None:
-        notes = (*notes, wavelength_unit_note(values, unit))
-    ends = {"least": values.min(), "most": values.max()}
-    thousands = {"low": 1e3 * values.min(), "high": 1e3 * values.max()}
-    refuse(unit is None, "spectrum.wavelength_unit", where, **ends, **thousands)
-    nm = values * wavelength_to_nm(str(unit))
-    low, high = PLAUSIBLE_NM
-    absurd = not np.all(np.isfinite(nm)) or nm.min() < low or nm.max() > high
-    refuse(absurd, "spectrum.implausible", where, **ends, unit=unit, low=low, high=high)
-    return replace(record, wavelength_nm=nm, wavelength_unit="nm", notes=notes)
 
 
 def _without_gaps(record: FieldSpectrum) -> FieldSpectrum:
