@@ -238,14 +238,12 @@ def resolve(reference: str, base: Path | None = None) -> Path:
 
 def describe(reference: str) -> dict[str, str | None]:
     """Set, licence, citation, address and SHA-256 of a reference; None where the registry knows nothing."""
-    nothing: dict[str, str | None] = dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
-    if not reference.startswith(PREFIX):
-        return nothing
-    owner, file = _by_path().get(_data_path(reference), (set_on_request(reference), None))
-    if owner is None:
-        return nothing
-    known = {"dataset": owner.name, "licence": owner.licence, "citation": owner.citation}
-    return nothing | known | ({"address": file.address, "sha256": file.sha256 or None} if file else {})
+    owner, file = None, None
+    if reference.startswith(PREFIX):
+        owner, file = _by_path().get(_data_path(reference), (set_on_request(reference), None))
+    known: dict[str, str | None] = dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
+    known |= {"dataset": owner.name, "licence": owner.licence, "citation": owner.citation} if owner else {}
+    return known | ({"address": file.address, "sha256": file.sha256 or None} if file else {})
 
 
 def set_on_request(reference: str) -> DataSet | None:
@@ -361,13 +359,9 @@ class InputLog:
         reference = reference or self._relative(path)
         if reference not in self._entries:
             check_copy(reference, path)
-            known = describe(reference)
-            self._entries[reference] = {
-                "reference": reference,
-                "sha256": sha256_of(path),
-                "bytes": size_of(path),
-                **{key: known[key] for key in ("dataset", "licence", "citation")},
-            }
+            known, own = describe(reference), {"sha256": sha256_of(path), "bytes": size_of(path)}
+            of_set = {key: known[key] for key in ("dataset", "licence", "citation")}
+            self._entries[reference] = {"reference": reference} | own | of_set
         return path
 
     def entries(self) -> list[dict[str, Any]]:

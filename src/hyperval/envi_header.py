@@ -21,6 +21,7 @@ MAX_WORDS = 40  # characters of a byte order in words
 DATA_TYPES: dict[int, str] = {
     1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8",
 }  # fmt: skip
+DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
 INTERLEAVES = ("bsq", "bil", "bip")
 BYTE_ORDERS = {0: "<", 1: ">"}
 # Words that have one meaning; "host" alone and "ieee" alone have two.
@@ -133,8 +134,8 @@ class EnviHeader:
         """A single number, None when the entry is absent; NaN and infinity are passed on."""
         value = self.text(key)
         number = None if value is None else number_of(_bare(value))
-        if value is not None and number != number and "nan" not in value.lower():
-            raise refusal("header.number", self.where(key), key=key, text=value[:40])
+        wrong = number != number and "nan" not in str(value).lower()
+        refuse(wrong, "header.number", self.where(key), key=key, text=str(value)[:40])
         return number
 
 
@@ -151,6 +152,14 @@ def header_beside(data: Path) -> Path | None:
     unique = {p.resolve().stat().st_ino: p for p in reversed(headers)}
     refuse(len(unique) > 1, "header.two", data, names=", ".join(p.name for p in headers))
     return next(iter(unique.values()), None)
+
+
+def data_beside(header: Path) -> Path:
+    """The data file of a header; InputError unless there is one alone."""
+    stem, beside = header.stem, sorted(header.parent.iterdir())
+    found = [p for p in beside if p.name.startswith(stem) and p.name[len(stem) :].lower() in DATA_SUFFIXES]
+    refuse(len(found) != 1, "image.data_files", header, names=", ".join(p.name for p in found) or "none")
+    return found[0]
 
 
 @reader
@@ -180,10 +189,9 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
         raise refusal("header.none" if none else "file.unreadable", path, why=error.strerror) from error
     refuse(len(raw) > MAX_HEADER_BYTES, "header.large", path, most=MAX_HEADER_BYTES)
     wide = next((name for name, start in _WIDE.items() if raw.startswith(start)), None)
-    if wide is None:
-        return parse_header(decoded(raw), path, sidecar=sidecar)
-    header = parse_header(raw.decode(wide, errors="replace").lstrip("\ufeff"), path, sidecar=sidecar)
-    return replace(header, notes=("the header is written in UTF-16", *header.notes))
+    text = decoded(raw) if wide is None else raw.decode(wide, errors="replace").lstrip("\ufeff")
+    header = parse_header(text, path, sidecar=sidecar)
+    return header if wide is None else replace(header, notes=("the header is written in UTF-16", *header.notes))
 
 
 def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:

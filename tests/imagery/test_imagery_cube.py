@@ -566,7 +566,7 @@ def test_aviris_classic_is_divided_by_its_gain_file(tmp_path):
     ("text", "words"),
     [
         ("300 1\n300 2\n", "2 rows for 5 bands"),
-        (DIVISORS.replace("600.0 3", "0 3"), ":3: '0 3'"),
+        (DIVISORS.replace("600.0 3", "0 3"), ":3: 0 3"),
         (DIVISORS.replace("600.0 3", "600 4"), "channel that counts from 1"),
     ],
 )

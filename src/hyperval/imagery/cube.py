@@ -16,7 +16,7 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.envi_header import header_beside
+from hyperval.envi_header import data_beside, header_beside
 from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.arrays import MATRICES, check_own_values, open_labelled, open_matrix
 from hyperval.imagery.description import Bands, Raster, Scale, equals, given_bands, some_lines, usable_pixels
@@ -308,7 +308,6 @@ _OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which no
 _HIERARCHIES = {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
 _MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | MATRICES | _HIERARCHIES | _OTHERS
 _MATLAB_SUFFIX = ".mat"  # of HDF5 that a program other than MATLAB has written: without its mark, in its order
-_DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
 
 
 @reader
@@ -339,7 +338,7 @@ def open_raster(
         return open_labelled(data, variable, engine)
     ending = data.suffix.lower()
     if header is None and ending == ".hdr":
-        header, data = data, checked_file(_data_beside(data), what="image file")
+        header, data = data, checked_file(data_beside(data), what="image file")
     elif header is None and ending == ".xml":
         data = checked_file(image_of(data, variable), what="GeoTIFF")
     refuse(data.suffix.lower() == ".hdr", "image.is_header", data)
@@ -376,13 +375,6 @@ def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
     own = (_TIFF, _HDF5, _NETCDF3, *MATRICES.values())
     return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in own
-
-
-def _data_beside(header: Path) -> Path:
-    stem = header.with_suffix("")
-    found = [p for end in _DATA_SUFFIXES if (p := stem.with_name(stem.name + end)).is_file()]
-    refuse(len(found) != 1, "image.data_files", header, names=", ".join(p.name for p in found) or "none")
-    return found[0]
 
 
 def raster_of_size(path: Path, shape: tuple[int, int], variable: str | None = None) -> Raster:

@@ -23,7 +23,8 @@ from hyperval.envi_header import EnviHeader
 from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, wavelengths_in_nm
-from hyperval.storage import number_of
+from hyperval.spectra.record import reflectance_factor
+from hyperval.spectra.text import number_table
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal, wavelength_to_nm
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +40,6 @@ _SPREAD = r"(?:(?:\+\s*/?\s*-|±)\s*[0-9.]+\s*)?"  # half a width, as ITRES writ
 _NAMED = re.compile(
     rf"\(\s*([0-9]+\.[0-9]{{3,}})\s*\)|(?<![0-9.])([0-9]+(?:\.[0-9]+)?)\s*{_SPREAD}{_UNIT}(?![a-z])", re.IGNORECASE
 )
-_REFLECTANCE_UNITS = {"fraction": 1.0, "1": 1.0, "percent": 0.01, "%": 0.01}
 _MAX_GAIN_BYTES = 1 << 20
 
 
@@ -340,9 +340,7 @@ def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
             raise refusal("scale.no_unit", internal=RADIANCE_UNIT)
         return radiance_to_internal(unit), RADIANCE_UNIT
     if quantity == "reflectance":
-        if unit is not None and unit not in _REFLECTANCE_UNITS:
-            raise refusal("scale.reflectance_unit", unit=unit)
-        return _REFLECTANCE_UNITS[unit or "fraction"], "1"
+        return reflectance_factor(unit or "fraction"), "1"
     if quantity in ("counts", "other"):
         return 1.0, unit or quantity.replace("other", "")
     raise refusal("scale.unknown_quantity", quantity=quantity)
@@ -360,15 +358,13 @@ def _gain_file(path: Path, bands: int) -> Scale:
     InputError : not one positive number for each band, or channels that do not count from 1.
     """
     text = checked_file(path, what="gain file", most=_MAX_GAIN_BYTES).read_text("latin-1")
-    out = np.empty(bands)
-    rows = [(n, r.split()) for n, r in enumerate(text.splitlines(), start=1) if r.strip()]
-    if len(rows) != bands:
-        raise refusal("gain.rows", path, what=f"{len(rows)} rows for {bands} bands", bands=bands)
-    for band, (number, cells) in enumerate(rows):
-        out[band], channel = number_of(cells[0]), number_of(cells[1]) if len(cells) > 1 else band + 1
-        if not (np.isfinite(out[band]) and out[band] > 0 and channel == band + 1):
-            raise refusal("gain.rows", f"{path}:{number}", what=repr(" ".join(cells)[:40]), bands=bands)
-    return Scale(1.0 / out, 0.0, f"stored values / those of {path.name}", RADIANCE_UNIT)
+    _, table, first = number_table(text, path)
+    refuse(len(table) != bands, "gain.rows", path, what=f"{len(table)} rows for {bands} bands", bands=bands)
+    divisor, channel = table[:, 0], table[:, 1] if table.shape[1] > 1 else np.arange(1.0, bands + 1.0)
+    wrong = ~((divisor > 0) & np.isfinite(divisor) & (channel == np.arange(1, bands + 1)))
+    at = int(np.argmax(wrong))
+    refuse(wrong.any(), "gain.rows", f"{path}:{first + at}", what=f"{divisor[at]:g} {channel[at]:g}", bands=bands)
+    return Scale(1.0 / divisor, 0.0, f"stored values / those of {path.name}", RADIANCE_UNIT)
 
 
 @dataclass(frozen=True, eq=False)

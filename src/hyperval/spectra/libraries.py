@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperval.envi_header import EnviHeader, read_header
+from hyperval.envi_header import EnviHeader, data_beside, read_header
 from hyperval.errors import refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from spectral.io.envi import SpectralLibrary
 
 MAX_WAVELENGTH_FILES = 40  # that are looked into
-_SUFFIXES = (".sli", ".lib", ".img", "", ".SLI", ".LIB", ".IMG")
 
 
 def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None) -> list[FieldSpectrum]:
@@ -33,10 +32,7 @@ def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None
     InputError : not a spectral library, a data file of the wrong size, or names or wavelengths that do not fit.
     """
     if header is None:
-        header = read_header(path)
-        files = [path.with_suffix(end) for end in _SUFFIXES if path.with_suffix(end).is_file()]
-        refuse(len(files) != 1, "library.files", path, count=len(files))
-        path = files[0]
+        header, path = read_header(path), data_beside(path)
     path = checked_file(path, root=root, what="spectral library")
     checked_file(header.path, root=root, what="ENVI header")
     lines, channels, size = header.lines, header.samples, path.stat().st_size
