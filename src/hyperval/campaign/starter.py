@@ -146,9 +146,8 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     """
     raster = open_raster(sources.cube, header=sources.header, variable=sources.key)
     numbered = raster.description.listed() is None
-    quantity = sources.quantity or (None if numbered else stated_quantity(raster))
-    if quantity is None and (numbered or "MATLAB" in raster.description.product):  # which say nothing of their numbers
-        quantity = "counts"
+    silent = numbered or "MATLAB" in raster.description.product  # which say nothing of their numbers
+    quantity = sources.quantity or ("counts" if silent else stated_quantity(raster))
     lines, samples, bands = raster.size
     draft = Draft(folder)
     cube = {"path": draft.reference(sources.cube)}
