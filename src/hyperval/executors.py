@@ -207,8 +207,9 @@ class Process:
     """
 
     def __init__(self, perform: Perform, prepare: Prepare | None = None, memory_bytes: int | None = None):
-        # Spawned, not forked: this process may hold threads of the linear-algebra library.
-        context = multiprocessing.get_context("spawn")
+        # Not forked from this process, which may hold threads of the linear-algebra library; those of a server, whose
+        # memory is bounded, are forked from one that has loaded its tasks once for all.
+        context: Any = multiprocessing.get_context("spawn" if memory_bytes is None else "forkserver")
         self._connection, other = context.Pipe()
         arguments = other, perform, prepare, memory_bytes
         self._process = context.Process(target=_serve, args=arguments, daemon=True)
@@ -218,7 +219,7 @@ class Process:
 
     def is_alive(self) -> bool:
         """Whether the process runs."""
-        return self._process.is_alive()
+        return bool(self._process.is_alive())
 
     def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
         """Wait until the process has loaded what it needs, and hand a task in."""

@@ -28,10 +28,11 @@ def test_what_is_taken_away_gives_the_numbers_of_the_page(server, client, tmp_pa
     notebook = client.get(f"{server.address}/trade/trade.ipynb", params=given).json()
     monkeypatch.chdir(tmp_path)
     room: dict = {}
-    for cell in notebook["cells"]:
-        if cell["cell_type"] == "code":
-            exec(cell["source"], room)  # noqa: S102
-    assert (tmp_path / "study.yaml").read_text() == client.get(f"{server.address}/trade/study.yaml", params=given).text
+    for cell in (cell for cell in notebook["cells"] if cell["cell_type"] == "code"):
+        exec(cell["source"], room)  # noqa: S102
+    text = client.get(f"{server.address}/trade/study.yaml", params=given).text
+    assert (tmp_path / "study.yaml").read_text() == text
+    assert client.get(f"{server.address}/{text.split()[2].rpartition('=')[2]}").json()["title"] == "StudyFile"
     trade = Trade(x_from=0.01, moved={ZENITH[3:]: 50.0}, background=["asphalt", "grass"])
     trade, now = completed(trade, prepared("yellow-planks-asphalt", trade).offers), None
     for number in range(4):

@@ -57,7 +57,6 @@ def check(
     everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
 ) -> int:
     """Run campaigns and sensors, and compare with what was accepted."""
-
     if baselines is not None and not baselines.is_dir():
         raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
     outcome = baseline.check(
@@ -79,13 +78,10 @@ def check(
             skipped.setdefault(item.run.skipped, []).append(item.run.owner)
     for reason, owners in skipped.items():
         note(f"{', '.join(owners)}: skipped: {reason}")
-    if output is not None:
-        note(f"results in {output}")
-    return outcome.exit_code
+    return finished(outcome.exit_code, output)
 
 
 def _cells(row: Result) -> tuple[str, ...]:
-
     accepted, width = (row.limit_high + row.limit_low) / 2.0, (row.limit_high - row.limit_low) / 2.0
     numbers = (f"{accepted:.6g}", f"{row.value:.6g}", f"{row.value - accepted:+.3g}", f"{width:.3g}")
     outcome = row.reason or str(row.outcome)
@@ -111,7 +107,6 @@ def _tell(item: baseline.Checked, baselines: Path) -> None:
 
 def _likely_causes(item: baseline.Checked) -> str:
     """What differs between the run and the one that was accepted, as far as both say."""
-
     then = baseline.load_baseline(item.baseline).versions
     changed = [f"{k} {then[k]} is now {v}" for k, v in item.run.versions.items() if k in then and then[k] != v]
     return (
@@ -124,7 +119,7 @@ app.add_typer(baseline_app, name="baseline")
 
 
 @baseline_app.callback()
-def baselines_() -> None:
+def accepted_numbers() -> None:
     """Accepted numbers of campaigns and sensors."""
 
 
@@ -142,7 +137,6 @@ def baseline_accept(
     source: Finished = None,
 ) -> int:
     """Take the numbers of a run as those that later runs must give; prints what changes."""
-
     done = baseline.accept(
         campaigns or [],
         sensors or [],
@@ -166,7 +160,6 @@ def baseline_accept(
 
 
 def _in_words(item: object) -> str:
-
     if not isinstance(item, baseline.Accepted):
         return "-"
     value = "no value" if item.accepted is None else f"{item.accepted:.6g}"
@@ -409,7 +402,6 @@ def benchmark(
     scheduler: Scheduler = None,
 ) -> int:
     """Rank all detectors on every campaign."""
-
     if wrong := [one for one in scores or () if not all(one.partition("="))]:
         raise UsageError(f"--scores {wrong[0]}", expected="NAME=FILE, such as --scores net=net.npy")
     code = scoreboard.benchmark(
@@ -432,7 +424,6 @@ def power(
     errors: Annotated[Path | None, typer.Option("--errors", help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
-
     tables = campaign.campaign_power(
         campaigns, output=output, accept=accept, own=errors, show_progress=settings.show_progress
     )
@@ -449,11 +440,8 @@ def power(
             note(f"{item.campaign}: {item.table.sentence}")
         for change in item.changes:
             note(f"{item.campaign}: {change}")
-    if output is not None:
-        note(f"results in {output}")
-    if not done:
-        return 5
-    return 1 if not accept and any(item.changes for item in tables) else 0
+    has_changed = not accept and any(item.changes for item in tables)
+    return finished(int(has_changed) if done else 5, output)
 
 
 @command("predict yellow-planks-asphalt -o out", "predict scenario.yaml -o out")
@@ -462,7 +450,6 @@ def predict(
     output: Output,
 ) -> int:
     """Run the forward model alone."""
-
     return finished(campaign.predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
 
 
@@ -476,7 +463,6 @@ def observe(
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
-
     code = campaign.observe(file, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
     say_warnings(output)
     return finished(code, output)
@@ -514,7 +500,7 @@ def validate(
     )  # fmt: skip
     if junit is not None:
         write_text(junit, junit_of(output))
-    note(f"results in {output}")
+    finished(code, output)
     say_warnings(output)
     say_verdicts(output)
     return code
@@ -529,7 +515,6 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
 
 
 def _dry_run(campaigns: list[Path]) -> int:
-
     items = campaign.dry_run(campaigns)
     header = ("campaign", "kind", "state", "what", "detail")
     print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in campaign.overview(items)])
@@ -591,7 +576,7 @@ def sensor_check(
     failed = sum(gate_fails(r) for r in decided)
     note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
          else f"{check.sensor.name}: accepted, {len(decided)} checks")  # fmt: skip
-    return finished(check.table.exit_code(), output) if output is not None else check.table.exit_code()
+    return finished(check.table.exit_code(), output)
 
 
 @command("sensor new mine --arms VNIR,SWIR", of=sensor_app, name="new")

@@ -77,9 +77,10 @@ def options(
         set_data_dir(data_dir)
 
 
-def finished(code: int, output: Path) -> int:
-    """Say where the results are, and pass on the exit code."""
-    note(f"results in {output}")
+def finished(code: int, output: Path | None) -> int:
+    """Say where the results are, if there are any, and pass on the exit code."""
+    if output is not None:
+        note(f"results in {output}")
     return code
 
 

@@ -59,45 +59,35 @@ class Question:
     notes: tuple[str, ...] = ()
 
 
-def with_every_detector(campaign: Campaign, regions: Sequence[str]) -> Question:
+def with_every_detector(campaign: Campaign, regions: Sequence[str], refused: Mapping[str, str]) -> Question:
     """The campaign with all detectors that the code knows, and without what the benchmark does not look at.
 
     Parameters
     ----------
     regions : names that the collection has; those that are classes of a scenario are projected away by osp, where
         the campaign names none itself
+    refused : detector -> why it cannot run, as was found out
     """
     bare = campaign.model_copy(update={"classification": None, "attribution": None})
     detection = campaign.detection
     if detection is None:
         return Question(bare, {})
-    names, left_out, notes = list(detector_names()), {}, []
+    names, left_out, notes = detector_names(), dict[str, str](), tuple[str, ...]()
     if detection.local_window is not None:
-        for name in [n for n in names if n not in LOCAL_DETECTORS]:
-            left_out[name] = (
-                "the campaign takes background means from a local window, which this detector does not have"
-            )
-    undesired = list(detection.undesired) or list(regions)
+        why = "the campaign takes background means from a local window, which this detector does not have"
+        left_out = {name: why for name in names if name not in LOCAL_DETECTORS}
+    undesired = list(detection.undesired or regions)
     if "osp" not in left_out and not undesired:
         left_out["osp"] = "no region of the collection is a class of the scenario: nothing to project away"
     elif "osp" not in left_out and not detection.undesired:
-        notes.append(f"osp projects away the mean spectra of {', '.join(undesired)}")
-    run = [n for n in names if n not in left_out]
+        notes = (f"osp projects away the mean spectra of {', '.join(undesired)}",)
+    left_out |= refused
+    run = [name for name in names if name not in left_out]
     changed: Detection = with_settings(
         detection,
         {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None},
     )
-    return Question(bare.model_copy(update={"detection": changed}), left_out, tuple(notes))
-
-
-def without(question: Question, refused: Mapping[str, str]) -> Question:
-    """Without the detectors that were refused, each with its reason."""
-    detection = question.campaign.detection
-    if detection is None or not refused:
-        return question
-    left = detection.model_copy(update={"detectors": [d for d in detection.detectors if d not in refused]})
-    changed = question.campaign.model_copy(update={"detection": left})
-    return Question(changed, {**question.left_out, **refused}, question.notes)
+    return Question(bare.model_copy(update={"detection": changed}), left_out, notes)
 
 
 def classes_with_regions(scenarios: Sequence[Scenario], regions: Iterable[str]) -> list[str]:

@@ -42,7 +42,6 @@ from hyperval.scoreboard.looks import (
     peer_rows,
     predicted_rows,
     with_every_detector,
-    without,
 )
 from hyperval.scoreboard.ranks import MEASURES
 from hyperval.storage import sha256_of, whole_folder
@@ -146,10 +145,9 @@ def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> B
             return _run(entry, job, show_progress)
     except MissingDataError as error:
         return _stopped(entry, Outcome.SKIPPED, str(error))
-    except HypervalError as error:
-        return _stopped(entry, Outcome.ERROR, str(error), error.exit_code)
     except Exception as error:  # one broken campaign must not hide what the others say
-        return _stopped(entry, Outcome.ERROR, internal_error(error), INTERNAL_ERROR)
+        words = str(error) if isinstance(error, HypervalError) else internal_error(error)
+        return _stopped(entry, Outcome.ERROR, words, getattr(error, "exit_code", INTERNAL_ERROR))
 
 
 @contextmanager
@@ -201,7 +199,7 @@ def _with(entry: Entry, job: Job, refused: Mapping[str, str], show_progress: boo
         if job.campaign.detection is not None and not job.campaign.detection.undesired:
             place = open_place(job.campaign.collection, inputs.resolve, show_progress=show_progress)
             regions = classes_with_regions(scenarios, place.regions)
-        chosen = without(with_every_detector(job.campaign, regions), refused)
+        chosen = with_every_detector(job.campaign, regions, refused)
         return chosen.campaign
 
     with step(name, 1, 1, "benchmark"), collected(job, question=ask, show_progress=show_progress) as collection:

@@ -8,7 +8,9 @@ from __future__ import annotations
 import re
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
 
-from hyperval.errors import HypervalError, UsageError
+from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.web.inputs import marked
@@ -35,7 +37,7 @@ from hyperval.web.refusal import (
     to_show,
 )
 from hyperval.web.runs import RunAnswer, answer_of
-from hyperval.web.store import ServerSettings, WebRun
+from hyperval.web.store import WebRun
 
 MOST_FILES = 20
 _MOST_KEPT = 50
@@ -120,27 +122,37 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     Refused : what is wrong with them, or there is no room; what was right is kept none the less.
     """
     state, owner = request.app.state, session_of(request).owner
-    every = [(field, value) for field, value in form.multi_items() if isinstance(value, UploadFile)]
-    sent = [(field, file) for field, file in every if field in _ENDINGS and (file.filename or file.size)]
-    mistakes: list[FieldMistake] = []
-    pairs: list[tuple[str, Path]] = []
-    for field, file in sent:
+    fields, mistakes = set[str](), list[FieldMistake]()
+    files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
+    for field, find in _given(request, form):
+        fields.add(field)
         try:
-            pairs.append((field, _keep(request, field, file)))
+            path = find()
         except Refused as refusal:
             mistakes += refusal.mistakes
-    state.store.clear()
-    others = [form.get(f"{field}_{end}") for field in PARTS for end in ("kept", "named")]
-    if sent and not any(others) and all(field in KINDS for field, _ in sent):
-        if mistakes:
-            raise Refused(422, mistakes)
-        return list(files_of(state.settings, owner))
-    pairs += [*_kept(form, state.settings, owner), *_named(request, form, mistakes)]
-    files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
-    for field, path in pairs:
+            continue
         if files.setdefault(path.name, (field, path)) != (field, path):
             mistakes.append(FieldMistake(field, f"{path.name}: was given twice"))
-    return _order(request, form, files, mistakes)
+    state.store.clear()
+    others = [form.get(f"{field}_{end}") for field in PARTS for end in ("kept", "named")]
+    if any(others) or not fields or fields - {*KINDS}:
+        return _order(request, form, files, mistakes)
+    if mistakes:
+        raise Refused(422, mistakes)
+    return list(files_of(state.settings, owner))
+
+
+def _given(request: Request, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
+    """Field of each file that a form gives, and what finds it: sent, kept of an earlier request, named."""
+    settings, owner = request.app.state.settings, session_of(request).owner
+    for field, file in form.multi_items():
+        if isinstance(file, UploadFile) and field in _ENDINGS and (file.filename or file.size):
+            yield field, partial(_keep, request, field, file)
+    for field in PARTS:  # of a cube what was sent has taken the place of what was kept
+        for name in {*form.getlist(f"{field}_kept")} & {*files_of(settings, owner, [field])}:
+            yield field, partial((folder_of(settings, owner) / field).joinpath, str(name))
+        for name in filter(None, (n.strip() for n in str(form.get(f"{field}_named") or "").split(","))):
+            yield field, partial(_named, request, field, name)
 
 
 def _keep(request: Request, field: str, file: UploadFile) -> Path:
@@ -187,29 +199,15 @@ def _check(request: Request, field: str, name: str, path: Path) -> None:
             raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
 
 
-def _kept(form: FormData, settings: ServerSettings, owner: str) -> Iterator[tuple[str, Path]]:
-    """Files that were kept of an earlier request and are ticked in this one."""
-    for field in PARTS:
-        for name in {*form.getlist(f"{field}_kept")} & {*files_of(settings, owner, [field])}:
-            yield field, folder_of(settings, owner) / field / str(name)
-
-
-def _named(request: Request, form: FormData, mistakes: list[FieldMistake]) -> Iterator[tuple[str, Path]]:
-    """Files of the data folder that a form names, several of a field with commas between."""
+def _named(request: Request, field: str, name: str) -> Path:
+    """A file of the data folder that a form names."""
     data = request.app.state.settings.data
-    for field in PARTS:
-        for name in filter(None, (n.strip() for n in str(form.get(f"{field}_named") or "").split(","))):
-            try:
-                if data is None or not _INSIDE.fullmatch(name):
-                    raise UsageError("no file of the data folder")
-                path = checked_file(data / name, root=data)
-                _check(request, field, path.name, path)
-                yield field, path
-            except Refused as refusal:
-                mistakes += refusal.mistakes
-            except (HypervalError, OSError):
-                words = "the data folder of this server has no such file"
-                mistakes.append(FieldMistake(f"{field}_named", words))
+    with suppress(HypervalError, OSError):
+        if data is not None and _INSIDE.fullmatch(name):
+            path = checked_file(data / name, root=data)
+            _check(request, field, path.name, path)
+            return path
+    raise Refused(422, [FieldMistake(f"{field}_named", "the data folder of this server has no such file")])
 
 
 def _order(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 import threading
 import time
 from collections.abc import Mapping
@@ -17,13 +16,11 @@ from typing import Any
 
 import hyperval
 from hyperval.executors import Cancelled, TaskFailed, TaskPool, WorkerTask
-from hyperval.storage import write_text
 from hyperval.web.refusal import Refused
 from hyperval.web.store import COLLECTION, ENDED, RunStore, ServerSettings, WebRun
 from hyperval.web.workers import WorkerPool
 
 _TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "pipeline": "pipeline"}
-_QUICK = ("prediction",)
 
 
 class Desk:
@@ -56,7 +53,7 @@ class Desk:
 
         Parameters
         ----------
-        files : that the folder of the run begins with: name -> text, or the path of what is copied
+        files : that the folder of the run begins with, as for :meth:`RunStore.new`
         arguments : of the task
 
         Raises
@@ -68,23 +65,14 @@ class Desk:
             if own >= self.limits.per_session:
                 raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
             try:
-                run = self.store.new(owner, kind, name, title, hyperval.__version__)
-                place = self.store.place(run.id)
-                for file, source in files.items():
-                    (place / file).parent.mkdir(parents=True, exist_ok=True)
-                    if isinstance(source, Path):
-                        shutil.copyfile(source, place / file)
-                    else:
-                        write_text(place / file, source)
+                run = self.store.new(owner, kind, name, title, hyperval.__version__, files)
             except OSError as error:
-                with suppress(UnboundLocalError):
-                    self.store.remove(run.id)
                 raise Refused(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
             begun = partial(self._note, run.id, state="running")
-            job = WorkerTask(_TASKS[kind], {"folder": str(place), **arguments}, begun=begun)
+            job = WorkerTask(_TASKS[kind], {"folder": str(self.store.place(run.id)), **arguments}, begun=begun)
             self._jobs[run.id] = job
             try:
-                _submit(self.quick if kind in _QUICK else self.long, job)
+                _submit(self.quick if kind == "prediction" else self.long, job)
             except Refused:
                 del self._jobs[run.id]
                 self.store.remove(run.id)

@@ -15,9 +15,9 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from hyperval.config import parse_yaml
-from hyperval.datasets import files_at_hand, how_to_get, missing, registry, resolve
-from hyperval.errors import HypervalError, UsageError
+from hyperval.config import SCHEMA_LINE, parse_yaml
+from hyperval.datasets import files_at_hand, how_to_get, missing, registry
+from hyperval.errors import UsageError
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.web.forms import SURFACES, Form
@@ -42,15 +42,6 @@ def known_files() -> frozenset[str]:
         for surface in scenario.scene.targets
         if surface.spectrum.file is not None
     )
-
-
-def is_here(file: str) -> bool:
-    """Whether a file of a data set is on this machine."""
-    try:
-        resolve(file)
-    except HypervalError:
-        return False
-    return True
 
 
 def needs(source: object) -> dict[str, str]:
@@ -159,8 +150,7 @@ def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Fie
             if value is None or (key == "file" and value in uploads):
                 continue
             if key == "file" and value in known_files():
-                if not is_here(value):
-                    yield FieldMistake(path, f"this server lacks the data set {value[5:].partition('/')[0]}")
+                yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
             else:
                 words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
                 yield FieldMistake(path, words if key == "file" else "files of the server are not read")
@@ -213,12 +203,12 @@ class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+.]?\d"), list("-+.0123456789"))
 
 
-def yaml_text(data: Mapping[str, Any]) -> str:
-    """Plain data as YAML that the strict reader takes for the same."""
+def yaml_text(kind: str, data: Mapping[str, Any], note: str = "") -> str:
+    """Plain data as YAML that the strict reader takes for the same; its first line names the schema of its kind."""
     text = str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
     if parse_yaml(text)[0] != data:
         raise UsageError("this cannot be written as YAML unchanged")
-    return text
+    return f"{SCHEMA_LINE}{kind}.schema.json\n{note}{text}"
 
 
 def form_data(given: Mapping[str, list[str]]) -> dict[str, Any]:

@@ -114,7 +114,7 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     desk: Desk = request.app.state.desk
     own = files_of(request.app.state.settings, owner)
     scenario = checked_scenario(data, own)
-    text = yaml_text(plain(scenario))
+    text = yaml_text("scenario", plain(scenario))
     files: dict[str, str | Path] = {"scenario.yaml": text, **copies_of(request.app.state.settings, owner, text, own)}
     return desk.order(owner, "prediction", scenario.name, scenario.title, files)
 

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from fastapi import Request
 from starlette.responses import Response
 
+from hyperval.config import schema_text
 from hyperval.web.pages import api, page, pages
+
+
+@pages.get("/{kind}.schema.json")
+def schema(kind: Literal["campaign", "scenario", "study"]) -> Response:
+    """The schema that the first line of a file names, by which editors complete and check it."""
+    headers = {"content-disposition": f'attachment; filename="{kind}.schema.json"'}
+    return Response(schema_text(kind), media_type="application/json", headers=headers)
 
 
 @pages.get("/docs")

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +27,6 @@ from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, Web
 
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9][A-Za-z0-9_.@+-]{0,120}")
 _OWN = ("scenario.yaml", "study.yaml", "campaign.yaml")
-_TYPES = {
-    ".csv": "text/csv", ".json": "application/json", ".nc": "application/x-netcdf", ".svg": "image/svg+xml",
-    ".png": "image/png", ".tif": "image/tiff", ".html": "text/html", ".xml": "application/xml",
-    ".parquet": "application/octet-stream", ".yaml": "text/yaml",
-}  # fmt: skip
 
 
 class RunAnswer(WebRun):
@@ -180,7 +176,7 @@ def file(request: Request, run_id: str, name: str) -> Response:
             f"default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; script-src {page_hashes()}; "
             "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
         )
-    return FileResponse(path, media_type=_TYPES.get(path.suffix, "application/octet-stream"), headers=headers)
+    return FileResponse(path, media_type=guess_type(path.name)[0] or "application/octet-stream", headers=headers)
 
 
 @pages.post("/runs/{run_id}/cancel")

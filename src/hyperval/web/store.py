@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -160,8 +161,15 @@ class RunStore:
             raise KeyError(run_id)
         return self.folder / "runs" / run_id
 
-    def new(self, owner: str, kind: str, name: str, title: str, version: str) -> WebRun:
+    def new(
+        self, owner: str, kind: str, name: str, title: str, version: str,
+        files: Mapping[str, str | Path] = MappingProxyType({}),
+    ) -> WebRun:  # fmt: skip
         """A run that waits, with its folder.
+
+        Parameters
+        ----------
+        files : that the folder begins with: name -> text, or the path of what is copied
 
         Raises
         ------
@@ -174,6 +182,9 @@ class RunStore:
         place = self.place(run.id)
         try:
             place.mkdir(mode=0o700)
+            for file, source in files.items():
+                (place / file).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source, place / file) if isinstance(source, Path) else write_text(place / file, source)
             self._write(run)
         except OSError:
             shutil.rmtree(place, ignore_errors=True)

@@ -11,7 +11,6 @@ import json
 import math
 import shutil
 import sys
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
@@ -26,7 +25,7 @@ from hyperval.campaign.forward import predict_to_folder
 from hyperval.campaign.job import Job, jobs_of
 from hyperval.campaign.run import observe, validate
 from hyperval.campaign.starter import StarterSources, starter_campaign
-from hyperval.config import load_model
+from hyperval.config import load_model, write_draft
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.figures.catalogue import first_figures
@@ -34,7 +33,6 @@ from hyperval.figures.detection import densities_figure, exceedance_figure
 from hyperval.figures.spec import Figure, statement
 from hyperval.figures.spectra import spectra_figure
 from hyperval.imagery import open_raster, record
-from hyperval.model.roc import detection_at
 from hyperval.observe import open_source
 from hyperval.products import (
     ObservedProducts,
@@ -86,16 +84,14 @@ def predict(folder: str) -> dict[str, Any]:
     return summary(_predicted(folder))
 
 
-def summary(prediction: PredictedProducts) -> dict[str, Any]:
+def summary(prediction: api.Prediction) -> dict[str, Any]:
     """Bands, mean SNR, and P_D at some P_FA with 95 % limits, a row for each curve."""
-    rows = []
-    for (subject, detector, unit), curve in prediction.roc.items():
+    rows: list[dict[str, Any]] = []
+    for key in prediction.products.roc:
+        about = dict(zip(("subject", "detector", "unit"), key, strict=True))
         for pfa in _PFA:
-            value, low, high = (
-                _number(detection_at(curve, pfa, limit)) for limit in (curve.pd, curve.pd_lower, curve.pd_upper)
-            )
-            rows.append({"subject": subject, "detector": detector, "unit": unit, "pfa": pfa,
-                         "pd": value, "lower": low, "upper": high})  # fmt: skip
+            found = map(_number, prediction.pd(pfa=pfa, **about))
+            rows.append({**about, "pfa": pfa, **dict(zip(("pd", "lower", "upper"), found, strict=True))})
     snr = [
         {"subject": name, "median": _number(np.nanmedian(e.mean))}
         for name, e in prediction.snr.items()
@@ -117,18 +113,18 @@ def _number(value: Any) -> float | None:
 
 
 @lru_cache(maxsize=8)
-def _predicted(folder: str) -> PredictedProducts:
+def _predicted(folder: str) -> api.Prediction:
     scenario = load_model(Scenario, Path(folder) / "scenario.yaml")
     scenario._folder = Path(folder)
-    return api.predict(scenario).products
+    return api.predict(scenario)
 
 
 def draw(folder: str, earlier: str | None = None) -> None:
     """Write the charts of a prediction, beside those of an earlier one where there is one."""
-    sides = {"predicted": _predicted(folder)}
+    sides = {"predicted": _predicted(folder).products}
     name = view_name("charts")
     if earlier is not None:
-        sides["earlier"] = _predicted(earlier)
+        sides["earlier"] = _predicted(earlier).products
         name = view_name(f"charts-{Path(earlier).name}")
     _write(Path(folder) / name, charts_of(sides))
 
@@ -178,7 +174,7 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
         **sources["stated"],
     )
     text, guesses = starter_campaign(named, place, sources["name"])
-    write_text(place / "campaign.yaml", text)
+    write_draft(place / "campaign.yaml", "campaign", text)
     with _command("observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results", show_progress=False)
     return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
@@ -192,13 +188,8 @@ def sensor(path: str) -> dict[str, Any]:
 
 def score_map(folder: str, name: str) -> None:
     """Write a score map as pages draw it: at most a million pixels, 16 bits between its ends."""
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(Path(folder) / "results" / "scores" / f"{name}.tif") as file:
-            values = file.read(1)
+    raster = open_raster(Path(folder) / "results" / "scores" / f"{name}.tif")
+    values = raster.read_some_bands(0, raster.lines, [0])[0]
     step = int(np.ceil(np.sqrt(values.size / _MOST_PIXELS)))
     shown = values[::step, ::step]
     known = np.isfinite(values)

@@ -25,7 +25,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
 from hyperval.study.trade import KINDS, Live, Offer, Offers, Progress, Trade, completed, notebook, prepared, study_of
-from hyperval.web.inputs import checked_scenario, needs, plain, predefined, yaml_text
+from hyperval.web.inputs import checked_scenario, marked, needs, plain, predefined, yaml_text
 from hyperval.web.pages import api, page, pages, session_of
 from hyperval.web.pages_predict import scenario_of, small
 from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, mistakes_of, said, to_show
@@ -109,9 +109,6 @@ def desk(request: Request) -> Response:
         name = request.query_params.get("scenario", _FIRST)
         first = {"scenario": _FIRST if any(m.field == "scenario" for m in mistakes) else name}
         source, trade, offers = _asked(request, QueryParams(first))
-    errors: dict[str, list[str]] = {}
-    for mistake in mistakes:
-        errors.setdefault(mistake.field, []).append(mistake.message)
     ordered = list(offers.inputs.values())
     shown = [
         o for o in ordered
@@ -119,7 +116,8 @@ def desk(request: Request) -> Response:
     ]  # fmt: skip
     runs = request.app.state.store.runs(session_of(request).owner, "prediction")
     return page(
-        request, "trade.html.j2", status=status, trade=trade, offers=offers, errors=errors, sliders=shown,
+        request, "trade.html.j2", status=status, trade=trade, offers=offers, sliders=shown,
+        errors=marked(mistakes, [mistake.field for mistake in mistakes]),
         groups=[(name, list(some)) for name, some in groupby(ordered, lambda o: o.group)],
         scenarios={name: s.title or name for name, s in predefined().items() if not needs(s)}, runs=runs[:20],
         kinds=KINDS, is_beside=source not in builtin_scenarios(),
@@ -173,9 +171,9 @@ def take_away(request: Request, name: str) -> Response:
     """The study that gives the same numbers, the scenario beside it, or a notebook that runs it."""
     source, study = _study(request, request.query_params)
     note = _NOTE if "atmosphere.engine" in study.get("settings", ()) else ""
-    texts = {"study.yaml": note + yaml_text(study)}
+    texts = {"study.yaml": yaml_text("study", study, note)}
     if source not in builtin_scenarios():
-        texts["scenario.yaml"] = yaml_text(plain(load_scenario(source)))
+        texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
     if name == "trade.ipynb":
         texts[name] = notebook(texts)
     if name not in texts:
@@ -215,10 +213,10 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     mistakes = [*_of_size(study, limits), *_of_paths(study, scenario, uploads)]
     if mistakes:
         raise Refused(422, mistakes)
-    text = yaml_text(plain(scenario))
+    text = yaml_text("scenario", plain(scenario))
     own = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
     copies = copies_of(state.settings, owner, text, uploads)
-    files = {"study.yaml": yaml_text(own), "scenario.yaml": text, **copies}
+    files = {"study.yaml": yaml_text("study", own), "scenario.yaml": text, **copies}
     run: WebRun = state.desk.order(owner, "study", study.name, study.title, files)
     return run
 

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from functools import partial
+from multiprocessing import set_forkserver_preload
 from pathlib import Path
 from queue import Full
 from typing import Any
@@ -47,6 +48,7 @@ class WorkerPool(TaskPool):
         module: str = TASKS,
     ):  # fmt: skip
         self._stack = ExitStack()
+        set_forkserver_preload([module])
         start: Callable[[], Worker] = partial(
             Process, partial(carried_out, module), partial(_warm, module), memory_bytes
         )
