@@ -23,7 +23,7 @@ def opened(browser: Browser, scheme: str, width: int, height: int) -> Page:
 
 
 def main() -> None:
-    """The form on a telephone, a mistake in it, and the run that it makes."""
+    """The form on a telephone, a mistake in it, the run that it makes, and a trade study."""
     address, out = sys.argv[1], Path(sys.argv[2])
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
@@ -41,8 +41,13 @@ def main() -> None:
             page.goto(form)
             page.locator("button.run").last.click()
             page.wait_for_url("**/runs/**")
-            page.wait_for_timeout(20000)
+            page.wait_for_selector("#charts[data-ready]", timeout=300_000)
             (out / f"web-result{ending}.png").write_bytes(small(page.screenshot()))
+        page = opened(browser, "light", 1400, 1000)
+        page.goto(f"{address}/trade?scenario={SCENARIO}")
+        page.wait_for_selector("#trade[data-ready]", timeout=120_000)
+        page.wait_for_timeout(2000)
+        (out / "screens" / "trade.png").write_bytes(small(page.screenshot()))
         browser.close()
 
 

@@ -321,7 +321,7 @@ def _greatest_scores(
     if full:
         by += [mean + c - means[0, 0] for (mean, _), c in zip(full, change[1:], strict=True)]
         parts += list(np.moveaxis(numbers.others, -1, 0))
-        # Parts of neighbours are in place of the host, as the target is in (3.28) itself.
+        # Parts of neighbours are in place of the host, as the target is in equation 3.28.
         host_part, full_parts = (np.clip(v, 0.0, None) for v in (variances[0, 0], np.array(full)[:, 1]))
         host_part = (numbers.rest**2 - (1.0 - numbers.fills) ** 2) * host_part
         sd = np.sqrt(np.clip(variance + numbers.others**2 @ full_parts + host_part, 0.0, None))
