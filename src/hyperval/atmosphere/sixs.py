@@ -329,7 +329,6 @@ def sixs_terms(
     folder: Path,
     show_progress: bool | None = None,
     *,
-    oxygen_continuum: bool = True,
     ratio: EngineRatio | Literal["shipped"] | None = "shipped",
 ) -> AtmosphericTerms:
     """The terms of a state on the 2.5 nm grid 340-2600 nm.
@@ -339,7 +338,6 @@ def sixs_terms(
     state : what is asked
     folder : cache folder
     show_progress : None follows the terminal
-    oxygen_continuum : False leaves out the collision-induced absorption, as 6S itself does
     ratio : what MODTRAN has over 6S; None leaves it out
 
     Raises
@@ -349,7 +347,7 @@ def sixs_terms(
     setting = setting_of(state)
     scattering = _scattering(state, setting, folder, show_progress)
     gas = _gas(state, setting, folder, show_progress)
-    return assembled(state, setting, scattering, gas, oxygen_continuum=oxygen_continuum, ratio=ratio)
+    return assembled(state, setting, scattering, gas, ratio=ratio)
 
 
 def setting_of(state: AtmosphericState) -> Setting:
@@ -367,14 +365,12 @@ def assembled(
     node: Arrays,
     gas: Arrays,
     *,
-    oxygen_continuum: bool = True,
     ratio: EngineRatio | Literal["shipped"] | None = "shipped",
     engine: str = "",
 ) -> AtmosphericTerms:
     """The terms of a state from scattering at the nodes and gas on the grid; see :func:`sixs_terms`."""
     factors = engine_ratio() if ratio == "shipped" else ratio
-    if oxygen_continuum:
-        gas = _with_oxygen_continuum(gas, state, setting)
+    gas = _with_oxygen_continuum(gas, state, setting)
     if factors is not None:
         factors = factors.at(GRID_NM)
         gas = _with_ratio(gas, state, factors)
@@ -405,7 +401,6 @@ def assembled(
         provenance={
             "engine": engine or sixs_fingerprint(),
             "scheme": SCHEME,
-            "oxygen_continuum": oxygen_continuum,
             "engine_ratio": factors is not None,
             "solar_spectrum": state.solar_spectrum,
             "earth_sun_distance_au": state.distance_au,

@@ -305,8 +305,6 @@ def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
     total = sum(int(np.prod(data[name].shape, dtype=object)) for name in present)
     refuse(total > _MAX_VALUES, "table.large", path, total=total, most=_MAX_VALUES)
     dims = [str(d) for d in data["path"].dims]
-    known = dims[-1] == "wavelength_nm" and set(dims[:-1]) <= set(AXES)
-    refuse(not known, "table.dimensions", path, dims=dims, known=", ".join(AXES))
     return AtmosphericTable(
         wavelength_nm=_floats(data["wavelength_nm"]),
         axes={name: _floats(data[name]) for name in dims[:-1]},
