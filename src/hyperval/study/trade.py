@@ -301,18 +301,16 @@ def paths_of(offer: Offer, trade: Trade) -> tuple[str, ...]:
 def outputs_of(trade: Trade, is_moved: bool) -> list[Output]:
     """The output of each subject; ``is_moved``: an input moves the false-alarm probability."""
     label = KINDS[trade.output]
+    asked: dict[str, Any] = {"kind": trade.output}
     if trade.output == "pd" and not is_moved:
+        asked["pfa"] = trade.pfa
         label += f" at P_FA {trade.pfa:g}"
     if trade.is_spectral:
+        asked["range_nm"] = trade.from_nm, trade.to_nm
         label += f", mean of {trade.from_nm:g} to {trade.to_nm:g} nm"
-    return [
-        Output(
-            name=trade.output if len(trade.subject) == 1 else f"{trade.output}-{i + 1}", kind=trade.output,
-            subject=name, label=f"{label}, {name}", pfa=None if trade.output != "pd" or is_moved else trade.pfa,
-            range_nm=(trade.from_nm, trade.to_nm) if trade.is_spectral else None,
-        )
-        for i, name in enumerate(trade.subject)
-    ]  # fmt: skip
+    names = [trade.output if len(trade.subject) == 1 else f"{trade.output}-{i + 1}" for i in range(len(trade.subject))]
+    both = zip(names, trade.subject, strict=True)
+    return [Output(name=name, subject=of, label=f"{label}, {of}", **asked) for name, of in both]
 
 
 def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -> StudyFile:
@@ -330,17 +328,14 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     of_sky = sum(offer.key.startswith("atmosphere.") for _, offer in axes)
     atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
     outputs = outputs_of(trade, PFA in (trade.x, trade.y))
-    x, family = inputs[-1], inputs[0].name if len(inputs) > len(axes) else None
+    more: dict[str, Any] = {"kind": "heat", "y": inputs[-2].name} if trade.y else {"kind": "lines"}
+    if not trade.y and len(inputs) > len(axes):
+        more["family"] = inputs[0].name
     scale = "log" if axes[-1][1].is_log else "linear"
-    more: dict[str, Any] = {"kind": "lines", "family": family}
-    if trade.y:
-        more = {"kind": "heat", "y": inputs[-2].name}
-    plots = [Plot(x=x.name, output=o.name, scale=scale, **more) for o in outputs]
     data = {
         "schema": 1, "name": "trade", "title": f"{KINDS[trade.output]} against {' and '.join(i.label for i in inputs)}",
-        "scenario": scenario, "settings": settings, "inputs": [i.model_dump(exclude_unset=True) for i in inputs],
-        "outputs": [o.model_dump(exclude_none=True, exclude_defaults=True) for o in outputs],
-        "plots": [plot.model_dump(exclude_none=True) for plot in plots],
+        "scenario": scenario, "settings": settings, "inputs": inputs, "outputs": outputs,
+        "plots": [Plot(x=inputs[-1].name, output=o.name, scale=scale, **more) for o in outputs],
     }  # fmt: skip
     return StudyFile.model_validate({**data, "atmosphere": atmosphere} if of_sky else data)
 
@@ -384,17 +379,14 @@ def _settings(p: Prepared, trade: Trade) -> dict[str, Any]:
     return out
 
 
-def _columns(p: Prepared, trade: Trade, columns: Mapping[str, Any], count: int) -> dict[str, Any]:
-    return {**columns, **{path: np.full(count, value) for path, value in _constants(p, trade).items()}}
-
-
 def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
-    """Columns of the overlaid backgrounds and sensors, a row for each combination, and what each is called."""
+    """Columns of overlaid backgrounds and sensors and of sliders, a row for each curve, and what each is called."""
     inputs = _overlays(p, trade)
     rows = list(product(*(i.values or [] for i in inputs)))
-    columns = {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)}
+    columns = moved(inputs, {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)})
+    columns |= {path: np.full(len(rows), value) for path, value in _constants(p, trade).items()}
     names = [", ".join(str(row[k]) for k, i in enumerate(inputs) if len(i.values or []) > 1) for row in rows]
-    return moved(inputs, columns), names
+    return columns or {"line.offset": np.zeros(1)}, names
 
 
 def _labels(trade: Trade, names: Sequence[str]) -> list[str]:
@@ -407,7 +399,8 @@ def values_at(p: Prepared, trade: Trade, rows: npt.NDArray[np.intp]) -> Array:
     """Outputs (n, O) at some points of the study of a trade."""
     study = study_of(p, trade, trade.scenario)
     columns = moved(study.inputs, StudyPoints(study).stretch(0, study.count))
-    some = _columns(p, trade, {path: column[rows] for path, column in columns.items()}, rows.size)
+    some = {path: column[rows] for path, column in columns.items()}
+    some |= {path: np.full(rows.size, value) for path, value in _constants(p, trade).items()}
     return Evaluator(p.world).values(some, study.outputs)[0]
 
 
@@ -482,14 +475,13 @@ def _required(p: Prepared, trade: Trade, columns: Mapping[str, Any], names: Sequ
     """The value of x at which the output of each curve comes to what is wanted."""
     trade = trade.model_copy(update={"y": ""})  # which stands as in the scenario, or where its slider does
     offer, outputs, found = p.offers.inputs[trade.x], outputs_of(trade, trade.x == PFA), dict[tuple[int, int], Needed]()
-    some = _columns(p, trade, columns, len(names)) or {"line.offset": np.zeros(len(names))}
     for k, o in enumerate(outputs):
         question = Required(
             name="required", between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
             spacing="log" if offer.is_log else "linear", equals=float(trade.wanted or 0.0),
             moves=[Move(path=path) for path in paths_of(offer, trade)],
         )  # fmt: skip
-        answer = answers(Evaluator(p.world), some, question, outputs)
+        answer = answers(Evaluator(p.world), columns, question, outputs)
         for i, value in enumerate(answer.solutions.tolist()):
             why = answer.reasons.get(i, "").replace(o.name, KINDS[trade.output])
             words = why.replace("no solution", "not reached in this range")
@@ -502,14 +494,13 @@ def _required(p: Prepared, trade: Trade, columns: Mapping[str, Any], names: Sequ
     return tuple((value, f"{label}: {words}" if len(found) > 1 else words) for label, (value, words) in each)
 
 
-def _predicted(p: Prepared, trade: Trade, truth: Mapping[str, Any]) -> PredictedProducts:
-    origins = Origins(show_progress=False)
-    return predict(p.scenario, origins, truth={**_constants(p, trade), **truth}, object_curves=False)
+def _predicted(p: Prepared, truth: Mapping[str, Any]) -> PredictedProducts:
+    return predict(p.scenario, Origins(show_progress=False), truth=truth, object_curves=False)
 
 
 def _spectral_limits(p: Prepared, trade: Trade, truth: Mapping[str, Any]) -> Array:
     """(subjects, 1, 2) 95 % limits of the mean of a spectrum over its bands in one truth; NaN without error."""
-    products, out = _predicted(p, trade, truth), np.full((len(trade.subject), 1, 2), np.nan)
+    products, out = _predicted(p, truth), np.full((len(trade.subject), 1, 2), np.nan)
     for k, o in enumerate(outputs_of(trade, False)):
         spectrum, bands = getattr(products, trade.output)[o.subject], bands_of(o, products.axis)
         sd = math.sqrt(max(float(spectrum.error_covariance[np.ix_(bands, bands)].mean()), 0.0))
@@ -520,13 +511,12 @@ def _spectral_limits(p: Prepared, trade: Trade, truth: Mapping[str, Any]) -> Arr
 
 def _curve_limits(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
     """(subjects, n, 2) 95 % limits of P_D at some P_FA in one truth; NaN where they are no interval."""
-    products, detector = _predicted(p, trade, truth), p.scenario.processing.detectors[0]
+    products, detector = _predicted(p, truth), p.scenario.processing.detectors[0]
     out = np.full((len(trade.subject), pfa.size, 2), np.nan)
     for k, name in enumerate(trade.subject):
         curve = products.roc[name, detector, "pixel"]
         if np.nanmax(curve.pd_upper - curve.pd_lower) > 1e-12:
-            both = curve.pd_lower, curve.pd_upper
-            out[k] = [[float(detection_at(curve, at, limit)) for limit in both] for at in pfa]
+            out[k] = np.stack([detection_at(curve, pfa, y) for y in (curve.pd_lower, curve.pd_upper)], axis=1)
     return out
 
 
@@ -618,7 +608,7 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> Live:
     p = prepared(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
     columns, names = _families(p, trade)
-    world = with_values(p.world, _columns(p, trade, columns, len(names)) or {"line.offset": np.zeros(1)})
+    world = with_values(p.world, columns)
     output = outputs_of(trade, False)
     spectra, numbers = dict[tuple[int, int], tuple[Array, Array]](), np.full((len(names), len(output)), np.nan)
     for index, e in evaluations(world):
