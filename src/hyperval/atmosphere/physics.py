@@ -32,7 +32,7 @@ import numpy.typing as npt
 from scipy.special import expn
 
 from hyperval.atmosphere import state as visibility
-from hyperval.atmosphere.state import AtmosphericState, Profile, column_g_cm2, pressure_at, pressures_at, scaled_profile
+from hyperval.atmosphere.state import AtmosphericState, Profile, column_g_cm2, pressure_at, scaled_profile
 
 Array = npt.NDArray[np.float64]
 
@@ -218,7 +218,7 @@ def collision_column(profile: Profile, bottom_km: float, top_km: float | None = 
         return 0.0
     z = np.linspace(bottom_km, top, int(np.ceil((top - bottom_km) / _STEP_KM)) + 1)
     temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
-    air = (pressures_at(profile, z) / _STP_HPA) * (_STP_K / temperature)  # amagat
+    air = (pressure_at(profile, z) / _STP_HPA) * (_STP_K / temperature)  # amagat
     return float(OXYGEN * np.trapezoid(air**2, z) * _CM_PER_KM)
 
 

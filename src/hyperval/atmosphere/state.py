@@ -98,14 +98,10 @@ def scaled_profile(model: str, ground_km: float, water_g_cm2: float | None, ozon
     return replace(profile, water_g_m3=profile.water_g_m3 * water, ozone_g_m3=profile.ozone_g_m3 * ozone)
 
 
-def pressures_at(profile: Profile, altitude_km: Array) -> Array:
-    """Pressures at altitudes [hPa], logarithmic between levels."""
-    return np.asarray(np.exp(np.interp(altitude_km, profile.altitude_km, np.log(profile.pressure_hpa))))
-
-
-def pressure_at(profile: Profile, altitude_km: float) -> float:
-    """The same at one altitude [hPa]."""
-    return float(pressures_at(profile, np.array(altitude_km)))
+def pressure_at(profile: Profile, altitude_km: npt.ArrayLike) -> Array:
+    """Pressure at altitudes [hPa], logarithmic between levels."""
+    at = np.asarray(altitude_km, dtype=float)
+    return np.asarray(np.exp(np.interp(at, profile.altitude_km, np.log(profile.pressure_hpa))))
 
 
 def air_column(profile: Profile, above_km: float) -> float:
@@ -116,7 +112,7 @@ def air_column(profile: Profile, above_km: float) -> float:
     inside = profile.altitude_km > above_km
     z = np.concatenate([[above_km], profile.altitude_km[inside]])
     temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
-    return float(np.trapezoid(pressures_at(profile, z) / temperature, z))
+    return float(np.trapezoid(pressure_at(profile, z) / temperature, z))
 
 
 def altitude_of_air_column(profile: Profile, column: float) -> float:

@@ -7,13 +7,11 @@ from .suite import (
     applied_moments,
     check_sensor,
     electrons_from_energy,
-    electrons_from_noise,
     movable,
     neighbour_ratio,
     numbers,
     scene_radiance,
     sunlit_radiance,
-    unseen_widths,
 )
 
 __all__ = [
@@ -24,12 +22,10 @@ __all__ = [
     "check_sensor",
     "check_to_folder",
     "electrons_from_energy",
-    "electrons_from_noise",
     "movable",
     "neighbour_ratio",
     "numbers",
     "scene_radiance",
     "sunlit_radiance",
-    "unseen_widths",
     "write_check",
 ]

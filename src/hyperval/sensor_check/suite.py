@@ -151,11 +151,6 @@ def neighbour_ratio(axis: SpectralAxis) -> Array:
     return np.asarray(0.5 * (axis.fwhm_nm[:-1] + axis.fwhm_nm[1:]) / np.diff(axis.centre_nm))
 
 
-def unseen_widths(axis: SpectralAxis) -> Array:
-    """What lies between the half-maximum points of neighbouring bands, in their mean FWHM (B - 1,) [1]."""
-    return np.asarray(1.0 / neighbour_ratio(axis) - 1.0)
-
-
 def applied_moments(axis: SpectralAxis) -> tuple[Array, Array, Array]:
     """Integral [1], centroid - centre [nm] and FWHM [nm] of each response as the resampling applies it, (B,) each.
 
@@ -189,12 +184,6 @@ def electrons_from_energy(arm: Arm, axis: SpectralAxis) -> Array:
     collected_w = 1e-2 * throughput * axis.fwhm_nm * arm.optical_transmittance.at(w) * arm.degradation.at(w)
     photon_j = constants.h * constants.c / (w * 1e-9)
     return np.asarray(collected_w * arm.integration_time_s.at(w) * arm.quantum_efficiency.at(w) / photon_j)
-
-
-def electrons_from_noise(noise: NoiseModel, level: Array, other: Array) -> Array:
-    """Electrons per unit of radiance (B,) by photon transfer: the inverse slope of noise variance over radiance."""
-    change = noise.variance(other, calibration=False) - noise.variance(level, calibration=False)
-    return np.asarray((other - level) / change)
 
 
 @lru_cache(maxsize=8)
@@ -560,10 +549,10 @@ def spacing(check: SensorCheck) -> Values:
 
 
 def gap(check: SensorCheck) -> Values:
-    """Widest gap between neighbours that should touch, in widths."""
+    """Widest gap between the half-maximum points of neighbours that should touch, in their mean width."""
     touch = _contiguous(check)
     if touch.any():
-        unseen = np.where(touch, unseen_widths(check.axis), -np.inf)
+        unseen = np.where(touch, 1.0 / neighbour_ratio(check.axis) - 1.0, -np.inf)
         at = int(np.argmax(unseen))
         yield Found(unseen[at], words=f"{check.axis.centre_nm[at]:g} and {check.axis.centre_nm[at + 1]:g} nm")
 
@@ -633,8 +622,9 @@ def photon_transfer(check: SensorCheck) -> Values:
     """The gain that the noise at two radiances implies against the one that is applied."""
     noise, axis = check.noise, check.axis
     level, other = sunlit_radiance(axis, DARK), sunlit_radiance(axis, BRIGHT)
-    with np.errstate(all="ignore"):
-        off = electrons_from_noise(noise, level, other) * noise.readings / noise.electrons_per_radiance - 1.0
+    rise = noise.variance(other, calibration=False) - noise.variance(level, calibration=False)
+    with np.errstate(all="ignore"):  # the inverse slope of the variance
+        off = (other - level) / rise * noise.readings / noise.electrons_per_radiance - 1.0
     # A measured fit with c != 0 is not linear in the radiance: it says nothing of the gain.
     linear = axis.good if noise.measured is None else axis.good & (noise.measured[2] == 0.0)
     if linear.any():
