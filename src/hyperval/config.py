@@ -35,6 +35,7 @@ GONE = {
     "lags": "correlation_nm, the length over which the measured correlations fall off",
     "groups_nm": "correlation_nm, or 'correlation: arms' for the arms of the sensor",
     "distribution": "errors are normal: the standard uncertainty alone; of a uniform error, its half width over root 3",
+    "totals": "each input has its own share of the variance: leave it out",
     "precision": "covariances are always summed in float64, as 'exact' did: leave it out",
 }
 

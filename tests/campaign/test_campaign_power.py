@@ -76,10 +76,11 @@ def test_the_sentence_names_what_goes_unseen():
 
 
 def test_a_table_is_stored_and_read_back_and_says_what_is_younger(tmp_path):
-    campaign.write_power_table(tmp_path / "small.yaml", table())
-    assert campaign.accepted_table("small", tmp_path) == table()
+    (place := tmp_path / "validation/power").mkdir(parents=True)
+    campaign.write_power_table(place / "small.yaml", table())
+    assert campaign.accepted_table("small", tmp_path / "copies" / "of it") == table()
     assert campaign.accepted_table("other", tmp_path) is None
-    (tmp_path / "other.yaml").write_text((tmp_path / "small.yaml").read_text())
+    (place / "other.yaml").write_text((place / "small.yaml").read_text())
     with pytest.raises(UsageError, match="is the power table of 'small'"):
         campaign.accepted_table("other", tmp_path)
     inputs = [
@@ -102,6 +103,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     """From the command to the page: the first screen names what goes unseen; an old table says so."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("hyperval.campaign.power.injected_errors", lambda: some_errors(BRIGHT, QUIET, TAILS))
+    small.data["attribution"] = {}
     path = on_radiance_alone(small, at_most=0.02)
     assert cli.run(["power", str(path), "-o", "out", "--accept"]) == 0
     assert sorted(p.name for p in Path("out").glob("*.*") if not p.name.startswith(".")) == ["power.csv", "small.yaml"]
@@ -118,7 +120,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert "The table is" not in page
     assert "Which errors this campaign would detect is not known" in report_page(replace(run, power=None), [])
     place = tmp_path / "validation/power/small.yaml"
-    known, inputs = campaign.accepted_table("small", place.parent), run.provenance["inputs"]
+    known, inputs = campaign.accepted_table("small", tmp_path), run.provenance["inputs"]
     changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in inputs]
     younger = report_page(replace(run, power=known.told(changed, run.table)), [])
     assert "The table is older than campaign.yaml" in younger[: younger.index("<nav")]
@@ -132,3 +134,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert "sunlight x 1.05: gates, accepted: unseen" in said
     assert "noise x 1.5: unseen, accepted: not in the table" in said
     assert "another: not in the table, accepted: unseen" in said
+    small.scenario["atmosphere"]["aot550"] *= 1.5
+    rows = campaign.run_campaign(campaign.jobs_of(small.write())[0]).table
+    (since,) = rows.where(subject="since the accepted run", metric="reduced_chi_square")
+    assert since.reason.startswith("check the aerosol optical depth (x 0.66")

@@ -63,7 +63,7 @@ TABLES = sorted((ROOT / "validation" / "power").glob("*.yaml"))
 
 @pytest.mark.parametrize("path", TABLES or [None], ids=lambda path: path.stem)
 def test_an_accepted_power_table_has_each_standard_error_its_gates_and_the_files_of_a_campaign(path):
-    table = accepted_table(path.stem, path.parent)
+    table = accepted_table(path.stem, ROOT)
     assert table is not None
     assert list(table.errors) == list(injected_errors())
     assert 0 < len(table.stated) <= table.gates + table.disagreeing

@@ -33,7 +33,7 @@ from .reasons import (
     causes_of,
     changed_scenarios,
     reason_for,
-    sensitivity_indices,
+    shares_of_variance,
 )
 from .residuals import ComparedQuantity, ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stacked
 from .schema import AttributionOptions, WhatIf
@@ -44,5 +44,5 @@ __all__ = [
     "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "budget_covariance", "candidates", "causes_of",
     "changed_scenarios", "common_and_own", "errors_of_file", "few_objects", "injected_errors", "injected_prediction",
     "kind_of", "posterior",
-    "posteriors", "quantities", "reason_for", "sampled_covariance", "sensitivity_indices", "stacked",
+    "posteriors", "quantities", "reason_for", "sampled_covariance", "shares_of_variance", "stacked",
 ]  # fmt: skip

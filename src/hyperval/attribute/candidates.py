@@ -8,11 +8,11 @@ pipeline that is compared is the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +75,7 @@ _SIZES = {
 }  # fmt: skip
 _OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
+SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
 
 
@@ -208,7 +209,7 @@ def candidates(
 
 
 def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
-    """What is no number: bands elsewhere, another time of overflight, another haze, spectra that were exchanged."""
+    """What is no number: bands elsewhere, another time or haze, spectra exchanged or in another unit."""
     states = [world.stated.scenario.atmosphere for world in worlds]
     if any(s is not None and s.engine == "table" for s in states):
         states = [None for _ in states]
@@ -224,34 +225,40 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
 
         def later(hours: float) -> list[Truth]:
             times = [s and s.time_utc and parse_utc(s.time_utc) + timedelta(hours=hours) for s in states]
-            moved: list[Truth] = []
-            moved += ({"atmosphere.time_utc": t.isoformat()} if t else {} for t in times)
-            return moved
+            return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
 
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
-        others = tuple(h for h in HAZES if h not in hazes)
-        kinds: list[list[Truth]] = [
-            [{"atmosphere.aerosol": h} if s is not None else {} for s in states] for h in others
-        ]
-        out.append(Candidate("aerosol type", "atmosphere", "", False, labels=others, moved=lambda i: kinds[int(i)]))
+        kinds: dict[str, list[Truth]] = {
+            h: [{"atmosphere.aerosol": h} if s is not None else {} for s in states] for h in HAZES if h not in hazes
+        }
+        out.append(_one_of("aerosol type", "atmosphere", kinds))
+    pairs: dict[str, list[Truth]] = {}
+    scaled: dict[str, list[Truth]] = {}
     for number, world in enumerate(worlds):
+        scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
         for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
             one = _part(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", 0.05)
             members = tuple(one if i == number else None for i in range(len(worlds)))
             out.append(Candidate(one.name, one.kind, one.correlation, False, members, (-10.0, 12.0)))
-    pairs = {}
-    for number, world in enumerate(worlds):
-        scene = world.stated.scenario.scene
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
             for names in combinations([x.name for x in kind], 2):
-                truth = _exchanged(world, names, "surface")
-                pairs[" and ".join(names)] = [truth if i == number else {} for i in range(len(worlds))]
-    if pairs:
-        truths = list(pairs.values())
-        out.append(Candidate("exchanged spectra or regions", "scene", "", False, labels=tuple(pairs),
-                             moved=lambda i: truths[int(i)]))  # fmt: skip
-    return out
+                pairs[" and ".join(names)] = alone(_exchanged(world, names))
+            for name, x in product([s.name for s in kind if s.spectrum.measured is None], SCALES):
+                level = np.nan_to_num(world.stated.surfaces[name].mean)
+                scaled[f"{name} x {x:g}"] = alone({f"surfaces.[{name}].mean": x * level})
+    found = {"exchanged spectra or regions": pairs, "scale of a spectrum": scaled}
+    return out + [_one_of(name, "scene", each) for name, each in found.items() if each]
+
+
+def _alone(number: int, of: int, truth: Truth) -> list[Truth]:
+    """What is moved in one scenario."""
+    return [truth if i == number else {} for i in range(of)]
+
+
+def _one_of(name: str, kind: str, truths: Mapping[str, list[Truth]]) -> Candidate:
+    each = list(truths.values())
+    return Candidate(name, kind, "", False, labels=tuple(truths), moved=lambda i: each[int(i)])
 
 
 NORMAL_DOF = 1e6  # degrees of freedom of tails that are left out
@@ -273,12 +280,12 @@ def injected_errors() -> dict[str, Family]:
         "wavelengths + 5 nm": partial(_shifted, nm=5.0),
         "noise x 1.5": partial(_times, path="sensor.noise", factor=1.5),
         "electrons x 1.05": partial(_times, path="sensor.electrons", factor=1.05),
-        "class spread x 0.8": partial(_spread, factor=0.8),
-        "class spread x 1.25": partial(_spread, factor=1.25),
+        "class spread x 0.8": partial(_times, path="surfaces.[{class}].spread", factor=0.8),
+        "class spread x 1.25": partial(_times, path="surfaces.[{class}].spread", factor=1.25),
         "tails left out": _without_tails,
-        "class means exchanged": _class_means_exchanged,
-        "target spectra x 0.8": _darker_targets,
-        "target spectra exchanged": _target_spectra_exchanged,
+        "class means exchanged": partial(_exchanged, what="class"),
+        "target spectra x 0.8": partial(_times, path="surfaces.[{target}].mean", factor=0.8),
+        "target spectra exchanged": partial(_exchanged, what="target"),
         "target spectra of another material": _other_material,
         "target covariance by f, not f squared": _fine_texture,
         "fill fraction x 0.8": partial(_times, path="fill", factor=0.8),
@@ -332,11 +339,28 @@ def injected_prediction(
     return prediction, truth
 
 
+def _each(world: World, path: str) -> dict[str, Any]:
+    """What stands at a path, or at that of each class or target, where it speaks of them."""
+    what = "target" if "{target}" in path else "class"
+    names = _names(world, what) if "{" in path else [""]
+    paths = [path.replace(f"{{{what}}}", name) for name in names]
+    return {each: np.asarray(value_at(world, each)[0], dtype=float) for each in paths}
+
+
+def _names(world: World, what: str) -> list[str]:
+    """Classes, those that cover most first; or targets."""
+    scene = world.stated.scenario.scene
+    names = [x.name for x in (scene.targets if what == "target" else sorted(scene.classes, key=lambda c: -c.fraction))]
+    if not names:
+        raise NotInjectable(f"there is no {what}")
+    return names
+
+
 def _times(world: World, *, path: str, factor: float) -> Truth:
-    nominal = np.asarray(value_at(world, path)[0], dtype=float)
-    if not np.any(nominal):
+    nominal = _each(world, path)
+    if not any(map(np.any, nominal.values())):
         raise NotInjectable(f"{path} is 0")
-    return {path: factor * nominal}
+    return {each: factor * value for each, value in nominal.items()}
 
 
 def _shifted(world: World, *, bands: float = 0.0, nm: float = 0.0) -> Truth:
@@ -349,39 +373,18 @@ def _shifted(world: World, *, bands: float = 0.0, nm: float = 0.0) -> Truth:
     return moves
 
 
-def _spread(world: World, *, factor: float) -> Truth:
-    """Standard deviation of every class."""
-    return {f"surfaces.[{c.name}].spread": factor for c in world.stated.scenario.scene.classes}
-
-
 def _without_tails(world: World) -> Truth:
-    paths = [f"surfaces.[{c.name}].tail_dof" for c in world.stated.scenario.scene.classes]
-    heavy = {path: NORMAL_DOF for path in paths if value_at(world, path)[0] < NORMAL_DOF}
+    heavy = {path: NORMAL_DOF for path, dof in _each(world, "surfaces.[{class}].tail_dof").items() if dof < NORMAL_DOF}
     if not heavy:
         raise NotInjectable("no class has tails")
     return heavy
-
-
-def _class_means_exchanged(world: World) -> Truth:
-    """Those of the two classes that cover most."""
-    classes = sorted(world.stated.scenario.scene.classes, key=lambda c: -c.fraction)
-    return _exchanged(world, [c.name for c in classes[:2]], "class")
-
-
-def _darker_targets(world: World) -> Truth:
-    return {path: 0.8 * value_at(world, path)[0] for path in _target_means(world).values()}
-
-
-def _target_spectra_exchanged(world: World) -> Truth:
-    return _exchanged(world, list(_target_means(world)), "target")
 
 
 def _other_material(world: World) -> Truth:
     """Of the built-in materials the one that is least like the target."""
     moves = {}
     others = [builtin_mean(n, world.stated.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
-    for name, path in _target_means(world).items():
-        own = world.stated.surfaces[name].mean
+    for path, own in _each(world, "surfaces.[{target}].mean").items():
         gaps = [float(np.nanmean((mean - own) ** 2)) for mean in others]
         moves[path] = others[int(np.argmax(gaps))]
     return moves
@@ -389,22 +392,15 @@ def _other_material(world: World) -> Truth:
 
 def _fine_texture(world: World) -> Truth:
     """All of the targets' spread."""
-    names = [name for name in _target_means(world) if np.any(world.stated.surfaces[name].covariance)]
+    names = [name for name in _names(world, "target") if np.any(world.stated.surfaces[name].covariance)]
     if not names:
         raise NotInjectable("no target has a spread")
     return {f"surfaces.[{name}].fine_texture": 1.0 for name in names}
 
 
-def _target_means(world: World) -> dict[str, str]:
-    """Target -> path of its mean spectrum."""
-    paths = {t.name: f"surfaces.[{t.name}].mean" for t in world.stated.scenario.scene.targets}
-    if not paths:
-        raise NotInjectable("there is no target")
-    return paths
-
-
-def _exchanged(world: World, names: Sequence[str], what: str) -> Truth:
-    """Each surface has the mean spectrum of the next one, where that is known."""
+def _exchanged(world: World, names: Sequence[str] = (), what: str = "surface") -> Truth:
+    """Each surface has the mean spectrum of the next one, where that is known; the two classes that cover most."""
+    names = names or (_names(world, what)[:2] if what == "class" else _names(world, what))
     if len(names) < 2:
         raise NotInjectable(f"there is one {what}")
     moves = {}

@@ -36,6 +36,7 @@ ALIKE, CORRELATED = 10.0, 0.95  # odds within which causes are not told apart; c
 MOST_FIRST, MOST_STEPS = 4, 3
 MOST_UNSTATED = 200.0  # usual steps of a direction
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
+REMAINDER = 0.05  # of a chi-square without noise that causes may leave
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
 
 
@@ -390,6 +391,8 @@ class Reasoner:
     columns : candidate -> (n, k) whitened change of the prediction: for a unit of each direction, at each of the
         sizes, or by each alternative
     wide : (n, k) the same of what no candidate describes
+    noisy : whether residuals hold chance, and misfits of their own; of a change without any, what explains but a part
+        does not explain it
 
     Examples
     --------
@@ -399,8 +402,8 @@ class Reasoner:
     'water'
     """
 
-    def __init__(self, columns: Mapping[Candidate, Array], wide: Array):
-        self.columns, self.wide = columns, wide
+    def __init__(self, columns: Mapping[Candidate, Array], wide: Array, *, noisy: bool = True):
+        self.columns, self.wide, self.noisy = columns, wide, noisy
         kinds = Counter(kind_of(c.name) for c in columns)
         share = (1.0 - NOTHING_PRIOR - NONE_PRIOR) / max(len(kinds), 1)
         self.prior = {c: float(np.log(share / kinds[kind_of(c.name)])) for c in columns}
@@ -409,6 +412,7 @@ class Reasoner:
 
     def posterior(self, group: str, e: Array) -> Posterior:
         """Of whitened residuals (n,)."""
+        self.whole = float(e @ e)
         singles = sorted((effect.fit(e) for effect in self._effects), key=self._order)
         found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (float(e @ e),))]
         found += [self._with(None, fit, e) for fit in (*singles, self._none.fit(e))]
@@ -425,10 +429,9 @@ class Reasoner:
         for h, weight in zip(found, weights, strict=True):
             probability[h.first] += float(weight)
         first = max(probability, key=lambda name: probability[name])
-        whole = float(e @ e)
-        p_value = float(scipy.stats.chi2.sf(whole, e.size))
+        p_value = float(scipy.stats.chi2.sf(self.whole, e.size))
         alike = self._alike(singles, first, probability)
-        return Posterior(group, whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
+        return Posterior(group, self.whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
 
     def drawn(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
         """Worlds with one cause each, from half to five times what can just be seen, and with what none describes.
@@ -464,6 +467,8 @@ class Reasoner:
             prior = prior - float(e @ e)
         rest, _ = _after(fit, e, {})
         causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())
+        if not self.noisy and fit.candidate is None and left and left[-1] > REMAINDER * self.whole:
+            causes, left = (), ()
         return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*left, float(rest @ rest)))
 
     def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,32 +22,40 @@ from hyperval.attribute.posterior import (
     Reasoner,
     Whitened,
     budget_covariance,
-    posterior,
     posteriors,
 )  # fmt: skip
-from hyperval.attribute.residuals import POINTS, ComparedQuantity, ResidualBlock, Stack, quantities, stacked
+from hyperval.attribute.residuals import (
+    POINTS,
+    SPECTRUM_FLOOR,
+    ComparedQuantity,
+    Indices,
+    ResidualBlock,
+    Stack,
+    quantities,
+    stacked,
+)  # fmt: skip
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import Array, named, row, scientific
 from hyperval.errors import UsageError, refuse
-from hyperval.model import Truth, World, inputs_of, together
+from hyperval.model import Truth, World, inputs_of
 from hyperval.products import Products, background_of
 from hyperval.progress import track
 from hyperval.results import Cause, Outcome, Result
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 
-ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
-MOST_TOGETHER = 6
-MOST_SCENARIOS = 3  # of which the atmosphere is asked for large errors
+ATMOSPHERE, MOST_SCENARIOS = "atmosphere", 3  # inputs of this kind are asked for large errors in so many scenarios
 MOST_ROUNDS, MOST_REFINED = 3, 4  # in which the model is asked again at the sizes found, of so many candidates
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 # A gain and an offset of the calibration that change smoothly over wavelength: a piece at each knot.
-SMOOTH = {"smooth gain of the sensor": False, "smooth offset of the sensor": True}
 SMOOTH_PART = 0.03
 KNOTS_NM = np.array([400, 430, 460, 500, 550, 600, 650, 700, 800, 900, 1000, 1200, 1400, 1650, 2000, 2250, 2500], float)
 SINGLE_BANDS = 0.01
 FACTOR = 2.0  # a ratio of false alarms within it is good
+# Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
+# is large or was found at another level; part of a spectrum that has not moved.
+CHANGE_FLOOR, OFF, STILL = 2e-3, 0.01, 1e-4
 _EVERYTHING, SINCE = "every input", "since the accepted run"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
@@ -84,58 +92,108 @@ class Causes:
     ----------
     stack, numbers : what is explained, as a vector and as single numbers
     predicted, values : both, with nothing moved
+    of_spectra : errors that are linear in the spectra at a level (n,)
     covariance : (n, n) of the vector, with everything that is budgeted
     columns : candidate -> (n, k) change of the prediction, as :class:`hyperval.attribute.posterior.Reasoner` has it
     ends : numbers with an input one unit up and down
+    residual : (n,) observed minus predicted
+    wide : (n, k) of what no candidate describes
+    evaluate : asks the model again
     """
 
     stack: Stack
     numbers: Sequence[ComparedQuantity]
     predicted: Array
     values: Array
+    of_spectra: Callable[[Array], dict[Candidate, Array]]
     covariance: Array
     columns: dict[Candidate, Array]
     ends: Ends
-
-    @property
-    def wide(self) -> Array:
-        """(n, k) of what no candidate describes."""
-        return self.stack.unstructured(self.predicted)
+    residual: Array
+    wide: Array
+    evaluate: Evaluate
 
     def reasoner(self) -> Reasoner:
         """The same, whitened."""
-        data = Whitened(self.predicted, self.covariance)
+        data = Whitened(self.residual, self.covariance)
         return Reasoner({c: data.whiten(g) for c, g in self.columns.items()}, data.whiten(self.wide))
 
-    def by_quantity(self, residual: Array) -> dict[str, list[float]]:
-        """Residuals (n,) by the quantity that they are of, to four digits of its uncertainty."""
-        sd = np.sqrt(np.diag(self.covariance))
-        digits = 2 - np.floor(np.log10(sd)).astype(int)
-        told = [round(float(x), int(k)) for x, k in zip(residual, digits, strict=True)]
-        return {_quantity(block): told[at] for block, at in self.stack.placed()}
+    def standing(self) -> tuple[dict[Candidate, Array], Posterior]:
+        """What explains the residuals."""
+        return self.explained(self.residual, self.covariance, self.columns, np.arange(self.predicted.size))
 
-    def stacked_again(self, told: Mapping[str, Sequence[float]]) -> Array | None:
-        """(n,) of :meth:`by_quantity`; None where other things were compared."""
-        each = [told.get(_quantity(block), []) for block, _ in self.stack.placed()]
-        sizes = [block.observed.size for block, _ in self.stack.placed()]
-        return np.concatenate(each) if [len(x) for x in each] == sizes else None
+    def sides(self) -> dict[str, tuple[str, str, str]]:
+        """Of each quantity the bands, what is observed and what is predicted, to six digits."""
+        out = {}
+        for block, at in self.stack.placed():
+            observed, predicted = (" ".join(f"{x:.6g}" for x in side) for side in (block.observed, self.predicted[at]))
+            out[_quantity(block)] = (" ".join(map(str, self.stack.bands[at])), observed, predicted)
+        return out
 
-    def explained(self, residual: Array, evaluate: Evaluate) -> tuple[Causes, Posterior]:
-        """What explains residuals (n,); between sizes the model is interpolated, and asked at those that are found."""
-        columns = dict(self.columns)
+    def changed(self, told: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
+        """What explains the change since a run with the sides ``told``; None where both share no quantity.
+
+        The same data and the same draws have no noise: what was measured moved, or the prediction did.  Where measured
+        spectra moved the data are to say why, and the model too where they are ``simulated``; else the model.
+        """
+        places, then = [], []
+        for block, at in self.stack.placed():
+            bands, *sides = (np.array(x.split(), dtype=float) for x in told.get(_quantity(block), ("", "", "")))
+            _, here, there = np.intersect1d(self.stack.bands[at], bands, return_indices=True)
+            places.append(at.start + here)
+            then.append(np.array(sides)[:, there])
+        of, (observed, predicted) = np.concatenate(places), np.hstack(then)
+        if not of.size:
+            return None
+        spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.columns
+        moved = self.stack.observed[of] - observed
+        if np.any(np.abs(moved) > STILL * np.abs(observed), where=spectral[of]):
+            level[of] = np.where(spectral[of], observed, predicted)
+            light = (spectral | (self.stack.named("product") == "snr"))[of]
+            of, moved = of[light], moved[light]
+            columns = {c: g for c, g in columns.items() if simulated or c.kind == "sensor" or c.labels}
+            columns |= self.of_spectra(level)
+        else:
+            moved = predicted - self.predicted[of]
+        return self.explained_change(moved, of, level, columns)
+
+    def explained_change(
+        self, moved: Array, of: Indices, level: Array, columns: Mapping[Candidate, Array]
+    ) -> Posterior:
+        """What explains a change (k,) of the entries ``of``, beside ``level`` (m,).
+
+        Its variance is that of rounding, and of what an effect is off by that was found at another level.
+        """
+        variance, change = np.zeros(level.size), np.zeros(level.size)
+        change[of] = moved
+        for block, at in self.stack.placed():
+            scale, floor = (np.abs(level[at]), SPECTRUM_FLOOR) if block.bands is not None else (1.0, CHANGE_FLOOR)
+            part = np.sqrt(np.mean((change[at] / np.maximum(scale, 1e-300)) ** 2))
+            variance[at] = np.maximum(scale**2 * (floor**2 + (OFF * part) ** 2), 1e-300)
+        own = {c: g[of] for c, g in columns.items() if np.any(g[of])}
+        return self.explained(moved, np.diag(variance[of]), own, of, noisy=False)[1]
+
+    def explained(
+        self, residual: Array, covariance: Array, columns: dict[Candidate, Array], of: Indices, *, noisy: bool = True
+    ) -> tuple[dict[Candidate, Array], Posterior]:
+        """What explains residuals (k,) of the entries ``of``: between sizes the model is interpolated, and asked at
+        those that are found; columns with those.
+        """
+        columns, data = dict(columns), Whitened(residual, covariance)
         for last in range(MOST_ROUNDS, -1, -1):
-            found = posterior(ALL, residual, self.covariance, columns, self.wide)
+            whitened = {c: data.whiten(g) for c, g in columns.items()}
+            found = Reasoner(whitened, data.whiten(self.wide[of]), noisy=noisy).posterior(ALL, data.residual)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate and f.candidate.asked}
             sizes = {c: a for c, a in sizes.items() if _far(a, c.sizes)}
-            more = _asked(evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
+            more = _asked(self.evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
-                    wider = np.column_stack([columns.pop(c), side[0] - self.predicted])
+                    wider = np.column_stack([columns.pop(c), (side[0] - self.predicted)[of]])
                     columns[replace(c, sizes=(*c.sizes, a))] = wider
             if not any(side is not None for side in more):
                 break
-        return replace(self, columns=columns), found
+        return columns, found
 
 
 def _quantity(block: ResidualBlock) -> str:
@@ -158,7 +216,7 @@ def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Ar
 
 def causes_of(
     model: ScenarioModel, observed: Products, worlds: Sequence[World], budgeted: Products, show_progress: bool | None
-) -> tuple[Causes, Evaluate]:
+) -> Causes:
     """Everything that may have made a difference, each as a change of what is compared.
 
     Parameters
@@ -182,7 +240,7 @@ def causes_of(
         return [(stack.predicted(p), np.array([q.read(p) for q in numbers])) for p in predictions]
 
     moved = candidates([inputs_of(world) for world in worlds], [assumed_inputs(world) for world in worlds])
-    steps = [truth for candidate in moved for truth in _one_unit(candidate)]
+    steps = [c.at(d, z) for c in moved for d in range(c.size) for z in (1.0, -1.0)]
     found = iter(evaluate(steps, "attribution: inputs"))
     units: dict[Candidate, Array] = {}
     columns: dict[Candidate, Array] = {}
@@ -196,28 +254,31 @@ def causes_of(
             columns[candidate] = np.stack([side - predicted for side, _ in pairs[0]], axis=1)
     budget = budget_covariance(units, predicted.size)
     covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
-    taken = {c.name for c in moved}
     # Each value of the atmosphere takes a run of the engine for each scenario.
-    few = len(worlds) <= MOST_SCENARIOS
-    further = [c for c in further_candidates(worlds) if c.name not in taken and (few or c.kind != ATMOSPHERE)]
-    places = {c: c.sizes or tuple(range(len(c.labels))) for c in [*moved, *further] if c.sizes or c.labels}
-    places |= {c: c.sizes[:2] for c in moved if c.sizes and c.kind == ATMOSPHERE and not few}
-    known = {c: columns.pop(c, np.zeros((predicted.size, 0))) for c in places}
+    fast = len(worlds) <= MOST_SCENARIOS
+    further = {c.name: c for c in further_candidates(worlds) if fast or c.kind != ATMOSPHERE}
+    every = [c for c in (further | {c.name: c for c in moved}).values() if c.sizes or c.labels]
+    places = {c: c.sizes or tuple(range(len(c.labels))) for c in every}
+    places |= {c: c.sizes[:2] for c in every if c.kind == ATMOSPHERE and not fast}
+    known = {c: columns.pop(c, np.zeros((predicted.size, 0))) for c in every}
     larger = [(c, z) for c, at in places.items() for z in at[known[c].shape[1] :]]
     asked = dict(zip(larger, _asked(evaluate, [c.at(0, z) for c, z in larger]), strict=True)) if larger else {}
     for c, at in places.items():
-        n = known[c].shape[1]
-        sides = {z: side[0] - predicted for z in at[n:] if (side := asked[c, z]) is not None}
-        there = (*at[:n], *sides)
+        sides = {z: side for z in at[known[c].shape[1] :] if (side := asked[c, z]) is not None}
+        there = (*at[: known[c].shape[1]], *sides)
         kept = {"sizes": there} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in there)}
         if there:
-            columns[replace(c, **kept)] = np.column_stack([known[c], *sides.values()])
-    classes = {c.name for s in model.scenarios for c in s.scene.classes}
-    columns |= _of_spectra(stack, predicted, base, observed, classes)
+            columns[replace(c, **kept)] = np.column_stack([known[c], *(side[0] - predicted for side in sides.values())])
     for c in moved:  # of a field spectrum, each band by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
             columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
-    return Causes(stack, numbers, predicted, values, covariance, columns, ends), evaluate
+    names = {c.name for s in model.scenarios for c in s.scene.classes}
+    spectra = {b.product: getattr(base, b.product) for b in stack.blocks if b.bands is not None}.items()
+    classes = {product: {n: s.mean for n, s in each.items() if n in names} for product, each in spectra}
+    of_spectra = partial(_of_spectra, stack, classes, observed.axis.centre_nm)
+    columns |= of_spectra(predicted)
+    residual, wide = stack.observed - predicted, stack.unstructured(predicted)
+    return Causes(stack, numbers, predicted, values, of_spectra, covariance, columns, ends, residual, wide, evaluate)
 
 
 def attribute(
@@ -227,7 +288,8 @@ def attribute(
     options: AttributionOptions,
     *,
     budgeted: Products,
-    accepted: Mapping[str, Sequence[float]] | None = None,
+    accepted: Mapping[str, Sequence[str]] | None = None,
+    simulated: bool = False,
     show_progress: bool | None = None,
 ) -> list[Result]:
     """Move every input, run every what-if, say how likely each is the reason.
@@ -237,35 +299,34 @@ def attribute(
     the log-likelihood gained, averaged over its sizes) and ``needed_uncertainty`` (its size in units of its stated
     uncertainty, or of a usual step); of each quantity ``reduced_chi_square`` after the causes that are named; of a
     background its ``pfa_ratio``, and which experiment explains it if any.  sensitivity: for each number of the
-    comparison the change per unit of each input, with the units that would close the gap, and its total share.
+    comparison the change per unit of each input, with the units that would close the gap, and
+    its share of the variance.
     what-if: ``reduced_chi_square`` after the experiment, each summary gap after it, and ``pfa_ratio`` of every
     background.
 
     Parameters
     ----------
     worlds, budgeted : as of :func:`causes_of`
-    accepted : residuals of the accepted run by quantity: what came since is told by itself
+    accepted : sides of the accepted run by quantity (:meth:`Causes.sides`): what came since is told by itself
+    simulated : whether what is measured comes of a model too
 
     Raises
     ------
     UsageError : nothing that both sides hold, or a what-if that fits no scenario.
     """
-    causes, evaluate = causes_of(model, observed, worlds, budgeted, show_progress)
+    causes = causes_of(model, observed, worlds, budgeted, show_progress)
     stack, numbers, values, ends = causes.stack, causes.numbers, causes.values, causes.ends
     stated = [c for c in ends if c.budgeted]
-    shares = _shares(stated, evaluate, values, ends) if options.totals and numbers else {}
-    base = model.assuming(model.scenarios)
-    outcomes = _what_ifs(model, stack, numbers, causes.covariance, (base, observed), options.what_ifs, show_progress)
-    residual = stack.observed - causes.predicted
-    causes, _ = causes.explained(residual, evaluate)
-    ranked = posteriors(stack, residual, causes.covariance, causes.columns, causes.wide, options.each)
-    before = causes.stacked_again(accepted or {})
-    if before is not None:
-        _, since = causes.explained(residual - before, evaluate)
+    shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
+    sides = (model.assuming(model.scenarios), observed)
+    outcomes = _what_ifs(model, stack, numbers, causes.covariance, sides, options.what_ifs, show_progress)
+    columns, _ = causes.standing()
+    ranked = posteriors(stack, causes.residual, causes.covariance, columns, causes.wide, options.each)
+    if accepted and (since := causes.changed(accepted, simulated=simulated)) is not None:
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     return [
         *(item for group in ranked for item in _posterior_rows(group)),
-        *_left_rows(causes, residual, ranked[0]),
+        *_left_rows(causes, ranked[0]),
         *(
             item
             for place, number in enumerate(numbers)
@@ -275,95 +336,52 @@ def attribute(
     ]
 
 
-def sensitivity_indices(
-    base: Array, ends: Sequence[tuple[Array, Array]], pairs: Mapping[tuple[int, int], Array]
-) -> tuple[Array, Array]:
-    """(k, Q) parts of each quantity's variance that each of k inputs brings alone, and with all its interactions.
+def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Array:
+    """(k, Q) part of each quantity's variance that each of k inputs brings; NaN for a quantity without variance.
 
-    NaN for a quantity without variance.
     Inputs are standard normal, and the quantity is the polynomial of degree two through the values: of
-    f0 + a z + b (z^2 - 1)/sqrt(2) + c z z' with orthonormal terms the variance is the sum of the squares of
-    a = (f+ - f-)/2, b = (f+ + f- - 2 f0)/sqrt(2) and c = f++ - f+ - f'+ + f0.  Source: Sudret, Reliab. Eng. Syst.
-    Saf. 93, 964-979, 2008; indices: Sobol 1993, Homma & Saltelli 1996.
+    f0 + a z + b (z^2 - 1)/sqrt(2) with orthonormal terms the variance is the sum of the squares of
+    a = (f+ - f-)/2 and b = (f+ + f- - 2 f0)/sqrt(2).  Source: Sudret, Reliab. Eng. Syst. Saf. 93, 964-979, 2008.
 
     Parameters
     ----------
     base : (Q,) f0, the quantities with every input at its middle
     ends : for each input (Q,) f+ and f-, with it one standard deviation up and down
-    pairs : (Q,) f++, with two inputs up at once; of a pair that is not there the interaction counts as none
 
     Examples
     --------
-    >>> f = lambda z, w: np.array([3.0 * z + w**2 + 2.0 * z * w])
+    >>> f = lambda z, w: np.array([3.0 * z + w**2])
     >>> ends = [(f(1.0, 0.0), f(-1.0, 0.0)), (f(0.0, 1.0), f(0.0, -1.0))]
-    >>> alone, every = sensitivity_indices(f(0.0, 0.0), ends, {(0, 1): f(1.0, 1.0)})
-    >>> (15.0 * alone[:, 0]).round(9).tolist(), (15.0 * every[:, 0]).round(9).tolist()
-    ([9.0, 2.0], [13.0, 6.0])
+    >>> (11.0 * shares_of_variance(f(0.0, 0.0), ends)[:, 0]).round(9).tolist()
+    [9.0, 2.0]
     """
     alone = np.array([0.25 * (up - down) ** 2 + 0.5 * (up + down - 2.0 * base) ** 2 for up, down in ends])
-    total, variance = alone.copy(), alone.sum(axis=0)
-    for (i, j), value in pairs.items():
-        joint = (value - ends[i][0] - ends[j][0] + base) ** 2
-        total[i], total[j], variance = total[i] + joint, total[j] + joint, variance + joint
-    whole = np.where(variance > 1e-24 * (1.0 + base**2), variance, np.nan)
-    return alone / whole, total / whole
-
-
-def _shares(stated: Sequence[Candidate], evaluate: Evaluate, base: Array, ends: Ends) -> dict[Candidate, list[Array]]:
-    """First and total sensitivities (Q,) of the inputs, each along its leading direction.
-
-    Only the inputs that move most are changed together; inputs of the atmosphere never are, as each pair would take
-    a run of the engine.  The other interactions count as none.
-    """
-    if not stated:
-        return {}
-    sides = [ends[candidate] for candidate in stated]
-    moves = np.array([np.abs(up - down) for up, down in sides])
-    share = np.max(moves / np.maximum(moves.max(axis=0), 1e-300), axis=1)
-    leading = sorted(np.argsort(-share, kind="stable")[:MOST_TOGETHER].tolist())
-    pairs = [(i, j) for i, j in combinations(leading, 2) if not stated[i].kind == stated[j].kind == ATMOSPHERE]
-    truths = [
-        [together([(m, m.moved(1.0)) for m in both if m is not None])
-         for both in zip(stated[i].members, stated[j].members, strict=True)]
-        for i, j in pairs
-    ]  # fmt: skip
-    found = {pair: value for pair, (_, value) in zip(pairs, evaluate(truths, "attribution: pairs"), strict=True)}
-    return {c: list(both) for c, *both in zip(stated, *sensitivity_indices(base, sides, found), strict=True)}
-
-
-def _one_unit(candidate: Candidate) -> list[Truths]:
-    return [candidate.at(d, z) for d in range(candidate.size) for z in (1.0, -1.0)]
+    variance = alone.sum(axis=0)
+    return alone / np.where(variance > 1e-24 * (1.0 + base**2), variance, np.nan)
 
 
 def _of_spectra(
-    stack: Stack, level: Array, base: Products, observed: Products, classes: set[str]
+    stack: Stack, classes: Mapping[str, Mapping[str, Array]], centre_nm: Array, level: Array
 ) -> dict[Candidate, Array]:
     """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
-    out: dict[Candidate, Array] = {}
-    if (bands := SINGLE_BANDS * stack.single_bands(level)).size:
-        out[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
-    centre = observed.axis.centre_nm
-    for name, alike in SMOOTH.items():
-        if np.any(pieces := SMOOTH_PART * stack.pieces(level, centre, KNOTS_NM, alike=alike)):
-            out[Candidate(name, "sensor", f"{100 * SMOOTH_PART:g} % in smooth pieces", False)] = pieces
-    if out:
-        own, shared = (stack.pieces(level, centre, KNOTS_NM, alike=alike).sum(axis=1) for alike in (False, True))
-        flat = np.where(own != 0.0, np.mean(shared[own != 0.0]), 0.0) if own.any() else own
-        for name, change in {
-            "stray light": 0.01 * (shared - own),
-            "constant offset of the sensor": 0.01 * flat,
-        }.items():
-            if np.any(change):
-                one = Candidate(name, "sensor", "0.01 of the mean radiance", False, sizes=(-5.0, 20.0))
-                out[one] = np.outer(change, one.sizes)
-    for block in stack.blocks:
-        spectra = getattr(base, block.product) if block.bands is not None else {}
-        for other in classes & (spectra.keys() - {block.subject}):
-            change = stack.mixed(block.subject, spectra[other].mean, spectra[block.subject].mean)
-            name = f"region of {block.subject} with pixels of {other}"
-            one = Candidate(name, "scene", "0.01 of the area", False, sizes=(-5.0, 50.0))
-            out[one] = np.outer(change, one.sizes)
-    return out
+    bands, mixed = stack.single_bands(level), stack.mixed(level, classes)
+    gain, offset = (stack.pieces(level, centre_nm, KNOTS_NM, alike=alike) for alike in (False, True))
+    own, shared = gain.sum(axis=1), offset.sum(axis=1)
+    flat = np.where(own != 0.0, np.mean(shared[own != 0.0]), 0.0) if own.any() else own
+    smooth, mean, area = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
+    parts: list[tuple[str, str, str, tuple[float, ...], Array]] = [
+        ("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", (), SINGLE_BANDS * bands),
+        ("smooth gain of the sensor", "sensor", smooth, (), SMOOTH_PART * gain),
+        ("smooth offset of the sensor", "sensor", smooth, (), SMOOTH_PART * offset),
+        ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (shared - own)),
+        ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
+        *((name, "scene", area, (-5.0, 50.0), change) for name, change in mixed.items()),
+    ]
+    return {
+        Candidate(name, kind, step, False, sizes=sizes): np.outer(change, sizes) if sizes else change
+        for name, kind, step, sizes, change in parts
+        if np.any(change)
+    }
 
 
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
@@ -390,10 +408,11 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         yield from named(own, "attribution", r.group, item.name)
 
 
-def _left_rows(causes: Causes, residual: Array, r: Posterior) -> Iterator[Result]:
+def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     """Of each quantity the reduced chi-square before and after the cause that is named first."""
     if not r.best.causes or r.first == NONE:
         return
+    residual = causes.residual
     data, first = Whitened(residual, causes.covariance), r.best.causes[0]
     left = residual - data.coloured(first.shown)
     for block, at in causes.stack.placed():
@@ -404,16 +423,15 @@ def _left_rows(causes: Causes, residual: Array, r: Posterior) -> Iterator[Result
 
 
 def _sensitivity_rows(
-    quantity: ComparedQuantity, place: int, gap: float, ends: Ends, shares: Mapping[Candidate, Sequence[Array]]
+    quantity: ComparedQuantity, place: int, gap: float, ends: Ends, shares: Mapping[Candidate, Array]
 ) -> Iterator[Result]:
     for candidate, (up, down) in ends.items():
         change = 0.5 * float(up[place] - down[place])
         closes = round(gap / change, 12) if change else math.inf
         reason = f"gap {gap:.4g}"
         reason += f", closed by {closes:+.3g} units" if math.isfinite(closes) else ", which this input cannot close"
-        first, total = (float(x[place]) for x in shares.get(candidate, np.full((2, place + 1), math.nan)))
-        if math.isfinite(total):  # no stated input moves some quantities
-            reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
+        if candidate in shares and math.isfinite(share := shares[candidate][place]):  # no stated input moves some
+            reason += f"; share of the variance {share:.3g}"
         unit = "stated uncertainty" if candidate.budgeted else candidate.step
         method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name
         found = row(f"{quantity.product}_{quantity.metric}_change", change, reason=f"per {unit}; {reason}")

@@ -7,9 +7,9 @@ count them twice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import permutations
 from typing import NamedTuple
 
@@ -118,6 +118,15 @@ class Stack:
 
     blocks: tuple[ResidualBlock, ...]
 
+    @cached_property
+    def bands(self) -> Indices:
+        """(n,) band of each entry; of what is no spectrum -1, -2, ..."""
+        return np.concatenate([~np.arange(b.observed.size) if b.bands is None else b.bands for b in self.blocks])
+
+    def named(self, what: str) -> npt.NDArray[np.str_]:
+        """(n,) product or subject of each entry."""
+        return np.repeat([getattr(b, what) for b in self.blocks], [b.observed.size for b in self.blocks])
+
     @property
     def observed(self) -> Array:
         """(n,) of all blocks."""
@@ -158,32 +167,18 @@ class Stack:
         What a gain makes is in proportion to the prediction: with a gain on what was measured beside one on what was
         predicted the residual would explain itself.
         """
-        named = [b.bands for b in self.blocks if b.bands is not None]
-        used = np.unique(np.concatenate(named)) if named else np.zeros(0, int)
-        out = np.zeros((level.size, used.size))
-        for block, place in self.placed():
-            if block.bands is not None:
-                rows = np.arange(place.start, place.stop)
-                out[rows, np.searchsorted(used, block.bands)] = level[place]
-        return out
+        return np.asarray(level[:, None] * (self.bands[:, None] == np.unique(self.bands[self.bands >= 0])))
 
     def pieces(self, level: Array, centre_nm: Array, knots_nm: Array, *, alike: bool) -> Array:
         """(n, K) radiance by smooth pieces over wavelength: column k is 1 at a knot and falls to 0 at its neighbours,
         times what each subject shows in ``level`` (n,) (a gain) or, ``alike``, what all of them show on average in a
         band (an offset).
         """
-        light = ("radiance", "toa_reflectance")
-        spectra = [(b.bands, at) for b, at in self.placed() if b.product in light and b.bands is not None]
-        out = np.zeros((level.size, len(knots_nm)))
-        sums, counts = np.zeros(centre_nm.size), np.zeros(centre_nm.size)
-        for bands, at in spectra:
-            sums[bands] += level[at]
-            counts[bands] += 1.0
-        for bands, at in spectra:
-            own = sums[bands] / counts[bands] if alike else level[at]
-            hats = [np.interp(centre_nm[bands], knots_nm, one) for one in np.eye(len(knots_nm))]
-            out[at] = np.transpose(hats) * own[:, None]
-        return out
+        lit = np.isin(self.named("product"), ("radiance", "toa_reflectance"))
+        sums, counts = (np.bincount(self.bands[lit], x, centre_nm.size) for x in (level[lit], None))
+        own = np.where(lit, (sums / np.maximum(counts, 1))[self.bands] if alike else level, 0.0)
+        hats = [np.interp(centre_nm, knots_nm, one)[self.bands] for one in np.eye(len(knots_nm))]
+        return np.transpose(hats) * own[:, None]
 
     def unstructured(self, level: Array) -> Array:
         """(n, K) what may happen to each block by itself: a tenth of a spectrum or an SNR by smooth pieces, a tenth of
@@ -197,21 +192,20 @@ class Stack:
             parts.append(np.transpose([np.interp(np.arange(n), knots, one) * own for one in np.eye(knots.size)]))
         return np.asarray(linalg.block_diag(*parts))
 
-    def mixed(self, subject: str, other: Array, own: Array) -> Array:
-        """(n,) change of a subject's radiance or reflectance by a hundredth of another spectrum (B,) in its place."""
-        out = np.zeros(sum(b.observed.size for b in self.blocks))
+    def mixed(self, level: Array, classes: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
+        """(n,) change of each subject's spectrum by a hundredth of a class's in its place: (B,) by product."""
+        out = {}
         for block, at in self.placed():
-            if block.subject == subject and block.bands is not None:
-                out[at] = 0.01 * np.nan_to_num(other[block.bands] - own[block.bands])
+            for name, other in classes.get(block.product, {}).items() if block.bands is not None else ():
+                if name != block.subject:
+                    out[f"region of {block.subject} with pixels of {name}"] = change = np.zeros(level.size)
+                    change[at] = 0.01 * np.nan_to_num(other[block.bands] - level[at])
         return out
 
     def of_subject(self, level: Array, subject: str) -> Array:
         """(n, K) a tenth of a subject's spectrum in each band by itself."""
-        own = [at for b, at in self.placed() if b.subject == subject and b.bands is not None]
-        rows = np.concatenate([np.arange(at.start, at.stop) for at in own]) if own else np.zeros(0, int)
-        out = np.zeros((level.size, rows.size))
-        out[rows, np.arange(rows.size)] = 0.1 * level[rows]
-        return out
+        rows = np.flatnonzero((self.named("subject") == subject) & (self.bands >= 0))
+        return np.asarray(0.1 * level[:, None] * (np.arange(level.size)[:, None] == rows))
 
     def common_bands(self) -> tuple[Indices, Array]:
         """Entries (m,) of spectra in bands that two and more subjects show, and columns (m, K) of those bands.
@@ -230,8 +224,7 @@ class Stack:
 
     def indices_of(self, subject: str) -> Indices:
         """Entries of one subject, with those of the background seen through its filter."""
-        names = {subject, background_of(subject)}
-        return np.concatenate([np.arange(s.start, s.stop) for b, s in self.placed() if b.subject in names])
+        return np.flatnonzero(np.isin(self.named("subject"), [subject, background_of(subject)]))
 
 
 def stacked(predicted: Products, observed: Products) -> Stack:

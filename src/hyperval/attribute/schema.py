@@ -35,10 +35,7 @@ class WhatIf(Model):
 class AttributionOptions(Model):
     """Which reasons are looked for where prediction and data disagree."""
 
-    each: list[str] = Field(
-        default_factory=list, description="subjects that are also ranked separately; * and ? allowed"
-    )
-    totals: bool = Field(True, description="first and total sensitivities, from pairs of inputs changed together")
+    each: list[str] = Field(default_factory=list, description="subjects also ranked by themselves; * and ? allowed")
     what_ifs: list[WhatIf] = Field(default_factory=list)
 
     @model_validator(mode="after")

@@ -15,6 +15,7 @@ import numpy as np
 
 import hyperval
 from hyperval.attribute import (
+    Causes,
     Family,
     NotInjectable,
     causes_of,
@@ -27,8 +28,8 @@ from hyperval.campaign import power_file
 from hyperval.campaign.job import Job, jobs_of
 from hyperval.campaign.power_file import Injected, PowerTable, Reasons
 from hyperval.campaign.run import outcomes, scenario_model, worlds_of
-from hyperval.campaign.sides import Collected, collected, predicted_side
-from hyperval.errors import MissingDataError, UsageError
+from hyperval.campaign.sides import collected, predicted_side
+from hyperval.errors import MissingDataError
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.metrics import Evidence
 from hyperval.model import Truth, predict
@@ -37,7 +38,7 @@ from hyperval.progress import track
 from hyperval.results import Outcome, Result
 from hyperval.storage import POWER, whole_folder, write_text
 
-SEED, WORLDS = 34, 40  # worlds for each kind of cause
+SEED, WORLDS = 34, 20  # worlds for each kind of cause
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,9 @@ def _power(job: Job, own: Path | None) -> Power:
         return Power(name, skipped=job.waits[0])
     try:
         return Power(
-            name, power_table(job, errors=errors, show_progress=False), accepted=power_file.accepted_table(name)
+            name,
+            power_table(job, errors=errors, show_progress=False),
+            accepted=power_file.accepted_table(name, job.folder),
         )
     except MissingDataError as error:
         return Power(name, skipped=str(error))
@@ -148,10 +151,11 @@ def power_table(
                 return Injected(not_applicable=refused[0])
             predictions, truths = zip(*sides, strict=True)
             found = turned(before, outcomes(here, predicted_side(here, predictions, truths)))
-            return found.model_copy(update={"reason": told.of(truths) if told else ""})
+            return found.model_copy(update={"reason": _reason(causes, truths)})
 
         before = outcomes(here, predicted_side(here, stated))
-        told = _Told(here, predicted_side(here, stated)) if job.campaign.attribution is not None else None
+        model, worlds = scenario_model(here, False), worlds_of(here, False)
+        causes = causes_of(model, here.observed.observation, worlds, predicted_side(here, stated), False)
         named = track(errors.items(), "injected errors", len(errors), show=show_progress)
         rows = {name: injected(error) for name, error in named}
         gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
@@ -165,51 +169,40 @@ def power_table(
             disagreeing=disagreeing,
             stated=power_file.gate_values(before),
             errors=rows,
-            reasons=told.calibrated() if told else None,
+            reasons=_calibrated(causes),
         )
 
 
-class _Told:
-    """What the attribution says of errors whose truth is known."""
+def _reason(causes: Causes, truths: Sequence[Truth]) -> str:
+    """What the attribution says of an error that came to what is measured."""
+    ((with_it, _),) = causes.evaluate([truths], "injected error")
+    level = causes.predicted
+    found = causes.explained_change(with_it - level, np.arange(level.size), level, causes.columns)
+    return " or ".join((found.first, *found.alike[:3])) + (", enough" if found.enough else "")
 
-    def __init__(self, here: Collected, prediction: PredictedProducts) -> None:
-        model = scenario_model(here, False)
-        observed = here.observed.observation
-        self.causes, self.evaluate = causes_of(model, observed, worlds_of(here, False), prediction, False)
-        self.residual = self.causes.stack.observed - self.causes.predicted
 
-    def of(self, truths: Sequence[Truth]) -> str:
-        """Of an error that came to what is measured, beside what is there without it."""
-        try:
-            ((with_it, _),) = self.evaluate([truths], "injected error")
-        except UsageError:
-            return ""
-        _, found = self.causes.explained(with_it - self.causes.predicted, self.evaluate)
-        return " or ".join((found.first, *found.alike[:3])) + (", enough" if found.enough else "")
-
-    def calibrated(self) -> Reasons:
-        """Worlds drawn within the stated uncertainty, a fixed seed."""
-        _, stands = self.causes.explained(self.residual, self.evaluate)
-        drawn = list(self.causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS))
-        named: dict[str, Counter[str]] = {}
-        grouped: Counter[str] = Counter()
-        stated, wrong = [], 0
-        for kind, found in drawn:
-            first, group = kind_of(found.first), {kind_of(name) for name in (found.first, *found.alike)}
-            named.setdefault(kind, Counter())[first] += 1
-            grouped[kind] += kind in group
-            wrong += found.enough and kind not in group
-            stated.append((found.probability[found.first], first == kind))
-        steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
-        return Reasons(
-            first=stands.first,
-            worlds=len(drawn),
-            named={kind: dict(counts) for kind, counts in named.items()},
-            grouped=dict(grouped),
-            wrong_enough=wrong / len(drawn),
-            calibration=[(low + 0.1, round(sum(own) / len(own), 3), len(own)) for low, own in steps if own],
-            residuals=self.causes.by_quantity(self.residual),
-        )
+def _calibrated(causes: Causes) -> Reasons:
+    """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
+    drawn = list(causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS))
+    named: dict[str, Counter[str]] = {}
+    grouped: Counter[str] = Counter()
+    stated, wrong = [], 0
+    for kind, found in drawn:
+        first, group = kind_of(found.first), {kind_of(name) for name in (found.first, *found.alike)}
+        named.setdefault(kind, Counter())[first] += 1
+        grouped[kind] += kind in group
+        wrong += found.enough and kind not in group
+        stated.append((found.probability[found.first], first == kind))
+    steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
+    return Reasons(
+        first=causes.standing()[1].first,
+        worlds=len(drawn),
+        named={kind: dict(counts) for kind, counts in named.items()},
+        grouped=dict(grouped),
+        wrong_enough=round(wrong / len(drawn), 4),
+        calibration=[(low + 0.1, round(sum(own) / len(own), 3), len(own)) for low, own in steps if own],
+        sides=causes.sides(),
+    )
 
 
 def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field
 
+import hyperval
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError
 from hyperval.metrics import DIGITS, Evidence, default_tolerance
@@ -78,7 +79,7 @@ class Reasons(Model):
     grouped: dict[str, int] = Field(description="kind of error -> how often it was first, or in one group with it")
     wrong_enough: float = Field(description="share of all errors for which a wrong cause was called sufficient")
     calibration: list[tuple[float, float, int]] = Field(description="stated probability, share that was right, worlds")
-    residuals: dict[str, list[float]] = Field(description="of the unperturbed run, by quantity")
+    sides: dict[str, tuple[str, str, str]] = Field(description="unperturbed: bands, observed, predicted; by quantity")
 
     @property
     def lines(self) -> list[str]:
@@ -109,7 +110,7 @@ class PowerTable(Model):
         default_factory=dict, description="criterion of the model -> its value without an injected error"
     )
     errors: dict[str, Injected] = Field(min_length=1)
-    reasons: Reasons | None = Field(None, description="of a campaign that asks for attribution")
+    reasons: Reasons | None = None
 
     def named(self, *sights: Sight) -> list[str]:
         """Errors that are seen so far."""
@@ -189,15 +190,19 @@ def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
     }
 
 
-def accepted_table(name: str, folder: Path = ACCEPTED) -> PowerTable | None:
+def accepted_table(name: str, folder: Path) -> PowerTable | None:
     """The accepted power table of a campaign, None where there is none.
+
+    It is looked for in validation/power of its own folder and of those above it, of the working folder, and of the
+    checkout that the program runs from: a copy elsewhere is told what changed since.
 
     Raises
     ------
     UsageError : mistakes in the file, or a table of another campaign.
     """
-    path = folder / f"{name}.yaml"
-    if not path.is_file():
+    roots = (folder, *folder.resolve().parents, Path(), Path(hyperval.__file__).parents[2])
+    path = next((p for p in (root / ACCEPTED / f"{name}.yaml" for root in roots) if p.is_file()), None)
+    if path is None:
         return None
     table = load_model(PowerTable, path)
     if table.campaign != name:

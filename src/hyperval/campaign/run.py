@@ -125,7 +125,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     ]
     both = [observed.observation, *predicted]
     provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, both)
-    power = accepted_table(campaign.name) if predicted else None
+    power = accepted_table(campaign.name, side.inputs.base) if predicted else None
     return replace(
         report_of(campaign, rows),
         prediction=prediction,
@@ -213,11 +213,12 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
     """
     if side.campaign.attribution is None:
         return []
-    accepted = accepted_table(side.campaign.name)
+    accepted = accepted_table(side.campaign.name, side.inputs.base)
     return attribute(
         scenario_model(side, show_progress), side.observed.observation, worlds_of(side, show_progress),
         side.campaign.attribution, budgeted=prediction, show_progress=show_progress,
-        accepted=accepted.reasons.residuals if accepted and accepted.reasons else {},
+        accepted=accepted.reasons.sides if accepted and accepted.reasons else {},
+        simulated=bool(side.campaign.simulated),
     )  # fmt: skip
 
 
@@ -294,7 +295,7 @@ def made_of(job: Job, files: Mapping[str, str]) -> str:
         "revision": source_revision(),
         "packages": package_versions(),
         "python": platform.python_version(),
-        "power": repr(accepted_table(job.campaign.name)),
+        "power": repr(accepted_table(job.campaign.name, job.folder)),
     }
     return hashlib.sha256(json.dumps(inner, sort_keys=True, default=str).encode()).hexdigest()
 
