@@ -29,8 +29,7 @@ FILL_IN = "FILL_IN"
 # Keys of the version before that are gone, for one version: what stands in their place.
 GONE = {
     "surroundings_altitude_km": "surroundings are as high as the site: ground_altitude_km",
-    "filter_statistics": "filters are made on the background, as 'background' did: leave it out",
-    "scene_fraction": "filters are made on the background alone: leave it out",
+    **dict.fromkeys(("filter_statistics", "scene_fraction"), "filters are made on the background alone: leave it out"),
     "nugget": "an error of its own in each band is an entry of its own with 'correlation: random'",
     "lags": "correlation_nm, the length over which the measured correlations fall off",
     "groups_nm": "correlation_nm, or 'correlation: arms' for the arms of the sensor",
