@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -94,10 +94,10 @@ def source_revision() -> dict[str, Any] | None:
     root = Path(hyperval.__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return None
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    git = partial(subprocess.run, cwd=root, capture_output=True, text=True, timeout=10, check=True)
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)  # noqa: S603 - fixed
+        commit = git(["git", "rev-parse", "HEAD"]).stdout.strip()
+        changed = git(["git", "status", "--porcelain", "--", "src"]).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
-    commit, dirty, _ = done.stdout.strip().partition("-dirty")
-    return {"commit": commit, "changed": bool(dirty)}
+    return {"commit": commit, "changed": bool(changed)}
