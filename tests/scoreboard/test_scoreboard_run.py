@@ -21,12 +21,12 @@ def own_registries(monkeypatch):
     """What a test registers is gone after it."""
     monkeypatch.setattr(detect, "ADDED_DETECTORS", {})
     monkeypatch.setattr(extend, "_LOADED", set())
-    monkeypatch.setattr("hyperval.scoreboard.looks.DRAWS", 60)
+    monkeypatch.setattr("hyperval.scoreboard.detectors.DRAWS", 60)
 
 
 @pytest.fixture
 def no_drawing(monkeypatch):
-    monkeypatch.setattr("hyperval.scoreboard.one.benchmark_figures", lambda done: [])
+    monkeypatch.setattr("hyperval.scoreboard.runs.benchmark_figures", lambda done: [])
 
 
 def rows_of(folder: Path) -> list[dict[str, str]]:

@@ -1,15 +1,11 @@
 """A campaign: its file read and looked over, run, judged; its record, its draft, the power of its criteria."""
 
+from .files_needed import WRONG, Item, dry_run, overview, summary
 from .forward import predict_to_folder
-from .job import Job, job_of, jobs_of, read_jobs
-from .names import WRONG, Item, dry_run, overview, summary
 from .pictures import expected_maps, scene_content
 from .power import Power, campaign_power, power_table
 from .power_file import Injected, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
-from .provenance import command_without_output, package_versions, record_of, source_revision
-from .run import observe, run_campaign, validate
-from .schema import Campaign, DayScenarios, day_scenarios
-from .sides import (
+from .products import (
     Collected,
     collected,
     eigenvalues_of,
@@ -17,6 +13,10 @@ from .sides import (
     with_measured_fractions,
     without_circles,
 )
+from .provenance import command_without_output, package_versions, record_of, source_revision
+from .reading import Job, job_of, jobs_of, read_jobs
+from .run import observe, run_campaign, validate
+from .schema import Campaign, DayScenarios, day_scenarios
 from .starter import StarterSources, starter_campaign
 
 __all__ = [

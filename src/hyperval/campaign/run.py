@@ -20,12 +20,12 @@ from typing import Any, Literal, NamedTuple
 
 import hyperval
 from hyperval.attribute import ScenarioModel, Truths, attribute, few_objects
-from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
+from hyperval.campaign.products import Collected, collected, doubts, joined
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
+from hyperval.campaign.reading import Job, job_of, jobs_of
 from hyperval.campaign.schema import Outline
-from hyperval.campaign.sides import Collected, collected, doubts, joined
 from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, internal_error, refuse
@@ -102,7 +102,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     prediction = None
     # What compares takes 30 MB: not before the imagery is done with.
     if predicted:
-        from hyperval.campaign.sides import eigenvalues_of, predicted_side
+        from hyperval.campaign.products import eigenvalues_of, predicted_side
 
         prediction = predicted_side(side, predicted)
         rows = outcomes(side, prediction)
@@ -173,7 +173,7 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
 
     Parameters
     ----------
-    prediction : of :func:`hyperval.campaign.sides.predicted_side`
+    prediction : of :func:`hyperval.campaign.products.predicted_side`
     """
     from hyperval.compare import compare_products, judged, told_apart
 
@@ -199,7 +199,7 @@ def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> 
 
 def undecided_by(job: Job) -> list[tuple[Result, str]]:
     """Those of a campaign whose collection takes no time to look at."""
-    from hyperval.campaign.sides import predicted_side
+    from hyperval.campaign.products import predicted_side
 
     with collected(job, show_progress=False) as side:
         prediction = predicted_side(side, [predict(s, side.origins(s, False)) for s in side.scenarios])

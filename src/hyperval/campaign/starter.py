@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from hyperval.campaign.sides import centre_of
+from hyperval.campaign.products import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml
 from hyperval.errors import HypervalError, InputError, UsageError, refusal, refuse

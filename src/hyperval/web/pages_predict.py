@@ -18,7 +18,7 @@ from hyperval.errors import UsageError
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
-from hyperval.web.desk import Desk
+from hyperval.web.dispatch import Desk
 from hyperval.web.forms import MOST_ROWS, SURFACES, Node
 from hyperval.web.inputs import (
     checked_scenario,

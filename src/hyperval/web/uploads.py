@@ -108,7 +108,7 @@ def _page(
     settings, owner = request.app.state.settings, session_of(request).owner
     errors = marked(mistakes, [mistake.field for mistake in mistakes])
     return page(
-        request, "bring.html.j2", status=status, errors=errors, given=given, most=settings.limits.upload_bytes,
+        request, "uploads.html.j2", status=status, errors=errors, given=given, most=settings.limits.upload_bytes,
         has_data=settings.data is not None, sensors=library_names(),
         kept={field: files_of(settings, owner, [field]) for field in _ENDINGS},
     )  # fmt: skip

@@ -33,7 +33,7 @@ from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.run import Run
 from hyperval.scenario import Scenario
-from hyperval.scoreboard.looks import (
+from hyperval.scoreboard.detectors import (
     EVERY_OBJECT,
     PRODUCT,
     Question,
