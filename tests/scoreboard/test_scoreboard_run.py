@@ -9,7 +9,7 @@ import pytest
 
 from hyperval import cli
 from hyperval.pixels import DETECTORS, detect
-from hyperval.scoreboard import one as extend
+from hyperval.scoreboard import runs as extend
 from small_campaign import scene_data
 
 ROOT = Path(__file__).parents[2]
