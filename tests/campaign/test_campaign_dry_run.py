@@ -216,9 +216,9 @@ def test_what_the_files_of_a_collection_lack_stands_at_the_key_that_needs_it(sma
 
 def test_names_of_a_simulated_collection_are_those_of_its_scene(small):
     write_yaml(small.folder / "scene.yaml", scene_data())
-    small.data["collection"]["simulate"] = "scene.yaml"
+    small.data["collection"] |= {"simulate": "scene.yaml", "leave_out": ["white-pannel"]}
+    small.data["comparisons"][0] |= {"product": "radiance", "subjects": ["all subjects", "unseen subjects"]}
     small.data = json.loads(json.dumps(small.data).replace("collection/", "simulated:"))
-    small.data["collection"]["leave_out"] = ["white-pannel"]
     small.data["collection"]["empirical_line"]["panels"][1]["spectrum"]["record"] = "black"
     (region_name, names), (line, record) = sorted(mistakes(small.write()))
     assert line.endswith("collection.empirical_line.panels.1.spectrum")

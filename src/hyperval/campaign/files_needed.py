@@ -15,6 +15,7 @@ from typing import Any
 
 from hyperval.campaign.reading import Job, Reference, read_jobs
 from hyperval.campaign.schema import Campaign, DayScenarios, scenarios_of
+from hyperval.compare.joint import TOGETHER
 from hyperval.compare.judge import Gate
 from hyperval.config import Location, load_yaml
 from hyperval.datasets import SIMULATED, check_copy, how_to_get, resolve, set_on_request
@@ -443,13 +444,12 @@ def _comparison_mistakes(
     for i, gate in enumerate(campaign.comparisons):
         if wrong := foreign(gate.metric, gate.product):
             lookup.add(("comparisons", i, "metric"), wrong)
-        known = both.get(gate.product)
+        known = both.get(gate.product, [])
         for k, pattern in enumerate(gate.subjects if known else ()):
-            at = ("comparisons", i, "subjects", k)
-            if not any(fnmatchcase(name, pattern) for name in known or ()):
-                lookup.one(at, pattern, known or [], "", "the collection has no")
-            elif gate.product != "roc" and not any(fnmatchcase(name, pattern) for name in predicted):
-                lookup.one(at, pattern, predicted, "subject ", "no scenario has a")
+            if not any(fnmatchcase(name, pattern) for name in (*known, *TOGETHER)):
+                lookup.one(("comparisons", i, "subjects", k), pattern, known, "", "the collection has no")
+            elif gate.product != "roc" and not any(fnmatchcase(name, pattern) for name in (*predicted, *TOGETHER)):
+                lookup.one(("comparisons", i, "subjects", k), pattern, predicted, "subject ", "no scenario has a")
 
 
 def _spectrum(

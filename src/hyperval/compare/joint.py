@@ -36,7 +36,7 @@ from hyperval.products import Products, SpectralEstimate
 from hyperval.results import Result
 from hyperval.spectra.axis import in_window
 
-ALL_SUBJECTS, UNSEEN_SUBJECTS = "all subjects", "unseen subjects"
+TOGETHER = ALL_SUBJECTS, UNSEEN_SUBJECTS = "all subjects", "unseen subjects"
 REGIONS_NM = ((400, 450), (450, 700), (700, 1000), (1200, 1760), (2050, 2400))
 # The bands between two of these have one gain of the sensor; every region is made of such pieces.
 EDGES_NM = (
