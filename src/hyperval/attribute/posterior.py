@@ -412,10 +412,10 @@ class Reasoner:
 
     def posterior(self, group: str, e: Array) -> Posterior:
         """Of whitened residuals (n,)."""
-        self.whole = float(e @ e)
+        whole = float(e @ e)
         singles = sorted((effect.fit(e) for effect in self._effects), key=self._order)
-        found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (float(e @ e),))]
-        found += [self._with(None, fit, e) for fit in (*singles, self._none.fit(e))]
+        found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (whole,))]
+        found += [self._with(None, fit, e, whole) for fit in (*singles, self._none.fit(e))]
         beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not None]
         beam = [h for h in beam[:MOST_FIRST] if h.weight > found[0].weight]
         for _ in range(MOST_STEPS - 1):
@@ -429,9 +429,9 @@ class Reasoner:
         for h, weight in zip(found, weights, strict=True):
             probability[h.first] += float(weight)
         first = max(probability, key=lambda name: probability[name])
-        p_value = float(scipy.stats.chi2.sf(self.whole, e.size))
+        p_value = float(scipy.stats.chi2.sf(whole, e.size))
         alike = self._alike(singles, first, probability)
-        return Posterior(group, self.whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
+        return Posterior(group, whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
 
     def drawn(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
         """Worlds with one cause each, from half to five times what can just be seen, and with what none describes.
@@ -460,30 +460,30 @@ class Reasoner:
         assert fit.candidate is not None  # noqa: S101 - of a candidate
         return fit.limited, -float(f"{fit.evidence + self.prior[fit.candidate]:.6g}"), fit.name
 
-    def _with(self, before: Hypothesis | None, fit: Fit, e: Array) -> Hypothesis:
-        """One cause more, of residuals that those before have been taken from."""
+    def _with(self, before: Hypothesis | None, fit: Fit, e: Array, whole: float) -> Hypothesis:
+        """One cause more, of residuals e that those before have been taken from; ``whole`` is the chi-square of all."""
         prior = np.log(NONE_PRIOR) if fit.candidate is None else self.prior[fit.candidate]
         if fit.limited and before is None:  # at its bound it is no first reason
             prior = prior - float(e @ e)
         rest, _ = _after(fit, e, {})
         causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())
-        if not self.noisy and fit.candidate is None and left and left[-1] > REMAINDER * self.whole:
+        if not self.noisy and fit.candidate is None and left and left[-1] > REMAINDER * whole:
             causes, left = (), ()
         return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*left, float(rest @ rest)))
 
     def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
         """Its causes and one more each."""
         columns: Mapping[Candidate, Array] = self.columns
-        wide = self.wide
+        wide, whole = self.wide, float(e @ e)
         for fit in h.causes:
             e, moved = _after(fit, e, {None: wide, **columns})
             wide = moved.pop(None)
             columns = {c: g for c, g in moved.items() if c is not fit.candidate and c is not None}
         if float(scipy.stats.chi2.sf(e @ e, e.size)) > SUFFICES:
             return
-        yield self._with(h, Directions(None, wide).fit(e), e)
+        yield self._with(h, Directions(None, wide).fit(e), e, whole)
         for candidate, g in columns.items():
-            yield self._with(h, effect_of(candidate, g).fit(e), e)
+            yield self._with(h, effect_of(candidate, g).fit(e), e, whole)
 
     def _alike(self, singles: Sequence[Fit], first: str, probability: Mapping[str, float]) -> tuple[str, ...]:
         """Candidates whose odds are near those of the first, or whose effect has its pattern."""

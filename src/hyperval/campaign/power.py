@@ -183,11 +183,10 @@ def _reason(causes: Causes, truths: Sequence[Truth]) -> str:
 
 def _calibrated(causes: Causes) -> Reasons:
     """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
-    drawn = list(causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS))
     named: dict[str, Counter[str]] = {}
     grouped: Counter[str] = Counter()
     stated, wrong = [], 0
-    for kind, found in drawn:
+    for kind, found in causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS):
         first, group = kind_of(found.first), {kind_of(name) for name in (found.first, *found.alike)}
         named.setdefault(kind, Counter())[first] += 1
         grouped[kind] += kind in group
@@ -196,10 +195,10 @@ def _calibrated(causes: Causes) -> Reasons:
     steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
     return Reasons(
         first=causes.standing()[1].first,
-        worlds=len(drawn),
+        worlds=len(stated),
         named={kind: dict(counts) for kind, counts in named.items()},
         grouped=dict(grouped),
-        wrong_enough=round(wrong / len(drawn), 4),
+        wrong_enough=round(wrong / len(stated), 4),
         calibration=[(low + 0.1, round(sum(own) / len(own), 3), len(own)) for low, own in steps if own],
         sides=causes.sides(),
     )
