@@ -3,6 +3,7 @@
 import doctest
 import importlib
 import math
+import pkgutil
 import re
 import runpy
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hyperval
 from hyperval import products
 from hyperval.cli import app
 from hyperval.compare import compare_products, whitening
@@ -71,12 +73,19 @@ def test_every_example_gives_what_it_says(metric):
 def test_every_other_function_has_an_example_that_runs(name):
     metric = next(m for m in METRICS if m.function == name)
     module = importlib.import_module(function_of(metric).__module__)
-    cases = doctest.DocTestFinder(recurse=False).find(function_of(metric), name, module=module)
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
-    for case in cases:
+    for case in doctest.DocTestFinder(recurse=False).find(function_of(metric), name, module=module):
         runner.run(case)
     assert runner.failures == 0
     assert runner.tries > 0
+
+
+def test_every_example_of_a_docstring_gives_what_it_says():
+    """Those of the API run where a user's files are (tests/test_api.py)."""
+    names = [m.name for m in pkgutil.walk_packages(hyperval.__path__, "hyperval.") if m.name != "hyperval.__main__"]
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    tried = {n: doctest.testmod(pkgutil.resolve_name(n), optionflags=flags) for n in names if ".api" not in n}
+    assert (sum(r.attempted for r in tried.values()) > 150, [n for n, r in tried.items() if r.failed]) == (True, [])
 
 
 def test_every_command_given_as_an_example_is_one_and_has_such_rows():

@@ -129,8 +129,8 @@ def root_between(falling: Callable[[float], float], low: float, high: float) -> 
 
     Examples
     --------
-    >>> root_between(lambda x: 2.0 - x * x, 0.0, 2.0) ** 2
-    2.0000000000000004
+    >>> round(root_between(lambda x: 2.0 - x * x, 0.0, 2.0), 12)
+    1.414213562373
     """
     while low < (middle := 0.5 * (low + high)) < high:
         low, high = (middle, high) if falling(middle) > 0.0 else (low, middle)

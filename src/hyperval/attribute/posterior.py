@@ -400,6 +400,10 @@ class Reasoner:
     >>> known = Reasoner({water: np.eye(3)[:, :1], gain: np.ones((3, 1))}, np.eye(3))
     >>> known.posterior("all", np.array([9.0, 0.3, -0.2])).first
     'water'
+    >>> wide, change = np.eye(8), np.array([9.0, 4.0, -3.0, 0, 0, 0, 0, 0])
+    >>> two = {water: wide[:, :1], gain: np.ones((8, 1))}
+    >>> [Reasoner(two, wide, noisy=noisy).posterior("all", change).first for noisy in (True, False)]
+    ['water', 'none of these']
     """
 
     def __init__(self, columns: Mapping[Candidate, Array], wide: Array, *, noisy: bool = True):
