@@ -33,7 +33,7 @@ from hyperval.compare.products import SPREAD
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, one_of, refusal, refuse
 from hyperval.figures.spec import EigenvalueSpectrum
-from hyperval.imagery.acquisition import time_notes
+from hyperval.imagery import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
 from hyperval.imagery.truth import TargetObject
 from hyperval.model import Truth, pixels_of_object, predicted_areas, predicted_classification

@@ -474,13 +474,13 @@ class ScoreMap:
 
     def to_xarray(self) -> Any:
         """As an array of xarray (line, sample) with its position."""
-        from hyperval.imagery.interchange import map_to_xarray
+        from hyperval.imagery import map_to_xarray
 
         return map_to_xarray(self.values, self.transform, self.crs, "score")
 
     def to_spy(self) -> Any:
         """As an image of SPy with one band."""
-        from hyperval.imagery.interchange import map_to_spy
+        from hyperval.imagery import map_to_spy
 
         return map_to_spy(self.values, "score")
 

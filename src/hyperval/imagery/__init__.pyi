@@ -1,11 +1,20 @@
 """Images on disk: their readers and writer, regions of interest, truth, places on a map."""
 
-from .acquisition import acquisition_notes, time_notes
-from .cube import Block, Cube, needs_header, open_cube, open_raster, raster_of_size
-from .description import Description, Raster, record
+from .cube import (
+    Block,
+    Cube,
+    cube_to_spy,
+    cube_to_xarray,
+    map_to_spy,
+    map_to_xarray,
+    needs_header,
+    open_cube,
+    open_raster,
+    raster_of_size,
+)
+from .description import Description, Raster, acquisition_notes, record, time_notes
 from .drawing import outside_error, polygon_mask
-from .envi import EnviRaster, crs_of, pixel_area_m2, pixel_sides_m, transform_of
-from .interchange import cube_to_spy, cube_to_xarray, map_to_spy, map_to_xarray
+from .envi import EnviRaster, crs_of, envi_writer, pixel_area_m2, pixel_sides_m, transform_of, write_cube
 from .placing import (
     LocationTable,
     LookupTable,
@@ -31,7 +40,6 @@ from .regions import (
     ring_region,
 )
 from .truth import TargetMasks, TargetObject, all_pixels, cut_out, intersected_objects, read_targets, region_objects
-from .write import envi_writer, write_cube
 
 __all__ = [
     "Block",

@@ -348,23 +348,22 @@ class ArrayRaster(Raster):
 
 
 def array_raster(
-    path: Path,
     store: Store,
     pieces: tuple[Piece, ...],
-    description: Description = Description(),  # noqa: B008 - cannot be changed
+    description: Description,
     position: tuple[Affine | None, CRS | None] = (None, None),
 ) -> ArrayRaster:
     """The image of some arrays of one size.
 
     Raises
     ------
-    InputError : arrays of different lines or samples.
+    InputError : lines and samples differ.
     """
-    if len({(p.size("l"), p.size("s")) for p in pieces}) > 1:
-        raise refusal("array.sizes", path, shapes=", ".join(str(p.shape) for p in pieces))
-    size = pieces[0].size("l"), pieces[0].size("s"), sum(piece.size("b") for piece in pieces)
-    about = path, size, np.result_type(*(piece.dtype for piece in pieces)), description, *position
-    return ArrayRaster(*about, store=store, pieces=pieces)
+    lines, samples = pieces[0].size("l"), pieces[0].size("s")
+    unlike = any((p.size("l"), p.size("s")) != (lines, samples) for p in pieces)
+    refuse(unlike, "array.sizes", store.path, shapes=", ".join(str(p.shape) for p in pieces))
+    size, dtype = (lines, samples, sum(p.size("b") for p in pieces)), np.result_type(*(p.dtype for p in pieces))
+    return ArrayRaster(store.path, size, dtype, description, *position, store=store, pieces=pieces)
 
 
 # Arrays with labels: xarray -----------------------------------------------------------------------------------------
@@ -495,7 +494,7 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
         entries={str(k): str(v) for k, v in data.attrs.items() if isinstance(v, str | int | float)},
         notes=notes,
     )
-    return array_raster(store.path, store, (piece,), about, _labelled_position(data, array, axes))
+    return array_raster(store, (piece,), about, _labelled_position(data, array, axes))
 
 
 def _stated_unit(array: xr.DataArray) -> str | None:
@@ -612,4 +611,4 @@ def open_matrix(
             whole = (slice(None),) * len(shapes[named[0]])
             lists[pattern] = stored(named[0]).read(named[0], whole).astype(float).ravel()
     own = ListedBands(lists[_WAVE], lists.get(_WIDTH)) if _WAVE in lists else None
-    return array_raster(path, store, (piece,), Description(f"array {name!r} of a {kind} file", own))
+    return array_raster(store, (piece,), Description(f"array {name!r} of a {kind} file", own))

@@ -1,15 +1,17 @@
-"""A hyperspectral cube on disk: physical values by blocks of lines or by pixels.
+"""A hyperspectral cube on disk: physical values by blocks of lines or by pixels; SPy's and xarray's, and back.
 
 What a file is, its content says first, its neighbours last.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +20,28 @@ from rasterio.crs import CRS
 
 from hyperval.envi_header import data_beside, header_beside
 from hyperval.errors import reader, refusal, refuse
-from hyperval.imagery.arrays import MATRICES, check_own_values, open_labelled, open_matrix
-from hyperval.imagery.description import Bands, Raster, Scale, equals, given_bands, some_lines, usable_pixels
-from hyperval.imagery.envi import open_envi, pixel_area_m2
-from hyperval.imagery.products import open_product
-from hyperval.imagery.sidecars import image_of
+from hyperval.imagery import arrays
+from hyperval.imagery.description import (
+    Bands,
+    Description,
+    ListedBands,
+    Raster,
+    Scale,
+    equals,
+    given_bands,
+    some_lines,
+    usable_pixels,
+)
+from hyperval.imagery.envi import EnviRaster, open_envi, pixel_area_m2
+from hyperval.imagery.products import image_of, open_product
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, open_tiff
 from hyperval.paths import checked_file, checked_folder
 from hyperval.spectra.axis import SpectralAxis
+
+if TYPE_CHECKING:
+    import spectral
+    import xarray as xr
+    from spectral.io.spyfile import SpyFile
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -182,17 +198,13 @@ class Cube:
         for first in range(0, self.lines, step):
             yield self.read(first, min(step, self.lines - first), dtype)
 
-    def to_spy(self) -> Any:
-        """As an image of SPy: :func:`hyperval.imagery.interchange.cube_to_spy`."""
-        from hyperval.imagery import interchange  # SPy and xarray take 70 MB, which most runs need not
+    def to_spy(self) -> SpyFile | spectral.image.ImageArray:
+        """As an image of SPy: :func:`hyperval.imagery.cube_to_spy`."""
+        return cube_to_spy(self)
 
-        return interchange.cube_to_spy(self)
-
-    def to_xarray(self) -> Any:
-        """As a lazy array of xarray: :func:`hyperval.imagery.interchange.cube_to_xarray`."""
-        from hyperval.imagery import interchange
-
-        return interchange.cube_to_xarray(self)
+    def to_xarray(self) -> xr.DataArray:
+        """As a lazy array of xarray: :func:`hyperval.imagery.cube_to_xarray`."""
+        return cube_to_xarray(self)
 
     def kept_open(self) -> AbstractContextManager[object]:
         """Inside, an ENVI file is opened once for all reads."""
@@ -306,7 +318,7 @@ def _checked(cube: Cube) -> Cube:
 _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
 _OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which nothing here reads
 _HIERARCHIES = {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
-_MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | MATRICES | _HIERARCHIES | _OTHERS
+_MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | arrays.MATRICES | _HIERARCHIES | _OTHERS
 _MATLAB_SUFFIX = ".mat"  # of HDF5 that a program other than MATLAB has written: without its mark, in its order
 
 
@@ -332,10 +344,10 @@ def open_raster(
     """
     data = Path(path)
     if data.suffix.lower() == ".zarr":
-        return open_labelled(checked_folder(data, what="Zarr store"), variable, engine)
+        return arrays.open_labelled(checked_folder(data, what="Zarr store"), variable, engine)
     data = checked_file(path, what="image file")
     if engine is not None:
-        return open_labelled(data, variable, engine)
+        return arrays.open_labelled(data, variable, engine)
     ending = data.suffix.lower()
     if header is None and ending == ".hdr":
         header, data = data, checked_file(data_beside(data), what="image file")
@@ -346,16 +358,16 @@ def open_raster(
     if kind == _TIFF:
         return open_tiff(data, header)
     if header is None and kind == _NETCDF3:
-        return open_labelled(data, variable, "scipy")
+        return arrays.open_labelled(data, variable, "scipy")
     if header is None and kind == _HDF5:
-        check_own_values(data)
+        arrays.check_own_values(data)
         product = open_product(data) if variable is None else None
-        return product if product is not None else open_labelled(data, variable, "h5netcdf")
+        return product if product is not None else arrays.open_labelled(data, variable, "h5netcdf")
     beside = Path(header) if header is not None else header_beside(data)
     if beside is not None:
         return open_envi(data, beside)
-    if kind in MATRICES.values():
-        return open_matrix(data, str(kind), variable)
+    if kind in arrays.MATRICES.values():
+        return arrays.open_matrix(data, str(kind), variable)
     if kind is not None:
         raise refusal("image.kind", data, kind=kind)
     raise refusal("image.no_header", data, first=f"{data.name}.hdr", second=data.with_suffix(".hdr").name)
@@ -373,7 +385,7 @@ def kind_of(path: Path) -> str | None:
 
 def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
-    own = (_TIFF, _HDF5, _NETCDF3, *MATRICES.values())
+    own = (_TIFF, _HDF5, _NETCDF3, *arrays.MATRICES.values())
     return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in own
 
 
@@ -384,8 +396,8 @@ def raster_of_size(path: Path, shape: tuple[int, int], variable: str | None = No
     """
     path = checked_file(path, what="image file")
     kind = kind_of(path)
-    matrix = kind in MATRICES.values() and header_beside(path) is None
-    raster = open_matrix(path, str(kind), variable, shape) if matrix else open_raster(path)
+    matrix = kind in arrays.MATRICES.values() and header_beside(path) is None
+    raster = arrays.open_matrix(path, str(kind), variable, shape) if matrix else open_raster(path)
     refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
     return raster
 
@@ -425,14 +437,8 @@ def open_cube(
     InputError : missing, truncated or overlong files, headers that contradict them, implausible values.
     UsageError : a unit that is not stated, or paths that may not be opened.
     """
-    image = path
-    if not isinstance(image, Path | str):
-        from hyperval.imagery.interchange import raster_of
-
-        image = raster_of(image, variable)
-    if not isinstance(image, Raster):
-        image = open_raster(image, header=header, variable=variable, engine=engine)
-    raster: Raster = image
+    image = path if isinstance(path, Path | str | Raster) else raster_of(path, variable)
+    raster = image if isinstance(image, Raster) else open_raster(image, header=header, variable=variable, engine=engine)
     about, where = raster.description, str(raster.path)
     if axis is not None:
         table = given_bands(axis, raster.bands, where)
@@ -459,3 +465,158 @@ def open_cube(
         notes=notes,
     )
     return _checked(cube) if check_values and quantity != "other" else cube
+
+
+def cube_to_spy(cube: Cube) -> SpyFile | spectral.image.ImageArray:
+    """A ``Cube`` as an image of SPy: memory-mapped where it is an ENVI file of one scale, else loaded as float32.
+
+    SPy divides stored values by ``scale_factor``, which is 1/gain here; of ignore values it knows nothing, so that
+    they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
+    """
+    from spectral.io import envi
+
+    gain, raster = cube.gain, cube.raster
+    bands = _band_info(cube.axis)
+    whole = np.array_equal(cube.stored_band, np.arange(raster.bands))
+    if isinstance(raster, EnviRaster) and whole and np.all(gain == gain[0]) and not np.any(cube.offset):
+        image = envi.open(str(raster.header.path), str(raster.path))
+        image.scale_factor = 1.0 / float(gain[0])
+        image.bands = bands
+        return image
+    values = np.concatenate([block.values for block in cube.blocks(dtype=np.float32)])
+    return _image_array(values, bands, str(raster.path))
+
+
+def _lazy_cube(cube: Any) -> Any:
+    """The values of a cube as xarray takes them, which is loaded here: a run needs none of it."""
+    from xarray.backends import BackendArray
+    from xarray.core import indexing
+
+    class LazyCube(BackendArray):
+        """The values of a cube, read by lines when xarray asks for them."""
+
+        def __init__(self, cube: Any) -> None:
+            self.cube = cube
+            self.shape = (cube.lines, cube.samples, cube.bands)
+            self.dtype = np.dtype(np.float64)
+
+        def __reduce__(self) -> tuple[Any, ...]:
+            return _lazy_cube, (self.cube,)
+
+        def __getitem__(self, key: indexing.ExplicitIndexer) -> npt.NDArray[Any]:
+            part = indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+            return np.asarray(part)
+
+        def _read(self, key: tuple[Any, ...]) -> npt.NDArray[Any]:
+            lines = np.arange(self.cube.lines)[key[0]]
+            if not np.size(lines):
+                return np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
+            if np.ptp(lines) >= 4 * np.size(lines):  # far apart: what lies between is not read
+                return np.concatenate([self.cube.read(int(n), 1).values for n in lines])[:, key[1], key[2]]
+            first = int(np.min(lines))
+            values = self.cube.read(first, int(np.ptp(lines)) + 1).values
+            return np.asarray(values[lines - first][..., key[1], key[2]])
+
+    return LazyCube(cube)
+
+
+def cube_to_xarray(cube: Cube) -> xr.DataArray:
+    """A ``Cube`` as a lazy array (line, sample, wavelength) in its unit, NaN where there is no data.
+
+    Parts are read when they are asked for; ``fwhm`` and ``good`` stand beside the wavelengths, and the position as
+    ``spatial_ref`` with ``GeoTransform``, as rioxarray has it.
+    """
+    import xarray as xr
+    from xarray.core import indexing
+
+    lazy = indexing.LazilyIndexedArray(_lazy_cube(cube))
+    coords: dict[str, Any] = {
+        "wavelength": ("wavelength", cube.axis.centre_nm, {"units": "nm", "standard_name": "radiation_wavelength"}),
+        "fwhm": ("wavelength", cube.axis.fwhm_nm, {"units": "nm"}),
+        "good": ("wavelength", cube.axis.good),
+    }
+    array = xr.DataArray(
+        xr.Variable(("line", "sample", "wavelength"), lazy, {"units": cube.unit, "quantity": cube.quantity}),
+        coords=coords,
+        name=cube.quantity,
+    )
+    return _placed(array, cube.transform, cube.crs)
+
+
+def map_to_xarray(values: npt.NDArray[Any], transform: Any, crs: str | None, name: str) -> xr.DataArray:
+    """A map (line, sample), such as a detector's score, with its position."""
+    import xarray as xr
+
+    array = xr.DataArray(values, dims=("line", "sample"), name=name)
+    place = None if transform is None else Affine(*tuple(transform)[:6])
+    return _placed(array, place, None if crs is None else CRS.from_user_input(crs))
+
+
+def map_to_spy(values: npt.NDArray[Any], name: str) -> spectral.image.ImageArray:
+    """A map (line, sample) as an image of SPy with one band."""
+    import spectral
+
+    return _image_array(np.asarray(values)[:, :, None], spectral.BandInfo(), name)
+
+
+def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
+    """The raster of an object of SPy or xarray, read by parts where it is lazy; the path of one that SPy maps.
+
+    Raises
+    ------
+    UsageError : another kind of object, or an image without wavelengths.
+    """
+    xarray = sys.modules.get("xarray")  # where it was never loaded, nothing is an array of it
+    if xarray is not None and isinstance(image, xarray.DataArray | xarray.Dataset):
+        return arrays.labelled_array(image, variable)
+    import spectral
+    from spectral.io.spyfile import SpyFile
+
+    if not isinstance(image, SpyFile | spectral.image.ImageArray):
+        raise refusal("exchange.no_cube", kind=type(image).__name__)
+    path, about = Path(str(image.filename or "SPy image")), image.bands
+    headers = (path.with_suffix(".hdr"), Path(f"{path}.hdr"))
+    if isinstance(image, SpyFile) and path.is_file() and any(h.is_file() for h in headers):
+        return path
+    if about.centers is None:
+        raise refusal("exchange.no_wavelengths")
+    widths = None if about.bandwidths is None else np.asarray(about.bandwidths, float)
+    bands = ListedBands(np.asarray(about.centers, float), widths, about.band_unit)
+    dtype = np.dtype(np.float32 if isinstance(image, SpyFile) else image.dtype)
+    values = np.asarray(image) if isinstance(image, np.ndarray) else image
+    piece = arrays.Piece((arrays.Term("image"),), "lsb", tuple(image.shape), dtype)
+    store = arrays.Store(path, arrays.at_hand, "image", values)
+    return arrays.array_raster(store, (piece,), Description("image of SPy", bands))
+
+
+def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> xr.DataArray:
+    if transform is None and crs is None:
+        return array
+    attrs: dict[str, Any] = {}
+    if crs is not None:
+        attrs |= {"crs_wkt": crs.to_wkt(), "spatial_ref": crs.to_wkt()}
+    if transform is not None:
+        attrs["GeoTransform"] = " ".join(repr(float(v)) for v in transform.to_gdal())
+    array = array.assign_coords(spatial_ref=((), 0, attrs))
+    array.attrs["grid_mapping"] = "spatial_ref"
+    return array
+
+
+def _band_info(axis: SpectralAxis) -> spectral.BandInfo:
+    import spectral
+
+    bands = spectral.BandInfo()
+    bands.centers, bands.bandwidths = axis.centre_nm.tolist(), axis.fwhm_nm.tolist()
+    bands.band_unit, bands.band_quantity = "nm", "Wavelength"
+    return bands
+
+
+def _image_array(values: npt.NDArray[Any], bands: spectral.BandInfo, filename: str) -> spectral.image.ImageArray:
+    import spectral
+
+    params = SimpleNamespace(
+        nbands=values.shape[2], nrows=values.shape[0], ncols=values.shape[1], offset=0, dtype=values.dtype.str,
+        filename=filename, byte_order=int(sys.byteorder == "big"),
+    )  # fmt: skip
+    source = SimpleNamespace(params=lambda: params, metadata={}, bands=bands, filename=filename)
+    return spectral.image.ImageArray(values, source)

@@ -1,23 +1,447 @@
-"""Regions of interest: named masks on the grid of a cube, read from files, drawn, or made of other regions."""
+"""Regions of interest: named masks on the grid of a cube, read from files, drawn, or made of other regions.
+
+Files are ENVI regions (XML of 5.x, ASCII export, classic binary), GeoJSON, CSV lists and class rasters; GeoPackage,
+Shapefile and KML by the extra ``vector``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+import json
+import re
+import struct
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import combinations
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
 from rasterio.crs import CRS
 from scipy import ndimage
+from shapely import get_coordinates
+from shapely.geometry.base import BaseGeometry
 from skimage.measure import label
 
+from hyperval.envi_header import header_beside
 from hyperval.errors import reader, refusal, refuse
-from hyperval.imagery.drawing import WARNING, ImageGrid, Position
-from hyperval.imagery.regions_files import drawings_of
-from hyperval.paths import checked_file
+from hyperval.imagery.arrays import MATRICES
+from hyperval.imagery.cube import kind_of, raster_of_size
+from hyperval.imagery.description import crs_of_wkt, equals
+from hyperval.imagery.drawing import WARNING, ImageGrid, Placing, Position, RegionDrawing, geometry_of, named_crs
+from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
+from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
+from hyperval.storage import number_of
+
+Array = npt.NDArray[np.float64]
+Drawings = dict[str, RegionDrawing]
+Feature = tuple[Any, Mapping[str, Any], str]  # geometry of GeoJSON or WKB, attributes, name where none of them gives it
+MAX_XML_BYTES = 8 << 20
+MAX_BINARY_BYTES = 64 << 20
+MAX_BYTES = 256 << 20
+MAX_FEATURES = 100_000
+MAX_CLASSES = 1000
+_MAX_DIGITS = 300  # more are no float
+_COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
+REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
+_SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
+
+
+def xml_drawings(path: Path, grid: ImageGrid) -> Drawings:
+    """Drawings by name of an ENVI 5 ROI file.
+
+    ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
+    are projected to the cube's system where it differs.
+
+    Raises
+    ------
+    InputError : larger than 8 MiB, with a DOCTYPE or ENTITY, not such a file, or a region that cannot be placed.
+    """
+    root = read_xml(path, MAX_XML_BYTES)
+    refuse(root.tag != "RegionsOfInterest", "roi.root", path, tag=root.tag)
+    drawings: Drawings = {}
+    for number, region in enumerate(root.iter("Region"), start=1):
+        name = region.get("name") or str(number)
+        where = f"{path}: region {name!r}"
+        drawing = _new(drawings, name, grid.shape, where)
+        definitions = list(region.iter("GeometryDef"))
+        refuse(not definitions, "roi.no_geometry", where)
+        for definition in definitions:
+            system = " ".join((definition.findtext("CoordSysStr") or "none").split())
+            source = None if system.lower() == "none" else crs_of_wkt(system)
+            if source is None and system.lower() != "none":
+                raise refusal("region.system", where, name=system[:60])
+            place = replace(grid, coordinates="pixel" if source is None else None).placing(source, where)
+            for child in definition:
+                for geometry in _xml_geometries(child, where):
+                    drawing.add(place(geometry_of(geometry, where), where), where)
+    return drawings
+
+
+def _xml_geometries(element: ElementTree.Element, where: str) -> Iterator[dict[str, Any]]:
+    """The polygons or points of an element of ENVI's, as GeoJSON has them."""
+    if element.tag in ("Point", "MultiPoint"):
+        yield {"type": "MultiPoint", "coordinates": _xml_pairs(element, where)}
+    elif element.tag in ("Polygon", "MultiPolygon"):
+        for polygon in element.iter("Polygon"):
+            outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
+            refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
+            yield {"type": "Polygon", "coordinates": [_xml_pairs(ring, where).tolist() for ring in (*outer, *inner)]}
+    elif element.tag != "CoordSysStr":
+        yield {"type": element.tag}
+
+
+def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
+    text = " ".join(part.text or "" for part in element.iter("Coordinates"))
+    values = np.array([number_of(v) for v in text.split()])
+    refuse(np.isnan(values).any(), "roi.coordinates", where)
+    refuse(values.size == 0 or values.size % 2, "roi.pairs", where, count=values.size)
+    return values.reshape(-1, 2)
+
+
+def ascii_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
+    """Drawings by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
+
+    Raises
+    ------
+    InputError : the file was made for an image of another size, or its counts do not add up.
+    """
+    told: dict[str, list[tuple[str, str]]] = {}  # what the comments say, by key, with its place
+    rows: list[tuple[int, int]] = []
+    columns = (1, 2)
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        where, text = f"{path}:{number}", line.strip("; \t\r\0")
+        titles = text.lower().split()
+        if text and not line.strip().startswith(";"):
+            refuse(len(titles) <= max(columns), "roi.columns", where, count=len(titles))
+            rows.append((_whole(titles[columns[1]], where) - 1, _whole(titles[columns[0]], where) - 1))
+        elif ":" in text:
+            key, _, value = text.partition(":")
+            told.setdefault(key.strip().lower(), []).append((value.strip(), where))
+        elif {"x", "y"} <= set(titles):
+            columns = titles.index("x"), titles.index("y")
+        else:
+            refuse(re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text), "roi.no_pixels", where, text=text[:60])
+    refuse("file dimension" not in told, "roi.no_dimension", path)
+    for value, where in told["file dimension"]:
+        made_for = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
+        if made_for is None:
+            raise refusal("roi.dimension", where, value=value)
+        _check_size((int(made_for[2]), int(made_for[1])), shape, where)
+    names = [name for name, _ in told.get("roi name", [])]
+    counts = [_whole(*count) for count in told.get("roi npts", [])]
+    announced = [_whole(*count) for count in told.get("number of rois", [(str(len(names)), "")])][-1]
+    if len(names) != len(counts) or announced != len(names) or sum(counts) != len(rows):
+        found = {"announced": announced, "names": len(names), "points": sum(counts), "rows": len(rows)}
+        raise refusal("roi.counts", path, **found)
+    refuse(len(set(names)) < len(names), "roi.names", path)
+    starts = np.cumsum([0, *counts])
+    return _pixel_drawings({name: rows[starts[i] : starts[i + 1]] for i, name in enumerate(names)}, shape, path)
+
+
+def _check_size(made_for: tuple[int, int], shape: tuple[int, int], where: str) -> None:
+    """Raise InputError for regions of an image of another size than that of the cube."""
+    refuse(made_for != shape, "roi.size", where, size=made_for, shape=shape)
+
+
+def _pixel_drawings(pixels: Mapping[str, Sequence[tuple[int, int]]], shape: tuple[int, int], path: Path) -> Drawings:
+    """Drawings of pixels (line, sample) from 0 by name."""
+    drawings: Drawings = {}
+    for name, listed in pixels.items():
+        lines, samples = np.array(listed, dtype=np.int64).reshape(-1, 2).T
+        where = f"{path}: region {name!r}"
+        _new(drawings, name, shape, where).add_pixels(lines, samples, where)
+    return drawings
+
+
+def _new(drawings: Drawings, name: str, shape: tuple[int, int], where: str) -> RegionDrawing:
+    """A drawing under a name that none has yet."""
+    refuse(name in drawings, "roi.twice", where)
+    drawings[name] = RegionDrawing(shape)
+    return drawings[name]
+
+
+def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
+    """Drawings by name of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
+
+    Raises
+    ------
+    InputError : larger than 64 MiB, cut short, made for an image of another size, or with polylines.
+    """
+    raw, at = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4
+
+    def words(count: int, kind: str = "i") -> tuple[int, ...]:
+        nonlocal at
+        refuse(count < 0 or at + 4 * count > len(raw), "roi.short", path)
+        at += 4 * count
+        return struct.unpack_from(f">{count}{kind}", raw, at - 4 * count)
+
+    drawings: Drawings = {}
+    for _ in range(words(1)[0]):
+        length = words(2)[1]
+        refuse(not 0 <= length <= 4096 or at + length > len(raw), "roi.name", path)
+        name = raw[at : at + length].split(b"\0")[0].decode("latin-1").strip()
+        at += -(-length // 4) * 4
+        table, where = words(45), f"{path}: region {name!r}"
+        _check_size((table[1], table[0]), shape, where)
+        refuse(table[43], "roi.polylines", where)
+        drawing = _new(drawings, name, shape, where)
+        if table[44]:
+            words(1)
+            addresses = np.array(words(table[3]), dtype=np.int64)
+            drawing.add_pixels(addresses // shape[1], addresses % shape[1], where)
+        elif table[3] > 0:
+            drawing.stated_pixels = table[3]
+        for _ in range(table[42]):
+            vertices = words(2)[0]
+            ring = list(zip(words(vertices, "f"), words(vertices, "f"), strict=True))
+            drawing.add(geometry_of({"type": "Polygon", "coordinates": [ring]}, where), where)
+    return drawings
+
+
+def _whole(text: str, where: str) -> int:
+    refuse(not re.fullmatch(r"[0-9]{1,12}", text.strip()), "roi.whole", where, text=text[:40])
+    return int(text)
+
+
+def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
+    """Drawings by name of a CSV pixel list.
+
+    Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
+    ``name`` or ``class`` where the file holds more than one region.
+    """
+    fields, rows = read_table(path, {*REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
+    pair = next((p for p in _COLUMNS if set(p) <= set(fields)), None)
+    if pair is None:
+        raise refusal("region.columns", f"{path}:1", columns=", ".join(fields) or "none")
+    column = next((c for c in REGION_COLUMNS if c in fields), None)
+    pixels: dict[str, list[tuple[int, int]]] = {}
+    for number, row in rows:
+        if not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair):
+            numbers = {"first": row[pair[0]], "second": row[pair[1]]}
+            raise refusal("region.row", f"{path}:{number}", pair=pair, **numbers)
+        name = row[column] if column else path.stem
+        refuse(not name, "region.no_name", f"{path}:{number}", column=column)
+        pixels.setdefault(name, []).append((int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]))
+    return _pixel_drawings(pixels, shape, path)
+
+
+def raster_drawings(path: Path, shape: tuple[int, int], variable: str | None = None) -> Drawings:
+    """Drawings of the classes of a raster of one band, or of the bands of a raster of several.
+
+    One band: a class for every whole number but 0 and the ignore value, under the class name of the header, else under
+    the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
+    under the band name.
+    """
+    raster = raster_of_size(path, shape, variable)
+    stored, about = raster.read_bands(0, raster.lines), raster.description
+    ignore = about.no_data()
+    valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
+    if raster.bands > 1:
+        names = about.band_names
+        if len(set(names)) != raster.bands:
+            names = tuple(f"band-{i + 1}" for i in range(raster.bands))
+        return {name: RegionDrawing(shape, (stored[i] != 0) & valid[i]) for i, name in enumerate(names)}
+    values = np.unique(stored[valid])
+    refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
+    numbers = [int(v) for v in values if v != 0]
+    listed = [name.strip() for name in about.entries.get("class names", "").split(",")]
+    out: Drawings = {}
+    for value in numbers:
+        # ENVI writes "Name [Red] 67 points" for a class image made from regions.
+        name = listed[value] if 0 < value < len(listed) else ""
+        name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
+        name = name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}")
+        refuse(name in out, "region.two_classes", path, name=name)
+        out[name] = RegionDrawing(shape, stored[0] == value)
+    return out
+
+
+def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
+    """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united.
+
+    Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
+    has it.
+    """
+    try:
+        data = json.loads(read_text(path), object_pairs_hook=_once, parse_int=_whole_number)
+    except (ValueError, RecursionError) as error:
+        raise refusal("geojson.text", path, why=error) from error
+    kind = data.get("type") if isinstance(data, dict) else None
+    items = data.get("features") if kind == "FeatureCollection" else [data]
+    if kind is None or not isinstance(items, list):
+        raise refusal("geojson.object", path)
+    name = _within(data, "crs", "properties", "name")
+    stated = named_crs(name, str(path)) if isinstance(name, str) else None
+    assumed = grid.coordinates is None and stated is None
+    if assumed and grid.transform is None:
+        raise refusal("geojson.no_position", path)
+    placed = grid.placing(stated, str(path))
+
+    def place(geometry: BaseGeometry, where: str) -> BaseGeometry:
+        if assumed and (xy := get_coordinates(geometry))[np.any(np.abs(xy) > (180.0, 90.0), axis=1)].size:
+            raise refusal("geojson.degrees", where, x=xy[0, 0], y=xy[0, 1])
+        return placed(geometry, where)
+
+    features = []
+    for number, feature in enumerate(items, start=1):
+        geometry = _within(feature, "geometry") if _within(feature, "type") == "Feature" else feature
+        own, known = _within(feature, "id"), _within(feature, "properties")
+        fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
+        features.append((geometry, known if isinstance(known, dict) else {}, fallback))
+    return _united({}, features, place, grid, f"{path}: ")
+
+
+def _whole_number(text: str) -> int:
+    if len(text) > _MAX_DIGITS:
+        raise ValueError(f"a number of {len(text)} digits")
+    return int(text)
+
+
+def _within(data: Any, *keys: str) -> Any:
+    """What stands under keys in objects within each other, None where one is no object."""
+    for key in keys:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data
+
+
+def _united(drawings: Drawings, features: Iterable[Feature], place: Placing, grid: ImageGrid, where: str) -> Drawings:
+    """Drawings with features added to those of their names: of the attribute that names them, else their own.
+
+    Raises
+    ------
+    UsageError : the attribute that is to name them is not there.
+    """
+    columns = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
+    for number, (geometry, known, fallback) in enumerate(features, start=1):
+        at = f"{where}feature {number}"
+        lower = {str(key).lower(): value for key, value in known.items()}
+        if grid.name_field is not None and columns[0] not in lower:
+            raise refusal("region.property", at, name=grid.name_field, known=", ".join(known) or "none")
+        named = next((lower[c] for c in columns if lower.get(c) is not None), None)
+        name = ("" if named is None or named != named else str(named).strip()) or fallback
+        at = f"{at} ({name})"
+        drawings.setdefault(name, RegionDrawing(grid.shape)).add(place(geometry_of(geometry, at), at), at)
+    return drawings
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    out = dict(pairs)
+    if len(out) < len(pairs):
+        raise ValueError("a key occurs twice in one object")
+    return out
+
+
+def is_kml(head: bytes) -> bool:
+    """True for the first bytes of a KML file."""
+    return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
+
+
+def vector_drawings(path: Path, grid: ImageGrid) -> Drawings:
+    """Drawings by name of the polygons and points of every layer; features of one name are united.
+
+    A name comes from the attribute ``name_field``, or else from ``region``, ``name``, ``class`` or ``class_name``;
+    a layer without attributes of text gives its own.  The file's coordinate system places them; where it has none,
+    ``coordinates`` must say "pixel", "map" or "lonlat".
+
+    Raises
+    ------
+    InputError : too large, not readable, lines instead of areas, or another coordinate system than stated.
+    UsageError : the extra ``vector`` is not installed, nobody says what the coordinates are, or which of several
+        attributes names the regions.
+    """
+    try:
+        import pyogrio
+        from pyogrio.errors import DataLayerError, DataSourceError
+    except ImportError:
+        raise refusal("vector.package", path) from None
+    _check_files(path)
+    drawings: Drawings = {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+            for layer in layers:
+                count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
+                refuse(count > MAX_FEATURES, "vector.features", path, count=count, most=MAX_FEATURES)
+                meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
+                fields = dict(zip((str(f) for f in meta["fields"]), columns, strict=True))
+                _layer_drawings(drawings, f"{path}: layer {layer!r}", layer, meta["crs"], shapes, fields, grid)
+    except (DataLayerError, DataSourceError) as error:
+        raise refusal("vector.unreadable", path, why=error) from error
+    return drawings
+
+
+def _layer_drawings(
+    drawings: Drawings,
+    where: str,
+    layer: str,
+    stated: str | None,
+    shapes: Sequence[bytes | None],
+    fields: Mapping[str, Any],
+    grid: ImageGrid,
+) -> None:
+    """Add the features of a layer, whose attributes stand in columns."""
+    own = named_crs(stated, where) if stated else None
+    if own is None and grid.coordinates is None:
+        raise refusal("vector.no_system", where)
+    if own is not None and grid.coordinates == "pixel":
+        raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
+    wanted = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
+    texts = any(np.asarray(values).dtype.kind == "O" for values in fields.values())
+    if not {f.lower() for f in fields} & set(wanted) and (grid.name_field or (len(shapes) > 1 and texts)):
+        what = f"no attribute {grid.name_field!r}" if grid.name_field else "no attribute that names the regions"
+        raise refusal("vector.attribute", where, what=what, known=", ".join(fields) or "none")
+    features = []
+    for i, wkb in enumerate(shapes):
+        known = {name: values[i] for name, values in fields.items()}
+        own_name = layer if len(shapes) == 1 else f"{layer}-{i + 1}"
+        features.append((wkb, known, own_name))
+    _united(drawings, features, grid.placing(own, where), grid, f"{where}, ")
+
+
+def _check_files(path: Path) -> None:
+    files = [path]
+    if is_kml(head_of(path)) and re.search(rb"<!\s*(DOCTYPE|ENTITY)", path.read_bytes()[:MAX_BYTES], re.IGNORECASE):
+        raise refusal("vector.entity", path)
+    if path.suffix.lower() == ".shp":
+        parts = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
+        for end in (".dbf", ".shx"):
+            refuse(end not in parts, "vector.part", path, end=end)
+        files += [checked_file(parts[end], what="region file") for end in _SIDECARS if end in parts]
+    refuse(sum(f.stat().st_size for f in files) > MAX_BYTES, "vector.large", path, mib=MAX_BYTES >> 20)
+
+
+def drawings_of(path: Path, grid: ImageGrid) -> Drawings:
+    """What a file of regions draws, by name; the format is known from its content.
+
+    Raises
+    ------
+    UsageError : a format that is not known.
+    """
+    head, shape = head_of(path), grid.shape
+    stripped, ending = head.lstrip(b"\xef\xbb\xbf \t\r\n"), path.suffix.lower()
+    if ending in TIFF_SUFFIXES or head[:4] in TIFF_MARKS:
+        return raster_drawings(path, shape)
+    if stripped.startswith(b"<") and not is_kml(head):
+        return xml_drawings(path, grid)
+    if b"ENVI Output of ROIs" in head[:200]:
+        return ascii_drawings(path, shape)
+    if head.startswith(b"JoeB"):
+        return binary_drawings(path, shape)
+    if head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a" or is_kml(head):
+        return vector_drawings(path, grid)
+    if stripped.startswith(b"{"):
+        return geojson_drawings(path, grid)
+    if ending == ".hdr" or kind_of(path) in MATRICES.values() or header_beside(path) is not None:
+        return raster_drawings(path, shape, grid.name_field)
+    if ending in (".csv", ".txt"):
+        return csv_drawings(path, shape)
+    raise refusal("region.format", path)
+
 
 Mask = npt.NDArray[np.bool_]
 

@@ -30,7 +30,7 @@ from hyperval.imagery.description import (
     wavelengths_in_names,
 )
 from hyperval.imagery.envi import crs_of, transform_of
-from hyperval.imagery.sidecars import NO_MAP, described_beside
+from hyperval.imagery.products import NO_MAP, described_beside
 from hyperval.paths import checked_file
 from hyperval.storage import number_of
 from hyperval.units import in_nm
