@@ -1,6 +1,8 @@
 """What the files of an image say of it, and what is taken from that: bands, unit and scale, no data.
 
-What has no standard changes no number and goes into the notes: level of processing, shift of the wavelengths, time.
+Every reader hands on a :class:`Raster`: stored numbers with a :class:`Description`.  Here alone it is decided which
+wavelengths, which unit and which scale an image has, and which of its pixels hold data.  Entries without a standard
+(level of processing, shift of the wavelengths, time of the flight) change no number; they go into the notes.
 """
 
 from __future__ import annotations
