@@ -34,7 +34,7 @@ def test_what_is_taken_away_gives_the_numbers_of_the_page(server, client, tmp_pa
     assert (tmp_path / "study.yaml").read_text() == text
     assert client.get(f"{server.address}/{text.split()[2].rpartition('=')[2]}").json()["title"] == "StudyFile"
     trade = Trade(x_from=0.01, moved={ZENITH[3:]: 50.0}, background=["asphalt", "grass"])
-    trade, now = completed(trade, prepared("yellow-planks-asphalt", trade).offers), None
+    trade, now = completed(trade, prepared("yellow-planks-asphalt", trade)), None
     for number in range(4):
         now = piece("yellow-planks-asphalt", trade, number, now)
     table = api.open(tmp_path / "out").to_dataframe()

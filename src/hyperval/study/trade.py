@@ -22,25 +22,13 @@ from pydantic import Field
 from hyperval.config import Model, parse_yaml
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
-from hyperval.figures.spec import (
-    CURVES,
-    PREDICTED,
-    WAVELENGTH,
-    Axis,
-    Figure,
-    Mark,
-    Panels,
-    Part,
-    Rules,
-    statement,
-)
+from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import detection_at
 from hyperval.model.stated import state_entries
 from hyperval.model.world import column_of, fits
-from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import path_parts, with_settings
@@ -60,6 +48,7 @@ KINDS = {
     "pd": "probability of detection P_D", "auc": "area under the ROC", "snr": "signal-to-noise ratio",
     "radiance": "radiance",
 }  # fmt: skip
+SPECTRAL = ("snr", "radiance")
 
 
 class Trade(Model):
@@ -87,31 +76,38 @@ class Trade(Model):
     @property
     def is_spectral(self) -> bool:
         """Whether the output is a spectrum's."""
-        return self.output in ("snr", "radiance")
+        return self.output in SPECTRAL
 
 
-class Offer(NamedTuple):
-    """An input that may be picked.
+class Offer(Model):
+    """An input that may be picked: a row of ``trade.yaml``, of the paths of a scenario.
 
     Attributes
     ----------
-    key, group, name, unit, column : by which it is picked; where it stands, what it is called, also in a table
-    low, high, is_log : range of its axis and slider, and how they run
+    path, together : pattern of what it moves, and whether all that is of the pattern moves as one
+    group, name, unit, column : where it stands, what it is called, also in a table
+    low, high, spacing : range of its axis and slider, and how they run
     now : value in the scenario, NaN where it states none
-    paths : what it moves;  is_slider : whether the page has one for it
+    paths : what it moves, by the first of which it is picked;  slider : whether the page has one for it
     """
 
-    key: str
-    group: str
+    path: str
     name: str
-    unit: str
-    column: str
+    column: str = ""
+    unit: str = "1"
     low: float
     high: float
-    is_log: bool
-    now: float
-    paths: tuple[str, ...]
-    is_slider: bool
+    spacing: Literal["linear", "log"] = "linear"
+    slider: bool = False
+    together: bool = False
+    now: float = Field(math.nan, allow_inf_nan=True)
+    group: str = ""
+    paths: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """By which it is picked."""
+        return self.paths[0]
 
     @property
     def words(self) -> str:
@@ -120,41 +116,42 @@ class Offer(NamedTuple):
 
     def ends(self, low: float | None, high: float | None) -> tuple[float, float]:
         """Ends of an axis where they are stated, else about the value in the scenario."""
-        near = self.is_log and self.now > 0.0
+        near = self.spacing == "log" and self.now > 0.0
         first, last = (max(self.low, self.now / 10), min(self.high, self.now * 10)) if near else (self.low, self.high)
         return first if low is None else low, last if high is None else high
 
 
-class Offers(NamedTuple):
-    """What a scenario has to pick from; ``why``: why its atmosphere is not that of the emulator."""
-
-    inputs: Mapping[str, Offer]
-    targets: tuple[str, ...]
-    surfaces: tuple[str, ...]
-    backgrounds: tuple[str, ...]
-    detectors: tuple[str, ...]
-    sensors: tuple[str, ...]
-    has_fixed_fill: bool
-    why: str
-
-
 class Prepared(NamedTuple):
-    """A scenario read for a trade: its world, what was set in it, and what it offers."""
+    """A scenario read for a trade: its world, what was set in it, and what it has to pick from.
+
+    Attributes
+    ----------
+    inputs : by their keys
+    surfaces : classes and panels, where there is light
+    why : why its atmosphere is not that of the emulator
+    """
 
     scenario: Scenario
     world: World
     settings: Mapping[str, Any]
-    offers: Offers
+    inputs: Mapping[str, Offer]
+    targets: tuple[str, ...]
+    surfaces: tuple[str, ...]
+    backgrounds: tuple[str, ...]
+    sensors: tuple[str, ...]
+    has_fixed_fill: bool
+    why: str
+    detectors: tuple[str, ...] = LINEAR_DETECTORS
 
 
 @lru_cache(maxsize=1)
-def _table() -> dict[str, list[dict[str, Any]]]:
+def _table() -> list[Offer]:
     text = resources.files("hyperval.study").joinpath("trade.yaml").read_text("utf-8")
-    table: dict[str, list[dict[str, Any]]] = parse_yaml(text, "trade.yaml")[0]
-    return table
+    groups: dict[str, list[dict[str, Any]]] = parse_yaml(text, "trade.yaml")[0]
+    return [Offer(group=group, **row) for group, rows in groups.items() for row in rows]
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prepared:
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
     own = [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
@@ -175,14 +172,15 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prep
             why = error.what
     world = world if scenario.atmosphere is not None and not why else _read(scenario, settings)
     scene = scenario.scene
-    sensors = tuple(dict.fromkeys((scenario.sensor, *library_names()))) if scenario.sensor is not None else ()
-    offers = Offers(
+    return Prepared(
+        world.stated.scenario, world, settings,
         {offer.key: offer for offer in _offers(world) if not (why and offer.key.startswith("atmosphere."))},
-        tuple(p.name for t in scene.targets for p in t.populations),
-        tuple(s.name for s in (*scene.classes, *scene.panels)) if scenario.atmosphere else (),
-        tuple(c.name for c in scene.classes), LINEAR_DETECTORS, sensors, bool(fixed), why,
+        targets=tuple(p.name for t in scene.targets for p in t.populations),
+        surfaces=tuple(s.name for s in (*scene.classes, *scene.panels)) if scenario.atmosphere else (),
+        backgrounds=tuple(c.name for c in scene.classes),
+        sensors=tuple(dict.fromkeys((scenario.sensor, *library_names()))) if scenario.sensor is not None else (),
+        has_fixed_fill=bool(fixed), why=why,
     )  # fmt: skip
-    return Prepared(world.stated.scenario, world, settings, offers)
 
 
 def _read(scenario: Scenario, settings: Mapping[str, Any]) -> World:
@@ -207,60 +205,45 @@ def prepared(source: str, trade: Trade) -> Prepared:
 
 
 def _offers(world: World) -> Iterator[Offer]:
-    known, lit = every_path(world), world.stated.scenario.atmosphere is not None
-    for group, rows in _table().items():
-        for row in rows:
-            paths = [path for path in known if fits(row["path"], path)]
-            if not paths and "now" in row and (lit or row["path"] == PFA):
-                paths = [row["path"]]
-            sets = [tuple(paths)] if row.get("together") and paths else [(path,) for path in paths]
-            for own in sets:
-                yield _offer(world, group, row, own)
+    known, state = every_path(world), world.stated.scenario.atmosphere
+    for row in _table():
+        paths = [path for path in known if fits(row.path, path)]
+        if not paths and "now" in row.model_fields_set and (state is not None or row.path == PFA):
+            paths = [row.path]
+        for own in [tuple(paths)] if row.together and paths else [(path,) for path in paths]:
+            low, high, now = row.low, row.high, row.now
+            try:
+                now = float(np.ravel(value_at(world, own[0]))[0])
+            except (UsageError, TypeError):  # what holds where it states nothing stands in the row
+                pass
+            if row.path == "atmosphere.sensor_altitude_km" and state is not None:
+                low = max(low, state.ground_altitude_km + 0.5)
+            if math.isfinite(now):
+                low, high = min(low, now), max(high, now)
+            item = next((part for part in reversed(path_parts(own[0])) if f"[{part}]" in own[0]), "")
+            stated = {"name": row.name.replace("*", item), "column": row.column or row.path.rpartition(".")[2]}
+            yield row.model_copy(update={**stated, "low": low, "high": high, "now": now, "paths": own})
 
 
-def _offer(world: World, group: str, row: Mapping[str, Any], paths: tuple[str, ...]) -> Offer:
-    try:
-        now = float(np.ravel(value_at(world, paths[0]))[0])
-    except (UsageError, TypeError):
-        now = float(row.get("now", math.nan))
-    name = next((part for part in reversed(path_parts(paths[0])) if f"[{part}]" in paths[0]), "")
-    low, high, state = row["low"], row["high"], world.stated.scenario.atmosphere
-    if row["path"] == "atmosphere.sensor_altitude_km" and state is not None:
-        low = max(low, state.ground_altitude_km + 0.5)
-    if math.isfinite(now):
-        low, high = min(low, now), max(high, now)
-    column = row.get("column", row["path"].rpartition(".")[2])
-    return Offer(
-        paths[0], group, row["name"].replace("*", name), row.get("unit", "1"), column, float(low), float(high),
-        row.get("spacing") == "log", now, paths, bool(row.get("slider")),
-    )  # fmt: skip
-
-
-def completed(trade: Trade, offers: Offers) -> Trade:
+def completed(trade: Trade, p: Prepared) -> Trade:
     """What is asked, with all that was left open filled in.
 
     Raises
     ------
     UsageError : something that the scenario does not have; ``where`` names the field.
     """
-    has_roc = bool(offers.targets)
-    output = trade.output if has_roc or trade.is_spectral else "snr"
-    spectral = output in ("snr", "radiance")
-    among = offers.surfaces if spectral else offers.targets
+    output = trade.output if p.targets or trade.is_spectral else "snr"
+    among = p.surfaces if output in SPECTRAL else p.targets
     subject = [name for name in trade.subject if name in among] or list(among[:1])
     if not subject:
         raise UsageError("the scenario has no subject for this output", where="output")
-    x = trade.x or _usual(offers, "" if spectral else f"[{subject[0]}]")
-    for field, key in (("x", x), ("y", trade.y)):
-        if (key or field == "x") and key not in offers.inputs:
-            raise UsageError("no input of this scenario", where=field)
+    x = trade.x or _usual(p, "" if output in SPECTRAL else f"[{subject[0]}]")
     for field, names, known in (
-        ("subject", trade.subject, offers.targets + offers.surfaces), ("sensor", trade.sensor, offers.sensors),
-        ("background", trade.background, offers.backgrounds), ("detector", [trade.detector], ("", *LINEAR_DETECTORS)),
-        ("moved", list(trade.moved), tuple(offers.inputs)),
+        ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
+        ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
+        ("detector", [trade.detector], ("", *p.detectors)), ("moved", trade.moved, p.inputs),
     ):  # fmt: skip
-        wrong = [name for name in names if name not in known]
-        if wrong:
+        if wrong := [name for name in names if name not in known]:
             raise UsageError(
                 f"{wrong[0]!r} is not in this scenario", where=field, expected="one of " + ", ".join(known)
             )
@@ -268,37 +251,35 @@ def completed(trade: Trade, offers: Offers) -> Trade:
         raise UsageError("is already the first input", where="y")
     if not trade.from_nm < trade.to_nm:
         raise UsageError(f"{trade.to_nm:g} nm is not above {trade.from_nm:g} nm", where="to_nm")
-    whole = trade.model_copy(update={"output": output, "x": x, "subject": subject})
-    ends = dict[str, Any]()
+    filled: dict[str, Any] = {"output": output, "x": x, "subject": subject}
     for field, key in (("x", x), ("y", trade.y)):
         if key:
-            offer = offers.inputs[key]
-            low, high = offer.ends(getattr(whole, f"{field}_from"), getattr(whole, f"{field}_to"))
+            low, high = p.inputs[key].ends(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
             if not low < high:
                 raise UsageError(f"{high:g} is not above {low:g}", where=f"{field}_to")
-            if offer.is_log and low <= 0.0:
+            if p.inputs[key].spacing == "log" and low <= 0.0:
                 raise UsageError("a logarithmic axis starts above 0", where=f"{field}_from")
-            ends |= {f"{field}_from": low, f"{field}_to": high}
+            filled |= {f"{field}_from": low, f"{field}_to": high}
     lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
     if lines > _MOST_LINES:
         raise UsageError(f"{lines} curves; at most {_MOST_LINES} are drawn together", where="subject")
-    return whole.model_copy(update=ends)
+    return trade.model_copy(update=filled)
 
 
-def _usual(offers: Offers, target: str) -> str:
+def _usual(p: Prepared, target: str) -> str:
     """The input to begin with: the first slider, of a target its own fill or GSD."""
-    sliders = [offer for offer in offers.inputs.values() if offer.is_slider]
+    sliders = [offer for offer in p.inputs.values() if offer.slider]
     own = [o for o in sliders if target and any(target in path for path in o.paths)]
     return next((o.key for o in (*own, *sliders) if o in own or o.group != "Target"), "")
 
 
-def paths_of(offer: Offer, trade: Trade) -> tuple[str, ...]:
+def moves_of(offer: Offer, trade: Trade) -> list[Move]:
     """What an input moves: of several targets together, those that are asked for."""
     own = tuple(path for path in offer.paths if any(f"[{name}]" in path for name in trade.subject))
-    return own if len(offer.paths) > 1 and own else offer.paths
+    return [Move(path=path) for path in (own if len(offer.paths) > 1 and own else offer.paths)]
 
 
-def outputs_of(trade: Trade, is_moved: bool) -> list[Output]:
+def outputs_of(trade: Trade, is_moved: bool = False) -> list[Output]:
     """The output of each subject; ``is_moved``: an input moves the false-alarm probability."""
     label = KINDS[trade.output]
     asked: dict[str, Any] = {"kind": trade.output}
@@ -321,33 +302,35 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     scenario : its name, or the file that lies beside the study
     exact : under the engine that the scenario names in place of the emulator
     """
-    axes = [(field, p.offers.inputs[key]) for field, key in (("y", trade.y), ("x", trade.x)) if key]
-    inputs = [*_overlays(p, trade), *(_input(trade, field, offer, len(axes)) for field, offer in axes)]
+    axes = [_axis_input(p, trade, field) for field in ("y", "x") if getattr(trade, field)]
+    overlays = _overlays(p, trade)
     settings = {path: value for path, value in p.settings.items() if not (exact and path == "atmosphere.engine")}
     settings |= _settings(p, trade)
-    of_sky = sum(offer.key.startswith("atmosphere.") for _, offer in axes)
+    of_sky = sum(key.startswith("atmosphere.") for key in (trade.x, trade.y))
     atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
     outputs = outputs_of(trade, PFA in (trade.x, trade.y))
-    more: dict[str, Any] = {"kind": "heat", "y": inputs[-2].name} if trade.y else {"kind": "lines"}
-    if not trade.y and len(inputs) > len(axes):
-        more["family"] = inputs[0].name
-    scale = "log" if axes[-1][1].is_log else "linear"
+    more: dict[str, Any] = {"kind": "heat", "y": axes[0].name} if trade.y else {"kind": "lines"}
+    if not trade.y and overlays:
+        more["family"] = overlays[0].name
+    inputs, scale = [*overlays, *axes], p.inputs[trade.x].spacing
     data = {
         "schema": 1, "name": "trade", "title": f"{KINDS[trade.output]} against {' and '.join(i.label for i in inputs)}",
         "scenario": scenario, "settings": settings, "inputs": inputs, "outputs": outputs,
-        "plots": [Plot(x=inputs[-1].name, output=o.name, scale=scale, **more) for o in outputs],
+        "plots": [Plot(x=axes[-1].name, output=o.name, scale=scale, **more) for o in outputs],
     }  # fmt: skip
     return StudyFile.model_validate({**data, "atmosphere": atmosphere} if of_sky else data)
 
 
-def _input(trade: Trade, field: str, offer: Offer, axes: int) -> Input:
+def _axis_input(p: Prepared, trade: Trade, field: str) -> Input:
+    """The input along an axis, over the values at which a curve or map is drawn."""
+    offer = p.inputs[getattr(trade, field)]
     grid = Grid(
         start=getattr(trade, f"{field}_from"), stop=getattr(trade, f"{field}_to"),
-        count=POINTS if axes == 1 else MAP_POINTS, spacing="log" if offer.is_log else "linear",
+        count=MAP_POINTS if trade.y else POINTS, spacing=offer.spacing,
     )  # fmt: skip
-    column = offer.column if trade.y == "" or field == "x" else f"{offer.column}-y"
-    moves = [Move(path=path) for path in paths_of(offer, trade)]
+    moves = moves_of(offer, trade)
     where: dict[str, Any] = {"path": moves[0].path} if len(moves) == 1 else {"moves": moves}
+    column = f"{offer.column}-y" if field == "y" else offer.column
     return Input(name=column, label=offer.name, unit=offer.unit, grid=grid, **where)
 
 
@@ -366,7 +349,7 @@ def _overlays(p: Prepared, trade: Trade) -> list[Input]:
 def _constants(p: Prepared, trade: Trade) -> dict[str, float]:
     """Path -> value of what sliders moved and no axis moves."""
     keys = [key for key in trade.moved if key not in (trade.x, trade.y, PFA)]
-    return {path: trade.moved[key] for key in keys for path in paths_of(p.offers.inputs[key], trade)}
+    return {move.path: trade.moved[key] for key in keys for move in moves_of(p.inputs[key], trade)}
 
 
 def _settings(p: Prepared, trade: Trade) -> dict[str, Any]:
@@ -380,24 +363,22 @@ def _settings(p: Prepared, trade: Trade) -> dict[str, Any]:
 
 
 def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
-    """Columns of overlaid backgrounds and sensors and of sliders, a row for each curve, and what each is called."""
+    """Columns of overlaid backgrounds and sensors and of sliders, a row for each family, and what its curves are called.
+
+    Curves run by family and subject, subjects within.
+    """
     inputs = _overlays(p, trade)
     rows = list(product(*(i.values or [] for i in inputs)))
     columns = moved(inputs, {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)})
     columns |= {path: np.full(len(rows), value) for path, value in _constants(p, trade).items()}
     names = [", ".join(str(row[k]) for k, i in enumerate(inputs) if len(i.values or []) > 1) for row in rows]
-    return columns or {"line.offset": np.zeros(1)}, names
-
-
-def _labels(trade: Trade, names: Sequence[str]) -> list[str]:
-    """What the curves are called: rows of families, subjects within."""
     several = len(trade.subject) > 1
-    return [", ".join(filter(None, (s if several or not n else "", n))) for n in names for s in trade.subject]
+    labels = [", ".join(filter(None, (s if several or not n else "", n))) for n in names for s in trade.subject]
+    return columns or {"line.offset": np.zeros(1)}, labels
 
 
-def values_at(p: Prepared, trade: Trade, rows: npt.NDArray[np.intp]) -> Array:
+def values_at(p: Prepared, trade: Trade, study: StudyFile, rows: npt.NDArray[np.intp]) -> Array:
     """Outputs (n, O) at some points of the study of a trade."""
-    study = study_of(p, trade, trade.scenario)
     columns = moved(study.inputs, StudyPoints(study).stretch(0, study.count))
     some = {path: column[rows] for path, column in columns.items()}
     some |= {path: np.full(rows.size, value) for path, value in _constants(p, trade).items()}
@@ -410,9 +391,6 @@ def _known(trade: Trade, stride: int) -> npt.NDArray[np.bool_]:
     return np.outer(at, at).ravel() if trade.y else at
 
 
-Needed = tuple[float, str]  # the value of x that a curve needs for the wanted output, NaN without, and in words
-
-
 class Progress(NamedTuple):
     """What stands after some pieces.
 
@@ -420,13 +398,13 @@ class Progress(NamedTuple):
     ----------
     values : (F, K, O) of families, points and subjects, NaN where not yet
     limits : (F, K, O, 2) 95 % limits where the model gives them
-    needed : of each curve, once that was looked for
+    needed : the value of x that each curve needs for the wanted output, NaN without, and in words; once looked for
     figure : what is to be drawn;  left : pieces that are still to come
     """
 
     values: Array
     limits: Array
-    needed: tuple[Needed, ...]
+    needed: tuple[tuple[float, str], ...]
     figure: str
     left: int
 
@@ -434,10 +412,13 @@ class Progress(NamedTuple):
 def piece(source: str, trade: Trade, number: int, before: Progress | None = None) -> Progress:
     """The next piece: points twice as dense as before, then the required values, then the limits of each family."""
     p = prepared(source, trade)
-    columns, names = _families(p, trade)
-    steps = _steps(trade, len(names))
-    shape = len(names), _known(trade, 1).size, len(trade.subject)
-    values, limits, needed = np.full(shape, np.nan), np.full((*shape, 2), np.nan), tuple[Needed, ...]()
+    study, (columns, labels) = study_of(p, trade, source), _families(p, trade)
+    families, subjects = len(labels) // len(trade.subject), len(trade.subject)
+    steps: list[tuple[str, int]] = [("points", stride) for stride in _STRIDES]
+    steps += [("required", 0)] if trade.wanted is not None else []
+    steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
+    shape = families, _known(trade, 1).size, subjects
+    values, limits, needed = np.full(shape, np.nan), np.full((*shape, 2), np.nan), tuple[tuple[float, str], ...]()
     if before is not None:
         values, limits, needed = before.values.copy(), before.limits.copy(), before.needed
     what, step = steps[number]
@@ -445,41 +426,27 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
         new = _known(trade, step)
         if number:
             new &= ~_known(trade, steps[number - 1][1])
-        rows = np.flatnonzero(np.tile(new, len(names)))
-        values.reshape(-1, shape[2])[rows] = values_at(p, trade, rows)
+        rows = np.flatnonzero(np.tile(new, families))
+        values.reshape(-1, subjects)[rows] = values_at(p, trade, study, rows)
     elif what == "required":
-        needed = _required(p, trade, columns, names)
+        needed = _required(p, trade)
     else:
-        limits[step] = _limits(p, trade, {path: column[step] for path, column in columns.items()})
+        limits[step] = _limits(p, trade, study.inputs[-1], {path: column[step] for path, column in columns.items()})
     stride = _STRIDES[min(number, len(_STRIDES) - 1)]
-    drawn = _map(p, trade, values, stride) if trade.y else _curves(p, trade, values, limits, names)
+    drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, study, values, limits, labels)
     return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1)
 
 
-def _steps(trade: Trade, families: int) -> list[tuple[str, int]]:
-    """What the pieces are: points of strides, required values, limits of the families by number."""
-    steps = [("points", stride) for stride in _STRIDES]
-    steps += [("required", 0)] if trade.wanted is not None else []
-    return steps + [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
-
-
-def axis_values(trade: Trade, offers: Offers, field: str = "x") -> Array:
-    """Values of an input at the points of its axis."""
-    key = trade.x if field == "x" else trade.y
-    listed = _input(trade, field, offers.inputs[key], 1 + bool(trade.y)).listed
-    assert listed is not None  # noqa: S101 - of a grid
-    return np.asarray(listed, float)
-
-
-def _required(p: Prepared, trade: Trade, columns: Mapping[str, Any], names: Sequence[str]) -> tuple[Needed, ...]:
-    """The value of x at which the output of each curve comes to what is wanted."""
+def _required(p: Prepared, trade: Trade) -> tuple[tuple[float, str], ...]:
+    """The value of x at which the output of each curve comes to what is wanted, and in words."""
     trade = trade.model_copy(update={"y": ""})  # which stands as in the scenario, or where its slider does
-    offer, outputs, found = p.offers.inputs[trade.x], outputs_of(trade, trade.x == PFA), dict[tuple[int, int], Needed]()
+    columns, labels = _families(p, trade)
+    offer, outputs = p.inputs[trade.x], outputs_of(trade, trade.x == PFA)
+    found = np.full((len(labels) // len(outputs), len(outputs)), "", dtype=object)
     for k, o in enumerate(outputs):
         question = Required(
             name="required", between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
-            spacing="log" if offer.is_log else "linear", equals=float(trade.wanted or 0.0),
-            moves=[Move(path=path) for path in paths_of(offer, trade)],
+            spacing=offer.spacing, equals=float(trade.wanted or 0.0), moves=moves_of(offer, trade),
         )  # fmt: skip
         answer = answers(Evaluator(p.world), columns, question, outputs)
         for i, value in enumerate(answer.solutions.tolist()):
@@ -490,75 +457,68 @@ def _required(p: Prepared, trade: Trade, columns: Mapping[str, Any], names: Sequ
                 words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
                 words += f" ({why})" if why else ""
             found[i, k] = value, words
-    each = zip(_labels(trade, names), (found[key] for key in sorted(found)), strict=True)
-    return tuple((value, f"{label}: {words}" if len(found) > 1 else words) for label, (value, words) in each)
+    each = zip(labels, found.ravel(), strict=True)
+    return tuple((value, f"{label}: {words}" if len(labels) > 1 else words) for label, (value, words) in each)
 
 
-def _predicted(p: Prepared, truth: Mapping[str, Any]) -> PredictedProducts:
-    return predict(p.scenario, Origins(show_progress=False), truth=truth, object_curves=False)
+def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
+    """(subjects, n, 2) 95 % limits in one truth, NaN where they are no interval.
 
-
-def _spectral_limits(p: Prepared, trade: Trade, truth: Mapping[str, Any]) -> Array:
-    """(subjects, 1, 2) 95 % limits of the mean of a spectrum over its bands in one truth; NaN without error."""
-    products, out = _predicted(p, truth), np.full((len(trade.subject), 1, 2), np.nan)
-    for k, o in enumerate(outputs_of(trade, False)):
-        spectrum, bands = getattr(products, trade.output)[o.subject], bands_of(o, products.axis)
-        sd = math.sqrt(max(float(spectrum.error_covariance[np.ix_(bands, bands)].mean()), 0.0))
-        if sd > 0.0:
-            out[k, 0] = float(spectrum.mean[bands].mean()) + np.array([-Z95, Z95]) * sd
-    return out
-
-
-def _curve_limits(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
-    """(subjects, n, 2) 95 % limits of P_D at some P_FA in one truth; NaN where they are no interval."""
-    products, detector = _predicted(p, truth), p.scenario.processing.detectors[0]
+    Of P_D at P_FA (n,); of a spectrum's mean over its bands, where n is 1.
+    """
+    products = predict(p.scenario, Origins(show_progress=False), truth=truth, object_curves=False)
     out = np.full((len(trade.subject), pfa.size, 2), np.nan)
-    for k, name in enumerate(trade.subject):
-        curve = products.roc[name, detector, "pixel"]
-        if np.nanmax(curve.pd_upper - curve.pd_lower) > 1e-12:
-            out[k] = np.stack([detection_at(curve, pfa, y) for y in (curve.pd_lower, curve.pd_upper)], axis=1)
+    for k, o in enumerate(outputs_of(trade)):
+        if trade.is_spectral:
+            spectrum, bands = getattr(products, trade.output)[o.subject], bands_of(o, products.axis)
+            sd = math.sqrt(max(float(spectrum.error_covariance[np.ix_(bands, bands)].mean()), 0.0))
+            if sd > 0.0:
+                out[k] = float(spectrum.mean[bands].mean()) + np.array([-Z95, Z95]) * sd
+        else:
+            curve = products.roc[o.subject, p.scenario.processing.detectors[0], "pixel"]
+            if np.nanmax(curve.pd_upper - curve.pd_lower) > 1e-12:
+                out[k] = np.stack([detection_at(curve, pfa, y) for y in (curve.pd_lower, curve.pd_upper)], axis=1)
     return out
 
 
-def _limits(p: Prepared, trade: Trade, family: Mapping[str, Any]) -> Array:
+def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any]) -> Array:
     """(K, O, 2) limits along x, predicted at some of its values and between them as the curve runs."""
-    offer, x = p.offers.inputs[trade.x], axis_values(trade, p.offers)
-    nodes = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int)
+    x = _places(along)
     if trade.x == PFA:
-        return np.moveaxis(_curve_limits(p, trade, family, x), 0, 1)
-    at, pfa = np.full((nodes.size, len(trade.subject), 2), np.nan), np.array([trade.pfa])
+        return np.moveaxis(_limits_in(p, trade, family, x), 0, 1)
+    nodes = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int)
+    at = np.full((nodes.size, len(trade.subject), 2), np.nan)
     for i, k in enumerate(nodes):
-        truth = {**family, **dict.fromkeys(paths_of(offer, trade), float(x[k]))}
+        truth = {**family, **{move.path: float(x[k]) for move in along.targets}}
         try:
-            own = _spectral_limits(p, trade, truth) if trade.is_spectral else _curve_limits(p, trade, truth, pfa)
-            at[i] = own[:, 0]
+            at[i] = _limits_in(p, trade, truth, np.array([trade.pfa]))[:, 0]
         except UsageError:  # that the value is not taken is seen in the curve
             continue
         if np.isnan(at[i]).all():
             break
-    places = np.arange(x.size)
     flat = at.reshape(nodes.size, -1)
-    return np.stack([np.interp(places, nodes, column) for column in flat.T], axis=1).reshape(x.size, -1, 2)
+    return np.stack([np.interp(np.arange(x.size), nodes, column) for column in flat.T], axis=1).reshape(x.size, -1, 2)
 
 
-def _x_axis(p: Prepared, trade: Trade, field: str = "x") -> Axis:
-    offer = p.offers.inputs[trade.x if field == "x" else trade.y]
-    ends = getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to")
-    return Axis(offer.words, "log" if offer.is_log else "linear", ends=ends)
+def _places(along: Input) -> Array:
+    return np.asarray(along.listed, float)
+
+
+def _axis(along: Input) -> Axis:
+    assert along.grid is not None  # noqa: S101 - an axis has one
+    return Axis(along.words, along.grid.spacing, ends=(along.grid.start, along.grid.stop))
 
 
 def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
     """A rule at the present value of an input, where it lies on its axis."""
-    offer = p.offers.inputs[trade.x if field == "x" else trade.y]
+    offer = p.inputs[getattr(trade, field)]
     now = trade.pfa if offer.key == PFA else trade.moved.get(offer.key, offer.now)
-    low, high = getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to")
-    return ((field, now),) if math.isfinite(now) and low <= now <= high else ()
+    return ((field, now),) if getattr(trade, f"{field}_from") <= now <= getattr(trade, f"{field}_to") else ()
 
 
 def _y_axis(trade: Trade) -> Axis:
-    share = trade.output in ("pd", "auc")
     unit = " [uW cm-2 sr-1 nm-1]" if trade.output == "radiance" else ""
-    return Axis(KINDS[trade.output] + unit, ends=(-0.03, 1.03) if share else None)
+    return Axis(KINDS[trade.output] + unit, ends=None if trade.is_spectral else (-0.03, 1.03))
 
 
 def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: Array) -> tuple[Mark, ...]:
@@ -574,25 +534,26 @@ def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: A
     return tuple(marks)
 
 
-def _curves(p: Prepared, trade: Trade, values: Array, limits: Array, names: Sequence[str]) -> Figure:
-    x, labels = axis_values(trade, p.offers), _labels(trade, names)
+def _curves(
+    p: Prepared, trade: Trade, study: StudyFile, values: Array, limits: Array, labels: Sequence[str]
+) -> Figure:  # fmt: skip
+    x, axis = _places(study.inputs[-1]), _axis(study.inputs[-1])
     lines = [(x, line) for line in np.moveaxis(values, 1, 2).reshape(-1, x.size)]
     marks = _lines(labels, lines, np.moveaxis(limits, 1, 2).reshape(-1, x.size, 2))
-    x_axis, rules = _x_axis(p, trade), _present(p, trade)
-    rules += (("y", trade.wanted),) if trade.wanted is not None else ()
-    view = Panels(x_axis, (Part(_y_axis(trade), marks, rules),))
-    return Figure("trade", "study", f"{KINDS[trade.output]} against {x_axis.label}", "", (view,))
+    rules = _present(p, trade) + ((("y", trade.wanted),) if trade.wanted is not None else ())
+    view = Panels(axis, (Part(_y_axis(trade), marks, rules),))
+    return Figure("trade", "study", f"{KINDS[trade.output]} against {axis.label}", "", (view,))
 
 
-def _map(p: Prepared, trade: Trade, values: Array, stride: int) -> Figure:
-    x, y = (axis_values(trade, p.offers, field)[::stride] for field in ("x", "y"))
+def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int) -> Figure:
+    y_axis, x_axis = map(_axis, study.inputs[-2:])
     grid = values[0, :, 0].reshape(MAP_POINTS, MAP_POINTS)[::stride, ::stride]
-    edges = [cell_edges(v, p.offers.inputs[k].is_log) for v, k in ((x, trade.x), (y, trade.y))]
+    edges = [cell_edges(_places(i)[::stride], _axis(i).scale == "log") for i in study.inputs[:-3:-1]]
     rows, columns = np.nonzero(np.isfinite(grid))
     mark = heat_mark(edges, (columns, rows), grid[rows, columns], KINDS[trade.output])
-    part = Part(_x_axis(p, trade, "y"), (mark,), _present(p, trade) + _present(p, trade, "y"))
+    part = Part(y_axis, (mark,), _present(p, trade) + _present(p, trade, "y"))
     title = f"{KINDS[trade.output]}, {trade.subject[0]}"
-    return Figure("trade", "study", title, "", (Panels(_x_axis(p, trade), (part,)),), legend_title=title)
+    return Figure("trade", "study", title, "", (Panels(x_axis, (part,)),), legend_title=title)
 
 
 class Live(NamedTuple):
@@ -607,24 +568,24 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> Live:
     """The ROC, or the spectrum of a spectral output, of every curve where the sliders stand."""
     p = prepared(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
-    columns, names = _families(p, trade)
-    world = with_values(p.world, columns)
-    output = outputs_of(trade, False)
-    spectra, numbers = dict[tuple[int, int], tuple[Array, Array]](), np.full((len(names), len(output)), np.nan)
-    for index, e in evaluations(world):
-        for k, o in enumerate(output):
+    columns, labels = _families(p, trade)
+    outputs = outputs_of(trade)
+    shape = len(labels) // len(outputs), len(outputs)
+    spectra, numbers = np.empty(shape, dtype=object), np.full(shape, np.nan)
+    for index, e in evaluations(with_values(p.world, columns)):
+        for k, o in enumerate(outputs):
             numbers[index, k] = of_truths(e, o, None)
             if trade.is_spectral:
                 at, rows = e.axis.centre_nm, e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
             else:
                 at, rows = _ROC, e.scores(o.subject, p.scenario.processing.detectors[0]).detection(_ROC[None, :])
-            spectra |= {(int(i), k): (at, row) for i, row in zip(index, rows, strict=True)}
-    labels = _labels(trade, names)
+            for i, row in zip(index, rows, strict=True):
+                spectra[i, k] = at, row
     bands = np.full((len(labels), _ROC.size, 2), np.nan)
     if with_limits and not trade.is_spectral:
-        truths = [{path: column[i] for path, column in columns.items()} for i in range(len(names))]
-        bands = np.concatenate([_curve_limits(p, trade, truth, _ROC) for truth in truths])
-    marks = _lines(labels, [spectra[key] for key in sorted(spectra)], bands)
+        truths = [{path: column[i] for path, column in columns.items()} for i in range(shape[0])]
+        bands = np.concatenate([_limits_in(p, trade, truth, _ROC) for truth in truths])
+    marks = _lines(labels, spectra.ravel().tolist(), bands)
     told = zip(labels, numbers.ravel().tolist(), strict=True)
     known = tuple((label, value if math.isfinite(value) else None) for label, value in told)
     x, y, rules = Axis(WAVELENGTH), _y_axis(trade), Rules()
@@ -639,8 +600,8 @@ def _error(p: Prepared, trade: Trade) -> str:
     """How far the emulated atmosphere may be from that of the engine, in words."""
     if p.scenario.atmosphere is None:
         return "The scenario has no atmosphere."
-    if p.offers.why:
-        return f"The atmosphere is that of the engine, and fixed: {p.offers.why}."
+    if p.why:
+        return f"The atmosphere is that of the engine, and fixed: {p.why}."
     sky = {k.partition(".")[2]: v for k, v in _constants(p, trade).items() if k.startswith("atmosphere.")}
     terms = p.world.stated.atmosphere.run(sky)
     if terms.path_uncertainty is None:

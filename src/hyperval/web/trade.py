@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
 from importlib import resources
 from itertools import groupby
 from typing import Annotated, Any
@@ -24,7 +23,7 @@ from hyperval.model import in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
-from hyperval.study.trade import KINDS, Live, Offer, Offers, Progress, Trade, completed, notebook, prepared, study_of
+from hyperval.study.trade import KINDS, Live, Offer, Prepared, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.inputs import checked_scenario, marked, needs, plain, predefined, yaml_text
 from hyperval.web.pages import api, page, pages, session_of
 from hyperval.web.pages_predict import scenario_of, small
@@ -53,12 +52,6 @@ def _source(request: Request, name: str) -> str:
     return name if name in builtin_scenarios() else str(resources.files("hyperval.web") / "scenarios" / f"{name}.yaml")
 
 
-@lru_cache(maxsize=64)
-def _offers(source: str, detector: str, side_m: float | None, of: str) -> Offers:
-    subject = [of] if of else []
-    return prepared(source, Trade(detector=detector, side_m=side_m, subject=subject)).offers
-
-
 def _number(text: str) -> float | str:
     try:
         return float(text)
@@ -66,7 +59,7 @@ def _number(text: str) -> float | str:
         return text  # and refused at its field
 
 
-def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade, Offers]:
+def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade, Prepared]:
     """What is asked, checked against its scenario.
 
     Raises
@@ -80,9 +73,9 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
     try:
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
-        offers = _offers(source, trade.detector, trade.side_m, trade.subject[0] if trade.subject else "")
-        moved = {key: value for key, value in trade.moved.items() if _is_moved(offers.inputs.get(key), value)}
-        return source, completed(trade.model_copy(update={"moved": moved}), offers), offers
+        p = prepared(source, trade)
+        moved = {key: value for key, value in trade.moved.items() if _is_moved(p.inputs.get(key), value)}
+        return source, completed(trade.model_copy(update={"moved": moved}), p), p
     except ValidationError as error:
         raise Refused(422, [_at_slider(m) for m in mistakes_of(error, data)]) from error
     except UsageError as error:
@@ -112,7 +105,7 @@ def desk(request: Request) -> Response:
     ordered = list(offers.inputs.values())
     shown = [
         o for o in ordered
-        if o.is_slider and (o.group != "Target" or len(o.paths) > 1 or any(f"[{s}]" in o.key for s in trade.subject))
+        if o.slider and (o.group != "Target" or len(o.paths) > 1 or any(f"[{s}]" in o.key for s in trade.subject))
     ]  # fmt: skip
     runs = request.app.state.store.runs(session_of(request).owner, "prediction")
     return page(
