@@ -28,10 +28,9 @@ from predict_speed import TEXT
 from hyperval.atmosphere.between import spaced
 from hyperval.config import parse_yaml, validate
 from hyperval.executors import Parcel, in_order, parcel, workers
-from hyperval.model import Origins, evaluations, false_alarm_grid, predict, read, with_values
+from hyperval.model import Origins, World, evaluations, false_alarm_grid, predict, read, with_values
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.study import Evaluator
 
 RANGE, FILL = "atmosphere.meteorological_range_km", "scene.targets.plank.fill.fixed"
 ERROR, SIGNAL = "sensor_changes.calibration_error_percent", "sensor_changes.signal_factor"
@@ -57,9 +56,9 @@ def designs(count: int) -> dict[str, Columns]:
 def full(piece: tuple[Parcel, Columns]) -> tuple[float, float]:
     """Evaluate some points in full; a number that follows from all of them, and the processor time [s]."""
     start = time.process_time()
-    evaluator, columns = piece[0].open(), piece[1]
-    total, names = 0.0, evaluator.world.stated.classes
-    for _, e in evaluations(with_values(evaluator.world, columns)):
+    world, columns = piece[0].open(), piece[1]
+    total, names = 0.0, world.stated.classes
+    for _, e in evaluations(with_values(world, columns)):
         total += sum(float(e.radiance(s).sum()) for s in (*names, "plank"))
         total += sum(float(e.snr(s, calibration).sum()) for s in names for calibration in (True, False))
         total += float(e.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())
@@ -72,12 +71,12 @@ def parts(columns: Columns) -> list[Columns]:
     return [{p: c[k : k + BATCH] for p, c in columns.items()} for k in range(0, size, BATCH)]
 
 
-def rate(evaluator: Evaluator, columns: Columns, processes: int) -> tuple[float, float]:
+def rate(world: World, columns: Columns, processes: int) -> tuple[float, float]:
     """Evaluations in a second of wall time; and by the processor time of all pieces, as if every worker had a
     processor of its own.
     """
     size = len(next(iter(columns.values())))
-    with workers(processes) as where, parcel(where, evaluator) as packed:
+    with workers(processes) as where, parcel(where, world) as packed:
         pieces = [(packed, part) for part in parts(columns)]
         list(in_order(where, full, pieces[: 2 * processes]))  # processes start, memory is touched
         start = time.perf_counter()
@@ -101,18 +100,18 @@ def main() -> None:
     data, lines = parse_yaml(TEXT)
     scenario = validate(Scenario, data, lines, "benchmark")
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 8192
-    still = Evaluator(read(scenario, Origins(show_progress=False)))
+    still = read(scenario, Origins(show_progress=False))
     nodes = {RANGE.split(".")[1]: tuple(spaced("meteorological_range_km", 5.0, 50.0, 7).tolist())}
-    hazy = Evaluator(read(scenario, Origins(show_progress=False), nodes=nodes))
-    hazy.world.stated.atmosphere.prepare([], True)
+    hazy = read(scenario, Origins(show_progress=False), nodes=nodes)
+    hazy.stated.atmosphere.prepare([], True)
     print("evaluations a second; 360 bands, 5 classes, radiance, SNR, ROC of 181 points; one BLAS thread a worker")
     head = ("predict", "1, cpu", "ratio", "2, cpu", "scaling", "1, wall", "2, wall")
     print(f"{'design':26s}" + "".join(f"{h:>9s}" for h in head))
     for name, columns in designs(count).items():
-        evaluator = hazy if RANGE in columns else still
+        world = hazy if RANGE in columns else still
         plain = loop_rate(scenario, columns)
-        wall, cpu = rate(evaluator, columns, 1)
-        both, both_cpu = rate(evaluator, columns, 2)
+        wall, cpu = rate(world, columns, 1)
+        both, both_cpu = rate(world, columns, 2)
         numbers = f"{plain:9.1f}{cpu:9.0f}{cpu / plain:9.1f}{both_cpu:9.0f}{both_cpu / cpu:9.2f}{wall:9.0f}{both:9.0f}"
         print(f"{name:26s}{numbers}", flush=True)
 

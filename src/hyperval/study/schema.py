@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -130,7 +131,7 @@ class Input(Moving, OneOf):
         """Number of its listed values; 1 where random."""
         return len(self.values) if self.values else self.grid.count if self.grid else 1
 
-    @property
+    @cached_property
     def listed(self) -> npt.NDArray[Any] | None:
         """Its values in the order of the file, numbers as floats and anything else as objects; None where random."""
         if self.grid is not None:

@@ -40,39 +40,31 @@ def drawn(distribution: Random, u: Array) -> Array:
     return np.asarray(stats.loguniform.ppf(u, low, high) if log else stats.uniform.ppf(u, low, high - low))
 
 
-class StudyPoints:
-    """The points of a study, numbered from 0: the last listed input moves fastest, the random draws slowest.
+def input_values(study: StudyFile, start: int = 0, stop: int | None = None) -> Mapping[str, Column]:
+    """Input name -> its values at the points of a study from ``start`` to before ``stop``, or to the last.
 
-    A random design is Sobol's sequence, scrambled by its seed (Owen); the point of a number does not depend on how
-    many are asked for at once.  Inputs that a one-at-a-time design leaves alone hold None.
+    The last listed input moves fastest, the random draws slowest.  A random design is Sobol's sequence, scrambled by
+    its seed (Owen); the point of a number does not depend on how many are asked for at once.  Inputs that a
+    one-at-a-time design leaves alone hold None.
     """
-
-    def __init__(self, study: StudyFile):
-        self.study = study
-        self.listed = {i.name: values for i in study.inputs if (values := i.listed) is not None}
-        self.random = {i.name: i.random for i in study.inputs if i.random is not None}
-
-    def __len__(self) -> int:
-        return self.study.count
-
-    def stretch(self, start: int, stop: int) -> Mapping[str, Column]:
-        """Input name -> its values at the points from ``start`` to before ``stop``."""
-        number, columns, first = np.arange(start, stop), dict[str, Column](), 1
-        if self.study.design.kind == "one-at-a-time":
-            for name, values in self.listed.items():
-                own = (number >= first) & (number < first + len(values))
-                columns[name] = np.full(number.size, None, dtype=object)
-                columns[name][own] = values[number[own] - first]
-                first += len(values)
-            return columns
-        if self.random:
-            draw, number = np.divmod(number, len(self) // self.study.design.count)
-            u = _sobol(len(self.random), self.study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
-            columns = {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(self.random.items())}
-        for name, values in reversed(self.listed.items()):
-            number, at = np.divmod(number, len(values))
-            columns[name] = values[at]
-        return {i.name: columns[i.name] for i in self.study.inputs}
+    number, columns, first = np.arange(start, study.count if stop is None else stop), dict[str, Column](), 1
+    listed = {i.name: values for i in study.inputs if (values := i.listed) is not None}
+    random = {i.name: i.random for i in study.inputs if i.random is not None}
+    if study.design.kind == "one-at-a-time":
+        for name, values in listed.items():
+            own = (number >= first) & (number < first + len(values))
+            columns[name] = np.full(number.size, None, dtype=object)
+            columns[name][own] = values[number[own] - first]
+            first += len(values)
+        return columns
+    if random:
+        draw, number = np.divmod(number, study.count // study.design.count)
+        u = _sobol(len(random), study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
+        columns = {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
+    for name, values in reversed(listed.items()):
+        number, at = np.divmod(number, len(values))
+        columns[name] = values[at]
+    return {i.name: columns[i.name] for i in study.inputs}
 
 
 def _sobol(dimensions: int, seed: int, start: int, stop: int) -> Array:
@@ -124,15 +116,15 @@ def plain_value(value: Any) -> Any:
     return str(value) if isinstance(value, list | dict) else value.item() if hasattr(value, "item") else value
 
 
-def table_of(points: StudyPoints, values: Array, reasons: Mapping[int, str]) -> pd.DataFrame:
+def table_of(study: StudyFile, values: Array, reasons: Mapping[int, str]) -> pd.DataFrame:
     """Inputs, numbers (n, K) and what is to be said of each point; a number that is left alone is NaN."""
-    columns, fields = points.stretch(0, len(points)), fields_of(points.study)
-    table = pd.DataFrame(index=pd.RangeIndex(len(points), name="point"))
+    columns, fields = input_values(study), fields_of(study)
+    table = pd.DataFrame(index=pd.RangeIndex(study.count, name="point"))
     for f in fields[: len(columns)]:
         own = columns[f.name]
         table[f.name] = pd.Series(list(map(plain_value, own)), dtype=object) if f.text else np.asarray(own, float)
     table[[f.name for f in fields[len(columns) :]]] = values
-    table["reason"] = pd.Series([reasons.get(point, "") for point in range(len(points))], dtype=object)
+    table["reason"] = pd.Series([reasons.get(point, "") for point in range(study.count)], dtype=object)
     return table
 
 

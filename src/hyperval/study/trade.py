@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from contextlib import suppress
+from functools import lru_cache, partial
 from importlib import resources
 from itertools import product
 from typing import Any, Literal, NamedTuple
@@ -33,9 +34,9 @@ from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import path_parts, with_settings
 from hyperval.study.page import cell_edges, heat_mark
-from hyperval.study.plan import GROUND, LEAST_GAS, PFA, Evaluator, answers, bands_of, of_truths
+from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, of_truths, output_values
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
-from hyperval.study.tables import StudyPoints, moved
+from hyperval.study.tables import input_values, moved
 
 Array = npt.NDArray[np.float64]
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
@@ -212,10 +213,8 @@ def _offers(world: World) -> Iterator[Offer]:
             paths = [row.path]
         for own in [tuple(paths)] if row.together and paths else [(path,) for path in paths]:
             low, high, now = row.low, row.high, row.now
-            try:
+            with suppress(UsageError, TypeError):  # what holds where it states nothing stands in the row
                 now = float(np.ravel(value_at(world, own[0]))[0])
-            except (UsageError, TypeError):  # what holds where it states nothing stands in the row
-                pass
             if row.path == "atmosphere.sensor_altitude_km" and state is not None:
                 low = max(low, state.ground_altitude_km + 0.5)
             if math.isfinite(now):
@@ -363,7 +362,7 @@ def _settings(p: Prepared, trade: Trade) -> dict[str, Any]:
 
 
 def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
-    """Columns of overlaid backgrounds and sensors and of sliders, a row for each family, and what its curves are called.
+    """Columns of overlaid backgrounds and sensors and of sliders, a row for each family, and the names of its curves.
 
     Curves run by family and subject, subjects within.
     """
@@ -379,10 +378,10 @@ def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
 
 def values_at(p: Prepared, trade: Trade, study: StudyFile, rows: npt.NDArray[np.intp]) -> Array:
     """Outputs (n, O) at some points of the study of a trade."""
-    columns = moved(study.inputs, StudyPoints(study).stretch(0, study.count))
+    columns = moved(study.inputs, input_values(study))
     some = {path: column[rows] for path, column in columns.items()}
     some |= {path: np.full(rows.size, value) for path, value in _constants(p, trade).items()}
-    return Evaluator(p.world).values(some, study.outputs)[0]
+    return output_values(p.world, some, study.outputs)[0]
 
 
 def _known(trade: Trade, stride: int) -> npt.NDArray[np.bool_]:
@@ -448,7 +447,7 @@ def _required(p: Prepared, trade: Trade) -> tuple[tuple[float, str], ...]:
             name="required", between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
             spacing=offer.spacing, equals=float(trade.wanted or 0.0), moves=moves_of(offer, trade),
         )  # fmt: skip
-        answer = answers(Evaluator(p.world), columns, question, outputs)
+        answer = answers(partial(output_values, p.world), columns, question, outputs)
         for i, value in enumerate(answer.solutions.tolist()):
             why = answer.reasons.get(i, "").replace(o.name, KINDS[trade.output])
             words = why.replace("no solution", "not reached in this range")
