@@ -68,7 +68,7 @@ def tables(folder) -> dict[str, bytes]:
 
 def test_a_study_writes_everything(make_study, tmp_path, quick, scenario_file, monkeypatch):
     path, out = make_study(TEXT), tmp_path / "out"
-    monkeypatch.setattr("hyperval.study.tables.find_spec", lambda name: None)
+    monkeypatch.setattr("hyperval.study.run.find_spec", lambda name: None)
     assert cli.run(["-q", "study", str(path), "-o", str(out)]) == 0
     assert not (out / "table.parquet").exists(), "pyarrow is an extra"
     table = pd.read_csv(out / "table.csv")

@@ -50,7 +50,16 @@ from .filters import (
     principal_components,
     spectral_matched_filter,
 )
-from .forward import predict, predictions, without_calibration_error
+from .forward import (
+    emulated,
+    predict,
+    predictions,
+    quantities,
+    tolerance,
+    with_bands,
+    with_law_limits,
+    without_calibration_error,
+)
 from .inputs import (
     UncertainInput,
     covariance_directions,
@@ -77,7 +86,6 @@ from .intervals import (
     zero_count_upper_limit,
 )
 from .objects import HOST, PLACE, Shares, shares_of
-from .propagate import emulated, quantities, tolerance, with_bands, with_law_limits
 from .radiance import (
     Light,
     adjacency_slope,

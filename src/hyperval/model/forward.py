@@ -1,51 +1,451 @@
-"""From a scenario to its products by statistics alone: the forward model (3.7-3.33).
+"""From a scenario to its products by statistics alone, with their errors: the forward model (3.7-3.33).
 
 Spectra are radiance, SNR, noise and reflectance of every subject, with their errors (3.7-3.20, and the empirical line).
+
+What uncertain inputs do to the products: along directions, by draws, and how the two ways compare.  Every row of an
+error is the change of a product by one standard uncertainty along one direction of one input.  Errors of the
+background's laws, where they were fitted to pixels of an image, come by leaving out its parts.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import Array, Errors, Index
-from hyperval.model.detection import Evaluation, RocKey, detect, evaluations
-from hyperval.model.inputs import (
-    UncertainInput,
-    inputs_of,
-    interpolation_input,
-    spectrum_errors,
-)
-from hyperval.model.objects import (
-    Shares,
-    expected_scores,
-    object_scores,
-    shares_of,
-)
-from hyperval.model.propagate import Changes, joined, probit, with_law_errors, with_uncertainty
+from hyperval.model.detection import Evaluation, RocKey, class_scores, detect, evaluations
+from hyperval.model.inputs import UncertainInput, drawn_truths, inputs_of, interpolation_input, spectrum_errors
+from hyperval.model.intervals import Z95, jackknife_directions
+from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
 from hyperval.model.radiance import (
     Background,
     Light,
+    light_of,
     of_truth,
     retrieved_covariance,
     retrieved_reflectance,
+    seen_classes,
     target_light,
     target_pixel_covariance,
     target_pixel_reflectance,
     toa_reflectance,
 )
-from hyperval.model.stated import Origins, Stated, Truth
+from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm
+from hyperval.model.stated import Origins, Stated, Truth, state_value
 from hyperval.model.world import World, find, read, settled, with_truths
-from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
+from hyperval.products import SPECTRA, ExceedanceCurve, PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
+from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
 from hyperval.spectra.axis import SpectralAxis
+
+Key = tuple[str, ...]
+Changes = tuple[Array, Array]  # (D, K) by one standard uncertainty up, and down, along each direction
+_CURVES = 2048  # drawn for the limits of a ROC curve
+DRAWN_SHIFT = 1.0  # standard deviations: beyond, even parts of directions moved alone do not add up to that of all
+_SHIFT = 0.3  # of a standard deviation: 95 % intervals that are off by it hold 94 %, and ever fewer beyond
+_SEEN = 1e-6  # of a probit: below it a change is rounding
+_INNER = 3.0  # probits of P_D between which it is looked for
+
+
+def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, RocCurve]:
+    """The curves with 95 % intervals of P_D from drawn curves.
+
+    Each draw moves a whole curve along all directions of all inputs at once: by as many times the change that one
+    standard uncertainty up or down makes of it, in probit.  A ROC curve rises with P_FA; a draw that does not,
+    being extrapolated, is put in rising order, which brings it nearer to any curve that rises (Chernozhukov,
+    Fernandez-Val & Galichon, Biometrika 96, 559, 2009), and so are the limits.
+
+    Parameters
+    ----------
+    changes : key -> changes (D, K) of probit P_D by one standard uncertainty up, and down, along each direction
+    """
+    out = dict(roc)
+    for key, (up, down) in changes.items():
+        if not (np.any(up) or np.any(down)):
+            continue
+        curve, c = roc[key], _normal_draws(len(up))
+        z, even = probit(curve.pd), 0.5 * (up - down)
+        drawn = np.sort(z + np.maximum(c, 0.0) @ up + np.maximum(-c, 0.0) @ down, axis=1)
+        # The even part has its limits in closed form: the draws say by how much the whole differs from it.
+        half, plain = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
+        (low, high), (even_low, even_high) = limits(drawn), limits(plain)
+        low, high = (ndtr(np.sort(x)) for x in (low - even_low + z - half, high - even_high + z + half))
+        out[key] = drawn_curve(curve, (low, high))
+    return out
+
+
+def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, float]:
+    """How far both signs of the errors move a curve the same way, in standard deviations of its probit, at most.
+
+    Half the sum of the changes up and down, over all directions, is by how much the mean of draws would be off the
+    stated curve if the directions did not hold each other back; it says how far one evaluation up and down of each
+    can be trusted.
+    """
+    shifts = {}
+    for key, (up, down) in changes.items():
+        inner = np.abs(probit(roc[key].pd)) < _INNER
+        sd = np.sqrt(((0.5 * (up - down)) ** 2).sum(axis=0))
+        seen = inner & (sd > _SEEN)
+        if seen.any():
+            shifts[key] = float(np.max(np.abs(0.5 * (up + down).sum(axis=0))[seen] / sd[seen]))
+    return shifts
+
+
+def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], samples: int) -> list[str]:
+    """Words for intervals that shifts of the mean make rough, and for those that are drawn for it."""
+    named = {key: f"{' '.join(key)} ({shift:.2g})" for key, shift in shifts.items() if shift > _SHIFT}
+    rough = [name for key, name in named.items() if key not in drawn]
+    notes = []
+    if drawn:
+        notes.append(
+            f"P_D intervals from {samples} draws of the budget, as errors shift the mean by more than its standard "
+            f"deviation, or would if each acted alone: {', '.join(named[key] for key in drawn)}"
+        )
+    if rough:
+        notes.append(
+            "the errors shift the mean of P_D (in standard deviations of its probit, at most), which its interval "
+            f"holds roughly: {', '.join(rough)}; draw the budget for more: uncertainty: {{method: both}}"
+        )
+    return notes
+
+
+def drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
+    """A curve with the limits (K,) of drawn curves, itself inside them."""
+    low, high = interval
+    return replace(curve, pd_lower=np.minimum(low, curve.pd), pd_upper=np.maximum(high, curve.pd))
+
+
+def limits(draws: Array) -> tuple[Array, Array]:
+    """(n,) limits of the 95 % interval of draws (N, n), probabilistically symmetric (JCGM 101:2008, 7.7.2)."""
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
+    return low, high
+
+
+@lru_cache(maxsize=8)
+def _normal_draws(directions: int) -> Array:
+    """(N, directions) standard normal numbers, evenly spread (Sobol, scrambled), the same for all curves."""
+    from scipy.stats import qmc  # a quarter of a second with what it loads, which a certain scenario does not need
+
+    draws = np.asarray(ndtri(qmc.Sobol(directions, seed=12).random(_CURVES)))
+    draws.setflags(write=False)
+    return draws
+
+
+def joined(parts: Iterable[tuple[Index, Mapping[Any, Array]]], size: int) -> dict[Any, Array]:
+    """Values (U, ...) of all truths, in their order, from those (n or 1, ...) of parts of them."""
+    out: dict[Any, Array] = {}
+    for index, values in parts:
+        for key, value in values.items():
+            out.setdefault(key, np.empty((size, *value.shape[1:])))[index] = value
+    return out
+
+
+def probit(p: Array) -> Array:
+    """Phi^-1 of probabilities, kept finite."""
+    return np.asarray(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))
+
+
+Filter = tuple[str, str]
+
+
+def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origins, truth: Truth) -> PredictedProducts:
+    """The prediction with 95 % limits of P_FA where the law was fitted to pixels.
+
+    By the scenario as it truly is without each part of a region whose law is known from its pixels: ln P_FA (3.33) at
+    the thresholds of the curve, (G, K).  The filters stay: they look at both sides through the same weights.  The
+    parts of a region are independent of each other: the squares of their directions add up.
+
+    Parameters
+    ----------
+    e : the scenario as it truly is, its first truth
+    """
+    scenario, curves = e.scenario, dict(prediction.exceedance)
+    if origins.left_out is None or not e.targets or not e.stated.linear_detectors:
+        return prediction
+    # A part may leave a mixture with fewer components than the class asks for.
+    classes = [c.model_copy(update={"mixture": "auto"}) if c.has_mixture else c for c in scenario.scene.classes]
+    free = scenario.model_copy(update={"scene": scenario.scene.model_copy(update={"classes": classes})})
+    thresholds = {
+        (t.name, d): e.scores(t.populations[0].name, d).thresholds(e.pfa[None])[0]
+        for t in e.targets for d in e.stated.linear_detectors
+    }  # fmt: skip
+    out: dict[Filter, dict[str, Array]] = {key: {} for key in thresholds}
+    for region, without in origins.left_out():
+        parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in without)
+        of_parts = [settled(with_truths(read(free, part), [truth]))[0][1] for part in parts]
+        laws = [(w.law_fraction, w.law_dof, seen_classes(light_of(w), w, e.bands)) for w in of_parts]
+        for key, x in thresholds.items():
+            row, one = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
+            scores = [ClassScores(fraction, *class_scores(seen, one), dof) for fraction, dof, seen in laws]
+            out[key][region] = np.array([log_false_alarm(x, s.rows(row))[0] for s in scores])
+    for key, regions in out.items():
+        if regions:
+            squares = sum((jackknife_directions(of) ** 2).sum(axis=0) for of in regions.values())
+            half, p = Z95 * np.sqrt(squares)[::-1], curves[key].probability
+            limits = p * np.exp(-half), np.minimum(p * np.exp(half), 1.0)
+            rising = {region: of[:, ::-1] for region, of in regions.items()}
+            curves[key] = replace(curves[key], lower=limits[0], upper=limits[1], left_out=rising)
+    return replace(prediction, exceedance=curves)
+
+
+def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:
+    """The curve with the limits of P_FA at its thresholds taken into those of P_D.
+
+    Where the background has more alarms than the law says, the threshold of a P_FA lies higher and P_D lower: the
+    limits are the curve drawn against those of P_FA, in quadrature with the curve's own, in probit.
+    """
+    z, low, high = (probit(pd) for pd in (curve.pd, curve.pd_lower, curve.pd_upper))
+    # Limits of P_FA rise with it; far out, where the law says little, they need not.
+    less = np.maximum.accumulate(np.log(alarms.lower[::-1]))
+    more = np.minimum.accumulate(np.log(alarms.upper))[::-1]
+    at = np.log(curve.pfa)
+    up = z + np.hypot(high - z, np.maximum(_read(at, less, z) - z, 0.0))
+    down = z - np.hypot(z - low, np.maximum(z - _read(at, more, z), 0.0))
+    return replace(curve, pd_lower=ndtr(np.maximum.accumulate(down)), pd_upper=ndtr(np.maximum.accumulate(up)))
+
+
+def _read(at: Array, x: Array, z: Array) -> Array:
+    """A curve z over x, both rising, at places ``at``; beyond its ends with the slope over ``at`` there."""
+    below, above = (z[1] - z[0]) / (at[1] - at[0]), (z[-1] - z[-2]) / (at[-1] - at[-2])
+    inside = np.interp(at, x, z)
+    return np.asarray(inside + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
+
+
+def with_limits(
+    scenario: Scenario, prediction: PredictedProducts, changes: Mapping[RocKey, Changes],
+    shifts: Mapping[RocKey, float], drawn: Mapping[RocKey, Array],
+) -> PredictedProducts:  # fmt: skip
+    """The prediction with limits of its curves.
+
+    ``drawn`` : curves (N, K) of truths drawn from the budget, where errors shift the mean of P_D by so much that
+    their directions do not add up
+    """
+    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
+    roc: dict[RocKey, RocCurve] = with_bands(prediction.roc, changes)
+    roc |= {key: drawn_curve(prediction.roc[key], limits(curves)) for key, curves in drawn.items()}
+    notes = shift_notes(shifts, drawn, len(next(iter(drawn.values()), ())))
+    for (population, detector, unit), curve in roc.items():
+        alarms = prediction.exceedance.get((filters[population], detector))
+        if alarms is not None and np.any(alarms.upper > alarms.probability):
+            roc[population, detector, unit] = with_law_limits(curve, alarms)
+    return replace(prediction, roc=roc, notes=(*prediction.notes, *notes))
+
+
+FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
+_PROBABILITIES = ("P_D", "AUC")
+
+
+def quantities(p: PredictedProducts) -> dict[Key, Array]:
+    """(product, subject, ...) -> (n,) numbers: bands of spectra, P_D at each of FALSE_ALARMS, scores and areas."""
+    out: dict[Key, Array] = {}
+    for product in SPECTRA:
+        for subject, estimate in getattr(p, product).items():
+            out[product, subject] = estimate.mean
+    for (subject, detector), score in p.scores.items():
+        out["score mean", subject, detector] = np.array([score.mean])
+        out["score sd", subject, detector] = np.array([score.sd])
+    for (subject, detector, unit), curve in p.roc.items():
+        out["P_D", subject, detector, unit] = detection_at(curve, FALSE_ALARMS)
+        out["AUC", subject, detector, unit] = np.array([curve_area(curve, WHOLE)])
+    return out
+
+
+def tabulated(predictions: Iterable[PredictedProducts]) -> dict[Key, Array]:
+    """(N, n) :func:`quantities` of N predictions, and P_D of whole curves under ("curve", subject, detector, unit)."""
+    rows = [quantities(p) | {("curve", *key): curve.pd for key, curve in p.roc.items()} for p in predictions]
+    return {key: np.array([row[key] for row in rows]) for key in rows[0]}
+
+
+def linear_spread(key: Key, stated: PredictedProducts, moved: Array) -> Array:
+    """(3, n) standard uncertainty and limits of the 95 % interval of a product, linearised (JCGM 100:2008, 5.1).
+
+    Spectra have it in ``stated``, with every direction of every input.  For scores and curves it is made of central
+    differences, of probabilities in probit.
+
+    ``moved`` : (1 + 2 K, n) as stated, then one standard uncertainty up and down along each direction
+    """
+    probability = key[0] in _PROBABILITIES
+    z = probit(moved) if probability else moved
+    if key[0] in SPECTRA:
+        sd = getattr(stated, key[0])[key[1]].standard_uncertainty
+    else:
+        sd = np.sqrt(np.sum(np.square(0.5 * (z[1::2] - z[2::2])), axis=0))
+    low, high = z[0] - Z95 * sd, z[0] + Z95 * sd
+    if probability:
+        low, high = ndtr(low), ndtr(high)
+        sd = (high - low) / (2.0 * Z95)
+    return np.array([sd, low, high])
+
+
+def tolerance(u: Array, samples: int) -> Array:
+    """(n,) tolerance of a limit: half a unit of the first significant digit of u (JCGM 101:2008, 7.9.2, one digit).
+
+    To it come two standard errors that a 2.5 % quantile of ``samples`` normal draws has: sqrt(p (1 - p) / N) / phi.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        digit = 0.5 * 10.0 ** np.floor(np.log10(u))
+    quantile_error = np.sqrt(0.025 * 0.975 / samples) / 0.058445
+    return np.asarray(digit + 2.0 * quantile_error * u)
+
+
+def agreement(key: Key, stated: Array, linear: Array, drawn: Array, samples: int, at: float = np.nan) -> dict[str, Any]:
+    """The two ways compared for one product, ``stated`` (n,), by :func:`linear_spread` and the same of draws (3, n).
+
+    Of a spectrum the median over bands, of a ROC one P_FA, ``at``.  ``sd_ratio`` and ``interval_ratio`` are drawn over
+    linearised; ``gap`` is the greater difference of the two limits in units of the tolerance: they agree up to 1.
+    """
+    live = np.isfinite(linear[0]) & np.isfinite(drawn[0])
+    live &= np.maximum(linear[0], drawn[0]) > 1e-12 * np.abs(stated) + 1e-14
+    one, other = linear[:, live], drawn[:, live]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gap = np.abs(one[1:] - other[1:]).max(axis=0) / tolerance(np.maximum(one[0], other[0]), samples)
+        ratio, widths = other[0] / one[0], (other[2] - other[1]) / (one[2] - one[1])
+    names = ("linear_sd", "drawn_sd", "sd_ratio", "interval_ratio", "gap")
+    numbers = (
+        [float(np.median(x)) for x in (one[0], other[0], ratio, widths, gap)]
+        if live.any()
+        else [0.0, 0.0, 1.0, 1.0, 0.0]
+    )
+    return {"key": key, "at": at, **dict(zip(names, numbers, strict=True)), "agrees": numbers[-1] <= 1.0}
+
+
+# Three nodes 0 and +-sqrt(3) standard deviations: those of Gauss and Hermite, exact for moments of a cubic.
+_NODE = float(np.sqrt(3.0))
+
+
+class Emulated(NamedTuple):
+    """A world near one state of its atmosphere: terms are quadratic in each uncertain field, without cross terms.
+
+    Attributes
+    ----------
+    runs : engine runs behind it
+    error : greatest and median error of the radiance over a grey ground of reflectance 0.3, where there is light and
+        all fields are one standard uncertainty off [1]; None where nothing of the atmosphere is uncertain
+    """
+
+    world: World
+    runs: int
+    error: tuple[float, float] | None
+
+
+def emulated(world: World, inputs: Sequence[UncertainInput]) -> Emulated:
+    """The world with the engine run at the nodes of every uncertain field of its atmosphere alone."""
+    stated, nodes, off = world.stated, dict[str, list[float]](), dict[str, float]()
+    state, engine = stated.scenario.atmosphere, stated.atmosphere
+    assert state is not None  # noqa: S101 - asked for where there is light
+    for item in inputs:
+        room, _, name = item.path.partition(".")
+        if room == "atmosphere":
+            at = state_value(state, name)
+            ends = [float(item.moved(z)[item.path][0]) for z in (-_NODE, _NODE)]
+            ends = [end for end in ends if abs(end - at) > 1e-12]  # a node at the end of the range may be the stated
+            if ends:
+                nodes[name], off[name] = [at, *ends], float(item.moved(1.0)[item.path][0])
+    if not nodes:
+        return Emulated(world, 1, None)
+    star = replace(engine, nodes=nodes, star=True, kept={})
+    guess, truth = star({f"atmosphere.{name}": np.array([x]) for name, x in off.items()}, 1), engine.run(off)
+    seen = [t.path_radiance + 0.3 * (t.direct + t.adjacency) / (1 - 0.3 * t.spherical_albedo) for t in (guess, truth)]
+    relative = np.abs(seen[0] / seen[1] - 1.0)[..., truth.direct > 1e-3 * truth.direct.max()]
+    there = replace(world, stated=replace(stated, atmosphere=star, kept={}))
+    runs = 2 + sum(len(values) - 1 for values in nodes.values())
+    return Emulated(there, runs, (float(relative.max()), float(np.median(relative))))
+
+
+def with_intervals(
+    stated: PredictedProducts, inputs: Sequence[UncertainInput],
+    predicted: Callable[[Iterable[Truth]], Iterable[PredictedProducts]], draws: Mapping[Key, Array], u: Uncertainty,
+    made: Emulated | None,
+) -> PredictedProducts:  # fmt: skip
+    """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
+
+    With ``method`` "monte-carlo" all curves take the limits of the draws, and the errors of a spectrum are the
+    linearised ones times the median over bands of drawn over linearised: the covariance of a few hundred draws, or
+    their standard deviation band by band, is too noisy to be inverted in a test.
+    With "both" a curve takes the limits of the draws where P_D at 1e-2 or 1e-3 disagrees.
+    """
+    steps = [item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0)]
+    moved, table, everywhere = tabulated(predicted([{}, *steps])), [], u.method == "monte-carlo"
+    for key, values in quantities(stated).items():
+        linear = linear_spread(key, stated, moved[key])
+        drawn = np.array([draws[key].std(axis=0, ddof=1), *limits(draws[key])])
+        parts: Iterable[tuple[Any, float]] = [(slice(None), np.nan)]
+        if key[0] == "P_D":  # a curve may begin above
+            parts = [(slice(i, i + 1), at) for i, at in enumerate(FALSE_ALARMS) if np.isfinite(values[i])]
+        table += [agreement(key, values[x], linear[:, x], drawn[:, x], u.samples, at) for x, at in parts]
+    differs = {row["key"][1:] for row in table if row["key"][0] == "P_D" and not row["agrees"]}
+    roc = {
+        key: drawn_curve(curve, limits(draws["curve", *key])) if everywhere or key in differs else curve
+        for key, curve in stated.roc.items()
+    }
+    notes = [_words(table, u, made)]
+    if not everywhere and differs:
+        which = ", ".join(sorted(map(" ".join, differs)))
+        notes.append(f"P_D intervals from the draws, where linearisation differs by more than the tolerance: {which}")
+    spectra: dict[str, Any] = {}
+    for product in SPECTRA if everywhere else ():
+        estimates = getattr(stated, product)
+        spectra[product] = {s: _widened(e, draws[product, s].std(axis=0, ddof=1)) for s, e in estimates.items()}
+    record = {"method": u.method, "samples": u.samples, "seed": u.seed, "agreements": table}
+    provenance = {**stated.provenance, "propagation": record}
+    return replace(stated, roc=roc, **spectra, notes=(*stated.notes, *notes), provenance=provenance)
+
+
+def with_uncertainty(
+    products: PredictedProducts, world: World, inputs: Sequence[UncertainInput], changes: Mapping[RocKey, Changes],
+    predicted: Callable[[World, Iterable[Truth]], Iterable[PredictedProducts]],
+) -> PredictedProducts:  # fmt: skip
+    """The prediction of a world with the intervals of its curves: from its directions, or from draws of its inputs.
+
+    ``inputs`` : to be drawn from where the scenario asks for it, or errors shift the mean of P_D by so much that their
+    directions do not add up
+    """
+    scenario, u = world.stated.scenario, world.stated.scenario.uncertainty
+    shifts = mean_shifts(products.roc, changes)
+    far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
+    if not inputs or not (far or u.method != "linear"):
+        return with_limits(scenario, products, changes, shifts, {})
+    made = emulated(world, inputs) if scenario.atmosphere is not None else None
+    of_world = partial(predicted, made.world if made else world)
+    show = world.stated.origins.show_progress
+    draws = tabulated(of_world(track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget", show=show)))
+    linear = u.method == "linear"
+    curves = {key: draws["curve", *key] for key in far if linear}
+    products = with_limits(scenario, products, changes, shifts, curves)
+    return products if linear else with_intervals(products, inputs, of_world, draws, u, made)
+
+
+def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
+    linear = estimate.standard_uncertainty
+    some = (linear > 0) & np.isfinite(sd)
+    factor = float(np.median(sd[some] / linear[some])) if some.any() else 1.0
+    budget = {k: v * factor for k, v in estimate.budget.items()}
+    return replace(estimate, error_covariance=factor**2 * estimate.error_covariance, budget=budget)
+
+
+def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, made: Emulated | None) -> str:
+    ratios: dict[str, list[float]] = {}
+    for row in table:
+        if np.isfinite(row["sd_ratio"]):
+            label = row["key"][0] + ("" if np.isnan(row["at"]) else f" at {row['at']:.0e}")
+            ratios.setdefault(label, []).append(row["sd_ratio"])
+    text = f"{u.samples} draws of the budget (seed {u.seed}): standard uncertainty over the linearised one: "
+    text += ", ".join(f"{k} {min(v):.2f}-{max(v):.2f}" for k, v in ratios.items())
+    if made is not None and made.error is not None:
+        text += (
+            f"; atmosphere interpolated between {made.runs} engine runs, radiance within {100 * made.error[0]:.2g} % "
+            f"(median {100 * made.error[1]:.2g} %) with every input of it one standard uncertainty off"
+        )
+    return text
+
 
 SpectralErrors = Mapping[tuple[str, str], Mapping[str, Errors]]  # (product, subject) -> source -> its errors
 _DIRECTIONS = 32  # directions whose spectra are in memory at once

@@ -16,17 +16,7 @@ import numpy as np
 from hyperval.data import Array, Mask
 from hyperval.errors import UsageError
 from hyperval.model.stated import SurfaceStatistics, Truth, correlation
-from hyperval.model.world import (
-    NEUTRAL,
-    NOT_WITHOUT_LIGHT,
-    PATHS,
-    SHIFT,
-    SURROUNDINGS,
-    World,
-    find,
-    fits,
-    value_at,
-)
+from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, SURROUNDINGS, World, find, fits, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts

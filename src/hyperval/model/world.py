@@ -33,17 +33,7 @@ from hyperval.model.fill import (
     whole_object_fills,
     with_mean,
 )
-from hyperval.model.stated import (
-    Origins,
-    Stated,
-    Truth,
-    Values,
-    distinct,
-    plain,
-    read_files,
-    state_value,
-    without_gaps,
-)
+from hyperval.model.stated import Origins, Stated, Truth, Values, distinct, plain, read_files, state_value, without_gaps
 from hyperval.scenario import ElmPanels, Fill, Scenario, TargetSubject
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import SensorChanges, SensorOperation

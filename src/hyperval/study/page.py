@@ -18,9 +18,8 @@ from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, M
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
-from hyperval.study.plan import Plan
+from hyperval.study.plan import Plan, fields_of, plain_value
 from hyperval.study.schema import Input, Knee, Output, Plot, Required, StudyFile
-from hyperval.study.tables import fields_of, plain_value
 
 Array = npt.NDArray[np.float64]
 LEAST_POINTS = 5

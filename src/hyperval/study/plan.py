@@ -1,5 +1,7 @@
 """From a study file to what its chunks need: world, columns, and what the interpolated atmosphere costs.
 
+The points of a study, any stretch of them without those before it, and the columns of its table.
+
 The numbers that a study asks for, of many truths of its scenario at once.
 
 Inverse questions: at which value of an input does an output take a value?
@@ -7,13 +9,16 @@ Inverse questions: at which value of an input does an output take a value?
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 from scipy.optimize.elementwise import find_root
+from scipy.stats import qmc
 
 from hyperval.atmosphere.between import spaced
 from hyperval.data import NUMERICAL_DETECTORS
@@ -39,16 +44,102 @@ from hyperval.model.stated import state_entries
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
-from hyperval.study.schema import Input, Output, Required, StudyFile
-from hyperval.study.tables import Column, input_values, moved
+from hyperval.study.schema import Input, Moving, Output, Random, Required, StudyFile
 
 Array = npt.NDArray[np.float64]
+Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read
 _PER_DECADE = 20
 _MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
 GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
 LEAST_GAS = 0.1  # and the two-way gas transmittance above which
+
+
+def drawn(distribution: Random, u: Array) -> Array:
+    """Values of a distribution at quantiles ``u`` in (0, 1)."""
+    low, high = distribution.ends
+    if distribution.normal is not None:
+        mean, sd = distribution.normal
+        return np.asarray(stats.truncnorm.ppf(u, (low - mean) / sd, (high - mean) / sd, mean, sd))
+    log = distribution.log_uniform is not None
+    return np.asarray(stats.loguniform.ppf(u, low, high) if log else stats.uniform.ppf(u, low, high - low))
+
+
+def input_values(study: StudyFile, start: int = 0, stop: int | None = None) -> Mapping[str, Column]:
+    """Input name -> its values at the points of a study from ``start`` to before ``stop``, or to the last.
+
+    The last listed input moves fastest, the random draws slowest.  A random design is Sobol's sequence, scrambled by
+    its seed (Owen); the point of a number does not depend on how many are asked for at once.  Inputs that a
+    one-at-a-time design leaves alone hold None.
+    """
+    number, columns, first = np.arange(start, study.count if stop is None else stop), dict[str, Column](), 1
+    listed = {i.name: values for i in study.inputs if (values := i.listed) is not None}
+    random = {i.name: i.random for i in study.inputs if i.random is not None}
+    if study.design.kind == "one-at-a-time":
+        for name, values in listed.items():
+            own = (number >= first) & (number < first + len(values))
+            columns[name] = np.full(number.size, None, dtype=object)
+            columns[name][own] = values[number[own] - first]
+            first += len(values)
+        return columns
+    if random:
+        draw, number = np.divmod(number, study.count // study.design.count)
+        u = _sobol(len(random), study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
+        columns = {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
+    for name, values in reversed(listed.items()):
+        number, at = np.divmod(number, len(values))
+        columns[name] = values[at]
+    return {i.name: columns[i.name] for i in study.inputs}
+
+
+def _sobol(dimensions: int, seed: int, start: int, stop: int) -> Array:
+    """Points ``start`` to before ``stop`` of a scrambled Sobol sequence, strictly inside the unit cube."""
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=seed)
+    with warnings.catch_warnings():  # a stretch of the sequence has no power of two points, and need not
+        warnings.simplefilter("ignore", UserWarning)
+        if start:
+            sequence.fast_forward(start)
+        return np.asarray(np.clip(sequence.random(stop - start), 1e-12, 1.0 - 1e-12))
+
+
+def moved(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict[str, Column]:
+    """Dotted path -> (n,) values at the points of ``columns``; None where an entry is left as it is."""
+    out: dict[str, Column] = {}
+    for item in inputs:
+        column, moves = columns[item.name], item.targets
+        for k, move in enumerate(moves):
+            own = (v[k] if isinstance(v, list) and len(moves) > 1 else v for v in column)
+            out[move.path] = move.of(column) if column.dtype != object else column_of([move.of(v) for v in own])
+    return out
+
+
+class Field(NamedTuple):
+    """One column of the table: its name, what it holds, its unit; whether its values are words."""
+
+    name: str
+    words: str
+    unit: str
+    text: bool = False
+
+
+def fields_of(study: StudyFile) -> list[Field]:
+    """The columns of a study's table: inputs, outputs, answers, and outputs told at the answers."""
+    outputs, fields = {o.name: o for o in study.outputs}, list[Field]()
+    for i in study.inputs:
+        fields.append(Field(i.name, i.label or i.name, i.unit, i.listed is not None and i.listed.dtype == object))
+    fields += [Field(o.name, o.label or o.name, o.unit) for o in study.outputs]
+    for q in study.required:
+        fields.append(Field(q.name, q.label or q.name, q.unit))
+        for name in q.report:
+            o = outputs[name]
+            fields.append(Field(f"{q.name}.{name}", f"{o.label or name} at {q.label or q.name}", o.unit))
+    return fields
+
+
+def plain_value(value: Any) -> Any:
+    """A value of an input that can be compared and told: lists and mappings as their text."""
+    return str(value) if isinstance(value, list | dict) else value.item() if hasattr(value, "item") else value
 
 
 def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis) -> None:

@@ -1,30 +1,35 @@
-"""What the command calls: a study into a folder, in chunks that are kept when the run is interrupted."""
+"""What the command calls: a study into a folder, in chunks that are kept when the run is interrupted; its table."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+import xarray as xr
 
 import hyperval
 from hyperval.campaign.provenance import package_versions, record_of
 from hyperval.data import LINEAR_DETECTORS
+from hyperval.errors import UsageError
 from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
 from hyperval.model import Origins, predict
 from hyperval.progress import track
-from hyperval.run import Run
-from hyperval.storage import partial_folder, whole_folder
+from hyperval.run import Run, harmless
+from hyperval.storage import partial_folder, whole_folder, write_text
 from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
-from hyperval.study.plan import Plan, answers, output_values, plan_study
-from hyperval.study.schema import load_study
-from hyperval.study.tables import PointStore, table_of, write_tables
+from hyperval.study.plan import Plan, answers, fields_of, input_values, output_values, plain_value, plan_study
+from hyperval.study.schema import StudyFile, load_study
 
 Array = npt.NDArray[np.float64]
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
@@ -142,3 +147,86 @@ def _write(plan: Plan, table: pd.DataFrame, folder: Path, show_progress: bool | 
     page = study_page(plan, table, figures, record, names, knees)
     run = Run(rows, record, {"predicted": prediction}, study.title or study.name)
     run.write(folder, page, {d.file_name: d.content for d in drawings_of(figures, simulated=False)})
+
+
+_CHUNK = "chunk"
+
+
+def table_of(study: StudyFile, values: Array, reasons: Mapping[int, str]) -> pd.DataFrame:
+    """Inputs, numbers (n, K) and what is to be said of each point; a number that is left alone is NaN."""
+    columns, fields = input_values(study), fields_of(study)
+    table = pd.DataFrame(index=pd.RangeIndex(study.count, name="point"))
+    for f in fields[: len(columns)]:
+        own = columns[f.name]
+        table[f.name] = pd.Series(list(map(plain_value, own)), dtype=object) if f.text else np.asarray(own, float)
+    table[[f.name for f in fields[len(columns) :]]] = values
+    table["reason"] = pd.Series([reasons.get(point, "") for point in range(study.count)], dtype=object)
+    return table
+
+
+def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[str]:
+    """Write table.csv, table.nc and, with the extra parquet, table.parquet; the names of what was written."""
+    fields = fields_of(study)
+    texts = [*(f.name for f in fields if f.text), "reason"]
+    said = {name: pd.Series(["" if v is None else str(v) for v in table[name]], dtype=object) for name in texts}
+    table = table.assign(**said)
+    cells = {name: list(map(harmless, own)) for name, own in said.items()}
+    table.assign(**cells).to_csv(folder / "table.csv", lineterminator="\n")
+    about = {"Conventions": "CF-1.11", "title": study.title or study.name, "source": f"hyperval {hyperval.__version__}"}
+    data = xr.Dataset(attrs=about)
+    for f in fields:
+        data[f.name] = ("point", table[f.name].to_numpy(), {"long_name": f.words, "units": f.unit})
+        if not f.text:
+            data[f.name].encoding = {"zlib": True, "shuffle": True, "_FillValue": None}
+    data.to_netcdf(folder / "table.nc", engine="h5netcdf")
+    names = ["table.csv", "table.nc"]
+    if find_spec("pyarrow") is not None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        columns = table.reset_index().items()
+        # A number that is not there is NaN, as in the other files.
+        parts = {name: pa.array(own.to_numpy(), from_pandas=False) for name, own in columns}
+        pq.write_table(pa.table(parts), folder / "table.parquet")
+        names.append("table.parquet")
+    return names
+
+
+class PointStore:
+    """Finished chunks in the order of the points, a file each, in a folder of its own.
+
+    Parameters
+    ----------
+    folder : made with the first chunk
+    identity : what the numbers follow from; chunks of another identity are not seen
+
+    Raises
+    ------
+    UsageError : the folder holds something else.
+    """
+
+    def __init__(self, folder: Path, identity: str):
+        if any(not p.name.lstrip(".").startswith(_CHUNK) for p in folder.glob("*")):
+            raise UsageError("holds files that are not of a study's run", where=str(folder), mend="remove it")
+        self.folder, self.digest = folder, hashlib.sha256(identity.encode()).hexdigest()[:16]
+        self.chunks: list[tuple[Array, dict[int, str]]] = []
+        while (path := self._next).is_file():
+            values, reasons = json.loads(path.read_text("utf-8"))
+            self.chunks.append((np.array(values, float), dict(reasons)))
+
+    def __len__(self) -> int:
+        """Number of finished points."""
+        return sum(len(values) for values, _ in self.chunks)
+
+    @property
+    def _next(self) -> Path:
+        return self.folder / f"{_CHUNK}-{self.digest}-{len(self.chunks)}.json"
+
+    def append(self, values: Array, reasons: Mapping[int, str]) -> None:
+        """Add the rows (n, columns) that follow, and the reasons by the number of the point."""
+        write_text(self._next, json.dumps([values.tolist(), sorted(reasons.items())]))
+        self.chunks.append((values, dict(reasons)))
+
+    def remove(self) -> None:
+        """Throw everything away."""
+        shutil.rmtree(self.folder, ignore_errors=True)

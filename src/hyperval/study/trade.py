@@ -34,9 +34,8 @@ from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import path_parts, with_settings
 from hyperval.study.page import cell_edges, heat_mark
-from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, of_truths, output_values
+from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, input_values, moved, of_truths, output_values
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
-from hyperval.study.tables import input_values, moved
 
 Array = npt.NDArray[np.float64]
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
