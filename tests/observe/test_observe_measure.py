@@ -10,6 +10,7 @@ from hyperval.campaign import with_measured_fractions, without_circles
 from hyperval.collection import Classification
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Sources
+from hyperval.observe import RegionLaws
 from hyperval.pixels import factor_covariance, small_sample_factor, snr_decorrelated
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import CovarianceSource, Scenario, SpectrumSource, Surface
@@ -142,9 +143,9 @@ def test_another_detection_in_the_same_collection_measures_only_pixels_that_it_c
     world = make_radiance(relative_noise=0.01).world
     first = world.observe()
     world.detection |= {"background": ["corner"], "false_alarms": ["corner"], "group": "all"}
-    again, short = world.observe(), world.observe(before=first.surfaces)
-    for name, part in first.surfaces.sampling.items():  # the groups are another one, the regions are taken over
-        assert ("fill" in name) != (short.surfaces.sampling.get(name) is part)
+    again, short = world.observe(), world.observe(before=first)
+    for name, part in first.sampling.items():  # the groups are another one, the regions are taken over
+        assert ("fill" in name) != (short.sampling.get(name) is part)
     again, short = again.observation, short.observation
     assert short.distribution == again.distribution != {}
     for product in ("radiance", "reflectance"):
@@ -186,7 +187,7 @@ def mixed(*mixtures: int | str, region: str = "all") -> Scenario:
 
 def test_what_a_scenario_asks_for_is_fitted_once_or_refused_by_name(clusters):
     clusters.collection["regions"].append({"name": "corner", "rectangle": [0, 0, 3, 3]})
-    laws = clusters.observe().laws()
+    laws = RegionLaws(clusters.observe())
     first = laws.statistics(mixed(2))["all"].components
     assert len(first) == 2
     assert laws.statistics(mixed(2))["all"].components is first
@@ -200,7 +201,7 @@ def test_what_a_scenario_asks_for_is_fitted_once_or_refused_by_name(clusters):
 def test_statistics_without_each_part_of_a_region(clusters):
     """Sixteen parts of 225 pixels; what is left out and what is left make the whole; small regions have none."""
     seen = clusters.observe()
-    laws, stated = seen.laws(), seen.statistics["all"]
+    laws, stated = RegionLaws(seen), seen.statistics["all"]
     ((name, without),) = laws.left_out(mixed(2))
     assert (name, len(without)) == ("all", 16)
     assert without is next(iter(laws.left_out(mixed(2))))[1]

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.atmosphere import sixs
-from hyperval.atmosphere.cache import cache_folder
+from hyperval.atmosphere.terms import cache_folder
 
 FILE = Path(__file__).parents[2] / "src/hyperval/atmosphere/aerosol_extinction.csv"
 HEAD = """\

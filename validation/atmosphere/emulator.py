@@ -22,9 +22,9 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from hyperval.atmosphere import AtmosphericState, emulator, sixs
-from hyperval.atmosphere.cache import cache_folder
 from hyperval.atmosphere.physics import amounts
 from hyperval.atmosphere.state import AtmosphereModel
+from hyperval.atmosphere.terms import cache_folder
 from hyperval.progress import track
 
 MODELS = get_args(AtmosphereModel)

@@ -23,9 +23,9 @@ import numpy as np
 from compare_modtran import CLASSES, differences
 from modtran_cases import Case, cases, data_file, matched, put_between_marks
 
-from hyperval.atmosphere import AtmosphericTerms, EngineRatio, sixs_terms, ways
-from hyperval.atmosphere.cache import cache_folder
+from hyperval.atmosphere import AtmosphericTerms, EngineRatio, amounts, sixs_terms
 from hyperval.atmosphere.physics import FILE
+from hyperval.atmosphere.terms import cache_folder
 
 # Channels where gases absorb next to nothing in both codes: the continuum of the ratio goes through them.
 CONTINUUM_NM = (
@@ -63,8 +63,8 @@ def pairs_of(locate: Callable[[str], Path]) -> list[Pair]:
     pairs = []
     for case in cases(locate):
         _, theirs = matched(case, sixs_terms(case.state, cache_folder(None), False, ratio=None))
-        _, both = ways(case.state)
-        pairs.append(Pair(case, theirs, both.air_atm, both.water_g_cm2))
+        air_atm, water_g_cm2, _ = amounts(case.state)[1][:, 0]
+        pairs.append(Pair(case, theirs, air_atm, water_g_cm2))
     return pairs
 
 

@@ -1,7 +1,6 @@
 """From the state of the atmosphere to the terms of equation 3.7."""
 
 from .between import interpolated_terms, smooth_rule, spaced
-from .cache import cache_folder, cached
 from .engine import ENGINES, atmospheric_terms
 from .modtran import (
     RADIANCE_COLUMNS,
@@ -24,12 +23,12 @@ from .physics import (
     GREATEST_WATER_G_CM2,
     OXYGEN,
     EngineRatio,
+    amounts,
     binary_coefficient,
     collision_column,
     engine_ratio,
     low_share,
     molecular_albedo,
-    ways,
 )
 from .sixs import NODES_NM, aerosol_extinction, run_sixs, sixs_terms
 from .solar import (
@@ -49,7 +48,7 @@ from .state import (
     standard_profile,
 )
 from .table import AtmosphericTable, build_table, read_table, write_table
-from .terms import AtmosphericTerms
+from .terms import AtmosphericTerms, cache_folder, cached
 
 __all__ = [
     "ENGINES",
@@ -64,6 +63,7 @@ __all__ = [
     "EngineRatio",
     "Modtran",
     "aerosol_extinction",
+    "amounts",
     "aot550_from_range",
     "atmospheric_terms",
     "binary_coefficient",
@@ -102,6 +102,5 @@ __all__ = [
     "stated_fields",
     "tape5",
     "terms_from_runs",
-    "ways",
     "write_table",
 ]  # fmt: skip

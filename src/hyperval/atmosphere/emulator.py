@@ -27,10 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere import sixs
-from hyperval.atmosphere.cache import Arrays, content_digest
 from hyperval.atmosphere.physics import amounts
 from hyperval.atmosphere.state import AtmosphericState, air_column, coordinates, standard_profile
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, content_digest
 from hyperval.errors import refuse
 
 Array = npt.NDArray[np.float64]

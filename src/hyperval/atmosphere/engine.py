@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hyperval.atmosphere.cache import cache_folder
 from hyperval.atmosphere.emulator import emulator_terms
 from hyperval.atmosphere.modtran import modtran_terms
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.table import read_table
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder
 from hyperval.errors import InputError, refuse
 
 # State, cache folder and whether to draw progress: what computes the terms when they are asked for.

@@ -44,9 +44,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere import solar
-from hyperval.atmosphere.cache import Arrays, cached, run_program
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState, range_from_aot550
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, cached, run_program
 from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.progress import track

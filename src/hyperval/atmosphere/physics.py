@@ -48,14 +48,6 @@ _GREATEST_SHARE_BACK = 0.5
 
 
 @dataclass(frozen=True)
-class Way:
-    """Air [atm] and water [g cm-2] on a slanted way."""
-
-    air_atm: float
-    water_g_cm2: float
-
-
-@dataclass(frozen=True)
 class EngineRatio:
     """Corrections by wavelength, (n,) each.
 
@@ -84,13 +76,13 @@ class EngineRatio:
         air = _strong_line(air_atm, GREATEST_AIR_ATM)
         return np.asarray(np.exp(-(self.dry * air + self.water * _strong_line(water_g_cm2, GREATEST_WATER_G_CM2))))
 
-    def within(self, way: Way, dry_depth: Array, water_depth: Array) -> EngineRatio:
+    def within(self, way: Array, dry_depth: Array, water_depth: Array) -> EngineRatio:
         """The ratio of which neither part takes back more than half of the engine's depth (n,) on a way.
 
         What water has too much of in all states alike stands in ``dry``, so that both depths count for it.
         """
-        air = _strong_line(way.air_atm, GREATEST_AIR_ATM)
-        water = _strong_line(way.water_g_cm2, GREATEST_WATER_G_CM2)
+        air = _strong_line(way[0], GREATEST_AIR_ATM)
+        water = _strong_line(way[1], GREATEST_WATER_G_CM2)
         dry = np.maximum(self.dry, -_GREATEST_SHARE_BACK * (dry_depth + water_depth) / air)
         return replace(self, dry=dry, water=np.maximum(self.water, -_GREATEST_SHARE_BACK * water_depth / water))
 
@@ -150,12 +142,6 @@ def amounts(state: AtmosphericState) -> tuple[Array, Array]:
     mu0, mu_v = np.cos(np.deg2rad([state.sun[0], state.view_zenith_deg]))
     ground = above(state.ground_altitude_km)
     return ground / mu0, ground / mu0 + (ground - above(state.sensor_altitude_km)) / mu_v
-
-
-def ways(state: AtmosphericState) -> tuple[Way, Way]:
-    """From the sun to the ground, and from there to the sensor as well."""
-    down, both = (Way(float(way[0, 0]), float(way[1, 0])) for way in amounts(state))
-    return down, both
 
 
 @cache

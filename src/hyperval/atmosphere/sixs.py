@@ -40,8 +40,7 @@ import scipy
 
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.between import Rule, node_weights
-from hyperval.atmosphere.cache import Arrays, cached, run_program
-from hyperval.atmosphere.physics import EngineRatio, continuum_depth, engine_ratio, low_share, molecular_albedo, ways
+from hyperval.atmosphere.physics import EngineRatio, amounts, continuum_depth, engine_ratio, low_share, molecular_albedo
 from hyperval.atmosphere.state import (
     AerosolMix,
     AtmosphericState,
@@ -52,7 +51,7 @@ from hyperval.atmosphere.state import (
     shipped_numbers,
     standard_profile,
 )
-from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
+from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, cached, lit_by, run_program
 from hyperval.errors import EngineError, refusal, refuse
 from hyperval.progress import track
 from hyperval.storage import last_line, number_of, sha256_of
@@ -603,10 +602,10 @@ def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: Settin
 
 def _with_ratio(gas: Arrays, state: AtmosphericState, ratio: EngineRatio) -> Arrays:
     """Gas transmittances times what MODTRAN has over 6S on the same ways."""
-    down, both = ways(state)
+    down, both = (way[:2, 0] for way in amounts(state))  # air and water
     here = ratio.within(both, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
     way = {"full": (both, 1.0), "half": (both, 0.5), "dry": (both, 0.0), "ground": (down, 1.0)}
-    return {name: gas[name] * here.gas(at.air_atm, at.water_g_cm2 * share) for name, (at, share) in way.items()}
+    return {name: gas[name] * here.gas(air, water * share) for name, ((air, water), share) in way.items()}
 
 
 def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:

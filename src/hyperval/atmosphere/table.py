@@ -25,10 +25,9 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import modtran, solar
 from hyperval.atmosphere.between import AS_THEY_ARE, Rule, along, between_aerosols, inside, path_error
-from hyperval.atmosphere.cache import cache_folder
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import SPACE_KM, AtmosphericState, aot550_from_range, coordinates
-from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
+from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder, lit_by
 from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.progress import track

@@ -227,7 +227,7 @@ class Collected:
 
     @cached_property
     def _laws(self) -> RegionLaws:
-        return self.observed.laws()
+        return RegionLaws(self.observed)
 
     def with_shared_pixels(self, key: tuple[str, str], law: ExceedanceCurve) -> ExceedanceCurve:
         """A predicted curve of (target, detector) with what its law shares with the false alarms that are counted."""

@@ -261,7 +261,7 @@ def scenario_model(side: Collected, show_progress: bool | None) -> ScenarioModel
         changed, detection = with_settings(side.campaign, changes), None
         if changed.detection is not None:  # no residual is an area
             detection = changed.detection.model_copy(update={"unmixing": None})
-        before = side.observed.surfaces if changed.collection == side.campaign.collection else None
+        before = side.observed if changed.collection == side.campaign.collection else None
         return observe_collection(
             changed.collection, detection, side.inputs.resolve, before=before, show_progress=show_progress
         ).observation

@@ -22,7 +22,7 @@ from scipy import special
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
 from hyperval.atmosphere.between import InterpolatedTerms, interpolated_terms
-from hyperval.atmosphere.physics import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, ways
+from hyperval.atmosphere.physics import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, amounts
 from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
@@ -658,10 +658,10 @@ def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
             "which the scenario states, is not used"
         )
     if terms.provenance.get("engine_ratio"):
-        _, way = ways(state)
+        air, water, _ = amounts(state)[1][:, 0]
         for amount, greatest, words in (
-            (way.air_atm, GREATEST_AIR_ATM, "atm of air"),
-            (way.water_g_cm2, GREATEST_WATER_G_CM2, "g cm-2 of water vapour"),
+            (air, GREATEST_AIR_ATM, "atm of air"),
+            (water, GREATEST_WATER_G_CM2, "g cm-2 of water vapour"),
         ):
             if amount > greatest:
                 notes.append(

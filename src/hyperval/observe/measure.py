@@ -49,22 +49,6 @@ MOST_FOR_SNR = 2_000_000  # pixels times bands of a region that its SNR is from
 
 
 @dataclass(frozen=True, eq=False)
-class Surfaces:
-    """What a collection says of its surfaces: it follows from their pixels, whatever is detected among them.
-
-    Attributes
-    ----------
-    place : the opened collection with its empirical line, None where there is no cube
-    masks, sampling, distribution : subject -> its pixels, the error of their mean in the cube's values, their tails
-    """
-
-    place: Place | None = None
-    masks: Labels = field(default_factory=lambda: Labels.of((0, 0)))
-    sampling: Mapping[str, EstimatedPart] = field(default_factory=dict)
-    distribution: Mapping[str, PixelDistribution] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
 class Observed:
     """An observation with what only the imagery can give.
 
@@ -73,30 +57,24 @@ class Observed:
     observation : the products
     statistics : region -> mean and covariance in reflectance (after the empirical line), for scenarios that
         take measured statistics
-    surfaces : what does not follow from the detection
+    place : the opened collection with its empirical line, None where there is no cube
+    masks, sampling : subject -> its pixels, the error of their mean in the cube's values
     detected : filters and score maps, None without detection
     unmixed : areas by unmixing with what a prediction of them needs, None where they are not asked for
     """
 
     observation: ObservedProducts
     statistics: Mapping[str, ClassStatistics] = field(default_factory=dict)
-    surfaces: Surfaces = field(default_factory=Surfaces)
+    place: Place | None = None
+    masks: Labels = field(default_factory=lambda: Labels.of((0, 0)))
+    sampling: Mapping[str, EstimatedPart] = field(default_factory=dict)
     detected: Detected | None = None
     unmixed: Unmixed | None = None
-
-    @property
-    def place(self) -> Place | None:
-        """The opened collection, None where there is no cube."""
-        return self.surfaces.place
 
     @property
     def elm(self) -> EmpiricalLine | None:
         """The empirical line, None without panels."""
         return None if self.place is None else self.place.line
-
-    def laws(self) -> RegionLaws:
-        """The laws of the regions' pixels, fitted when a scenario asks for them."""
-        return RegionLaws(self.surfaces, self.statistics)
 
 
 def observe(
@@ -105,7 +83,7 @@ def observe(
     resolve: Resolve,
     *,
     classification: Classification | None = None,
-    before: Surfaces | None = None,
+    before: Observed | None = None,
     show_progress: bool | None = None,
 ) -> Observed:
     """Measure what a collection holds.
@@ -115,7 +93,7 @@ def observe(
     collection, detection, classification : as in a campaign file; a simulated collection must have been
         written first and stands here as its cube
     resolve : turns a file reference into a path
-    before : of the same collection, observed for another detection
+    before : the same collection observed for another detection: what follows from pixels of regions alone is kept
 
     Raises
     ------
@@ -126,16 +104,17 @@ def observe(
         return Observed(sites.observe_radcalnet(collection.radcalnet, resolve))
     if collection.spectra:
         return Observed(sites.observe_spectra(collection, resolve))
-    before = before or Surfaces()
-    place = before.place or open_place(collection, resolve, show_progress=show_progress)
+    place = (before and before.place) or open_place(collection, resolve, show_progress=show_progress)
     cube = place.cube
     masks, populations = _labels(place, detection)
-    known = {n for n in before.masks if n in masks and np.array_equal(before.masks[n], masks[n])}
+    kept = {} if before is None else before.sampling
+    tails = {} if before is None else before.observation.distribution
+    known = {n for n in kept if before and n in masks and np.array_equal(before.masks[n], masks[n])}
     sites.refuse_saturated(collection.empirical_line, masks, place)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
     measured = px.region_statistics(cube, masks, watch=watch)
     sampling = {
-        n: before.sampling[n] if n in known else _sampling_error(place, masks[n], measured[n])
+        n: kept[n] if n in known else _sampling_error(place, masks[n], measured[n])
         for n in track([*place.regions, *populations], "sampling", show=show_progress)
     }
     place = replace(place, statistics=measured)
@@ -152,10 +131,10 @@ def observe(
     products |= {kind: dict(found) for kind, found in detected.products.items()} if detected else {}
     if unmixed is not None:
         products["abundance"] |= unmixed.areas
-    distribution = {name: d for name, d in before.distribution.items() if name in known}
+    distribution = {name: d for name, d in tails.items() if name in known}
     for name in track([n for n in place.regions if n not in known], "tails", show=show_progress):
-        tails = pixel_tails(place, masks[name], measured[name])
-        distribution |= {} if tails is None else {name: tails}
+        found = pixel_tails(place, masks[name], measured[name])
+        distribution |= {} if found is None else {name: found}
     snr = {name: px.snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
     observation = ObservedProducts(
         axis=cube.axis,
@@ -167,7 +146,7 @@ def observe(
         **products,
     )
     classes = _classes(place, detection, detected, distribution)
-    return Observed(observation, classes, Surfaces(place, masks, sampling, distribution), detected, unmixed)
+    return Observed(observation, classes, place, masks, sampling, detected, unmixed)
 
 
 def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str]]:
@@ -488,8 +467,12 @@ class RegionPixels(NamedTuple):
 class RegionLaws:
     """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
 
-    def __init__(self, surfaces: Surfaces, statistics: Mapping[str, ClassStatistics]):
-        self._place, self._tails, self._statistics = surfaces.place, surfaces.distribution, statistics
+    def __init__(self, observed: Observed):
+        self._place, self._tails, self._statistics = (
+            observed.place,
+            observed.observation.distribution,
+            observed.statistics,
+        )
         self._made: dict[Key, tuple[px.ClassMixture, Components | None] | None] = {}
         self._without: dict[tuple[str, Key | None, bool], list[ClassStatistics]] = {}
         self._numbers: dict[str, Index] = {}
