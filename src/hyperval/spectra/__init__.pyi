@@ -11,9 +11,8 @@ from .axis import (
     fwhm_from_spacing,
     in_window,
 )
-from .libraries import library_to_spy, library_to_xarray
 from .networks import SURFACE, TOP, RadCalNetDay, read_radcalnet
-from .read import read_records, read_spectrum
+from .read import library_to_spy, library_to_xarray, read_records, read_spectrum
 from .record import FieldSpectrum
 from .text import number_table
 

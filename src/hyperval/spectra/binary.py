@@ -1,4 +1,4 @@
-"""Binary files of spectra: ASD of field spectrometers, SPECPR of USGS.
+"""Binary files of spectra: ASD of field spectrometers, SPECPR of USGS, ENVI libraries.
 
 ASD binary files: reflectance as the stored spectrum over the stored reference; radiance and irradiance.
 
@@ -10,15 +10,19 @@ reference block of a flag, two times, a description with its length, and the ref
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.envi_header import EnviHeader, data_beside, read_header
 from hyperval.errors import refusal, refuse
-from hyperval.spectra.record import FieldSpectrum
+from hyperval.paths import checked_file
+from hyperval.spectra.record import MAX_BYTES, FieldSpectrum
 
 Array = npt.NDArray[np.float64]
 
@@ -203,11 +207,6 @@ _RECORD = np.dtype({
 })  # fmt: skip
 
 
-def is_specpr(head: bytes) -> bool:
-    """Whether the content is that of a SPECPR file."""
-    return head.startswith(MARK)
-
-
 def specpr_records(path: Path) -> list[FieldSpectrum]:
     """Every spectrum of a SPECPR file but wavelengths, band widths and errors; the errors go with their spectrum.
 
@@ -261,3 +260,51 @@ def _values(raw: npt.NDArray[np.void], at: int, where: str) -> Array:
     cut, title = n > MOST_CHANNELS or behind.size != more or broken, _title(raw[at])
     refuse(cut, "specpr.continued", where, number=at, title=title, channels=n, count=behind.size, more=more)
     return np.concatenate([raw["first"][at], behind["more"].ravel()])[:n].astype(float)
+
+
+def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None) -> list[FieldSpectrum]:
+    """Every spectrum of a library; ``path`` is the header when ``header`` is None, else the data file.
+
+    Raises
+    ------
+    InputError : not a spectral library, a data file of the wrong size, or names or wavelengths that do not fit.
+    """
+    if header is None:
+        header, path = read_header(path), data_beside(path)
+    path = checked_file(path, root=root, what="spectral library")
+    checked_file(header.path, root=root, what="ENVI header")
+    lines, channels, size = header.lines, header.samples, path.stat().st_size
+    other = header.file_type.lower() != "envi spectral library" or header.bands != 1
+    refuse(other, "library.type", header.where("file type"), type=header.file_type, bands=header.bands)
+    whole, most = header.expected_bytes, MAX_BYTES
+    wrong = size != whole or size > most
+    refuse(wrong, "library.size", path, size=size, lines=lines, channels=channels, whole=whole, most=most)
+    listed = header.numbers("wavelength")
+    wavelength = np.array([]) if listed is None else listed
+    unlike = wavelength.size != channels
+    refuse(unlike, "library.wavelengths", header.where("wavelength"), count=wavelength.size, channels=channels)
+    names = header.strings("spectra names") or tuple(f"spectrum {i + 1}" for i in range(lines))
+    refuse(len(names) != lines, "library.names", header.where("spectra names"), count=len(names), lines=lines)
+    values = np.fromfile(path, header.dtype, offset=header.header_offset).reshape(lines, channels).astype(float)
+    # An ignore value and a list of bad bands both say that channels hold no value.
+    ignore, flags = header.number("data ignore value"), header.numbers("bbl", channels)
+    empty = np.zeros(values.shape, bool) if ignore is None else values == ignore
+    if flags is not None:
+        empty |= flags == 0.0
+    key, factor = "reflectance scale factor", header.number("reflectance scale factor")
+    absurd = factor is not None and not (np.isfinite(factor) and factor > 0)
+    refuse(absurd, "library.scale", header.where(key), key=key, factor=factor or 0.0)
+    # A factor of 1 is what ENVI writes when nobody told it: it states nothing.
+    scale = f"scaled:{factor!r}" if factor not in (None, 1.0) else None
+    return on_one_grid(names, wavelength, np.where(empty, np.nan, values), path, header.text("wavelength units"), scale)
+
+
+def on_one_grid(
+    names: Iterable[Any], wavelength: Any, rows: Any, where: object, unit: str | None, scale: str | None = None
+) -> list[FieldSpectrum]:
+    """Spectra (spectrum, channel) on one set of wavelengths."""
+    named = zip(names, np.asarray(rows, float), strict=True)
+    record = FieldSpectrum(
+        "", np.asarray(wavelength, float), np.array([]), source=str(where), wavelength_unit=unit, unit=scale
+    )
+    return [replace(record, name=str(name), values=row) for name, row in named]

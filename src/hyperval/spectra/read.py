@@ -10,14 +10,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from hyperval.envi_header import header_beside, read_header
 from hyperval.errors import reader, refusal, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra import binary, libraries, networks, text
+from hyperval.spectra import binary, networks, text
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, finished, mean_of
 from hyperval.storage import decoded
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from spectral.io.envi import SpectralLibrary
 
 # Printable characters of any 8-bit code, tabulators, ends of lines and pages.
 _TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])
@@ -71,12 +77,12 @@ def read_spectrum(
     UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
     """
     path = checked_file(path, root=root, what="spectrum file")
-    beside = libraries.wavelengths_beside(path) if wavelengths is None and columns is None else None
+    beside = text.wavelengths_beside(path) if wavelengths is None and columns is None else None
     if wavelengths is None and beside is None:
         chosen = _chosen(_records(path, columns, root, quantity), record, str(path))
     else:
         grid = checked_file(beside or str(wavelengths), root=root, what="wavelength file")
-        chosen = libraries.usgs_record(path, grid, beside is not None)
+        chosen = text.usgs_record(path, grid, beside is not None)
     return finished(chosen, quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated)
 
 
@@ -104,7 +110,7 @@ def read_records(
     if isinstance(path, Path | str):
         listed = _records(checked_file(path, root=root, what="spectrum file"), None, root, quantity)
     else:
-        listed = libraries.library_at_hand(path)
+        listed = _at_hand(path)
     numbers = {w for w in records or () if isinstance(w, int)}
     for number in numbers:
         _check_number(number, len(listed), listed[0].source if listed else "library")
@@ -114,6 +120,27 @@ def read_records(
 
 def _check_number(number: int, count: int, where: str) -> None:
     refuse(not 0 <= number < count, "record.number", where, number=number, last=count - 1)
+
+
+def _at_hand(library: Any) -> list[FieldSpectrum]:
+    """The spectra of a library of SPy, or of an array of xarray (spectrum, wavelength).
+
+    Raises
+    ------
+    UsageError : another kind of object, or one without wavelengths.
+    """
+    if hasattr(library, "spectra") and hasattr(library, "bands") and library.bands.centers is not None:
+        wavelength, rows, names = library.bands.centers, library.spectra, library.names
+        unit = library.bands.band_unit
+    elif hasattr(library, "coords") and "wavelength" in library.coords and library.ndim == 2:
+        ordered = library.transpose(..., "wavelength")
+        wavelength, rows = ordered["wavelength"].values, ordered.values
+        named = ordered.dims[0] in ordered.coords
+        names = ordered[ordered.dims[0]].values if named else [f"spectrum {i + 1}" for i in range(len(rows))]
+        unit = ordered["wavelength"].attrs.get("units")
+    else:
+        raise refusal("library.object", type=type(library).__name__)
+    return binary.on_one_grid(names, wavelength, rows, "library at hand", None if unit is None else str(unit))
 
 
 @dataclass(frozen=True)
@@ -187,12 +214,12 @@ def _begins(*marks: bytes) -> Callable[[_File], bool]:
 
 # The first that knows a file reads it: marks before tables, and text that anything can be at the end.
 FORMATS = (
-    Format("SPECPR", lambda f: binary.is_specpr(f.mark), lambda f: binary.specpr_records(f.path)),
+    Format("SPECPR", lambda f: f.mark == binary.MARK, lambda f: binary.specpr_records(f.path)),
     Format("ASD", lambda f: binary.is_asd(f.raw), lambda f: [binary.asd_record(f.raw, f.path, f.quantity)]),
     Format("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), lambda f: text.plot_records(f.text, f.path)),
     Format(
         "header of an ENVI spectral library", _begins(b"ENVI\r", b"ENVI\n", b"ENVI "),
-        lambda f: libraries.envi_library(f.path, None, f.root),
+        lambda f: binary.envi_library(f.path, None, f.root),
     ),
     Format("SVC .sig", _begins(b"/*** Spectra Vista"), lambda f: [text.svc_record(f.text, f.path, f.quantity)]),
     Format("GER .sig", _begins(b"///GER"), lambda f: [text.ger_record(f.text, f.path, f.quantity)]),
@@ -205,7 +232,7 @@ FORMATS = (
     ),
     Format(
         "ENVI spectral library with its header", lambda f: f.header,
-        lambda f: libraries.envi_library(f.path, read_header(f.header or f.path), f.root),
+        lambda f: binary.envi_library(f.path, read_header(f.header or f.path), f.root),
     ),
     Format(
         "text, a spectrum a row", lambda f: f.columns is None and text.is_row_table(f.text),
@@ -242,3 +269,28 @@ def _chosen(records: list[FieldSpectrum], record: str | int | None, where: str) 
     matches = exact or [r for r in records if record.lower() in r.name.lower()]
     refuse(len(matches) != 1, "record.unlike", where, count=len(matches) or "no", record=record, names=names)
     return matches[0]
+
+
+def library_to_xarray(spectra: Sequence[FieldSpectrum]) -> xr.DataArray:
+    """Spectra on one set of wavelengths as an array (spectrum, wavelength), which :func:`read_records` takes back.
+
+    Raises
+    ------
+    UsageError : none, or different wavelengths.
+    """
+    import xarray as xr  # with SPy 70 MB, which most runs need not
+
+    unlike = not spectra or any(not np.array_equal(s.wavelength_nm, spectra[0].wavelength_nm) for s in spectra)
+    refuse(unlike, "library.unlike")
+    nm, names = ("wavelength", spectra[0].wavelength_nm, {"units": "nm"}), [s.name for s in spectra]
+    coords = {"spectrum": names, "wavelength": nm}
+    return xr.DataArray([s.values for s in spectra], coords, ("spectrum", "wavelength"), spectra[0].quantity)
+
+
+def library_to_spy(spectra: Sequence[FieldSpectrum]) -> SpectralLibrary:
+    """The same as a library of SPy."""
+    from spectral.io.envi import SpectralLibrary
+
+    array = library_to_xarray(spectra)
+    names, nm = (array[name].values.tolist() for name in ("spectrum", "wavelength"))
+    return SpectralLibrary(array.values, {"wavelength": nm, "wavelength units": "nm", "spectra names": names})

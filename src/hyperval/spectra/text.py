@@ -1,8 +1,8 @@
-"""Text files of field spectrometers: SVC and GER .sig, Spectral Evolution .sed.
+"""Text files of spectra.
 
-Spectra in text: columns by commas, blanks, tabs or semicolons under any header; ENVI plots; ECOSTRESS.
-
-Tables with one spectrum a row: metadata, then a column for each wavelength (EcoSIS, spectrolab, EMIT).
+Columns by commas, blanks, tabs or semicolons under any header; ENVI plots; ECOSTRESS.  Tables with one spectrum a row:
+metadata, then a column for each wavelength (EcoSIS, spectrolab, EMIT).  Files of field spectrometers: SVC and GER .sig,
+Spectral Evolution .sed.  Libraries of the USGS in files of one column.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import refusal, refuse
-from hyperval.spectra.record import MAX_JOINS, MAX_ROWS, FieldSpectrum
+from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum
+from hyperval.storage import decoded
 from hyperval.units import only_wavelength_unit, power_unit
 
 Array = npt.NDArray[np.float64]
@@ -503,3 +504,41 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpe
     check_last_line(text, where)
     record = FieldSpectrum(path.stem, table[:, 0], table[:, columns[0]], source=where, quantity=wanted)
     return replace(record, wavelength_unit="nm", unit=unit)
+
+
+MAX_WAVELENGTH_FILES = 40  # that are looked into
+
+
+def usgs_record(path: Path, grid: Path, beside: bool) -> FieldSpectrum:
+    """A spectrum of a library that keeps values and wavelengths in files of one column each.
+
+    ``beside`` says that the wavelengths were found in the folder, and not named.
+    """
+    header, values, _ = number_table(decoded(path.read_bytes()), path)
+    grid_header, wavelength, _ = number_table(decoded(grid.read_bytes()), grid)
+    unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
+    refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
+    name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
+    unit = wavelength_unit_in(" ".join(grid_header), "", str(grid))
+    note = (f"wavelengths from {grid.name}, which lies beside it",) if beside else ()
+    record = FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], source=str(path))
+    return replace(record, wavelength_unit=unit, notes=note)
+
+
+def wavelengths_beside(path: Path) -> Path | None:
+    """The file of wavelengths of a USGS spectrum of one column, in its folder or the one above."""
+    rows, fits = _usgs_rows(path), list[Path]()
+    for folder in (path.parent, path.parent.parent) if rows else ():
+        named = [p for p in sorted(folder.glob("*.txt")) if "wavelength" in p.name.lower() and p != path]
+        fits += [p for p in named[:MAX_WAVELENGTH_FILES] if _usgs_rows(p) == rows]
+    return fits[0] if len(fits) == 1 else None
+
+
+def _usgs_rows(path: Path) -> int | None:
+    """How many numbers a USGS file of one column holds below "Record=NUMBER: TITLE"; None for another file."""
+    if path.suffix.lower() != ".txt" or path.stat().st_size > MAX_BYTES:
+        return None
+    first, *rest = decoded(path.read_bytes()).split("\n")
+    rows = [line.strip() for line in rest if line.strip()]
+    titled = re.search(r"\bRecord\s*=\s*[0-9]+\s*:", first)
+    return len(rows) if titled and rows and all(map(is_number, rows)) else None
