@@ -1,4 +1,6 @@
-"""Whether the HDF5 library comes back from a file: tried in a process with a time limit.
+"""NetCDF-4 files by their variables, and whether the HDF5 library comes back from a file at all.
+
+That is tried in a process with a time limit.
 
 In a damaged file a list of variable-length text may lead back into itself.  The library then follows it for ever,
 inside one call that no signal, thread or exception ends.
@@ -12,13 +14,13 @@ import os
 import signal
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from hyperval.errors import refuse
+from hyperval.errors import HypervalError, refusal, refuse
 
 CPU_SECONDS = 3  # of one file; products of hundreds of arrays take hundredths of a second
 ENOUGH_SECONDS = 1.0  # after which the rest of a tree of many thousands is taken on trust
@@ -108,3 +110,42 @@ def _walk(h5py: Any, path: str) -> None:
     with h5py.File(path, "r") as file:
         if not look("/", file):
             file.visititems(look)
+
+
+@contextmanager
+def opened_netcdf(
+    path: Path, what: str, axes_of: Mapping[str, str], most: Mapping[str, int], may_lack: Sequence[str] = ()
+) -> Iterator[Any]:
+    """A NetCDF-4 file that holds variables of some axes; whatever a library stumbles over inside is an InputError.
+
+    Parameters
+    ----------
+    what : the file is to be
+    axes_of : variable -> its axes in words; each has one length, also under another name that ends in _2
+    most : greatest length of an axis
+    may_lack : variables that need not be there
+    """
+    import xarray as xr  # 80 MB with pandas, which most runs do not need
+
+    check_hdf5(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a dimension that stands twice
+            data = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
+        with data:
+            lacking = ", ".join(name for name in axes_of if name not in data.variables and name not in may_lack)
+            refuse(lacking, "netcdf.lacking", path, what=what, names=lacking)
+            sizes: dict[str, int] = {}
+            for name in (name for name in axes_of if name in data.variables):
+                shape, axes = data[name].shape, axes_of[name].replace("_2", "").split()
+                fits = len(shape) == len(axes) and all(
+                    sizes.setdefault(axis, size) == size and 0 < size <= most[axis]
+                    for axis, size in zip(axes, shape, strict=True)
+                )
+                refuse(not fits, "netcdf.shape", path, what=what, name=name, shape=shape, axes=axes, most=most)
+            yield data
+    except HypervalError:
+        raise
+    except Exception as error:  # whatever a damaged file makes of the libraries
+        why = str(error).split("\n", 1)[0][:200]
+        raise refusal("netcdf.unreadable", path, what=what, why=why) from error

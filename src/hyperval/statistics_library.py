@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import MOST_COMPONENTS, Array, ClassStatistics, Components, statistics_of
-from hyperval.errors import reader, refusal, refuse, told_of
-from hyperval.hdf5 import check_hdf5
+from hyperval.errors import reader, refuse, told_of
+from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file
@@ -34,16 +35,15 @@ if TYPE_CHECKING:
 
 
 MAX_BYTES = 512 << 20
-MAX_BANDS, MAX_CLASSES = 5000, 1000
-_DIMENSIONS = {
-    "wavelength": "band", "fwhm": "band", "class_name": "class", "mean": "class band",
-    "covariance": "class band band_2", "n": "class", "source": "class",
-}  # fmt: skip
-_MAY_LACK = {"good_band": "band", "tail_dof": "class"}
-_OF_COMPONENTS = {
+_MOST = {"band": 5000, "class": 1000, "component": MOST_COMPONENTS}
+_AXES = {
+    "wavelength": "band", "fwhm": "band", "good_band": "band", "class_name": "class", "mean": "class band",
+    "covariance": "class band band_2", "n": "class", "source": "class", "tail_dof": "class",
     "component_weight": "class component", "component_offset": "class component band",
     "component_covariance": "class component band band_2", "component_dof": "class",
 }  # fmt: skip
+_PARTS = {"component_weight": "weights", "component_offset": "offsets", "component_covariance": "covariances"}
+_MAY_LACK = ("good_band", "tail_dof", "component_dof", *_PARTS)
 
 
 def statistics_of_samples(
@@ -90,8 +90,8 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
     }  # fmt: skip
     mixtures = [c.components for c in classes]
     if most := max(0 if parts is None else len(parts) for parts in mixtures):
-        for name, part in zip(_OF_COMPONENTS, ("weights", "offsets", "covariances"), strict=False):
-            shape = (len(classes), most, *[len(axis)] * (_OF_COMPONENTS[name].count("band")))
+        for name, part in _PARTS.items():
+            shape = (len(classes), most, *[len(axis)] * (_AXES[name].count("band")))
             values[name] = padded = np.zeros(shape)  # by components without weight to the same number
             for i, parts in enumerate(mixtures):
                 if parts is not None:
@@ -99,17 +99,12 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
         values["component_dof"] = [np.nan if m is None or np.isinf(m.dof) else m.dof for m in mixtures]
     units = {"fwhm": {"units": "nm"}, "source": {}, "class_name": {}}
     data = xr.Dataset(
-        {name: (_along(name), np.asarray(v), units.get(name, {"units": "1"})) for name, v in values.items()},
+        {name: (_AXES[name].split(), np.asarray(v), units.get(name, {"units": "1"})) for name, v in values.items()},
         coords={"wavelength": ("band", axis.centre_nm, {"units": "nm"})},
         attrs={"title": "hyperval statistics library", "format_version": 1},
     )
     with whole_file(Path(path)) as temporary:
         data.to_netcdf(temporary, engine="h5netcdf")
-
-
-def _along(name: str) -> tuple[str, ...]:
-    """The dimensions of a variable."""
-    return tuple((_DIMENSIONS | _MAY_LACK | _OF_COMPONENTS)[name].split())
 
 
 @reader
@@ -125,35 +120,8 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
         semi-definite, values that are not finite.
     """
     path = checked_file(path, what="statistics library", most=MAX_BYTES)
-    import xarray as xr
-
-    check_hdf5(path)
-    try:
-        data = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
-    except Exception as error:
-        raise refusal("classes.file", path, why=error) from error
-    with data:
-        _check_sizes(data, str(path))
-        try:
-            return _class_of(data, path, record)
-        except (OSError, ValueError, TypeError) as error:
-            raise refusal("classes.unreadable", path, why=error) from error
-
-
-def _check_sizes(data: xr.Dataset, where: str) -> None:
-    mixed = "component_weight" in data.variables
-    needed = [*_DIMENSIONS, *(_OF_COMPONENTS if mixed else ())]
-    lacking = ", ".join(name for name in needed if name not in data.variables)
-    sizes = {name: data.sizes.get(name, 0) for name in ("band", "class", "component")}
-    bands, count, parts = sizes.values()
-    wrong = mixed and (lacking or not 0 < parts <= MOST_COMPONENTS)
-    refuse(wrong, "classes.components", where, parts=parts, lacking=lacking or "nothing", most=MOST_COMPONENTS)
-    refuse(lacking, "classes.lacking", where, lacking=lacking)
-    large = not (0 < bands <= MAX_BANDS and 0 < count <= MAX_CLASSES)
-    refuse(large, "classes.size", where, count=count, bands=bands, most=MAX_CLASSES, most_bands=MAX_BANDS)
-    shapes = {name: tuple((sizes | {"band_2": bands})[d] for d in _along(name)) for name in needed}
-    unlike = [f"{name} {data[name].shape}" for name, shape in shapes.items() if data[name].shape != shape]
-    refuse(unlike, "classes.shapes", where, shapes=", ".join(unlike))
+    with opened_netcdf(path, "statistics library", _AXES, _MOST, _MAY_LACK) as data:
+        return _class_of(data, path, record)
 
 
 def _class_of(data: xr.Dataset, path: Path, record: str | None) -> ClassStatistics:
@@ -167,7 +135,7 @@ def _class_of(data: xr.Dataset, path: Path, record: str | None) -> ClassStatisti
     tail, components = float(one["tail_dof"]) if "tail_dof" in one else np.nan, None
     with told_of(str(path)):
         if "component_weight" in one and (used := one["component_weight"].values != 0).any():
-            weight, offset, covariance = (one[name].values[used] for name in list(_OF_COMPONENTS)[:3])
+            weight, offset, covariance = (one[name].values[used] for name in _PARTS)
             dof = float(one["component_dof"])
             components = Components(weight, offset, covariance, np.inf if np.isnan(dof) else dof)
         return ClassStatistics(
@@ -194,11 +162,9 @@ def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 1
     refuse(at.size < 2 or short.any(), "class.bands", name=statistics.name, **ends)
     weights = np.stack([np.interp(to, at, one) for one in np.eye(at.size)], axis=1)
     covariance = weights @ statistics.covariance @ weights.T
-    return ClassStatistics(
-        statistics.name, axis, weights @ statistics.mean, 0.5 * (covariance + covariance.T),
-        statistics.n, statistics.source, statistics.tail_dof,
-        statistics.components and statistics.components.through(weights),
-    )  # fmt: skip
+    mean, covariance, components = weights @ statistics.mean, 0.5 * (covariance + covariance.T), statistics.components
+    components = components and components.through(weights)
+    return replace(statistics, axis=axis, mean=mean, covariance=covariance, components=components)
 
 
 RANGE_NM = (340.0, 2600.0)

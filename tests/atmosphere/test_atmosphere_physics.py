@@ -60,11 +60,10 @@ def test_albedo_of_molecules_goes_from_their_depth_to_one():
 
 def test_ways_of_the_light():
     low = changed(solar_zenith_deg=60.0)
-    down, both = air.amounts(low)
+    (down, both), (_, space) = air.amounts(low), air.amounts(low.model_copy(update={"sensor_altitude_km": 700.0}))
     assert down[1, 0] == pytest.approx(4.0)  # 2 g cm-2 with the sun at 60 degrees
     assert 0.0 < both[1, 0] - down[1, 0] < 2.0
-    space = air.amounts(low.model_copy(update={"sensor_altitude_km": 700.0}))[1]
-    assert (space[1, 0], space[0, 0]) == (pytest.approx(6.0), pytest.approx(1.5 * down[0, 0]))
+    assert space[:2, 0] == pytest.approx([1.5 * down[0, 0], 6.0])
 
 
 @pytest.fixture
@@ -86,15 +85,14 @@ def engine(monkeypatch, tmp_path):
 
 def test_the_engine_dims_each_part_of_the_light_by_its_own_way(engine):
     plain, dimmed = engine(STATE, None), engine(STATE, ratio(0.1, 0.02))
-    down, (air_atm, water_g_cm2) = (way[:2, 0] for way in air.amounts(STATE))
-    expected = np.exp(-0.1 * air_atm - 0.02 * water_g_cm2)
+    ways = [way[:2, 0] for way in air.amounts(STATE)]
+    to_ground, expected = (np.exp(-way @ (0.1, 0.02)) for way in ways)
     for name in ("direct", "adjacency", "gas_transmittance"):
         np.testing.assert_allclose(getattr(dimmed, name), getattr(plain, name) * expected, rtol=1e-12)
-    to_ground = np.exp(-down @ (0.1, 0.02))
     np.testing.assert_allclose(dimmed.ground_irradiance, plain.ground_irradiance * to_ground, rtol=1e-12)
     inside = dimmed.path_radiance / plain.path_radiance  # between dry light and light through half of the water
-    assert np.all(inside <= np.exp(-0.1 * air_atm) * (1 + 1e-12))
-    assert np.all(inside >= np.exp(-0.1 * air_atm - 0.01 * water_g_cm2) * (1 - 1e-12))
+    half, dry = np.exp(-ways[1] @ (0.1, 0.01)), np.exp(-ways[1] @ (0.1, 0.0))
+    assert np.all((inside >= half * (1 - 1e-12)) & (inside <= dry * (1 + 1e-12)))
     assert (dimmed.provenance["engine_ratio"], plain.provenance["engine_ratio"]) == (True, False)
     # No more than half of the absorption is taken back, of all and of the water: the dry gas has half left.
     assert engine(STATE, ratio(-9.0, -9.0)).gas_transmittance[104] == pytest.approx(np.sqrt(0.9))

@@ -90,11 +90,11 @@ def test_errors_go_into_bands_as_the_mean_does(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"quality_flag": None}, "holds no quality_flag"),
+        ({"quality_flag": None}, "lacks quality_flag"),
         ({"wavelength": NM[::-1].copy()}, "do not increase"),
         ({"u_rel_random_reflectance": np.full((NM.size, 2), -1.0)}, "below 0"),
         ({"err_corr_systematic_reflectance": 2.0 * CORRELATION}, "beyond -1 to 1"),
-        (None, "cannot be read"),  # cut
+        (None, "not a HYPERNETS file"),  # cut
     ],
 )
 def test_a_sequence_that_cannot_be_is_refused(tmp_path, changes, words):

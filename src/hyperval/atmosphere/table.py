@@ -29,7 +29,7 @@ from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import SPACE_KM, AtmosphericState, aot550_from_range, coordinates
 from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder, lit_by
 from hyperval.errors import UsageError, reader, refusal, refuse
-from hyperval.hdf5 import check_hdf5
+from hyperval.hdf5 import opened_netcdf
 from hyperval.progress import track
 from hyperval.storage import sha256_of, whole_file
 from hyperval.units import PLAUSIBLE_NM
@@ -284,20 +284,15 @@ def _stamp(path: Path) -> _Stamp:
 
 @lru_cache(maxsize=8)
 def _from_netcdf(path: str, changed_ns: int, size: int) -> AtmosphericTable:
-    import xarray as xr
-
-    check_hdf5(path)
     try:
-        with xr.open_dataset(path, engine="h5netcdf") as data:
+        with opened_netcdf(Path(path), "table", {"wavelength_nm": "nm"}, {"nm": _MAX_VALUES}) as data:
             return _table_of(data, path)
-    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
-        raise refusal("table.file", path, why=str(error).splitlines()[0][:200], form=_FORMAT) from error
     except UsageError as error:
         raise refusal("table.invalid", path, why=error.what, wanted=error.expected) from error
 
 
 def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
-    missing = ", ".join(name for name in (*QUANTITIES, "wavelength_nm") if name not in data.variables)
+    missing = ", ".join(name for name in QUANTITIES if name not in data.variables)
     why, names = f"lacks {missing}" if missing else "another format", ", ".join(QUANTITIES)
     refuse(missing or data.attrs.get("format") != _FORMAT, "table.form", path, why=why, form=_FORMAT, names=names)
     present = [name for name in (*QUANTITIES, *OPTIONAL) if name in data.variables]

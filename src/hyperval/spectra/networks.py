@@ -15,7 +15,6 @@ stored to two decimals, and so has small negative eigenvalues; these are left ou
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -26,20 +25,20 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import HypervalError, reader, refusal, refuse
-from hyperval.hdf5 import check_hdf5
+from hyperval.errors import reader, refusal, refuse
+from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectrumErrors
 
 Array = npt.NDArray[np.float64]
 
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
-MAX_WAVELENGTHS, MAX_SERIES = 5000, 2000
-# Variables and their dimensions: wavelength and series.
-_SHAPES = {
-    "wavelength": "w", "reflectance": "ws", "std_reflectance": "ws", "u_rel_random_reflectance": "ws",
-    "u_rel_systematic_reflectance": "ws", "err_corr_systematic_reflectance": "ww", "viewing_zenith_angle": "s",
-    "viewing_azimuth_angle": "s", "quality_flag": "s", "n_valid_scans": "s",
+_MOST = {"wavelength": 5000, "series": 2000}
+_AXES = {
+    "wavelength": "wavelength", "err_corr_systematic_reflectance": "wavelength wavelength_2",
+    **dict.fromkeys(("reflectance", "std_reflectance"), "wavelength series"),
+    **dict.fromkeys(("u_rel_random_reflectance", "u_rel_systematic_reflectance"), "wavelength series"),
+    **dict.fromkeys(("viewing_zenith_angle", "viewing_azimuth_angle", "quality_flag", "n_valid_scans"), "series"),
 }  # fmt: skip
 
 
@@ -55,7 +54,8 @@ def hypernets_records(path: Path) -> list[FieldSpectrum]:
     ------
     InputError : not an L2A file of the network, or values that cannot be.
     """
-    values = _variables(path)
+    with opened_netcdf(path, "HYPERNETS file of level L2A", _AXES, _MOST) as data:
+        values = {name: np.asarray(data[name].values, dtype=float) for name in _AXES}
     nm, rho, matrix = values["wavelength"], values["reflectance"].T, values["err_corr_systematic_reflectance"]
     disorder = nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0)
     refuse(disorder, "hypernets.wavelengths", path)
@@ -74,30 +74,6 @@ def hypernets_records(path: Path) -> list[FieldSpectrum]:
         errors = SpectrumErrors(random[i] * size, systematic[i] * size, correlation)
         records.append(replace(record, errors=errors, wavelength_unit="nm", unit="fraction"))
     return records
-
-
-def _variables(path: Path) -> dict[str, Array]:
-    """The variables of a HYPERNETS file that spectra are made of, each of its size."""
-    import xarray as xr
-
-    check_hdf5(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the dimension that stands twice
-            with xr.open_dataset(path, engine="h5netcdf") as data:
-                lacking = next((name for name in _SHAPES if name not in data.variables), "")
-                refuse(lacking, "hypernets.lacking", path, name=lacking)
-                sizes = {"w": data["wavelength"].size, "s": data["quality_flag"].size}
-                refuse(sizes["w"] > MAX_WAVELENGTHS or sizes["s"] > MAX_SERIES, "hypernets.large", path)
-                values = {name: np.asarray(data[name].values, dtype=float) for name in _SHAPES}
-    except HypervalError:
-        raise
-    except Exception as error:  # whatever a damaged file makes of the libraries
-        raise refusal("hypernets.unreadable", path, why=error) from error
-    for name, axes in _SHAPES.items():
-        shape, wanted = values[name].shape, tuple(sizes[axis] for axis in axes)
-        refuse(shape != wanted, "hypernets.shape", path, name=name, shape=shape, wanted=wanted)
-    return values
 
 
 def _without_rounding(stored: Array) -> Array:
