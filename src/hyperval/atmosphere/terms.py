@@ -137,7 +137,6 @@ def lit_by(unit: Array, values: Mapping[str, Array]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-Array = npt.NDArray[np.float64]
 Arrays = dict[str, Array]
 
 
