@@ -326,7 +326,7 @@ def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere):
     assert (folder / "sensors/small-sensor.yaml").is_file()
     done = check([], [file], baselines=folder, engine=stand_in_atmosphere)
     assert done.exit_code == 0
-    told = shlex.split(done.checked[0].run.acceptance(folder))  # the command that is printed names the file
+    told = shlex.split(done.checked[0].acceptance(folder))  # the command that is printed names the file
     assert told[told.index("--sensors") + 1] == file
     data["measured_noise"]["table"][0][1] *= 1.01
     write_yaml(tmp_path / "mine.yaml", data)

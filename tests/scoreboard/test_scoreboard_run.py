@@ -21,7 +21,7 @@ def own_registries(monkeypatch):
     """What a test registers is gone after it."""
     monkeypatch.setattr(detect, "ADDED_DETECTORS", {})
     monkeypatch.setattr(extend, "_LOADED", set())
-    monkeypatch.setattr("hyperval.scoreboard.detectors.DRAWS", 60)
+    monkeypatch.setattr("hyperval.scoreboard.runs.DRAWS", 60)
 
 
 @pytest.fixture

@@ -106,7 +106,7 @@ def test_scene_of_a_collection_needs_its_files(client, server, monkeypatch):
         run = client.post(f"{server.address}/api/v1/predictions?wait=60", json={"name": "hysu"}).json()
         assert run["state"] == "finished", run
         assert {"red metal 0.25 m", "bitumen 3 m"} <= {row["subject"] for row in run["summary"]["detection"]}
-    monkeypatch.setattr("hyperval.web.inputs.missing", lambda name: [name])
+    monkeypatch.setattr("hyperval.web.forms.missing", lambda name: [name])
     assert "<code>hyperval data fetch hysu</code>" in client.get(server.address).text
     answer = client.post(f"{server.address}/api/v1/predictions", json={"name": "hysu"})
     assert answer.json()["errors"][0] == {

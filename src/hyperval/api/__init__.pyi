@@ -1,5 +1,11 @@
-from .objects import Collection, Metrics, Observation, Prediction, Results, Study, Validation
-from .verbs import (
+from .objects import (
+    Collection,
+    Metrics,
+    Observation,
+    Prediction,
+    Results,
+    Study,
+    Validation,
     check,
     compare,
     explain,

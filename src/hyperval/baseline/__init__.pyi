@@ -5,16 +5,19 @@ from .accepted import (
     SENSORS,
     Accepted,
     Baseline,
+    RunNumbers,
+    accept,
     accepted_of,
     campaign_metrics,
+    check,
+    compare,
     key_of,
     load_baseline,
     sensor_metrics,
     split_key,
 )
-from .against import Checked, accept, check, compare
 
 __all__ = [
-    "DEFAULT_FOLDER", "SENSORS", "Accepted", "Baseline", "Checked", "accept", "accepted_of", "campaign_metrics",
+    "DEFAULT_FOLDER", "SENSORS", "Accepted", "Baseline", "RunNumbers", "accept", "accepted_of", "campaign_metrics",
     "check", "compare", "key_of", "load_baseline", "sensor_metrics", "split_key",
 ]  # fmt: skip

@@ -1,12 +1,8 @@
-"""Where baselines stand, and how they are written: one number a line, so that a change reads as one.
+"""Accepted numbers: the file of one baseline, the numbers of a run that it keeps, and the check against it.
 
-What a tolerance of a baseline may not be.
-
-The file of one baseline: what was accepted, how far it may move, why, when, with what.
-
-Which rows of a run a baseline keeps: every planned one, and what stands behind it.
-
-The numbers of one sensor that a baseline keeps: signal, noise, and what the standard scenarios make of it.
+A baseline keeps every planned row of a campaign and what stands behind it; of a sensor signal, noise, and what the
+standard scenarios make of it.  A check makes one row for each number of either side; accepting takes the numbers of
+a run as those that later runs must give.
 """
 
 from __future__ import annotations
@@ -16,7 +12,8 @@ import math
 import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from importlib import metadata
@@ -27,13 +24,20 @@ import numpy as np
 from pydantic import Field, model_validator
 
 import hyperval
-from hyperval.config import Model, load_model
-from hyperval.errors import HypervalError, reader, refuse
+from hyperval.campaign import Job, jobs_of, validate
+from hyperval.campaign.provenance import command_without_output
+from hyperval.campaign.run import as_before
+from hyperval.config import FILL_IN, Model, load_model
+from hyperval.errors import HypervalError, as_typed, reader, refuse
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
-from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable
-from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
-from hyperval.sensor.specification import Sensor
+from hyperval.progress import track
+from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.report.verdict import accepted_words
+from hyperval.results import WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
+from hyperval.run import Run, file_stems, is_run, junit_xml
+from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.sensor_check.suite import (
     FALSE_ALARM,
     LEVELS,
@@ -44,7 +48,7 @@ from hyperval.sensor_check.suite import (
     sunlit_radiance,
 )
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.storage import write_text
+from hyperval.storage import RECORD, scratch_folder, sha256_of, whole_folder, write_text
 
 # A tolerance of more than the number itself, or than its own 95 % interval, accepts anything.
 LARGEST = {"value": 1.0, "interval": 1.0, "unit": 0.1}
@@ -266,28 +270,23 @@ def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
 
 
 def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[Result]:
+    """Medians over each spectral region of signal, SNR and the terms of (3.15)-(3.19) that the sensor has."""
+    level = sunlit_radiance(axis, MIDDLE)
+    parts, unit = noise.breakdown(level), "uW cm-2 sr-1 nm-1"
+    floor = 1e-9 * parts.total  # the others are zero, or what rounding leaves
+    variances = {f"noise_{term}": part for term, part in vars(parts).items() if np.any(np.abs(part) > floor)}
+    if noise.measured is None:
+        wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit").breakdown(level)
+        variances[f"bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"] = wrong.bit_errors  # (3.19)
+    signal = noise.electrons_per_radiance  # (3.13)
+    spectra = {("noise", "", "electrons_per_radiance"): (signal, f"electrons per {unit}")}
+    spectra |= {("noise", "", name): (np.sqrt(np.abs(variance)), unit) for name, variance in variances.items()}
+    for part in LEVELS:
+        snr = noise.snr(sunlit_radiance(axis, part), calibration=False)  # (3.20)
+        spectra["snr", f"reflectance {part:g}, ", "snr"] = snr, "1"
     for region, here in summary_regions(axis).items():
-        gain = np.median(noise.electrons_per_radiance[here])  # (3.13)
-        yield _item("noise", region, "median_electrons_per_radiance", gain, "electrons per uW cm-2 sr-1 nm-1")
-        for level in LEVELS:
-            snr = noise.snr(sunlit_radiance(axis, level), calibration=False)[here]  # (3.20)
-            yield _item("snr", f"reflectance {level:g}, {region}", "median_snr", np.median(snr))
-        parts = noise.breakdown(sunlit_radiance(axis, MIDDLE))
-        for term in _terms(parts):
-            value = np.median(np.sqrt(np.abs(getattr(parts, term)[here])))
-            yield _item("noise", region, f"median_noise_{term}", value, "uW cm-2 sr-1 nm-1")
-        if noise.measured is None:
-            wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit")
-            variance = wrong.breakdown(sunlit_radiance(axis, MIDDLE)).bit_errors  # (3.19)
-            value = np.median(np.sqrt(variance[here]))
-            metric = f"median_bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"
-            yield _item("noise", region, metric, value, "uW cm-2 sr-1 nm-1")
-
-
-def _terms(parts: NoiseBreakdown) -> list[str]:
-    """The terms of (3.15)-(3.19) that the sensor has; the others are zero, or what rounding leaves."""
-    floor = 1e-9 * parts.total
-    return [f.name for f in fields(parts) if np.any(np.abs(getattr(parts, f.name)) > floor)]
+        for (product, level_of, metric), (values, unit_of) in spectra.items():
+            yield _item(product, f"{level_of}{region}", f"median_{metric}", np.median(values[here]), unit_of)
 
 
 def _scenarios(check: SensorCheck) -> Iterator[Result]:
@@ -365,3 +364,321 @@ def today() -> str:
     refuse(text and not text.isdigit(), "baseline.date", text=text)
     now = datetime.fromtimestamp(int(text), UTC) if text else datetime.now(UTC)
     return now.date().isoformat()
+
+
+def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:
+    """One row for each number of either side, by name: its value now, and as limits the range that is tolerated.
+
+    It disagrees: beyond the tolerance, no longer there, not accepted yet, a value where there was none or none
+    where there was one, another outcome.  A number that was not accepted fails: until it is, nothing guards it.
+    """
+    rows = []
+    for key in sorted({*accepted, *now}):
+        old, new = accepted.get(key), now.get(key)
+        low, high = old.range if old is not None else (math.nan, math.nan)
+        value, unit = (new.value, new.unit) if new is not None else (math.nan, "1")
+        words = _objection(split_key(key)[-1], old, new)
+        rows.append(Result(
+            owner, *split_key(key), value, unit, limit_low=low, limit_high=high, role=Role.GATE,
+            outcome=Outcome.DISAGREES if words else Outcome.AGREES, reason=words,
+        ))  # fmt: skip
+    return rows
+
+
+def _objection(metric: str, old: Accepted | None, new: Result | None) -> str:
+    if old is None:
+        return f"{metric} is not accepted: the baseline does not hold this number"
+    before = math.nan if old.accepted is None else old.accepted
+    if new is None:
+        return f"{metric} is missing: the run does not give this number (accepted {_number(before)})"
+    words, now = "", new.value if math.isfinite(new.value) else math.nan
+    if math.isnan(before) != math.isnan(now):
+        words = f"moved from {_number(before)} to {_number(now)}"
+    elif not math.isnan(now) and not old.range[0] <= now <= old.range[1]:
+        words = f"moved from {before:.6g} to {now:.6g}: {now - before:+.3g}, tolerance {old.width:.3g}"
+    if new.outcome != old.outcome:
+        reason = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
+        verdict = f"the outcome changed from {old.outcome} to {new.outcome}{reason}"
+        words = f"{words}; {verdict}" if words else verdict
+    return f"{metric} {words}" if words else ""
+
+
+def _number(value: float) -> str:
+    return "no value" if math.isnan(value) else f"{value:.6g}"
+
+
+ALL, RUNS = "all", "runs"
+
+
+@dataclass(frozen=True)
+class RunNumbers:
+    """The numbers of one campaign or sensor.
+
+    Attributes
+    ----------
+    kind, name, title : what was run
+    metrics : its numbers
+    versions : what computed them
+    skipped : why nothing was run, None otherwise
+    simulated : True when the collection is simulated
+    reference : what a command names it by: the campaign file, or the sensor
+    rows : one for each number of either side once it is checked, or one that says why there are none
+    before : what was accepted, where there was a run and a baseline
+    """
+
+    kind: Kind
+    name: str
+    title: str
+    metrics: Mapping[str, Result] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    skipped: str | None = None
+    simulated: bool = False
+    reference: str = ""
+    rows: ResultTable = field(default_factory=ResultTable)
+    before: Baseline | None = None
+
+    def acceptance(self, baselines: Path) -> str:
+        """The command that takes the numbers of this run for accepted, in the folder ``baselines``."""
+        named = [self.reference] if self.kind == "campaign" else ["--sensors", self.reference]
+        where = [] if baselines == DEFAULT_FOLDER else ["--baselines", baselines]
+        return as_typed("baseline", "accept", *named, *where) + ' --reason "..."'
+
+    def baseline(self, reason: str, before: Mapping[str, Accepted]) -> Baseline:
+        """Its numbers as accepted today; tolerances that stand in ``before`` are kept."""
+        more: dict[str, Any] = {"versions": dict(self.versions or versions()), "schema_version": 1}
+        more["metrics"] = accepted_of(self.metrics, before)
+        return Baseline.model_construct(kind=self.kind, name=self.name, reason=reason, date=today(), **more)
+
+    @property
+    def owner(self) -> str:
+        """How the run is named among others: sensors may bear the name of a campaign."""
+        return self.name if self.kind == "campaign" else f"sensor {self.name}"
+
+    @property
+    def broken(self) -> list[str]:
+        """Numbers that ended in an error: a disagreement is a result, an error is none."""
+        wrong = [(key, m) for key, m in self.metrics.items() if m.outcome is Outcome.ERROR]
+        return [f"{key} ({m.outcome}: {m.reason})" for key, m in wrong]
+
+
+def all_runs(
+    campaigns: Sequence[Path],
+    sensors: Sequence[str],
+    *,
+    source: Path | None = None,
+    keep: Path | None = None,
+    engine: Engine | None = None,
+    show_progress: bool | None = None,
+) -> list[RunNumbers]:
+    """The numbers of campaigns and sensors.
+
+    Parameters
+    ----------
+    campaigns : campaign files
+    sensors : names of the library, sensor files, or "all"
+    source : folder of a finished ``validate``, read instead of running the campaigns
+    keep : folder for the results of the campaigns, thrown away without
+    engine : stands in for the atmosphere engine of the sensors' scenarios
+
+    Raises
+    ------
+    UsageError : nothing named, or a finished run that was made with other files or another source.
+    InputError : a finished run that is not there.
+    """
+    refuse(not campaigns and not sensors, "baseline.nothing")
+    given = [part for text in sensors for part in text.split(",") if part]
+    names = dict.fromkeys(n for part in given for n in (library_names() if part == ALL else (part,)))
+    chosen = {name: load_sensor(name) for name in names}
+    with ExitStack() as stack:
+        jobs = jobs_of(*campaigns) if campaigns else []
+        folder = source or keep or stack.enter_context(scratch_folder("check")) / RUNS
+        if jobs and source is None:
+            validate(campaigns, folder, show_progress=show_progress)
+        runs = [_read(job, folder, finished=source is not None) for job in jobs]
+    for name, sensor in track(chosen.items(), "sensors", len(chosen), show=show_progress):
+        title, numbers = sensor.specification.title, sensor_metrics(sensor, engine)
+        runs.append(RunNumbers("sensor", sensor.name, title, numbers, versions(), reference=name))
+    return runs
+
+
+def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
+    name = job.outline.name
+    folder = source / name if is_run(source / name) else source
+    run = Run.open(folder)
+    table = run.table.where(campaign=name)
+    refuse(not len(table), "baseline.absent", source, name=name)
+    stale = finished and (folder / RECORD).is_file() and as_before(job, folder) is None
+    refuse(stale, "baseline.stale", folder, name=name)
+    made_with = versions(run.provenance.get("packages"), run.provenance.get("python"))
+    return RunNumbers(
+        "campaign", name, job.outline.title, campaign_metrics(table), made_with, skipped_reason(table),
+        bool(job.outline.simulated), str(job.path),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Checks:
+    """What a check found."""
+
+    checked: list[RunNumbers] = field(default_factory=list)
+
+    @property
+    def table(self) -> ResultTable:
+        """All rows."""
+        return ResultTable(row for item in self.checked for row in item.rows)
+
+    @property
+    def exit_code(self) -> int:
+        """1 when a number moved, is missing, new, or was never accepted; 5 when nothing was checked."""
+        return self.table.exit_code()
+
+
+def check(
+    campaigns: Sequence[Path],
+    sensors: Sequence[str] = (),
+    *,
+    baselines: Path,
+    source: Path | None = None,
+    output: Path | None = None,
+    junit: Path | None = None,
+    engine: Engine | None = None,
+    show_progress: bool | None = None,
+) -> Checks:
+    """Compare campaigns and sensors with what was accepted.
+
+    Parameters
+    ----------
+    campaigns : campaign files; one whose data are lacking is SKIPPED
+    sensors : names of the library, sensor files, or "all"
+    baselines : folder of the accepted numbers
+    source : folder of a finished ``validate`` of these campaigns, read instead of running them
+    output : folder for the differences as a results table and pages; the campaigns' own results in ``runs/``
+    junit : file for the verdicts
+    engine : stands in for the atmosphere engine of the sensors' scenarios
+
+    Raises
+    ------
+    UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
+    """
+    with whole_folder(output) if output is not None else nullcontext() as folder:
+        keep = folder / RUNS if folder is not None else None
+        runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine, show_progress=show_progress)
+        outcome = Checks([_against(run, baselines) for run in runs])
+        if folder is not None:
+            _write(outcome, baselines, folder)
+    if junit is not None:
+        write_text(junit, junit_xml(outcome.table))
+    return outcome
+
+
+def _against(run: RunNumbers, folder: Path) -> RunNumbers:
+    path = baseline_path(folder, run.kind, run.name)
+    outcome, words = Outcome.DISAGREES, ""
+    if run.skipped is not None:
+        outcome, words = Outcome.SKIPPED, run.skipped
+    elif (before := stored(folder, run.kind, run.name)) is not None:
+        return replace(run, rows=ResultTable(compare(run.owner, before.metrics, run.metrics)), before=before)
+    elif run.broken:
+        words = f"no baseline ({path}), and this run cannot become one: {run.broken[0]}"
+    else:
+        candidate = candidate_path(folder, run.kind, run.name)
+        run.baseline(f"{FILL_IN}: why these numbers are right", {}).write(candidate)
+        how = f"to make them one: {run.acceptance(folder)}"
+        words = f"no baseline ({path}); the numbers of this run are in {candidate}; {how}"
+    cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.NONE
+    names = (run.owner, "baseline", run.name, run.kind, "baseline")
+    return replace(run, rows=ResultTable([Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=words)]))
+
+
+def _write(outcome: Checks, baselines: Path, folder: Path) -> None:
+    """A folder of results: one page for each campaign and sensor, and one that joins them."""
+    reports = []
+    for run in outcome.checked:
+        path = baseline_path(baselines, run.kind, run.name)
+        inputs = [{"reference": path.name, "sha256": sha256_of(path)}] if path.is_file() else []
+        reports.append(RunReport(
+            campaign=run.owner, title=f"{run.title}: against the accepted numbers",
+            description="Each number of this run beside the accepted one; it fails beyond its tolerance.",
+            simulated=run.simulated, kind="Accepted numbers of", table=run.rows,
+            sentence=accepted_words(run.rows) if run.before else next(row.reason for row in run.rows),
+            provenance={"command": command_without_output(), "versions": dict(run.versions), "inputs": inputs},
+        ))  # fmt: skip
+    folders = file_stems(report.campaign for report in reports)
+    for report in reports:
+        inner = folder / folders[report.campaign]
+        inner.mkdir(exist_ok=True)
+        write_outputs(report, inner)
+    write_index(reports, folder, "Accepted numbers")
+
+
+Change = tuple[str, str, Accepted | None, Accepted | None]  # owner, name, before and after: None where there is none
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What was accepted.
+
+    Attributes
+    ----------
+    written : the baselines that changed, by owner
+    unchanged, skipped : owners whose numbers are those of the baseline; owner -> why there was no run
+    changes : every number that changed
+    date : of the baselines that were written
+    """
+
+    written: Mapping[str, Path]
+    unchanged: Sequence[str]
+    skipped: Mapping[str, str]
+    changes: Sequence[Change]
+    date: str
+
+    @property
+    def exit_code(self) -> int:
+        """5 when there was no run to accept."""
+        return 0 if self.written or self.unchanged else 5
+
+
+def accept(
+    campaigns: Sequence[Path],
+    sensors: Sequence[str] = (),
+    *,
+    reason: str,
+    baselines: Path,
+    source: Path | None = None,
+    engine: Engine | None = None,
+    show_progress: bool | None = None,
+) -> Acceptance:
+    """Store the numbers of campaigns and sensors as accepted, with the reason.
+
+    Tolerances that stand in a baseline are kept; new numbers get the default of their kind.  A baseline whose
+    numbers are all the same is left as it is, with its reason and date.  Nothing is written unless every run is
+    sound.
+
+    Parameters as for :func:`check`.
+
+    Raises
+    ------
+    UsageError : no reason, or a run that ended in an error.
+    """
+    words = " ".join(reason.split())
+    refuse(not words, "baseline.reason")
+    runs = all_runs(campaigns, sensors, source=source, engine=engine, show_progress=show_progress)
+    for run in runs:
+        refuse(run.broken, "baseline.broken", owner=run.owner, why="; ".join(run.broken[:1]))
+    done = [run for run in runs if run.skipped is None]
+    before = {run.owner: stored(baselines, run.kind, run.name) for run in done}  # all are read before one is written
+    written, unchanged, changes = {}, [], list[Change]()
+    for run in done:
+        held = before[run.owner]
+        old = held.metrics if held else {}
+        new = run.baseline(words, old)
+        keys = [key for key in sorted({*old, *new.metrics}) if old.get(key) != new.metrics.get(key)]
+        if not keys:
+            unchanged.append(run.owner)
+            continue
+        written[run.owner] = baseline_path(baselines, run.kind, run.name)
+        new.write(written[run.owner])
+        candidate_path(baselines, run.kind, run.name).unlink(missing_ok=True)
+        changes += [(run.owner, key, old.get(key), new.metrics.get(key)) for key in keys]
+    skipped = {run.owner: run.skipped for run in runs if run.skipped is not None}
+    return Acceptance(written, unchanged, skipped, changes, today())

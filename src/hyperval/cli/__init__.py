@@ -5,8 +5,7 @@ Results go to files, data to standard output, messages to standard error.  Exit 
 was checked, 130 interrupted, 143 terminated.
 """
 
-from hyperval.cli.commands import keep_caches
+from hyperval.cli.commands import app, keep_caches, note
 from hyperval.cli.main import main, run
-from hyperval.cli.shared import app, note
 
 __all__ = ["app", "keep_caches", "main", "note", "run"]

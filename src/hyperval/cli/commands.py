@@ -1,32 +1,152 @@
-"""The commands: each calls one function of the package, prints what it says, and passes on its exit code."""
+"""The commands: each calls one function of the package, prints what it says, and passes on its exit code.
+
+What all share stands first: the application, options before the command, how they speak to people.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
-from hyperval import baseline, campaign, scoreboard
-from hyperval.cli.shared import (
-    AnyOutput,
-    Output,
-    Scheduler,
-    app,
-    command,
-    finished,
-    note,
-    print_table,
-    say_verdicts,
-    say_warnings,
-    settings,
-)
+from hyperval import __version__, baseline, campaign, scoreboard
 from hyperval.errors import InputError, UsageError, as_typed
 
 if TYPE_CHECKING:
     from hyperval.results import Result
+
+
+app = typer.Typer(
+    help="Does the model of a hyperspectral imager agree with what it measured?",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # rich takes as long to load as all else that help needs
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
+)
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def command(*examples: str, of: typer.Typer = app, name: str | None = None) -> Callable[[F], F]:
+    """A command whose help ends with examples."""
+    return of.command(name, epilog="\n".join(("\b", "Examples:", *(f"  hyperval {example}" for example in examples))))
+
+
+@dataclass
+class CommandSettings:
+    """What the options before the command say."""
+
+    quiet: bool = False
+    debug: bool = False
+
+    @property
+    def show_progress(self) -> bool:
+        """Bars only where somebody watches."""
+        return not self.quiet and sys.stderr.isatty()
+
+
+settings = CommandSettings()
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
+AnyOutput = Annotated[Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
+
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
+]
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"hyperval {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    data_dir: Annotated[
+        Path | None, typer.Option(help="Folder with local copies of data sets, before the cache (HYPERVAL_DATA).")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no notes; errors only.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of any error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and stop.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options that stand before the command."""
+    settings.quiet, settings.debug = quiet, debug
+    if data_dir is not None:
+        from hyperval.datasets import set_data_dir
+
+        set_data_dir(data_dir)
+
+
+def finished(code: int, output: Path | None) -> int:
+    """Say where the results are, if there are any, and pass on the exit code."""
+    if output is not None:
+        note(f"results in {output}")
+    return code
+
+
+def say_verdicts(output: Path) -> None:
+    """A line for each campaign of a finished run, then one for each reason of an error or a skipped comparison.
+
+    Errors are said under --quiet too.
+    """
+    from hyperval.report import first_screen, last_line
+    from hyperval.results import Outcome
+    from hyperval.run import is_run, read_rows
+
+    rows = list(read_rows(output, every=False)) if is_run(output) else []
+    for name, own in groupby(rows, lambda row: row.campaign):
+        note(f"{name}: {first_screen(list(own)).words}")
+    for outcome in (Outcome.ERROR, Outcome.SKIPPED):
+        concerned: dict[str, dict[str, None]] = {}
+        for row in rows:
+            if row.outcome is outcome and row.reason:
+                concerned.setdefault(row.reason, {})[row.campaign] = None
+        for reason, campaigns in concerned.items():
+            line = f"{', '.join(campaigns)}: {outcome}: {reason}"
+            print(line, file=sys.stderr) if outcome is Outcome.ERROR else note(line)
+    if rows:
+        note(last_line(rows))
+
+
+def say_warnings(output: Path) -> None:
+    """The warnings of a finished run, each with its campaign."""
+    from hyperval.run import provenance_of, runs_in
+
+    for folder in runs_in([output]) if output.is_dir() else ():
+        record = provenance_of(folder)
+        name = record.get("configuration", {}).get("campaign", {}).get("name", folder.name)
+        for line in record.get("warnings", ()):
+            note(f"{name}: {line}")
+
+
+def note(text: str) -> None:
+    """A message that --quiet leaves out."""
+    if not settings.quiet:
+        print(text, file=sys.stderr)
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table for people on a terminal, tab-separated values for programs."""
+    if not sys.stdout.isatty():
+        for row in (header, *rows):
+            print("\t".join(row))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*header, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
 
 
 Campaigns = Annotated[list[Path] | None, typer.Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
@@ -69,13 +189,13 @@ def check(
         show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
-    compared = [row for item in outcome.checked if item.is_compared for row in item.rows if everything or row.reason]
+    compared = [row for run in outcome.checked if run.before for row in run.rows if everything or row.reason]
     print_table(header, list(map(_cells, compared)))
     skipped: dict[str, list[str]] = {}
-    for item in outcome.checked:
-        _tell(item, baselines or baseline.DEFAULT_FOLDER)
-        if item.run.skipped is not None:
-            skipped.setdefault(item.run.skipped, []).append(item.run.owner)
+    for run in outcome.checked:
+        _tell(run, baselines or baseline.DEFAULT_FOLDER)
+        if run.skipped is not None:
+            skipped.setdefault(run.skipped, []).append(run.owner)
     for reason, owners in skipped.items():
         note(f"{', '.join(owners)}: skipped: {reason}")
     return finished(outcome.exit_code, output)
@@ -88,30 +208,23 @@ def _cells(row: Result) -> tuple[str, ...]:
     return (row.campaign, baseline.key_of(row), *("-" if "nan" in text else text for text in numbers), outcome)
 
 
-def _tell(item: baseline.Checked, baselines: Path) -> None:
+def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
     """One line of summary; what was not compared, and is in no table, says why."""
     from hyperval.results import Outcome
 
-    wrong = [row for row in item.rows if row.outcome is Outcome.DISAGREES]
-    if not item.is_compared:
+    wrong = [row for row in run.rows if row.outcome is Outcome.DISAGREES]
+    if run.before is None:
         for row in wrong:
             print(f"{row.campaign}: {row.reason}", file=sys.stderr)
     elif not wrong:
-        note(f"{item.run.owner}: {len(item.rows)} numbers as accepted")
+        note(f"{run.owner}: {len(run.rows)} numbers as accepted")
     else:
-        note(f"{item.run.owner}: {len(wrong)} of {len(item.rows)} numbers are not as accepted")
-        causes = _likely_causes(item)
-        note(f"  likely cause: {causes}")
-        note(f"  if the change is meant: {item.run.acceptance(baselines)}")
-
-
-def _likely_causes(item: baseline.Checked) -> str:
-    """What differs between the run and the one that was accepted, as far as both say."""
-    then = baseline.load_baseline(item.baseline).versions
-    changed = [f"{k} {then[k]} is now {v}" for k, v in item.run.versions.items() if k in then and then[k] != v]
-    return (
-        "; ".join(changed) or "the code, the campaign's files or its data: the versions of all packages are as accepted"
-    )
+        then = run.before.versions
+        changed = [f"{k} {then[k]} is now {v}" for k, v in run.versions.items() if k in then and then[k] != v]
+        alike = "the code, the campaign's files or its data: the versions of all packages are as accepted"
+        note(f"{run.owner}: {len(wrong)} of {len(run.rows)} numbers are not as accepted")
+        note(f"  likely cause: {'; '.join(changed) or alike}")
+        note(f"  if the change is meant: {run.acceptance(baselines)}")
 
 
 baseline_app = typer.Typer(help="Accepted numbers of campaigns and sensors.", no_args_is_help=True)

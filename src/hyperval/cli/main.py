@@ -16,7 +16,7 @@ from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__
 from hyperval.cli import commands  # noqa: F401  (adds the commands to the application)
-from hyperval.cli.shared import app, settings
+from hyperval.cli.commands import app, settings
 from hyperval.errors import HypervalError, UsageError, internal_error
 
 INTERNAL_ERROR = 4

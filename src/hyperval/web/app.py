@@ -18,7 +18,7 @@ from starlette.responses import Response
 import hyperval
 from hyperval.errors import HypervalError
 from hyperval.executors import TaskPool
-from hyperval.web import pages_predict, reference, runs, sensors, trade, uploads  # noqa: F401  (their routes)
+from hyperval.web import pages_predict, reference, runs, trade, uploads  # noqa: F401  (their routes)
 from hyperval.web.dispatch import Desk
 from hyperval.web.guard import Guard
 from hyperval.web.pages import api, page, pages, static

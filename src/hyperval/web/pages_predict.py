@@ -19,8 +19,10 @@ from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
 from hyperval.web.dispatch import Desk
-from hyperval.web.forms import MOST_ROWS, SURFACES, Node
-from hyperval.web.inputs import (
+from hyperval.web.forms import (
+    MOST_ROWS,
+    SURFACES,
+    Node,
     checked_scenario,
     form_data,
     marked,

@@ -20,7 +20,7 @@ from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Re
 from hyperval.config import load_yaml
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
-from hyperval.web.inputs import needs
+from hyperval.web.forms import needs
 from hyperval.web.pages import api, page, pages, session_of
 from hyperval.web.refusal import FieldMistake, Refused
 from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, WebRun, view_name

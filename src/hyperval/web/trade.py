@@ -24,7 +24,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
 from hyperval.study.trade import KINDS, Live, Offer, Prepared, Progress, Trade, completed, notebook, prepared, study_of
-from hyperval.web.inputs import checked_scenario, marked, needs, plain, predefined, yaml_text
+from hyperval.web.forms import checked_scenario, marked, needs, plain, predefined, yaml_text
 from hyperval.web.pages import api, page, pages, session_of
 from hyperval.web.pages_predict import scenario_of, small
 from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, mistakes_of, said, to_show

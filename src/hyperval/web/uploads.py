@@ -23,7 +23,7 @@ from starlette.responses import RedirectResponse, Response
 from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
-from hyperval.web.inputs import marked
+from hyperval.web.forms import marked
 from hyperval.web.pages import api, page, pages, session_of
 from hyperval.web.refusal import (
     KINDS,
