@@ -75,12 +75,12 @@ def checked_file(path: Path | str, *, root: Path | None = None, what: str = "fil
     return out
 
 
-def checked_folder(path: Path | str, *, what: str = "folder") -> Path:
+def checked_folder(path: Path | str) -> Path:
     """The path of a folder that holds all of its files, by the rules of :func:`checked_file`."""
-    given = _checked(Path(path), None, what, folder=True)
+    given = _checked(Path(path), None, "Zarr store", folder=True)
     real = given.resolve()
     if any(not p.resolve().is_relative_to(real) for p in given.rglob("*")):
-        raise UsageError(f"the {what} leads to files outside it", where=str(path), mend="copy the files into it")
+        raise UsageError("the Zarr store leads to files outside it", where=str(path), mend="copy the files into it")
     return given
 
 
@@ -88,7 +88,7 @@ def checked_store(path: Path | str) -> Path:
     """A file by the rules of :func:`checked_file`, or a Zarr store, which is a folder."""
     store = Path(path)
     if store.suffix == ".zarr" and store.is_dir():
-        return checked_folder(store, what="Zarr store")
+        return checked_folder(store)
     return checked_file(path)
 
 

@@ -389,10 +389,9 @@ def figures(
     ] = "house",
 ) -> int:
     """Draw the figures of a finished run for print, from its folder."""
-    from hyperval.figures.print import Print
     from hyperval.report.html import figures_to_folder
 
-    return finished(figures_to_folder(folder, output, Print(kind, style == "journal"), campaign.eigenvalues_of), output)
+    return finished(figures_to_folder(folder, output, campaign.eigenvalues_of, kind, style == "journal"), output)
 
 
 @command("metrics", "metrics bias_ratio")

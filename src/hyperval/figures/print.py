@@ -7,7 +7,6 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import matplotlib.style
@@ -67,18 +66,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Print:
-    """How figures are drawn for print.
-
-    Attributes
-    ----------
-    format : of the files
-    journal : as wide as two columns of a journal, in its letters, without a title: the caption has it
-    """
-
-    format: Literal["svg", "pdf", "png"] = "svg"
-    journal: bool = False
+Kind = Literal["svg", "pdf", "png"]
 
 
 @contextmanager
@@ -91,11 +79,15 @@ def house_style(journal: bool = False) -> Iterator[None]:
         yield
 
 
-def drawings_of(figures: Sequence[Figure], *, simulated: bool, print_as: Print | None = None) -> list[Drawing]:
-    """The files of figures; one with more subjects than have room makes several."""
-    print_as = print_as or Print()
+def drawings_of(
+    figures: Sequence[Figure], *, simulated: bool, kind: Kind = "svg", journal: bool = False
+) -> list[Drawing]:
+    """The files of figures; one with more subjects than have room makes several.
+
+    ``journal`` : as wide as two columns of a journal, in its letters, without a title: the caption has it
+    """
     out = []
-    with house_style(print_as.journal):
+    with house_style(journal):
         for figure in figures:
             shown = figure.views[: MAX_PANELS * _MOST_PAGES]
             pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
@@ -104,17 +96,11 @@ def drawings_of(figures: Sequence[Figure], *, simulated: bool, print_as: Print |
                 title += left_out(len(shown), len(figure.views))
             for number, views in enumerate(pages, start=1):
                 name = figure.name if len(pages) == 1 else f"{figure.name}-{number}"
-                content = _content(canvas_of(figure, views, simulated=simulated, journal=print_as.journal), print_as)
-                out.append(
-                    Drawing(name, figure.section, title, figure.alt, content, print_as.format, legend=figure.legend)
-                )
+                content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
+                canvas.savefig(content, format=kind, metadata=_METADATA[kind], dpi=300.0)
+                own = name, figure.section, title, figure.alt, content.getvalue(), kind
+                out.append(Drawing(*own, legend=figure.legend))
     return out
-
-
-def _content(canvas: Canvas, print_as: Print) -> bytes:
-    out = io.BytesIO()
-    canvas.savefig(out, format=print_as.format, metadata=_METADATA[print_as.format], dpi=300.0)
-    return out.getvalue()
 
 
 def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journal: bool = False) -> Canvas:

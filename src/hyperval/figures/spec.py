@@ -356,17 +356,16 @@ def count_text(n: int) -> str:
     return f"{n:,}".replace(",", "\u202f")
 
 
-def robust_limits(values: Sequence[Any], *, zero: bool, trim: float = 0.5) -> tuple[float, float] | None:
-    """Limits that hold all but ``trim`` per cent of the values at either end, and 0 if asked; None without any."""
+def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, float] | None:
+    """Limits that hold all but ``trim`` per cent of the values at either end, and 0; None without any."""
     stack = np.concatenate([np.asarray(v, dtype=float).ravel() for v in values]) if values else np.empty(0)
     stack = stack[np.isfinite(stack)]
     if stack.size == 0:
         return None
     low, high = (float(x) for x in np.percentile(stack, [trim, 100.0 - trim]))
-    if zero:
-        low, high = min(low, 0.0), max(high, 0.0)
-    margin = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
-    return low - (margin if low < 0 or not zero else 0.0), high + margin
+    low, high = min(low, 0.0), max(high, 0.0)
+    margin = 0.08 * (high - low) or 1.0
+    return low - margin * (low < 0.0), high + margin
 
 
 def a_view_each(

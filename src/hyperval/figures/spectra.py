@@ -121,10 +121,10 @@ def _view(
             half = Z95 * estimate.standard_uncertainty
             marks.append(make("line", {"x": w, "y": estimate.mean, "half": half}, name, linked=True))
             edges += [(estimate.mean - half)[keep], (estimate.mean + half)[keep]]
-    parts = [Part(Axis(label, ends=robust_limits(edges, zero=True)), tuple(marks))]
+    parts = [Part(Axis(label, ends=robust_limits(edges)), tuple(marks))]
     if gap is not None:
         value, half = gap[0], Z95 * gap[1]
-        ends = robust_limits([(value - half)[keep], (value + half)[keep]], zero=True, trim=3.0)
+        ends = robust_limits([(value - half)[keep], (value + half)[keep]], trim=3.0)
         mark = Mark("line", {"x": w, "y": value, "half": half}, "", DIFFERENCE, linked=True)
         parts.append(Part(Axis(below, ends=ends), (mark,), (("y", 0.0),)))
     return Panels(wavelengths(axis), tuple(parts), subject)
@@ -164,7 +164,7 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
         Mark("area", {"x": w, "low": low, "high": high}, source, colour, alpha=1.0)
         for low, high, source, colour in zip(edges[:-1], edges[1:], sources, SOURCES, strict=False)
     ]
-    ends = robust_limits([edges[-1][in_windows(axis)]], zero=True)
+    ends = robust_limits([edges[-1][in_windows(axis)]])
     return single(wavelengths(axis), "standard uncertainty [% of radiance]", marks, subject=subject, ends=ends)
 
 

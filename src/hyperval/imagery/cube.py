@@ -344,7 +344,7 @@ def open_raster(
     """
     data = Path(path)
     if data.suffix.lower() == ".zarr":
-        return arrays.open_labelled(checked_folder(data, what="Zarr store"), variable, engine)
+        return arrays.open_labelled(checked_folder(data), variable, engine)
     data = checked_file(path, what="image file")
     if engine is not None:
         return arrays.open_labelled(data, variable, engine)

@@ -1,6 +1,6 @@
 """Figures, HTML, CSV, JSON, JUnit and NetCDF: views of one results table."""
 
-from .html import MAX_BYTES, index_page, report_page, run_drawings
+from .html import MAX_BYTES, index_page, report_page
 from .outputs import write_index, write_outputs
 from .run import PowerWords, RunReport
 from .side_by_side import compare_runs
@@ -18,7 +18,6 @@ __all__ = [
     "limits_text",
     "number_text",
     "report_page",
-    "run_drawings",
     "value_text",
     "write_index",
     "write_outputs",

@@ -13,7 +13,7 @@ import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,7 +38,7 @@ from hyperval.run import Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
 
 if TYPE_CHECKING:
-    from hyperval.figures.print import Print
+    from hyperval.figures.print import Kind
 
 
 LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
@@ -78,32 +78,6 @@ def page_hashes(figures: bool = True) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Cell:
-    """One cell: the worst outcome of its gates, or of what informs where nothing gates.
-
-    Attributes
-    ----------
-    letter : capital of criteria, small of what is informational, "M n" where the criteria are met and something
-        informational is not; empty where nothing was planned
-    words : how many rows of each outcome
-    link : where its evidence stands
-    """
-
-    outcome: Outcome
-    letter: str
-    words: str
-    link: str
-
-
-@dataclass(frozen=True)
-class Matrix:
-    """Lines of cells: the name of each, where it links to, and a cell for each column."""
-
-    columns: Sequence[str]
-    lines: Sequence[tuple[str, str, Sequence[Cell]]]
-
-
 def anchor(row: Result) -> str:
     """Where the evidence of a row stands on its page."""
     return re.sub(r"[^A-Za-z0-9]+", "-", f"e-{row.product}-{row.subject}").strip("-")
@@ -113,22 +87,21 @@ def matrix_of(
     rows: Iterable[Result],
     line_of: Callable[[Result], str],
     link_of: Callable[[str, Sequence[Result]], str],
-    titles: dict[str, str],
-) -> Matrix | None:
+) -> dict[str, Sequence[Any]] | None:
     """Planned rows in lines by ``line_of`` and columns by product; None without any.
 
-    Lines that gate come first, the worst of them first, then those that inform.
+    Lines that gate come first, the worst of them first, then those that inform; each has its name, where it links to,
+    and a cell for each column.
 
     Parameters
     ----------
     link_of : (line, rows of the cell) -> where the cell links to; of a whole line (line, [])
-    titles : product -> heading, in the order of the columns
     """
     planned = [row for row in rows if row.planned]
     if not planned:
         return None
     every = dict.fromkeys(row.product for row in planned)
-    columns = [*(p for p in titles if p in every), *(p for p in every if p not in titles)]
+    columns = [*(p for p in _COMPARED if p in every), *(p for p in every if p not in _COMPARED)]
     groups: dict[str, list[Result]] = {}
     for row in planned:
         groups.setdefault(line_of(row), []).append(row)
@@ -141,12 +114,17 @@ def matrix_of(
     for name, own in sorted(groups.items(), key=rank):
         here = ([row for row in own if row.product == product] for product in columns)
         lines.append((name, link_of(name, []), [_cell(rows, link_of(name, rows)) for rows in here]))
-    return Matrix([titles.get(p, p) for p in columns], lines)
+    return {"columns": [_COMPARED.get(p, p) for p in columns], "lines": lines}
 
 
-def _cell(rows: Sequence[Result], link: str) -> Cell:
+def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
+    """The worst outcome of criteria, or of what is informational where there is none; how many rows have each.
+
+    The letter is a capital of criteria, small of what is informational, "M n" where the criteria are met and something
+    informational is not; empty where nothing was planned.
+    """
     if not rows:
-        return Cell(Outcome.NONE, "", "not planned", "")
+        return {"outcome": Outcome.NONE, "letter": "", "words": "not planned", "link": ""}
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     outcome = worst(gates or rows)
     letter = OUTCOMES[outcome].letter if gates else OUTCOMES[outcome].letter.lower()
@@ -155,7 +133,7 @@ def _cell(rows: Sequence[Result], link: str) -> Cell:
     if gates and outcome is not Outcome.DISAGREES and worst(informing) is Outcome.DISAGREES:
         letter += f" {OUTCOMES[Outcome.DISAGREES].letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
-    return Cell(outcome, letter, "; ".join(parts), link)
+    return {"outcome": outcome, "letter": letter, "words": "; ".join(parts), "link": link}
 
 
 def same_background_once(rows: Sequence[Result]) -> list[Result]:
@@ -216,19 +194,6 @@ _REASONS = ("attribution", "what-if", "sensitivity")
 _COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 
 
-@dataclass(frozen=True)
-class Section:
-    """One product's part of the page: figures, what decides, what does not, what nothing was planned for."""
-
-    name: str
-    title: str
-    figures: list[Drawing]
-    charts: list[Figure]
-    gates: list[Result]
-    informing: list[Result]
-    others: list[Result]
-
-
 def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
     rows = list(run.table)
@@ -253,7 +218,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     matrices = []
     for title, kinds in _NUMBERS if run.sentence else _MATRICES:
         own = [row for row in compared if row.evidence in kinds]
-        matrix = matrix_of(own, lambda r: r.subject, _link, _COMPARED)
+        matrix = matrix_of(own, lambda r: r.subject, _link)
         if matrix is not None:
             matrices.append((title, matrix))
     return page(
@@ -273,8 +238,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         pictures=[d for d in drawings if d.name in PICTURES],
         embedded=embedded,
         budget=[chart for chart in folded if chart.name == _BUDGET],
-        sections=[section for section in sections if section.name not in _REASONS],
-        reasons=[section for section in sections if section.name in _REASONS],
+        sections=[section for section in sections if section["name"] not in _REASONS],
+        reasons=[section for section in sections if section["name"] in _REASONS],
         undone=_undone(rows),
         notes=run.notes,
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
@@ -327,7 +292,7 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
             return f"{page}#{anchor(cell[0])}" if cell else page
 
         matrices = [
-            (kind_title, matrix_of([r for r in rows if r.evidence in kinds], lambda r: r.campaign, link, _COMPARED))
+            (kind_title, matrix_of([r for r in rows if r.evidence in kinds], lambda r: r.campaign, link))
             for kind_title, kinds in (_NUMBERS if own[0].sentence else _MATRICES)
         ]
         entries = [(run, v.first_screen(list(run.table)), f"{folders[run.campaign]}/report.html") for run in own]
@@ -443,7 +408,8 @@ def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figur
     return sorted(charts, key=rank)
 
 
-def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Sequence[Result]) -> list[Section]:
+def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Sequence[Result]) -> list[dict[str, Any]]:
+    """Each product's part of the page: figures, what decides, what does not, what nothing was planned for."""
     names = [*_COMPARED, *_REASONS]
     names += [p for p in dict.fromkeys(row.product for row in rows) if p not in names]
     sections = []
@@ -452,17 +418,14 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
         own = [row for row in rows if row.product == name]
         made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
         planned = sorted(made, key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
-        section = Section(
-            name,
-            SECTIONS.get(name, name),
-            own_drawings,
-            [chart for chart in charts if chart.section == name and chart.name != _BUDGET],
-            [row for row in planned if row.gates],
-            [row for row in planned if not row.gates],
-            [row for row in own if not row.planned and not row.per_band],
-        )
-        if own_drawings or section.charts or planned or section.others:
-            sections.append(section)
+        own_charts = [chart for chart in charts if chart.section == name and chart.name != _BUDGET]
+        others = [row for row in own if not row.planned and not row.per_band]
+        if own_drawings or own_charts or planned or others:
+            sections.append({
+                "name": name, "title": SECTIONS.get(name, name), "figures": own_drawings, "charts": own_charts,
+                "gates": [row for row in planned if row.gates], "others": others,
+                "informing": [row for row in planned if not row.gates],
+            })  # fmt: skip
     return sections
 
 
@@ -505,31 +468,28 @@ def flat(value: Any, at: str = "") -> dict[str, str]:
 Eigenvalues = Callable[[PredictedProducts, ObservedProducts], Mapping[tuple[str, str], EigenvalueSpectrum]]
 
 
-def figures_to_folder(run: Path, output: Path, print_as: Print, eigenvalues: Eigenvalues | None = None) -> int:
-    """Draw what the products of ``run`` allow into a new folder, with the spread of its pixels by ``eigenvalues``.
+def figures_to_folder(run: Path, output: Path, eigenvalues: Eigenvalues, kind: Kind, journal: bool) -> int:
+    """Draw what the products of ``run`` and the reasons of its table allow into a new folder.
+
+    ``eigenvalues`` : the spread of its pixels
 
     Raises
     ------
     InputError : no products.nc, or a damaged one.
     UsageError : products of which nothing can be drawn.
     """
-    drawings = run_drawings(run, print_as, eigenvalues)
-    refuse(not drawings, "results.figures", run)
-    with whole_folder(output) as folder:
-        for drawing in drawings:
-            (folder / drawing.file_name).write_bytes(drawing.content)
-    return 0
-
-
-def run_drawings(run: Path, print_as: Print, eigenvalues: Eigenvalues | None = None) -> list[Drawing]:
-    """The figures of the products of a folder, and of the reasons that its table holds."""
     from hyperval.figures.print import drawings_of
 
     sides, simulated = read_pair(run), is_simulated(run)
     known = Run.open(run) if is_run(run) else Run(ResultTable())
     margin = equivalence_margin(known.provenance) if known.provenance else None
     predicted, observed = sides
-    spread = eigenvalues(predicted, observed) if eigenvalues and predicted and observed else {}
+    spread = eigenvalues(predicted, observed) if predicted and observed else {}
     figures = [criteria_figure(list(known.table)), *first_figures(sides)]
     figures += further_figures(sides, known.table, spread, margin)
-    return drawings_of([one for one in figures if one], simulated=simulated, print_as=print_as)
+    drawings = drawings_of([one for one in figures if one], simulated=simulated, kind=kind, journal=journal)
+    refuse(not drawings, "results.figures", run)
+    with whole_folder(output) as folder:
+        for drawing in drawings:
+            (folder / drawing.file_name).write_bytes(drawing.content)
+    return 0

@@ -384,16 +384,6 @@ INTERNAL_ERROR = 4
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One campaign to be run, as it is handed to a worker."""
-
-    job: Job
-    seed: int
-    extensions: tuple[Path, ...] = ()
-    scores: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Benchmarked:
     """What one campaign gives to the page.
 
@@ -435,28 +425,40 @@ class Benchmarked:
         return [self.here.get((subject, f"{group[0]}/object", f"{part}{metric}")) for part in ("", "rank_", "first_")]
 
 
-def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> Benchmarked:
+def benchmark_campaign(
+    job: Job, *, seed: int, extensions: Sequence[Path], scores: Mapping[str, str], show_progress: bool | None
+) -> Benchmarked:
     """Every row of one campaign; what stops it becomes its one row, SKIPPED or ERROR."""
-    job = entry.job
     if job.waits is not None:
-        return _stopped(entry, Outcome.SKIPPED, job.waits[0])
+        return _stopped(job, Outcome.SKIPPED, job.waits[0])
+    own, refused = job.campaign.detection, dict[str, str]()
     try:
-        load_extensions(entry.extensions)
-        with _score_maps(entry):
-            return _run(entry, job, show_progress)
+        load_extensions(extensions)
+        with _score_maps(job.campaign.name, scores):
+            while True:  # a detector that this collection cannot take does not take the others with it
+                try:
+                    return _with(job, seed, refused, show_progress)
+                except AddedDetectorError as error:
+                    refused[error.detector] = str(error)
+                except UsageError as error:
+                    # A target among the undesired, a singular background: its own detectors are known to run.
+                    others = set(detector_names()) - set(own.detectors if own else ()) - {*refused}
+                    if own is None or isinstance(error, MissingDataError) or not others:
+                        raise
+                    refused |= dict.fromkeys(others, f"not run, as one of the detectors was refused: {error}")
     except MissingDataError as error:
-        return _stopped(entry, Outcome.SKIPPED, str(error))
+        return _stopped(job, Outcome.SKIPPED, str(error))
     except Exception as error:  # one broken campaign must not hide what the others say
         words = str(error) if isinstance(error, HypervalError) else internal_error(error)
-        return _stopped(entry, Outcome.ERROR, words, getattr(error, "exit_code", INTERNAL_ERROR))
+        return _stopped(job, Outcome.ERROR, words, getattr(error, "exit_code", INTERNAL_ERROR))
 
 
 @contextmanager
-def _score_maps(entry: Entry) -> Iterator[None]:
+def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
     """Score maps that were made elsewhere are detectors of this campaign."""
 
     def made(file: str, target: Any, mean: Any, covariance: Any, undesired: Any) -> PixelDetector:
-        path = Path(file.replace("{campaign}", entry.job.campaign.name))
+        path = Path(file.replace("{campaign}", campaign))
 
         def image(values: Any, scene: Any) -> Any:
             raster = raster_of_size(path, values.shape[:2])
@@ -466,7 +468,7 @@ def _score_maps(entry: Entry) -> Iterator[None]:
 
     before = dict(detect.ADDED_DETECTORS)
     try:
-        for name, file in entry.scores.items():
+        for name, file in scores.items():
             register_detector(name, partial(made, file))
         yield
     finally:
@@ -474,23 +476,7 @@ def _score_maps(entry: Entry) -> Iterator[None]:
         detect.ADDED_DETECTORS.update(before)
 
 
-def _run(entry: Entry, job: Job, show_progress: bool | None) -> Benchmarked:
-    """With every detector; one that this collection cannot take does not take the others with it."""
-    own, refused = job.campaign.detection, dict[str, str]()
-    while True:
-        try:
-            return _with(entry, job, refused, show_progress)
-        except AddedDetectorError as error:
-            refused[error.detector] = str(error)
-        except UsageError as error:
-            # A target among the undesired, a singular background: the campaign's own detectors are known to run.
-            others = set(detector_names()) - set(own.detectors if own else ()) - {*refused}
-            if own is None or isinstance(error, MissingDataError) or not others:
-                raise
-            refused |= dict.fromkeys(others, f"not run, as one of the detectors was refused: {error}")
-
-
-def _with(entry: Entry, job: Job, refused: Mapping[str, str], show_progress: bool | None) -> Benchmarked:
+def _with(job: Job, seed: int, refused: Mapping[str, str], show_progress: bool | None) -> Benchmarked:
     """The rows with every detector that was not ``refused``."""
     name, chosen = job.campaign.name, Question(job.campaign, {})
 
@@ -504,31 +490,22 @@ def _with(entry: Entry, job: Job, refused: Mapping[str, str], show_progress: boo
         return chosen.campaign
 
     with step(name, 1, 1, "benchmark"), collected(job, question=ask, show_progress=show_progress) as collection:
-        rows = detector_rows(collection.observed, chosen, seed=entry.seed, show_progress=show_progress)
+        rows = detector_rows(collection.observed, chosen, seed=seed, show_progress=show_progress)
         rows += peer_rows(collection.observed, chosen.campaign.detection)
         if chosen.campaign.detection is not None:
             origins = ((scenario, collection.origins(scenario, show_progress)) for scenario in collection.scenarios)
             rows += predicted_rows(predict(*one) for one in origins)
-        record = record_of(
-            collection.inputs,
-            collection.scenarios,
-            collection.seed,
-            {"campaign": chosen.campaign},
-            [collection.observed.observation],
-        )
-        notes = list(dict.fromkeys([*chosen.notes, *_halo(chosen), *collection.observed.observation.notes]))
+        observation, detection = collection.observed.observation, chosen.campaign.detection
+        about = {"campaign": chosen.campaign}
+        record = record_of(collection.inputs, collection.scenarios, collection.seed, about, [observation])
+        halo = "ranks count the pixels of an object alone; the values by subject count the campaign's halo too"
+        has_halo = detection is not None and bool(detection.halo_pixels)
+        notes = list(dict.fromkeys([*chosen.notes, *[halo] * has_halo, *observation.notes]))
     return Benchmarked(name, job.campaign.title, bool(job.campaign.simulated), of_campaign(rows, name), notes, record)
 
 
-def _halo(question: Question) -> list[str]:
-    if question.campaign.detection is None or not question.campaign.detection.halo_pixels:
-        return []
-    return ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
-
-
-def _stopped(entry: Entry, outcome: Outcome, reason: str, code: int | None = None) -> Benchmarked:
-    campaign = entry.job.campaign
-    log = InputLog.of_file(entry.job.path)
+def _stopped(job: Job, outcome: Outcome, reason: str, code: int | None = None) -> Benchmarked:
+    campaign, log = job.campaign, InputLog.of_file(job.path)
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     row = Result(campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
     record = record_of(log, [], None, {"campaign": campaign}, [])
@@ -563,21 +540,15 @@ def benchmark(
     UsageError, InputError : campaign files or extensions that are not right; nothing is written.
     """
     load_extensions(extensions)
-    programs = tuple(Path(p).resolve() for p in extensions)
-    entries = [Entry(job, seed, programs, dict(scores)) for job in jobs_of(*paths)]
-    with whole_folder(output) as folder:
-        done = _done(entries, scheduler, show_progress)
+    jobs, programs = jobs_of(*paths), tuple(Path(p).resolve() for p in extensions)
+    with whole_folder(output) as folder, workers(worker_count(len(jobs)), scheduler) as where:
+        here = where.executor is None  # one after the other, each with its own bars
+        run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores),
+                      show_progress=show_progress if here else False)  # fmt: skip
+        results = in_order(where, run, jobs, ahead=max(1, len(jobs)))
+        done = list(track(results, "campaigns", len(jobs), show=False if here else show_progress))
         _write(done, extensions, seed, folder)
     return next((d.exit_code for d in done if d.exit_code is not None), 0)
-
-
-def _done(entries: Sequence[Entry], scheduler: str | None, show_progress: bool | None) -> list[Benchmarked]:
-    count = worker_count(len(entries))
-    if scheduler is None and count == 1:
-        return [benchmark_campaign(entry, show_progress=show_progress) for entry in entries]
-    with workers(count, scheduler) as where:
-        results = in_order(where, partial(benchmark_campaign, show_progress=False), entries, ahead=len(entries))
-        return list(track(results, "campaigns", len(entries), show=show_progress))
 
 
 def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, folder: Path) -> None:

@@ -111,7 +111,7 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
         "Signal-to-noise ratio against wavelength for ground of 0.05, 0.25 and 0.6, with and without the "
         f"calibration error. At 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to "
         f"{middle.max():.0f}.",
-        (single(_wavelengths(axis), "signal-to-noise ratio", marks, ends=robust_limits(highest, zero=True)),),
+        (single(_wavelengths(axis), "signal-to-noise ratio", marks, ends=robust_limits(highest)),),
     )  # fmt: skip
 
 

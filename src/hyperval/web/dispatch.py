@@ -35,23 +35,16 @@ _TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "
 
 
 class Desk:
-    """Runs of one server, from order to result.
+    """Runs of one server, from order to result."""
 
-    Parameters
-    ----------
-    pools : what carries out quick tasks, and long ones; default: as the settings say
-    """
-
-    def __init__(self, settings: ServerSettings, store: RunStore, pools: tuple[TaskPool, TaskPool] | None = None):
+    def __init__(self, settings: ServerSettings, store: RunStore):
+        self.limits, self.store = settings.limits, store
         limits = settings.limits
-        self.limits, self.store = limits, store
-
-        def pool(count: int, seconds: float) -> TaskPool:
-            return WorkerPool(count, limits.queue, seconds, limits.memory_bytes, settings.scheduler)
-
-        self.quick, self.long = pools or (
-            pool(limits.quick_workers, limits.quick_seconds), pool(limits.long_workers, limits.long_seconds)
-        )  # fmt: skip
+        sizes = (limits.quick_workers, limits.quick_seconds), (limits.long_workers, limits.long_seconds)
+        self.quick, self.long = (
+            WorkerPool(count, limits.queue, seconds, limits.memory_bytes, settings.scheduler)
+            for count, seconds in sizes
+        )
         self._jobs: dict[str, WorkerTask] = {}
         self._views: dict[tuple[str, ...], WorkerTask] = {}
         self._lock = threading.Lock()
