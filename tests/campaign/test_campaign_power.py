@@ -108,9 +108,9 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert cli.run(["power", str(path), "-o", "out", "--accept"]) == 0
     assert sorted(p.name for p in Path("out").glob("*.*") if not p.name.startswith(".")) == ["power.csv", "small.yaml"]
     lines = Path("out/power.csv").read_text().splitlines()
-    assert lines[1].startswith("small,sunlight x 1.05,gates,2,")
+    assert lines[1].startswith("small,sunlight x 1.05,criteria,2,")
     assert lines[2:] == [
-        "small,noise x 1.5,unseen,0,0,",
+        "small,noise x 1.5,undetected,0,0,",
         "small,tails left out,not applicable,0,0,no class has tails",
     ]
     run = campaign.run_campaign(campaign.jobs_of(path)[0])
@@ -131,9 +131,9 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     capsys.readouterr()
     assert cli.run(["power", str(path)]) == 1
     said = capsys.readouterr().err
-    assert "sunlight x 1.05: gates, accepted: unseen" in said
-    assert "noise x 1.5: unseen, accepted: not in the table" in said
-    assert "another: not in the table, accepted: unseen" in said
+    assert "sunlight x 1.05: criteria, accepted: undetected" in said
+    assert "noise x 1.5: undetected, accepted: not in the table" in said
+    assert "another: not in the table, accepted: undetected" in said
     small.scenario["atmosphere"]["aot550"] *= 1.5
     rows = campaign.run_campaign(campaign.jobs_of(small.write())[0]).table
     (since,) = rows.where(subject="since the accepted run", metric="reduced_chi_square")

@@ -26,9 +26,9 @@ _MOST_NAMED = 4
 class Sight(StrEnum):
     """How far a campaign sees an error."""
 
-    GATES = "gates"
+    GATES = "criteria"
     INFORMING = "informational comparisons"
-    UNSEEN = "unseen"
+    UNSEEN = "undetected"
     NOT_APPLICABLE = "not applicable"
 
 

@@ -17,6 +17,7 @@ from starlette.responses import Response
 
 import hyperval
 from hyperval.errors import HypervalError
+from hyperval.executors import TaskPool
 from hyperval.web import pages_predict, reference, runs, trade, uploads  # noqa: F401  (their routes)
 from hyperval.web.dispatch import Desk
 from hyperval.web.guard import Guard
@@ -27,7 +28,7 @@ from hyperval.web.store import RunStore, ServerSettings
 _THREADS = 128  # requests that wait for a worker hold one each
 
 
-def make_app(settings: ServerSettings) -> FastAPI:
+def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None = None) -> FastAPI:
     """The application of one server; its workers run while it is served.
 
     Raises
@@ -53,7 +54,7 @@ def make_app(settings: ServerSettings) -> FastAPI:
     )  # fmt: skip
     app.state.settings = settings
     app.state.store = RunStore(settings.folder, settings.limits)
-    app.state.desk = Desk(settings, app.state.store)
+    app.state.desk = Desk(settings, app.state.store, pools)
     for router in (pages, api):
         app.include_router(router)
 

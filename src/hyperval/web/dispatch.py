@@ -35,16 +35,20 @@ _TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "
 
 
 class Desk:
-    """Runs of one server, from order to result."""
+    """Runs of one server, from order to result.
 
-    def __init__(self, settings: ServerSettings, store: RunStore):
-        self.limits, self.store = settings.limits, store
-        limits = settings.limits
-        sizes = (limits.quick_workers, limits.quick_seconds), (limits.long_workers, limits.long_seconds)
-        self.quick, self.long = (
-            WorkerPool(count, limits.queue, seconds, limits.memory_bytes, settings.scheduler)
-            for count, seconds in sizes
-        )
+    Parameters
+    ----------
+    pools : what carries out quick tasks, and long ones; default: as the settings say
+    """
+
+    def __init__(self, settings: ServerSettings, store: RunStore, pools: tuple[TaskPool, TaskPool] | None = None):
+        limits = self.limits = settings.limits
+        self.store = store
+        of = partial(WorkerPool, most=limits.queue, memory_bytes=limits.memory_bytes, scheduler=settings.scheduler)
+        self.quick, self.long = pools or (
+            of(limits.quick_workers, seconds=limits.quick_seconds), of(limits.long_workers, seconds=limits.long_seconds)
+        )  # fmt: skip
         self._jobs: dict[str, WorkerTask] = {}
         self._views: dict[tuple[str, ...], WorkerTask] = {}
         self._lock = threading.Lock()
