@@ -523,11 +523,13 @@ class RocScores:
         log_pfa, _ = log_false_alarm(0.5 * (low + high), self.classes.rows(self.which))
         return np.asarray(np.minimum(log_pfa / np.log(10.0), 0.0))
 
-    def auc(self) -> Array:
-        """Area under the ROC (n,): the probability that a target pixel outscores a background pixel."""
-        pfa = false_alarm_grid()
-        rows = zip(self.detection(pfa[None]), self.thresholds(pfa[None]), strict=True)
-        return np.array([curve_area(RocCurve(pfa, *(pd,) * 3, x), WHOLE) for pd, x in rows])
+    def auc(self, area: RocArea | None = None) -> Array:
+        """Area under the ROC (n,): the probability that a target pixel outscores a background pixel; or another."""
+        pfa = false_alarm_grid(min(1e-9, area.low) if area and area.logarithmic else 1e-9)
+        pd = self.detection(pfa[None])
+        mean, known = np.full(len(pd), np.nan), np.isfinite(pd).all(axis=1)
+        mean[known] = mean_detection(pfa, pd[known], area or WHOLE)
+        return mean
 
 
 # Score distributions are tabulated on this many points, over this many standard deviations either way.
@@ -596,11 +598,7 @@ _DECIMALS = 15  # of a P_D; what is below is rounding
 
 
 def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> float:
-    """Mean P_D of a curve over the range of ``area``; NaN where it does not reach the range.
-
-    P_D is interpolated over log P_FA by a monotone cubic.  Every ROC ends at (1, 1), where everything is declared;
-    a curve that stops before is joined to that point.  Below its first point P_D is taken as there, which counts
-    only where the range begins at 0.
+    """Mean P_D of a curve over the range of ``area`` (:func:`mean_detection`); NaN where it does not reach the range.
 
     Parameters
     ----------
@@ -611,17 +609,33 @@ def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> f
     pfa, pd = pfa[known], pd[known]
     if pfa.size < 2 or pfa[0] > max(area.low, 1e-2 * area.high):
         return float("nan")
+    return float(mean_detection(pfa, pd, area))
+
+
+def mean_detection(pfa: Array, pd: Array, area: RocArea) -> Array:
+    """Mean (n,) of P_D (n, K) over the range of ``area``, of curves at false-alarm probabilities ``pfa`` (K,).
+
+    P_D is interpolated over log P_FA by a monotone cubic.  Every ROC ends at (1, 1), where everything is declared;
+    a curve that stops before is joined to that point.  Below its first point P_D is taken as there, which counts
+    only where the range begins at 0.
+
+    Examples
+    --------
+    >>> mean_detection(np.array([0.1, 1.0]), np.ones((2, 2)), RocArea(0.0, 0.5)).round(12).tolist()
+    [1.0, 1.0]
+    """
     if pfa[-1] < 1.0:
-        pfa, pd = np.append(pfa, 1.0), np.append(pd, 1.0)
+        pfa, pd = np.append(pfa, 1.0), np.concatenate([pd, np.ones((*pd.shape[:-1], 1))], axis=-1)
     from scipy.interpolate import PchipInterpolator  # a tenth of a second, which spectra alone do not need
 
     # A rise from 0 to 1e-300 has an inverse slope that overflows in the harmonic means of the cubic; it is no P_D.
-    curve_of = PchipInterpolator(np.log(pfa), np.round(pd, _DECIMALS))
+    curve_of = PchipInterpolator(np.log(pfa), np.round(pd.T, _DECIMALS))
     low = max(area.low, float(pfa[0]))
     u = np.linspace(np.log(low), np.log(area.high), _POINTS)
-    if area.logarithmic:
-        return float(np.trapezoid(curve_of(u), u) / (u[-1] - u[0]))
-    x = np.exp(u)
     # Over P_FA itself: the trapezoids of a P_D of 1 then add up to the range, and no area exceeds it.
-    inside = float(np.trapezoid(curve_of(u), x)) + (low - area.low) * float(pd[0])
-    return inside / (area.high - area.low)
+    width = np.gradient(u if area.logarithmic else np.exp(u))
+    width[[0, -1]] *= 0.5
+    inside = width @ curve_of(u)
+    if area.logarithmic:
+        return np.asarray(inside / (u[-1] - u[0]))
+    return np.asarray((inside + (low - area.low) * pd[..., 0]) / (area.high - area.low))

@@ -50,7 +50,6 @@ Array = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read
-_PER_DECADE = 20
 _MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
 GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
 LEAST_GAS = 0.1  # and the two-way gas transmittance above which
@@ -208,11 +207,11 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
         return np.asarray(scores.detection(at)[:, 0])
     if output.kind == "log10-pfa":
         return scores.log10_false_alarm(np.full(len(e), output.pd))
-    if output.kind == "auc":
-        return scores.auc()
-    low, high = output.pfa_range  # probabilities even in their logarithm
-    x = np.geomspace(low, high, max(2, round(np.log10(high / low) * _PER_DECADE)) + 1)
-    return np.asarray(np.trapezoid(scores.detection(x[None, :]), np.log(x), axis=1) / np.log(x[-1] / x[0]))
+    return scores.auc(_area(output))
+
+
+def _area(output: Output) -> RocArea:
+    return WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True)
 
 
 def _of_curves(e: Evaluation, detector: str, output: Output, pfa: Array | None) -> Array:
@@ -227,8 +226,7 @@ def _of_curves(e: Evaluation, detector: str, output: Output, pfa: Array | None) 
         elif output.kind == "log10-pfa":
             values[i] = log10_false_alarm_at(curve, output.pd, curve.pd)
         else:
-            area = WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True)
-            values[i] = curve_area(curve, area)
+            values[i] = curve_area(curve, _area(output))
     return values
 
 
