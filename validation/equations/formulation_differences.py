@@ -8,11 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.model import (
-    mean_radiance,
-    radiance_covariance,
-    target_pixel_covariance,
-)
+from hyperval.model import mean_radiance, radiance_covariance, target_pixel_covariance
 from hyperval.sensor import bit_error_variance, solid_angle
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class

@@ -17,6 +17,8 @@ from hyperval.data import ClassStatistics
 from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_values
 from hyperval.model.detection import class_scores, surroundings_variance, target_scores
 from hyperval.model.filters import noise_of
+from hyperval.model.forward import pixel_spreads
+from hyperval.model.objects import object_scores
 from hyperval.model.radiance import target_pixels
 from hyperval.model.stated import SurfaceStatistics
 from hyperval.scenario import Scenario
@@ -89,17 +91,21 @@ def both(**more: np.ndarray) -> World:
     return with_values(read(Scenario.model_validate(SCENARIO), origins), moved | more)
 
 
+def scene(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    classes = [SURFACES[n] for n in ("soil", "grass")]
+    average = fractions @ np.array([s.mean for s in classes])  # (3.8)
+    each = [s.covariance + np.outer(s.mean - average, s.mean - average) for s in classes]
+    return average, np.tensordot(fractions, each, 1)
+
+
 class Plain:
     """One truth, by the equations one after the other."""
 
     def __init__(self, u: int):
         self.t, self.noise, self.kappa, self.g = TERMS[u], NOISE[u], KAPPA[u], GAINS[u]
-        self.f, means = FRACTIONS[u], np.array([SURFACES[n].mean for n in ("soil", "grass")])
-        self.average = self.f @ means  # (3.8)
-        self.surroundings = sum(
-            f * (SURFACES[n].covariance + np.outer(m - self.average, m - self.average))
-            for f, n, m in zip(self.f, ("soil", "grass"), means, strict=True)
-        )
+        self.beam, self.sky = BEAM[u], SKY[u]
+        self.f = FRACTIONS[u]
+        self.average, self.surroundings = scene(self.f)
         low, high = self.level(np.full(B, 0.1)), self.level(np.full(B, 0.6))
         self.k = (high - low) / 0.5
         self.b = low - 0.1 * self.k
@@ -128,9 +134,19 @@ class Plain:
         w = np.linalg.inv(sigma) @ d / (d @ np.linalg.inv(sigma) @ d)  # (3.23)-(3.25)
         return w, mu
 
-    def light(self, beam: float, sky: float) -> np.ndarray:
+    def light(self) -> np.ndarray:
         back, q = self.t.spherical_albedo * self.average, self.t.diffuse_fraction
-        return (1 - back) * ((1 - q) * beam + q * sky) + back * sky
+        return (1 - back) * ((1 - q) * self.beam + q * self.sky) + back * self.sky
+
+    def within(self, f: float, gain: float) -> np.ndarray:
+        """Of target pixels of a fill (3.12)."""
+        own, host = (SURFACES[n].covariance for n in ("plank", "grass"))
+        return f**2 * gain * own * np.outer(self.light(), self.light()) + (1 - f) ** 2 * self.g[1] * host
+
+    def pixel(self, f: float, gain: float = 1.0):
+        own, host = (SURFACES[n].mean for n in ("plank", "grass"))
+        rho, under = (f * part * own + (1 - f) * host for part in (self.light(), self.sky))  # (3.10)
+        return self.seen(rho, under, self.within(f, gain), self.g[1])
 
 
 def designed():
@@ -168,12 +184,8 @@ def test_3_11_surroundings_by_their_matrix_and_by_the_classes(alike):
     e = Evaluation(both(**moved))
     assert e.bands.size == B
     found = surroundings_variance(e.seen.of, v)
-    means = np.array([SURFACES[n].mean for n in ("soil", "grass")])
     for u, f in enumerate(fractions):
-        sigma = sum(
-            p * (SURFACES[n].covariance + np.outer(m - f @ means, m - f @ means))
-            for p, n, m in zip(f, ("soil", "grass"), means, strict=True)
-        )
+        _, sigma = scene(f)
         assert found[u] == pytest.approx(np.diag(v[u] @ sigma @ v[u].T), rel=1e-11)
         assert np.diag(e.seen.of.covariance(u)) == pytest.approx(np.diag(sigma), rel=1e-11)
         around = e.seen.of.around()
@@ -185,17 +197,10 @@ def test_3_26_and_3_28_scores_of_target_pixels_in_their_own_light():
     found = target_scores(e.seen, filters, e.material(0, e.world), np.arange(2))
     fills, gains = np.array([[0.0, 0.3, 1.0]]), np.array([1.0, 3.0])
     means, sds = found.at(fills, gains, np.arange(2))
-    own, host = SURFACES["plank"], SURFACES["grass"]
     for u in (0, 1):
-        one = Plain(u)
-        w, mu = one.filter()
-        light = one.light(BEAM[u], SKY[u])
+        w, mu = Plain(u).filter()
         for i, f in enumerate(fills[0]):
-            rho = f * light * own.mean + (1 - f) * host.mean  # (3.10)
-            under = f * SKY[u] * own.mean + (1 - f) * host.mean
-            lit, host_part = own.covariance * np.outer(light, light), (1 - f) ** 2 * one.g[1] * host.covariance
-            inside = f**2 * gains[u] * lit + host_part  # (3.12)
-            mean, covariance = one.seen(rho, under, inside, one.g[1])
+            mean, covariance = Plain(u).pixel(f, gains[u])
             assert means[u, i] == pytest.approx(w @ (mean - mu), abs=1e-10)  # (3.26)
             assert sds[u, i] ** 2 == pytest.approx(w @ covariance @ w, rel=1e-9)  # (3.28)
 
@@ -204,25 +209,32 @@ def test_3_7_light_on_a_target_in_the_shade():
     e = Evaluation(both())
     target = e.material(0, e.world)
     lit, under, factor = e.seen.light.surface(target.mean, target.beam, target.sky)
-    light = Plain(1).light(0.4, 0.8)
+    light = Plain(1).light()
     assert np.asarray(factor)[:, 0] == pytest.approx(np.array([np.ones(B), light]))
     assert lit[1, 0] == pytest.approx(light * SURFACES["plank"].mean)
     assert under[1, 0] == pytest.approx(0.8 * SURFACES["plank"].mean)
 
 
 def test_3_12_target_pixels_of_a_fill():
-    e, f = Evaluation(both()), 0.4
-    found = target_pixels(e.seen, e.material(0, e.world), np.array([f]))
-    one, own, host = Plain(1), SURFACES["plank"], SURFACES["grass"]
-    light = one.light(0.4, 0.8)
-    inside = f**2 * 3.0 * own.covariance * np.outer(light, light) + (1 - f) ** 2 * one.g[1] * host.covariance  # (3.12)
-    rho, under = f * light * own.mean + (1 - f) * host.mean, f * 0.8 * own.mean + (1 - f) * host.mean
-    mean, covariance = one.seen(rho, under, inside, one.g[1])
+    e, f, one = Evaluation(both()), 0.3, Plain(1)
+    found, (mean, covariance) = target_pixels(e.seen, e.material(0, e.world), np.array([f])), one.pixel(f)
     d_b = (1 - f) * found.around[0][-1, 0] + f * found.around[1][-1, 0]
     slope, around = e.seen.slope[1], e.seen.of.covariance(1)
-    whole = inside * np.outer(slope, slope) + around * np.outer(d_b, d_b) + np.diag(found.noise[1, 0])
+    whole = one.within(f, 1.0) * np.outer(slope, slope) + around * np.outer(d_b, d_b) + np.diag(found.noise[1, 0])
     assert found.means[1, 0] == pytest.approx(mean, rel=1e-9)
     assert whole == pytest.approx(covariance, rel=1e-9)
+    levels = {n: one.level(s.mean) for n, s in SURFACES.items()} | {"plank": one.b + one.k * mean}
+    spreads = pixel_spreads(e, 1, levels)
+    for name, (_, own) in zip(SURFACES, [*one.classes(), one.pixel(f)], strict=True):
+        assert spreads["reflectance", name][0] == pytest.approx(own, rel=1e-9)
+
+
+def test_3_26_and_3_28_drawn_scores_of_objects():
+    drawn = object_scores(Evaluation(both()), np.array([1]), 40_000)["plank", "cem"].values
+    (w, mu), (mean, covariance) = Plain(1).filter(), Plain(1).pixel(0.3)
+    z = (drawn - w @ (mean - mu)) / np.sqrt(w @ covariance @ w)
+    assert abs(z.mean()) < 5.0 / np.sqrt(z.size)  # (3.26)
+    assert abs(z.var() - 1.0) < 5.0 * np.sqrt(2.0 / z.size)  # (3.28)
 
 
 def test_3_16_to_3_19_noise_at_a_retrieved_reflectance():
@@ -241,13 +253,12 @@ def test_3_28_by_monte_carlo():
     means, sds = found.at(fill.values[None], np.full(1, 1.0), np.array([1]))
     mean = float(fill.weights @ means[0])
     variance = float(fill.weights @ (sds[0] ** 2 + (means[0] - mean) ** 2))
-    own, host = SURFACES["plank"], SURFACES["grass"]
+    own, host, light = SURFACES["plank"], SURFACES["grass"], one.light()
     f = rng.choice(fill.values, n, p=fill.weights)[:, None]
-    light = one.light(0.4, 0.8)
     target = light * rng.multivariate_normal(own.mean, own.covariance, n)
     background = rng.multivariate_normal(host.mean, one.g[1] * host.covariance, n)
-    trapping = 1 - one.t.spherical_albedo * one.average
     under = f * 0.8 * own.mean + (1 - f) * host.mean
+    trapping = 1 - one.t.spherical_albedo * one.average
     d_b = (one.t.direct * one.t.spherical_albedo * under + one.t.adjacency) / trapping**2
     away = rng.multivariate_normal(np.zeros(B), one.kappa * one.g[1] * one.surroundings, n)
     level = one.level(f * target + (1 - f) * background) + d_b * away

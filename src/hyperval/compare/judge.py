@@ -333,7 +333,7 @@ def detectable_sides(row: Result, low: float, high: float) -> tuple[float, float
     known = metric_of(row.metric)
     if known.kind is not Kind.QUANTITY or math.isnan(known.agreement) or math.isnan(row.upper - row.lower):
         return math.nan, math.nan
-    reach = 1.0 + float(scipy.special.ndtri(0.8) / scipy.special.ndtri(0.975))
+    reach = 1.0 + float(scipy.special.ndtri(0.8)) / Z95
     below, above = row.value - row.lower, row.upper - row.value
     if row.lower <= known.low:
         below = max(below, above)

@@ -628,7 +628,7 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     out: dict[tuple[str, str], Spread] = {}
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
         covariance, gain, others = pixels[name]
-        seen = light.pixel_covariance(levels[name], of_truth(met, u)[0], covariance, around, gain)
+        seen = light.pixel_covariance(levels[name], of_truth(met, u)[0], covariance, around, gain)  # (3.11)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
         back = {source: retrieved_covariance(line, c) for source, c in through.items()}
         out["radiance", name], out["reflectance", name] = (seen, through), (retrieved_covariance(line, seen), back)
@@ -639,7 +639,7 @@ def _of_surface(world: World, name: str) -> tuple[Array, float]:
     """(B, B) covariance of a surface in one truth, its gain included, and that gain: g_m of a class, 1 of any other."""
     classes, stretch = world.stated.classes, world.stretch[0, world.surface(name)]
     gain = float(world.column("class_gain")[0, classes.index(name)]) if name in classes else 1.0
-    factor = gain * (stretch[0] ** 2 if stretch.size == 1 else np.outer(stretch, stretch))
+    factor = gain * (stretch[0] ** 2 if stretch.size == 1 else np.outer(stretch, stretch))  # g_m of (3.11)
     covariance = world.stated.surfaces[name].covariance
     return covariance if np.all(factor == 1.0) else factor * covariance, gain
 
@@ -657,7 +657,7 @@ def _mixed(world: World, light: Light, number: int) -> tuple[Array, float, Mappi
         own = own * np.outer(factor, factor)
     host, (behind, gain) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
-    fill = float(weights @ fills)
+    fill = float(weights @ fills)  # E[f] of (3.12)
     covariance = target_pixel_covariance(
         fill, float(weights @ (fills - fill) ** 2), full[target.name], own, host, behind,
         target_gain=float(world.column("target_gain")[0, t]),

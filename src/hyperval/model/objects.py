@@ -311,8 +311,8 @@ def _greatest_scores(
     of the target and of each neighbour
     """
     means, variances = own
-    each = np.moveaxis(numbers.weights @ means.T, -1, 0)  # (P, L, n)
-    variance = np.clip(numbers.weights @ variances[0], 0.0, None)
+    each = np.moveaxis(numbers.weights @ means.T, -1, 0)  # (P, L, n), of (3.26)
+    variance = np.clip(numbers.weights @ variances[0], 0.0, None)  # of (3.28)
     steps = (len(means) - 1) // 2
     # What the inputs and the neighbours add to the mean is linear in what they are by.
     parts, by = [0.5 * (each[1 + k] - each[1 + steps + k]) for k in range(steps)], [*drawn.steps.T, change[0]]

@@ -100,7 +100,7 @@ def oxygen_residual(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike, fw
     if special.fdtrc(2, free, gain) > _ALPHA or abs(p[0]) > MOST_SHIFT:
         return None
     covariance = np.linalg.pinv(best.jac.T @ best.jac)
-    widened = special.stdtrit(free, 0.975) / special.ndtri(0.975)
+    widened = special.stdtrit(free, 0.975) / Z95
     return Shift(OXYGEN_RESIDUAL, float(p[0]), float(np.hypot(_SHAPE, widened * np.sqrt(covariance[0, 0]))))
 
 
