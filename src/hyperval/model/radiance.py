@@ -564,25 +564,15 @@ def light_of(world: World) -> Light:
         if len(models) > 1:
             noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
         noise = replace(with_signal(noise, factor("electrons")), gain=g, offset=offset, factor=factor("noise"))
-    panels, retrieval = (factor("dark"), factor("bright")), (factor("line_gain"), factor("line_offset"))
     elm = processing.elm if isinstance(processing.elm, ElmPanels) or (radiant and processing.elm != "none") else None
     light = Light(
-        terms,
-        average * factor("surroundings"),
-        noise,
-        world.kappa,
-        stated.scenario.formulation,
-        radiant,
-        elm,
-        None,
-        panels,
-        retrieval,
-    )
-    if isinstance(elm, DarkestPixel):
-        return replace(
-            light, dark=_darkest(light, Background.of(world, np.arange(len(stated.axis))), elm.darkest_pixel)
-        )
-    return light
+        terms, average * factor("surroundings"), noise, world.kappa, stated.scenario.formulation, radiant, elm,
+        panels=(factor("dark"), factor("bright")), retrieval=(factor("line_gain"), factor("line_offset")),
+    )  # fmt: skip
+    if not isinstance(elm, DarkestPixel):
+        return light
+    classes = Background.of(world, np.arange(len(stated.axis)))
+    return replace(light, dark=_darkest(light, classes, elm.darkest_pixel))
 
 
 def target_light(world: World, light: Light, target: int) -> tuple[Array, Array, Array | float]:
@@ -666,16 +656,12 @@ class Background:
         stated, classes = world.stated, len(world.stated.classes)
 
         def on_bands() -> tuple[tuple[Array, ...], tuple[Law, ...], dict[Any, Any]]:
-            return (
-                tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes),
-                tuple(
-                    law._replace(
-                        offset=None if law.offset is None else law.offset[bands], covariance=cut(law.covariance, bands)
-                    )
-                    for law in stated.laws
-                ),
-                {},
+            offsets = [None if law.offset is None else law.offset[bands] for law in stated.laws]
+            laws = (
+                law._replace(offset=offset, covariance=cut(law.covariance, bands))
+                for law, offset in zip(stated.laws, offsets, strict=True)
             )
+            return tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes), tuple(laws), {}
 
         covariances, laws, kept = stated.once(("background", bands.tobytes()), on_bands)
         means = world.surroundings[1]
