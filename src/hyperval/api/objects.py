@@ -21,15 +21,18 @@ import numpy as np
 
 from hyperval import baseline, imagery, model, spectra
 from hyperval import campaign as campaigns
+from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError
 from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
 from hyperval.figures.spectra import SPECTRA as PRODUCT_LABELS
-from hyperval.metrics import Metric
+from hyperval.hdf5 import check_hdf5
+from hyperval.metrics import Metric, table
 from hyperval.model import Z95, detection_at
 from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, Products
-from hyperval.results import ResultTable
+from hyperval.results import ResultTable, of_campaign
 from hyperval.run import Run, to_xarray
 from hyperval.scenario import Scenario, load_scenario
+from hyperval.storage import whole_folder
 from hyperval.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
@@ -607,8 +610,6 @@ def explain(
     ------
     InputError, UsageError : neither, or damaged; in the words of the reader.
     """
-    from hyperval.envi_header import header_beside
-
     path = Path(file)
     is_image = header is not None or path.is_dir() or path.suffix == ".hdr" or header_beside(path) is not None
     if is_image or not imagery.needs_header(path):
@@ -681,7 +682,6 @@ def compare(
     UsageError : the two sides are not on the same bands.
     """
     from hyperval.compare import compare_products
-    from hyperval.results import of_campaign
 
     measured = (observation if isinstance(observation, Observation) else observe(observation)).products
     known = prediction if isinstance(prediction, Prediction) else predict(prediction, axis=measured.axis)
@@ -704,7 +704,6 @@ def validate(
     InputError, UsageError, EngineError : of the campaign.  Data that are not at hand make its rows SKIPPED.
     """
     from hyperval.report.outputs import write_outputs
-    from hyperval.storage import whole_folder
 
     report = campaigns.run_campaign(_job(campaign), show_progress=show_progress)
     if output is not None:
@@ -798,8 +797,6 @@ def metrics() -> Metrics:
     >>> metrics().to_dataframe().loc["bias_ratio", "unit"]
     '1'
     """
-    from hyperval.metrics import table
-
     return Metrics(table())
 
 
@@ -813,10 +810,6 @@ def _job(campaign: Job | Path | str, *, compares: bool = True) -> Any:
 
 
 def _study(folder: Path) -> Study:
-    import xarray as xr
-
-    from hyperval.hdf5 import check_hdf5
-
     check_hdf5(folder / "table.nc")
     with xr.open_dataset(folder / "table.nc", engine="h5netcdf") as data:
         table = data.load()

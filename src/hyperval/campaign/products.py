@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rasterio.crs import CRS
@@ -36,7 +36,7 @@ from hyperval.figures.spec import EigenvalueSpectrum
 from hyperval.imagery import time_notes
 from hyperval.imagery.placing import sun_zenith_deg
 from hyperval.imagery.truth import TargetObject
-from hyperval.model import Truth, pixels_of_object, predicted_areas, predicted_classification
+from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_pixels, target_groups
 from hyperval.observe import observe as observe_collection
@@ -53,9 +53,6 @@ from hyperval.products import (
 from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario
 from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
-
-if TYPE_CHECKING:
-    from hyperval.model import Origins, Read
 
 
 def with_measured_fractions(scenario: Scenario, place: Place | None) -> Scenario:
@@ -217,8 +214,6 @@ class Collected:
     def origins(self, scenario: Scenario, show_progress: bool | None) -> Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
         observed = self.observed
-        from hyperval.model import Origins
-
         return Origins(
             observed.observation.axis, self._laws.statistics(scenario),
             partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file

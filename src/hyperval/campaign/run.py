@@ -22,10 +22,13 @@ import hyperval
 from hyperval.attribute import ScenarioModel, Truths, attribute, few_objects
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
-from hyperval.campaign.products import Collected, collected, doubts, joined
+from hyperval.campaign.products import Collected, collected, doubts, eigenvalues_of, joined, predicted_side
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
 from hyperval.campaign.reading import Job, job_of, jobs_of
 from hyperval.campaign.schema import Outline
+from hyperval.compare import compare_products, judged, told_apart
+from hyperval.compare.joint import would_decide
+from hyperval.compare.products import product_rows
 from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, internal_error, refuse
@@ -33,6 +36,7 @@ from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.model import Truth, World, predict, predictions, read
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
+from hyperval.observe import write_reflectance as reflectance_cube
 from hyperval.products import PredictedProducts, Products
 from hyperval.progress import step, track, working
 from hyperval.report import RunReport, write_index, write_outputs
@@ -100,10 +104,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
     more: dict[str, Any] = {"kind": "Collection of campaign"}
     prediction = None
-    # What compares takes 30 MB: not before the imagery is done with.
     if predicted:
-        from hyperval.campaign.products import eigenvalues_of, predicted_side
-
         prediction = predicted_side(side, predicted)
         rows = outcomes(side, prediction)
         deciding = undecided(side, rows, prediction)
@@ -113,8 +114,6 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         eigenvalues = eigenvalues_of(prediction, observed.observation)
         more = {"kind": "Campaign", "deciding": deciding, "eigenvalues": eigenvalues}
     else:
-        from hyperval.compare.products import product_rows
-
         rows = list(product_rows(observed.observation, "observed"))
     notes = [
         *(["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []),
@@ -175,8 +174,6 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     ----------
     prediction : of :func:`hyperval.campaign.products.predicted_side`
     """
-    from hyperval.compare import compare_products, judged, told_apart
-
     engines = {s.atmosphere.engine for s in side.scenarios if s.atmosphere}
     rows = compare_products(
         prediction,
@@ -190,8 +187,6 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
 
 def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:
     """The inconclusive criteria, each with what would have to be known better, or counted, to decide it."""
-    from hyperval.compare.joint import would_decide
-
     sides = prediction, side.observed.observation, side.campaign.fitted_on
     found = [(row, would_decide(row, *sides)) for row in rows if row.gates and row.outcome is Outcome.UNDECIDED]
     return [(row, words) for row, words in found if words]
@@ -199,8 +194,6 @@ def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> 
 
 def undecided_by(job: Job) -> list[tuple[Result, str]]:
     """Those of a campaign whose collection takes no time to look at."""
-    from hyperval.campaign.products import predicted_side
-
     with collected(job, show_progress=False) as side:
         prediction = predicted_side(side, [predict(s, side.origins(s, False)) for s in side.scenarios])
         return undecided(side, outcomes(side, prediction), prediction)
@@ -492,8 +485,6 @@ def observe(
         refuse(write_reflectance and job.campaign.collection.empirical_line is None, "campaign.line", path)
 
         def cube(observed: Observed) -> None:
-            from hyperval.observe import write_reflectance as reflectance_cube
-
             if observed.place is not None and write_reflectance:
                 written = reflectance_cube(
                     folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance,
