@@ -87,7 +87,7 @@ def test_task_tells_how_far_it_is_and_is_called_off(pool, tmp_path):
 
 def test_processes_end_with_a_server_that_was_killed(tmp_path):
     code = (
-        "import sys, time; from hyperval.web.dispatch import WorkerPool, WorkerTask\n"
+        "import sys, time; from hyperval.web.store import WorkerPool, WorkerTask\n"
         "if __name__ == '__main__':\n"
         f"    sys.path.insert(0, {str(HERE)!r})\n"
         "    pool = WorkerPool(1, 4, 60.0, 10**9, module='web_tasks')\n"

@@ -14,9 +14,8 @@ from .products import (
     without_circles,
 )
 from .provenance import command_without_output, package_versions, record_of, source_revision
-from .reading import Job, job_of, jobs_of, read_jobs
 from .run import observe, run_campaign, validate
-from .schema import Campaign, DayScenarios, day_scenarios
+from .schema import Campaign, DayScenarios, Job, day_scenarios, job_of, jobs_of, read_jobs
 from .starter import StarterSources, starter_campaign
 
 __all__ = [

@@ -13,8 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hyperval.campaign.reading import Job, Reference, read_jobs
-from hyperval.campaign.schema import Campaign, DayScenarios, scenarios_of
+from hyperval.campaign.schema import Campaign, DayScenarios, Job, Reference, read_jobs, scenarios_of
 from hyperval.compare.joint import TOGETHER
 from hyperval.compare.judge import Gate
 from hyperval.config import Location, load_yaml

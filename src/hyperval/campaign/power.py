@@ -27,8 +27,8 @@ from hyperval.attribute import (
 from hyperval.campaign import power_file
 from hyperval.campaign.power_file import Injected, PowerTable, Reasons
 from hyperval.campaign.products import collected, predicted_side
-from hyperval.campaign.reading import Job, jobs_of
 from hyperval.campaign.run import outcomes, scenario_model, worlds_of
+from hyperval.campaign.schema import Job, jobs_of
 from hyperval.errors import MissingDataError
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.metrics import Evidence

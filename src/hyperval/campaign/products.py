@@ -25,8 +25,7 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.campaign.reading import Job
-from hyperval.campaign.schema import Campaign, scenarios_of
+from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
 from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
 from hyperval.compare.products import SPREAD

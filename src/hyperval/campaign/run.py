@@ -24,8 +24,7 @@ from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
 from hyperval.campaign.products import Collected, collected, doubts, eigenvalues_of, joined, predicted_side
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
-from hyperval.campaign.reading import Job, job_of, jobs_of
-from hyperval.campaign.schema import Outline
+from hyperval.campaign.schema import Job, Outline, job_of, jobs_of
 from hyperval.compare import compare_products, judged, told_apart
 from hyperval.compare.joint import would_decide
 from hyperval.compare.products import product_rows

@@ -5,7 +5,6 @@ Results go to files, data to standard output, messages to standard error.  Exit 
 was checked, 130 interrupted, 143 terminated.
 """
 
-from hyperval.cli.commands import app, keep_caches, note
-from hyperval.cli.main import main, run
+from hyperval.cli.main import app, keep_caches, main, note, run
 
 __all__ = ["app", "keep_caches", "main", "note", "run"]

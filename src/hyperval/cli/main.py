@@ -1,4 +1,8 @@
-"""From the command's arguments to its exit code."""
+"""The commands: each calls one function of the package, prints what it says, and passes on its exit code.
+
+What all share stands first: the application, options before the command, how they speak to people; last, the way from
+the command's arguments to its exit code.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +12,788 @@ import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TypeVar
 
+import typer
 from typer.exceptions import Abort, TyperException
 
-from hyperval import __version__
-from hyperval.cli import commands  # noqa: F401  (adds the commands to the application)
-from hyperval.cli.commands import app, settings
-from hyperval.errors import HypervalError, UsageError, internal_error
+from hyperval import __version__, baseline, campaign, scoreboard
+from hyperval.errors import HypervalError, InputError, UsageError, as_typed, internal_error
+
+if TYPE_CHECKING:
+    from hyperval.results import Result
+
+
+app = typer.Typer(
+    help="Does the model of a hyperspectral imager agree with what it measured?",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # rich takes as long to load as all else that help needs
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
+)
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def command(*examples: str, of: typer.Typer = app, name: str | None = None) -> Callable[[F], F]:
+    """A command whose help ends with examples."""
+    return of.command(name, epilog="\n".join(("\b", "Examples:", *(f"  hyperval {example}" for example in examples))))
+
+
+@dataclass
+class CommandSettings:
+    """What the options before the command say."""
+
+    quiet: bool = False
+    debug: bool = False
+
+    @property
+    def show_progress(self) -> bool:
+        """Bars only where somebody watches."""
+        return not self.quiet and sys.stderr.isatty()
+
+
+settings = CommandSettings()
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
+AnyOutput = Annotated[Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
+
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
+]
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"hyperval {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    data_dir: Annotated[
+        Path | None, typer.Option(help="Folder with local copies of data sets, before the cache (HYPERVAL_DATA).")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no notes; errors only.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of any error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and stop.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options that stand before the command."""
+    settings.quiet, settings.debug = quiet, debug
+    if data_dir is not None:
+        from hyperval.datasets import set_data_dir
+
+        set_data_dir(data_dir)
+
+
+def finished(code: int, output: Path | None) -> int:
+    """Say where the results are, if there are any, and pass on the exit code."""
+    if output is not None:
+        note(f"results in {output}")
+    return code
+
+
+def say_verdicts(output: Path) -> None:
+    """A line for each campaign of a finished run, then one for each reason of an error or a skipped comparison.
+
+    Errors are said under --quiet too.
+    """
+    from hyperval.report import first_screen, last_line
+    from hyperval.results import Outcome
+    from hyperval.run import is_run, read_rows
+
+    rows = list(read_rows(output, every=False)) if is_run(output) else []
+    for name, own in groupby(rows, lambda row: row.campaign):
+        note(f"{name}: {first_screen(list(own)).words}")
+    for outcome in (Outcome.ERROR, Outcome.SKIPPED):
+        concerned: dict[str, dict[str, None]] = {}
+        for row in rows:
+            if row.outcome is outcome and row.reason:
+                concerned.setdefault(row.reason, {})[row.campaign] = None
+        for reason, campaigns in concerned.items():
+            line = f"{', '.join(campaigns)}: {outcome}: {reason}"
+            print(line, file=sys.stderr) if outcome is Outcome.ERROR else note(line)
+    if rows:
+        note(last_line(rows))
+
+
+def say_warnings(output: Path) -> None:
+    """The warnings of a finished run, each with its campaign."""
+    from hyperval.run import provenance_of, runs_in
+
+    for folder in runs_in([output]) if output.is_dir() else ():
+        record = provenance_of(folder)
+        name = record.get("configuration", {}).get("campaign", {}).get("name", folder.name)
+        for line in record.get("warnings", ()):
+            note(f"{name}: {line}")
+
+
+def note(text: str) -> None:
+    """A message that --quiet leaves out."""
+    if not settings.quiet:
+        print(text, file=sys.stderr)
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table for people on a terminal, tab-separated values for programs."""
+    if not sys.stdout.isatty():
+        for row in (header, *rows):
+            print("\t".join(row))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*header, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+Campaigns = Annotated[list[Path] | None, typer.Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
+Sensors = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--sensors", metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."
+    ),
+]
+Baselines = Annotated[Path | None, typer.Option(help="Folder of accepted numbers [validation/baselines].")]
+Header = Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")]
+Key = Annotated[str | None, typer.Option(help="Which array of the file is the image, if there are several.")]
+Draft = Annotated[Path | None, typer.Option("--output", "-o", help="The file to write.")]
+Finished = Annotated[
+    Path | None,
+    typer.Option("--from", help="Folder of a finished validate of these campaigns, read instead of run."),
+]
+
+
+@command("check campaigns/*/campaign.yaml --sensors all", "check campaign.yaml --from results --junit check.xml")
+def check(
+    campaigns: Campaigns = None,
+    sensors: Sensors = None,
+    junit: Annotated[Path | None, typer.Option(help="File for the verdicts as JUnit XML.")] = None,
+    output: AnyOutput = None,
+    baselines: Baselines = None,
+    source: Finished = None,
+    everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
+) -> int:
+    """Run campaigns and sensors, and compare with what was accepted."""
+    if baselines is not None and not baselines.is_dir():
+        raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
+    outcome = baseline.check(
+        campaigns or [],
+        sensors or [],
+        baselines=baselines or baseline.DEFAULT_FOLDER,
+        source=source,
+        output=output,
+        junit=junit,
+        show_progress=settings.show_progress,
+    )
+    header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
+    compared = [row for run in outcome.checked if run.before for row in run.rows if everything or row.reason]
+    print_table(header, list(map(_cells, compared)))
+    skipped: dict[str, list[str]] = {}
+    for run in outcome.checked:
+        _tell(run, baselines or baseline.DEFAULT_FOLDER)
+        if run.skipped is not None:
+            skipped.setdefault(run.skipped, []).append(run.owner)
+    for reason, owners in skipped.items():
+        note(f"{', '.join(owners)}: skipped: {reason}")
+    return finished(outcome.exit_code, output)
+
+
+def _cells(row: Result) -> tuple[str, ...]:
+    accepted, width = (row.limit_high + row.limit_low) / 2.0, (row.limit_high - row.limit_low) / 2.0
+    numbers = (f"{accepted:.6g}", f"{row.value:.6g}", f"{row.value - accepted:+.3g}", f"{width:.3g}")
+    outcome = row.reason or str(row.outcome)
+    return (row.campaign, baseline.key_of(row), *("-" if "nan" in text else text for text in numbers), outcome)
+
+
+def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
+    """One line of summary; what was not compared, and is in no table, says why."""
+    from hyperval.results import Outcome
+
+    wrong = [row for row in run.rows if row.outcome is Outcome.DISAGREES]
+    if run.before is None:
+        for row in wrong:
+            print(f"{row.campaign}: {row.reason}", file=sys.stderr)
+    elif not wrong:
+        note(f"{run.owner}: {len(run.rows)} numbers as accepted")
+    else:
+        then = run.before.versions
+        changed = [f"{k} {then[k]} is now {v}" for k, v in run.versions.items() if k in then and then[k] != v]
+        alike = "the code, the campaign's files or its data: the versions of all packages are as accepted"
+        note(f"{run.owner}: {len(wrong)} of {len(run.rows)} numbers are not as accepted")
+        note(f"  likely cause: {'; '.join(changed) or alike}")
+        note(f"  if the change is meant: {run.acceptance(baselines)}")
+
+
+baseline_app = typer.Typer(help="Accepted numbers of campaigns and sensors.", no_args_is_help=True)
+app.add_typer(baseline_app, name="baseline")
+
+
+@baseline_app.callback()
+def accepted_numbers() -> None:
+    """Accepted numbers of campaigns and sensors."""
+
+
+@command(
+    "baseline accept campaign.yaml --reason 'another atmosphere engine'",
+    "baseline accept --sensors mine.yaml --reason 'first numbers'",
+    of=baseline_app,
+    name="accept",
+)
+def baseline_accept(
+    reason: Annotated[str, typer.Option(help="Why the new numbers are right.")],
+    campaigns: Campaigns = None,
+    sensors: Sensors = None,
+    baselines: Baselines = None,
+    source: Finished = None,
+) -> int:
+    """Take the numbers of a run as those that later runs must give; prints what changes."""
+    done = baseline.accept(
+        campaigns or [],
+        sensors or [],
+        reason=reason,
+        baselines=baselines or baseline.DEFAULT_FOLDER,
+        source=source,
+        show_progress=settings.show_progress,
+    )
+    header = ("where", "metric", "accepted before", "accepted now")
+    print_table(header, [(owner, key, _in_words(old), _in_words(new)) for owner, key, old, new in done.changes])
+    for name in done.unchanged:
+        note(f"{name}: nothing changed")
+    for name, why in done.skipped.items():
+        note(f"{name}: skipped: {why}")
+    for name, path in done.written.items():
+        note(f"{name}: written to {path}")
+    if done.written:
+        note('add to the changelog, under "Science changes", with what moved in place of the dots:')
+        note(f"| {done.date} | {' '.join(reason.split())} | ... | {', '.join(done.written)} |")
+    return done.exit_code
+
+
+def _in_words(item: object) -> str:
+    if not isinstance(item, baseline.Accepted):
+        return "-"
+    value = "no value" if item.accepted is None else f"{item.accepted:.6g}"
+    loose = f", loosened: {item.why}" if item.why else ""
+    return f"{value} ({item.outcome}, tolerance {item.tolerance:g} of {item.of}{loose})"
+
+
+data_app = typer.Typer(help="Public data sets: list, fetch, verify.", no_args_is_help=True)
+app.add_typer(data_app, name="data")
+
+
+@command("data list", of=data_app, name="list")
+def data_list() -> int:
+    """List the registered data sets and whether they are on this machine."""
+    from hyperval.datasets import files_at_hand, missing, registry
+
+    rows = []
+    for name, entry in registry().items():
+        if not entry.public:
+            count = files_at_hand(name)
+            where = f"{count} files here" if count else f"held by {entry.holder}: {entry.obtain}"
+            rows.append((name, "-", entry.licence, where, entry.title))
+            continue
+        lacking = len(missing(name))
+        here = "here" if not lacking else f"{lacking} of {len(entry.files)} files missing"
+        size = sum(file.size for file in entry.files) / 1e6
+        rows.append((name, f"{size:.1f} MB", entry.licence, here, entry.title))
+    print_table(("name", "size", "licence", "state", "title"), rows)
+    return 0
+
+
+@command("data fetch hysu", of=data_app, name="fetch")
+def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data sets.")]) -> int:
+    """Bring data sets into the user's cache; every file is checked against its digest."""
+    from hyperval.datasets import cache_dir, dataset, fetch
+
+    for entry in [dataset(name) for name in names]:
+        new = fetch(entry.name, show_progress=settings.show_progress)
+        note(f"{entry.name}: {len(new)} files fetched into {cache_dir()}" if new else f"{entry.name}: complete")
+        note(f"  licence {entry.licence}; please cite: {entry.citation}")
+    return 0
+
+
+@command("data verify hysu", of=data_app, name="verify")
+def data_verify(
+    names: Annotated[list[str] | None, typer.Argument(help="Names of data sets; all when none is named.")] = None,
+) -> int:
+    """Compare the files at hand with their digests; exit code 3 when one is missing or differs."""
+    from hyperval.datasets import dataset, registry, verify
+
+    for name in names or []:
+        if not dataset(name).public:
+            note(f"{name}: not public, so no checksums are registered")
+    checks = [(name, check) for name in names or registry() for check in verify(name)]
+    print_table(("set", "file", "state"), [(name, check.path, check.state) for name, check in checks])
+    return 0 if all(check.state == "ok" for _, check in checks) else InputError.exit_code
+
+
+@command("compare before after -o moved")
+def compare(
+    one: Annotated[Path, typer.Argument(metavar="A", help="A folder of results.")],
+    other: Annotated[Path, typer.Argument(metavar="B", help="Another, of the same campaign.")],
+    output: Output,
+) -> int:
+    """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
+    from hyperval.report.side_by_side import compare_runs
+
+    return finished(compare_runs(one, other, output), output)
+
+
+@command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
+def drift(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders that validate wrote.")],
+    metric: Annotated[str, typer.Option(help="Metric to follow.")] = "bias_ratio",
+    product: Annotated[str, typer.Option(help="Product of its row.")] = "radiance",
+    subject: Annotated[str, typer.Option(help="Subject of its row.")] = "site",
+    within: Annotated[
+        tuple[float, float] | None, typer.Option(help="Accepted change in a year, lowest and highest.")
+    ] = None,
+) -> int:
+    """Print a row for each day of finished runs, and the change in a year with its interval."""
+    from hyperval.compare import judge, spectra
+    from hyperval.results import Outcome
+    from hyperval.run import SECONDS_PER_YEAR, days_of
+
+    if within is not None and not within[0] < within[1]:
+        raise UsageError(f"--within {within[0]:g} {within[1]:g} holds no range", expected="lowest, highest")
+    days = days_of(folders, product, subject, metric)
+    print_table(
+        ("time", "campaign", metric, "lower", "upper"),
+        [
+            (f"{when:%Y-%m-%dT%H:%M:%SZ}", row.campaign, *(f"{x:.6g}" for x in (row.value, row.lower, row.upper)))
+            for when, row in days
+        ],
+    )
+    trend = spectra.drift([when.timestamp() / SECONDS_PER_YEAR for when, _ in days], [row.value for _, row in days])
+    words = f"{metric} changes by {trend.value:+.3g} in a year, 95 % interval "
+    words += f"{trend.lower:+.3g} to {trend.upper:+.3g}"
+    if within is None:
+        note(f"{words} ({len(days)} days)")
+        return 0
+    outcome = judge.against_range(trend.lower, trend.upper, *within)
+    note(f"{words} ({len(days)} days): {outcome} with {within[0]:g} to {within[1]:g}")
+    return {Outcome.AGREES: 0, Outcome.DISAGREES: 1}.get(outcome, 5)
+
+
+@command("figures results -o figures --format svg --style journal")
+def figures(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
+    output: Output,
+    kind: Annotated[Literal["pdf", "svg", "png"], typer.Option("--format", help="Format of the files.")] = "pdf",
+    style: Annotated[
+        Literal["house", "journal"], typer.Option(help="journal: two columns wide, in its letters, untitled.")
+    ] = "house",
+) -> int:
+    """Draw the figures of a finished run for print, from its folder."""
+    from hyperval.report.html import figures_to_folder
+
+    return finished(figures_to_folder(folder, output, campaign.eigenvalues_of, kind, style == "journal"), output)
+
+
+@command("metrics", "metrics bias_ratio")
+def metrics(
+    name: Annotated[str | None, typer.Argument(help="One metric, with everything the table says of it.")] = None,
+) -> int:
+    """List the metrics: range, interval, how each is judged and what moves it."""
+    from hyperval.metrics import HEADER, entry, listed, metric_of
+
+    if name is None:
+        print_table(HEADER, [tuple(str(x) for x in row) for row in listed()])
+    else:
+        print("\n".join(entry(metric_of(name))).strip())
+    return 0
+
+
+@command("explain line1_rad.img", "explain scene.mat --key data")
+def explain(
+    file: Annotated[Path, typer.Argument(help="An image, or a file of spectra.")],
+    header: Header = None,
+    key: Key = None,
+) -> int:
+    """Say what a file is as the reader sees it: every number's origin, what is not known, and what mends it."""
+    from hyperval.api import explain as explained
+
+    for row in explained(file, header=header, key=key):
+        typer.echo("\t".join(" ".join(cell.split()) for cell in row))
+    return 0
+
+
+@command("init --cube line1_rad.img --regions rois.xml --targets planks.csv --spectra spectra -o mine")
+def init(
+    cube: Annotated[Path, typer.Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for campaign.yaml, or a .yaml file.")],
+    regions: Annotated[list[Path] | None, typer.Option(help="Files of regions of interest.")] = None,
+    targets: Annotated[Path | None, typer.Option(help="Regions, mask or list (CSV) of the targets.")] = None,
+    spectra: Annotated[
+        list[Path] | None, typer.Option(help="Files or folders of field spectra, named as regions and targets.")
+    ] = None,
+    header: Header = None,
+    quantity: Annotated[
+        Literal["radiance", "reflectance", "counts"] | None,
+        typer.Option(help="What the image holds, where it does not say."),
+    ] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of the radiance, where the image does not say.")] = None,
+    sensor: Annotated[str | None, typer.Option(help="Sensor of the library, or a sensor file.")] = None,
+    time: Annotated[str | None, typer.Option(help="Acquisition time, UTC: 2012-09-20T16:31:00Z.")] = None,
+    altitude_km: Annotated[float | None, typer.Option(help="Sensor altitude above sea level [km].")] = None,
+    pixel_size_m: Annotated[float | None, typer.Option(help="Ground size of a pixel, without a map position.")] = None,
+    key: Key = None,
+    name: Annotated[str | None, typer.Option(help="Name of the campaign; default: that of the folder.")] = None,
+) -> int:
+    """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
+    import re
+
+    from hyperval.config import parse_yaml, placeholders, unwritten, write_draft
+
+    path = unwritten(output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml")
+    called = path.stem if path == output else output.resolve().name
+    own = name or re.sub(r"[^a-z0-9]+", "-", called.lower()).strip("-") or "campaign"
+    given = cube, regions or (), targets, spectra or (), header, quantity, unit
+    sources = campaign.StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key)
+    text, guesses = campaign.starter_campaign(sources, path.parent, own)
+    write_draft(path, "campaign", text)
+    for guess in guesses:
+        note(f"guess: {guess}")
+    asked = placeholders(*parse_yaml(text), str(path))
+    for one in asked:
+        note(f"to fill in: {one.key}: {one.what}")
+    then = as_typed(*(("validate", "--dry-run") if asked or "\ncomparisons:" in text else ("observe",)), path)
+    note(f"{path}: {f'{len(asked)} values to fill in, then' if asked else 'now'}: {then}")
+    return 0
+
+
+@command("schema campaign -o campaign.schema.json")
+def schema(
+    kind: Annotated[Literal["campaign", "scenario", "scene", "study", "sensor"], typer.Argument(help="Kind of file.")],
+    output: Draft = None,
+) -> int:
+    """Print the JSON Schema of a kind of file, by which editors complete, explain and mark errors."""
+    from hyperval.config import schema_text
+    from hyperval.storage import write_text
+
+    if output is None:
+        print(schema_text(kind), end="")
+    else:
+        write_text(output, schema_text(kind))
+        note(f"{output}: the first line '# yaml-language-server: $schema={output}' of a file names it")
+    return 0
+
+
+@command("study study.yaml -o traded")
+def study(
+    study_file: Annotated[Path, typer.Argument(metavar="STUDY", help="A study file.")],
+    output: Output,
+    scheduler: Scheduler = None,
+) -> int:
+    """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
+    from hyperval.study.run import study_to_folder
+
+    code = study_to_folder(study_file, output, scheduler=scheduler, show_progress=settings.show_progress)
+    return finished(code, output)
+
+
+@command("benchmark campaigns/*/campaign.yaml -o ranks", "benchmark campaign.yaml --scores net=net.npy -o ranks")
+def benchmark(
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    output: Output,
+    extend: Annotated[
+        list[Path] | None,
+        typer.Option("--extend", help="A Python file that registers detectors; it is run."),
+    ] = None,
+    scores: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--scores", metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
+    scheduler: Scheduler = None,
+) -> int:
+    """Rank all detectors on every campaign."""
+    if wrong := [one for one in scores or () if not all(one.partition("="))]:
+        raise UsageError(f"--scores {wrong[0]}", expected="NAME=FILE, such as --scores net=net.npy")
+    code = scoreboard.benchmark(
+        campaigns,
+        output,
+        extensions=extend or [],
+        scores=dict(one.split("=", 1) for one in scores or ()),
+        seed=seed,
+        scheduler=scheduler,
+        show_progress=settings.show_progress,
+    )
+    return finished(code, output)
+
+
+@command("power campaign.yaml -o detected")
+def power(
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    output: AnyOutput = None,
+    accept: Annotated[bool, typer.Option("--accept", help="Keep the tables as those that reports show.")] = False,
+    errors: Annotated[Path | None, typer.Option("--errors", help="Errors of your own: NAME: {path: value}.")] = None,
+) -> int:
+    """Inject standard errors into the model, one at a time: which criteria detect them?"""
+    tables = campaign.campaign_power(
+        campaigns, output=output, accept=accept, own=errors, show_progress=settings.show_progress
+    )
+    done = [item.table for item in tables if item.table is not None]
+    names = list(dict.fromkeys(name for table in done for name in table.errors))
+    print_table(
+        ("injected error", *(table.campaign for table in done)),
+        [(name, *(table.errors[name].words for table in done)) for name in names],
+    )
+    for item in tables:
+        if item.skipped:
+            note(f"{item.campaign}: skipped: {item.skipped}")
+        elif item.table is not None:
+            note(f"{item.campaign}: {item.table.sentence}")
+        for change in item.changes:
+            note(f"{item.campaign}: {change}")
+    has_changed = not accept and any(item.changes for item in tables)
+    return finished(int(has_changed) if done else 5, output)
+
+
+@command("predict yellow-planks-asphalt -o out", "predict scenario.yaml -o out")
+def predict(
+    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of a built-in scenario.")],
+    output: Output,
+) -> int:
+    """Run the forward model alone."""
+    return finished(campaign.predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
+
+
+@command("observe campaign.yaml -o out --write-reflectance envi")
+def observe(
+    file: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="A campaign file.")],
+    output: Output,
+    write_reflectance: Annotated[
+        Literal["envi", "cog"] | None,
+        typer.Option(help="Write the cube after the empirical line too: ENVI, or a cloud-optimised GeoTIFF."),
+    ] = None,
+) -> int:
+    """Run the empirical pipeline alone: what the collected imagery says."""
+    code = campaign.observe(file, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
+    say_warnings(output)
+    return finished(code, output)
+
+
+@command("validate --dry-run campaign.yaml", "validate campaign.yaml -o results")
+def validate(
+    campaigns: Annotated[list[Path], typer.Argument(help="Campaign files.")],
+    output: AnyOutput = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="List files, values to fill in, comparisons, and criteria that can never be met."
+        ),
+    ] = False,
+    junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
+    scheduler: Scheduler = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 1 where a criterion is inconclusive or skipped, too.")
+    ] = False,
+    again: Annotated[bool, typer.Option("--again", help="Run unchanged campaigns of the output again, too.")] = False,
+) -> int:
+    """Predict, observe, compare: the main job."""
+    if dry_run:
+        return _dry_run(campaigns)
+    if output is None:
+        raise UsageError("no folder for the results", mend="name one with --output (-o)")
+
+    from hyperval.run import junit_of
+    from hyperval.storage import write_text
+
+    code = campaign.validate(
+        campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note,
+        show_progress=settings.show_progress,
+    )  # fmt: skip
+    if junit is not None:
+        write_text(junit, junit_of(output))
+    finished(code, output)
+    say_warnings(output)
+    say_verdicts(output)
+    return code
+
+
+@command("simulate scene.yaml -o collection")
+def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], output: Output) -> int:
+    """Write a simulated collection with its truth."""
+    from hyperval.simulate import simulate_to_folder
+
+    return finished(simulate_to_folder(scene, output, show_progress=settings.show_progress), output)
+
+
+def _dry_run(campaigns: list[Path]) -> int:
+    items = campaign.dry_run(campaigns)
+    header = ("campaign", "kind", "state", "what", "detail")
+    print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in campaign.overview(items)])
+    for line in campaign.summary(items):
+        note(line)
+    if any(i.state == campaign.WRONG for i in items):
+        return UsageError.exit_code
+    return InputError.exit_code if any(i.lacking for i in items) else 0
+
+
+sensor_app = typer.Typer(help="Sensors: those of the package, and new ones.", no_args_is_help=True)
+app.add_typer(sensor_app, name="sensor")
+
+
+@command("sensor list", of=sensor_app, name="list")
+def sensor_list() -> int:
+    """List the sensors that come with the package."""
+    from hyperval.sensor.specification import library_names, load_sensor
+
+    rows = []
+    for sensor in map(load_sensor, library_names()):
+        centre = sensor.axis.centre_nm
+        span = f"{centre.min():.0f}-{centre.max():.0f} nm"
+        rows.append((sensor.name, str(centre.size), span, sensor.specification.title))
+    print_table(("name", "bands", "range", "title"), rows)
+    return 0
+
+
+@command("sensor show prospectir-vs", of=sensor_app, name="show")
+def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")]) -> int:
+    """Print a sensor's specification as YAML: every number with its source."""
+    import yaml
+
+    from hyperval.sensor.specification import load_sensor
+
+    entries = load_sensor(name).specification.model_dump(mode="json", by_alias=True, exclude_none=True)
+    print(yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100), end="")
+    return 0
+
+
+@command("sensor check mine.yaml -o mine-check", of=sensor_app, name="check")
+def sensor_check(
+    name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")],
+    output: AnyOutput = None,
+    vary: Annotated[
+        float, typer.Option(min=1.0, max=90.0, help="By how much each assumed number is varied [%].")
+    ] = 20.0,
+) -> int:
+    """Run the acceptance suite on a sensor; with --output, write its datasheet."""
+    from hyperval.report.verdict import gate_fails, limits_text
+    from hyperval.sensor_check import check_to_folder
+
+    check = check_to_folder(name, output, vary=vary / 100.0, show_progress=settings.show_progress)
+    decided = [r for r in check.table if r.planned]
+    rows = [
+        (str(r.outcome), r.product, r.subject, r.metric, f"{r.value:.4g}", limits_text(r), r.reason) for r in decided
+    ]
+    print_table(("outcome", "part", "subject", "check", "value", "limit", "remark"), rows)
+    failed = sum(gate_fails(r) for r in decided)
+    note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
+         else f"{check.sensor.name}: accepted, {len(decided)} checks")  # fmt: skip
+    return finished(check.table.exit_code(), output)
+
+
+@command("sensor new mine --arms VNIR,SWIR", of=sensor_app, name="new")
+def sensor_new(
+    name: Annotated[str, typer.Argument(help="Short name of the sensor.")],
+    output: Draft = None,
+    arms: Annotated[str, typer.Option(help="Its spectrometers, with commas between.")] = "VNIR",
+) -> int:
+    """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet."""
+    from hyperval.config import unwritten, write_draft
+    from hyperval.sensor.specification import new_sensor_file
+
+    path = unwritten(output or Path(f"{name}.yaml"))
+    write_draft(path, "sensor", new_sensor_file(name, [arm.strip() for arm in arms.split(",")]))
+    note(f"{path}: replace every FILL_IN, then: {as_typed('sensor', 'check', path)}")
+    return 0
+
+
+_MB = 1_000_000
+
+
+@command("serve", "serve --campaigns campaigns --data data --port 8080")
+def serve(
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8000,
+    host: Annotated[str, typer.Option(help="Address to listen on; this machine alone by default.")] = "127.0.0.1",
+    name: Annotated[
+        list[str] | None,
+        typer.Option(help="Name under which browsers reach it, besides localhost; may be repeated."),
+    ] = None,
+    folder: Annotated[Path | None, typer.Option(help="Runs and uploads; by default in the user's data folder.")] = None,
+    campaigns: Annotated[Path | None, typer.Option(help="Folder of campaigns that may be run from the pages.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder whose cubes, regions and spectra pages may name.")] = None,
+    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for predictions.")] = 2,
+    long_workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
+    scheduler: Scheduler = None,
+    memory_mb: Annotated[int, typer.Option(min=500, help="Memory of one process.")] = 3000,
+    seconds: Annotated[float, typer.Option(min=1, help="Time limit of a study or campaign.")] = 3600.0,
+    queue: Annotated[int, typer.Option(min=1, max=10_000, help="Runs that may wait.")] = 64,
+    connections: Annotated[
+        int, typer.Option(min=4, max=100_000, help="Connections from one address; behind a proxy, all of them.")
+    ] = 256,
+    upload_mb: Annotated[int, typer.Option(min=1, max=2000, help="Largest upload.")] = 64,
+    kept_mb: Annotated[int, typer.Option(min=1, help="Finished runs that are kept; the oldest go first.")] = 5000,
+    kept_days: Annotated[float, typer.Option(min=0.01, help="How long finished runs are kept.")] = 30.0,
+    https: Annotated[
+        bool, typer.Option("--https", help="Behind an HTTPS proxy: cookies are sent over HTTPS only.")
+    ] = False,
+) -> int:
+    """Serve the web application, to browsers of this machine by default."""
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # the workers share the processors
+    import platformdirs
+
+    place = folder or Path(platformdirs.user_data_dir("hyperval")) / "web"
+    keep_caches(place)
+
+    try:
+        import uvicorn
+
+        from hyperval.web.app import make_app
+        from hyperval.web.guard import connections_of
+    except ModuleNotFoundError as error:
+        raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
+    from hyperval.web.store import LOOPBACK, Limits, ServerSettings
+
+    limits = Limits(
+        upload_bytes=upload_mb * _MB, long_seconds=seconds, memory_bytes=memory_mb * _MB, quick_workers=workers,
+        long_workers=long_workers, queue=queue, kept_bytes=kept_mb * _MB, kept_days=kept_days,
+    )  # fmt: skip
+    for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
+        if given is not None and not given.is_dir():
+            raise UsageError("is no folder", where=str(given), expected=words)
+    names = tuple(n.lower() for n in name or ())
+    settings = ServerSettings(place, campaigns, (*LOOPBACK, *names), https, limits, data, scheduler)
+    application = make_app(settings)
+    for words in application.state.store.notices:
+        note(words)
+    note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C stops it")
+    uvicorn.run(
+        application, host=host, port=port, log_level="warning", access_log=False, server_header=False,
+        proxy_headers=False, timeout_keep_alive=30, ws="none", http=connections_of(connections), backlog=64,
+    )  # fmt: skip
+    return 0
+
+
+def keep_caches(place: Path) -> None:
+    """Keep what is computed once in the server's folder, where its user has no home, as that of a service."""
+    from hyperval.datasets import cache_dir
+
+    try:
+        cache_dir().parent.mkdir(parents=True, exist_ok=True)
+        writable = os.access(cache_dir().parent, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        os.environ["HYPERVAL_CACHE"] = str(place / "cache")
+        os.environ.setdefault("MPLCONFIGDIR", str(place / "cache" / "matplotlib"))
+
 
 INTERNAL_ERROR = 4
 INTERRUPTED = 130

@@ -1,13 +1,23 @@
 """The web application: pages and a JSON API over the verbs of the package, served to browsers on this machine."""
 
 from .app import make_app
-from .dispatch import Cancelled, Full, TaskFailed, WorkerPool, WorkerTask
 from .forms import needs, plain, predefined, scenario_form
 from .guard import POLICY, connections_of
-from .pages_predict import walk
+from .predictions import walk
 from .refusal import said
 from .runs import campaigns_of
-from .store import LOOPBACK, Limits, RunStore, ServerSettings, view_name
+from .store import (
+    LOOPBACK,
+    Cancelled,
+    Full,
+    Limits,
+    RunStore,
+    ServerSettings,
+    TaskFailed,
+    WorkerPool,
+    WorkerTask,
+    view_name,
+)
 
 __all__ = [
     "LOOPBACK", "POLICY", "Cancelled", "Full", "Limits", "RunStore", "ServerSettings", "TaskFailed",

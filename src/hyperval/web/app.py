@@ -18,12 +18,11 @@ from starlette.responses import Response
 import hyperval
 from hyperval.errors import HypervalError
 from hyperval.executors import TaskPool
-from hyperval.web import pages_predict, reference, runs, trade, uploads  # noqa: F401  (their routes)
-from hyperval.web.dispatch import Desk
+from hyperval.web import predictions, runs, uploads  # noqa: F401  (their routes)
 from hyperval.web.guard import Guard
 from hyperval.web.pages import api, page, pages, static
 from hyperval.web.refusal import FieldMistake, Refused, field_name, mistake_of, problems, said
-from hyperval.web.store import RunStore, ServerSettings
+from hyperval.web.store import Desk, RunStore, ServerSettings
 
 _THREADS = 128  # requests that wait for a worker hold one each
 
@@ -73,7 +72,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
 
 def _warm(settings: ServerSettings) -> None:
     """Load what the first requests would wait for."""
-    pages_predict.warm()
+    predictions.warm()
     list(runs.campaigns_of(settings))
     gc.collect()
     gc.freeze()  # what is loaded stays: to go through it again takes up to half a second, while somebody waits

@@ -1,25 +1,30 @@
-"""Pages, templates with what every one of them shows, and the JSON API, version 1, which does all that they do."""
+"""Pages, templates with what every one of them shows, and the JSON API, version 1, which does all that they do.
+
+What there is to look up: the API, made from its OpenAPI file, and sensors number by number with their sources.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jinja2
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from markupsafe import Markup
 from pydantic import BaseModel
-from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 import hyperval
+from hyperval.config import schema_text
 from hyperval.report.html import LIBRARY, library, script, strict_templates
+from hyperval.sensor.specification import library_names, load_sensor
+from hyperval.sensor_check import SensorNumber, numbers
 from hyperval.web.forms import Node
 from hyperval.web.guard import Session
-from hyperval.web.refusal import FieldMistake
+from hyperval.web.refusal import FieldMistake, Refused
 
 
 class Problems(BaseModel):
@@ -114,3 +119,63 @@ def static(name: str) -> Response | None:
         return None
     headers = {"cache-control": "public, max-age=3600"}
     return Response(content, media_type=kind, headers=headers)
+
+
+@pages.get("/{kind}.schema.json")
+def schema(kind: Literal["campaign", "scenario", "study"]) -> Response:
+    """The schema that the first line of a file names, by which editors complete and check it."""
+    headers = {"content-disposition": f'attachment; filename="{kind}.schema.json"'}
+    return Response(schema_text(kind), media_type="application/json", headers=headers)
+
+
+@pages.get("/docs")
+def reference(request: Request) -> Response:
+    """Every operation of the API: what it takes, what it answers."""
+    described = request.app.openapi()
+    address = str(request.base_url).rstrip("/")
+    refusals = {code: about["description"] for code, about in api.responses.items()}
+    return page(request, "docs.html.j2", operations=list(_operations(described)), address=address, refusals=refusals)
+
+
+def _operations(described: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    schemas = described.get("components", {}).get("schemas", {})
+    for path, methods in described["paths"].items():
+        for method, operation in methods.items():
+            contents = list(operation.get("requestBody", {}).get("content", {}).values())
+            body: dict[str, Any] = contents[0]["schema"] if contents else {}
+            name = body.get("$ref", "").rsplit("/", 1)[-1]
+            fields: dict[str, Any] = dict(schemas.get(name, body).get("properties", ()))
+            yield {
+                "method": method.upper(),
+                "path": path,
+                "summary": (operation.get("description") or operation.get("summary", "")).replace("``", ""),
+                "parameters": [(p["name"], p.get("description", "")) for p in operation.get("parameters", ())],
+                "fields": [(key, value.get("description", "")) for key, value in fields.items()],
+            }
+
+
+@pages.get("/sensors")
+def sensors_page(request: Request) -> Response:
+    """The sensors of the library."""
+    known = {name: load_sensor(name).specification for name in library_names()}
+    return page(request, "sensors.html.j2", sensors=known)
+
+
+@api.get("/sensors")
+def sensors() -> list[str]:
+    """Names of the sensors of the library."""
+    return list(library_names())
+
+
+@pages.get("/sensors/{name}")
+def sensor_page(request: Request, name: str) -> Response:
+    """A sensor of the library: every number with its unit and source."""
+    return page(request, "sensor.html.j2", numbers=sensor(name), sensor=load_sensor(name).specification)
+
+
+@api.get("/sensors/{name}")
+def sensor(name: str) -> list[SensorNumber]:
+    """Every number of a sensor of the library."""
+    if name not in library_names():
+        raise Refused(404, [FieldMistake("name", "the library has no such sensor")])
+    return numbers(load_sensor(name).specification)

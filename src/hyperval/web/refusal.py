@@ -1,14 +1,10 @@
-"""A request that is refused: what is wrong, at which field, with the status of the answer.
-
-Files that a session brought: kept apart from those of others, under names that are no paths.
-"""
+"""A request that is refused: what is wrong, at which field, with the status of the answer."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -17,7 +13,6 @@ from starlette.responses import JSONResponse
 
 from hyperval.config import spelled
 from hyperval.errors import HypervalError
-from hyperval.web.store import ServerSettings
 
 _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
 _MOST = 40  # mistakes of one request
@@ -115,39 +110,3 @@ def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:
     for item in error.errors(include_url=False):
         listed[mistake_of(item, field_name(item["loc"], data))] = None
     return list(listed)[:_MOST]
-
-
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")
-KINDS = ("spectra", "sensors")
-SPECTRA = (".txt", ".csv", ".asd", ".sli", ".sed", ".sig")
-
-
-def folder_of(settings: ServerSettings, owner: str) -> Path:
-    """The folder of a session's uploads."""
-    return settings.folder / "uploads" / owner
-
-
-def checked_name(field: str, name: str) -> str:
-    """A name under which a file of a field may be kept.
-
-    Raises
-    ------
-    Refused : it is a path, or holds what a name of a file had better not hold.
-    """
-    if not NAME.fullmatch(name):
-        words = "letters, digits, - and _, with one or two endings, at most 80 characters"
-        raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {words}")])
-    return name
-
-
-def files_of(settings: ServerSettings, owner: str, kinds: Sequence[str] = KINDS) -> tuple[str, ...]:
-    """Names of the spectra and sensor files that a session brought."""
-    folders = [folder_of(settings, owner) / kind for kind in kinds]
-    return tuple(sorted(p.name for folder in folders if folder.is_dir() for p in folder.iterdir() if p.is_file()))
-
-
-def copies_of(settings: ServerSettings, owner: str, text: str, names: Collection[str]) -> dict[str, Path]:
-    """Files that the text of a scenario names, by the name that the run keeps them under."""
-    folder = folder_of(settings, owner)
-    places = {name: folder / kind / name for kind in KINDS for name in files_of(settings, owner, [kind])}
-    return {name: places[name] for name in names if name in text}

@@ -22,8 +22,8 @@ import numpy.typing as npt
 
 from hyperval import api
 from hyperval.campaign.forward import predict_to_folder
-from hyperval.campaign.reading import Job, jobs_of
 from hyperval.campaign.run import observe, validate
+from hyperval.campaign.schema import Job, jobs_of
 from hyperval.campaign.starter import StarterSources, starter_campaign
 from hyperval.config import load_model, write_draft
 from hyperval.datasets import InputLog

@@ -25,19 +25,9 @@ from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.web.forms import marked
 from hyperval.web.pages import api, page, pages, session_of
-from hyperval.web.refusal import (
-    KINDS,
-    SPECTRA,
-    FieldMistake,
-    Refused,
-    checked_name,
-    files_of,
-    folder_of,
-    mistakes_of,
-    to_show,
-)
+from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, to_show
 from hyperval.web.runs import RunAnswer, answer_of
-from hyperval.web.store import WebRun
+from hyperval.web.store import KINDS, SPECTRA, WebRun, checked_name, files_of, folder_of
 
 MOST_FILES = 20
 _MOST_KEPT = 50
