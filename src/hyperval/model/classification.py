@@ -55,18 +55,17 @@ def bhattacharyya_distance(
     return float(0.125 * d @ middle.solve(d) + 0.5 * (logs[0] - 0.5 * (logs[1] + logs[2])))
 
 
-def classification_error(distance: float, prior_1: float = 0.5) -> tuple[float, float, float]:
+def classification_error(distance: float) -> tuple[float, float, float]:
     """Error of the best classifier of two Gaussian classes, from their distance B (lineage of 3.31-3.33).
 
     Returns
     -------
     estimate, lower bound, upper bound [1].  The estimate Phi(-sqrt(2 B)) is exact for equal covariances and equal
-    priors; the bounds 1/2 - 1/2 sqrt(1 - 4 p1 p2 exp(-2B)) and sqrt(p1 p2) exp(-B) hold for any classes.
+    priors; the bounds 1/2 - 1/2 sqrt(1 - exp(-2B)) and exp(-B)/2 hold for any classes that are equally likely.
     """
-    product = prior_1 * (1.0 - prior_1)
-    lower = 0.5 - 0.5 * np.sqrt(max(1.0 - 4.0 * product * np.exp(-2.0 * distance), 0.0))
-    upper = min(np.sqrt(product) * np.exp(-distance), prior_1, 1.0 - prior_1)
-    return float(ndtr(-np.sqrt(2.0 * max(distance, 0.0)))), float(lower), float(upper)
+    b = max(distance, 0.0)  # below it there is rounding
+    lower, upper = 0.5 - 0.5 * np.sqrt(-np.expm1(-2.0 * b)), 0.5 * np.exp(-b)
+    return float(ndtr(-np.sqrt(2.0 * b))), float(lower), float(upper)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +96,8 @@ class ClassLaw:
         return np.asarray(self.mean + standard @ np.linalg.cholesky(self.covariance).T)
 
 
-class GaussianClassifier:
-    """Assigns a pixel to the class of greatest normal likelihood, all classes equally likely beforehand.
+def gaussian_classes(laws: Sequence[ClassLaw], pixels: npt.ArrayLike) -> Index:
+    """Index (n,) of the class of greatest normal likelihood of each pixel (n, F), all equally likely beforehand.
 
     ln f = -1/2 (x - m)^T C^-1 (x - m) - 1/2 ln |C| (Fukunaga 1990, section 4.1).
 
@@ -106,19 +105,11 @@ class GaussianClassifier:
     ------
     UsageError : a covariance that cannot be inverted.
     """
-
-    def __init__(self, laws: Sequence[ClassLaw]):
-        self._laws = [(law.mean, PositiveDefinite(law.covariance)) for law in laws]
-        self._offsets = [-0.5 * float(np.linalg.slogdet(law.covariance)[1]) for law in laws]
-
-    def classify(self, pixels: npt.ArrayLike) -> Index:
-        """Index (n,) of the class of each pixel (n, F)."""
-        x = np.asarray(pixels, dtype=float)
-        likelihoods = [
-            offset - 0.5 * np.sum(factor.whiten((x - mean).T) ** 2, axis=0)
-            for (mean, factor), offset in zip(self._laws, self._offsets, strict=True)
-        ]
-        return np.asarray(np.argmax(likelihoods, axis=0))
+    x, likelihoods = np.asarray(pixels, dtype=float), []
+    for law in laws:
+        z = PositiveDefinite(law.covariance).whiten((x - law.mean).T)
+        likelihoods.append(-0.5 * (np.sum(z**2, axis=0) + np.linalg.slogdet(law.covariance)[1]))
+    return np.asarray(np.argmax(likelihoods, axis=0))
 
 
 def predicted_error(laws: Sequence[ClassLaw], rng: np.random.Generator, draws: int = 20_000) -> ClassificationError:
@@ -126,9 +117,8 @@ def predicted_error(laws: Sequence[ClassLaw], rng: np.random.Generator, draws: i
 
     The interval is that of the draws.
     """
-    classifier = GaussianClassifier(laws)
-    wrong = sum(int(np.count_nonzero(classifier.classify(law.draw(draws, rng)) != i)) for i, law in enumerate(laws))
-    n = draws * len(laws)
+    each = enumerate(gaussian_classes(laws, law.draw(draws, rng)) for law in laws)
+    wrong, n = sum(int(np.count_nonzero(found != i)) for i, found in each), draws * len(laws)
     lower, upper = clopper_pearson(wrong, n)
     return with_distances(ClassificationError(wrong / n, float(lower), float(upper), n), laws)
 
@@ -144,10 +134,9 @@ def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Se
     pixels : by class, (n, F)
     blocks : by class, (n,) the block of the image that each pixel lies in
     """
-    classifier = GaussianClassifier(laws)
     errors, variances, n = [], [], 0
     for i, (x, block) in enumerate(zip(pixels, blocks, strict=True)):
-        wrong = classifier.classify(x) != i
+        wrong = gaussian_classes(laws, x) != i
         rate = float(np.mean(wrong))
         _, index = np.unique(block, return_inverse=True)
         excess = np.bincount(index, wrong) - rate * np.bincount(index)

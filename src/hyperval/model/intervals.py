@@ -14,6 +14,7 @@ from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
 
 Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
+_TAIL = 0.025  # beyond either limit of it
 _HALVINGS = 50
 _MISSED = 1e-6  # of the probability: farther from it is no quantile
 
@@ -62,7 +63,9 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     0.509 0.913
     """
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(k, n, level)
+    _check(k, n)
+    if not 0.0 < level < 1.0:
+        raise UsageError(f"confidence level {level:g}", expected="a number between 0 and 1, such as 0.95")
     tail = (1.0 - level) / 2.0
     # The binomial tail sums are incomplete beta functions; the end counts have their limit at 0 or 1.
     lower = np.where(k > 0, _beta_quantile(np.where(k > 0, k, 1.0), n - k + 1.0, tail), 0.0)
@@ -70,10 +73,10 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     return lower, upper
 
 
-def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
-    """Limits of a proportion by Jeffreys' prior: quantiles of the beta law of count + 1/2 and total - count + 1/2.
+def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Array]:
+    """95 % limits of a proportion by Jeffreys' prior: quantiles of the beta law of count + 1/2 and total - count + 1/2.
 
-    Counts may be fractions, as those of clusters are.  Coverage is ``level`` on average over proportions, and goes
+    Counts may be fractions, as those of clusters are.  Coverage is 95 % on average over proportions, and goes
     above and below it with the discreteness of counts, where Clopper and Pearson's never goes below.  None of the
     total has a lower limit of 0, all an upper one of 1.  Source: Brown, Cai & DasGupta, Stat. Sci. 16, 101, 2001.
 
@@ -84,32 +87,30 @@ def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     0.536 0.898
     """
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    tail = (1.0 - level) / 2.0
     rest = np.maximum(n - k, 0.0)
-    lower = np.where(k > 0.0, _beta_quantile(k + 0.5, rest + 0.5, tail), 0.0)
-    upper = np.where(rest > 0.0, _beta_quantile(k + 0.5, rest + 0.5, 1.0 - tail), 1.0)
+    lower = np.where(k > 0.0, _beta_quantile(k + 0.5, rest + 0.5, _TAIL), 0.0)
+    upper = np.where(rest > 0.0, _beta_quantile(k + 0.5, rest + 0.5, 1.0 - _TAIL), 1.0)
     return lower, upper
 
 
 def beyond_jeffreys_limits(
-    count: npt.ArrayLike, total: npt.ArrayLike, proportion: npt.ArrayLike, level: float = 0.95
-) -> tuple[Mask, Mask]:
+    count: npt.ArrayLike, total: npt.ArrayLike, proportion: npt.ArrayLike
+) -> tuple[Mask, Mask]:  # fmt: skip
     """Whether a proportion lies below, and whether above, the :func:`jeffreys_limits`.
 
     By the beta law's part below the proportion, which is told much faster than its quantiles.
     """
     k, n, p = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (count, total, proportion)))
-    tail = (1.0 - level) / 2.0
     rest = np.maximum(n - k, 0.0)
     part = special.betainc(k + 0.5, rest + 0.5, p)
-    return (k > 0.0) & (part < tail), (rest > 0.0) & (part > 1.0 - tail)
+    return (k > 0.0) & (part < _TAIL), (rest > 0.0) & (part > 1.0 - _TAIL)
 
 
-def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
-    """Limits of a proportion whose tails count the observed number itself by half.
+def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Array]:
+    """95 % limits of a proportion whose tails count the observed number itself by half.
 
     With g(p) = P(X > count | p) + P(X = count | p)/2, which rises with p, the lower limit solves g = a and the
-    upper one g = 1 - a, a = (1 - level)/2.  :func:`clopper_pearson` counts the observed number whole, on both
+    upper one g = 1 - a, a = 0.025.  :func:`clopper_pearson` counts the observed number whole, on both
     sides, so that it holds a level for every p and goes above it on average.  Coverage at 95 % of these is 0.92 at
     least for proportions from 0.02 to 0.96, whatever the total, and 0.98 (of 5) to 0.95 (of 80 and more) on the
     average.  Source: Lancaster, J. Am. Stat. Assoc. 56, 223-234, 1961; Berry & Armitage, The Statistician 44,
@@ -122,14 +123,13 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95
     0.530 0.902
     """
     counts, totals = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(counts, totals, level)
+    _check(counts, totals)
     # A curve has few different counts.
     (k, n), at = np.unique([counts.ravel(), totals.ravel()], axis=1, return_inverse=True)
-    tail = (1.0 - level) / 2.0
     # P(X >= k) and P(X > k) are incomplete beta functions, 1 and 0 at the end counts.
     some, not_all = np.maximum(k, 1.0), np.maximum(n - k, 1.0)
 
-    wanted = np.array([[tail], [1.0 - tail]])
+    wanted = np.array([[_TAIL], [1.0 - _TAIL]])
     low, high = np.zeros((2, k.size)), np.ones((2, k.size))
     for _ in range(_HALVINGS):
         p = 0.5 * (low + high)
@@ -142,16 +142,16 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95
     return lower[at].reshape(counts.shape), upper[at].reshape(counts.shape)
 
 
-def zero_count_upper_limit(total: int, level: float = 0.95) -> float:
-    """One-sided upper limit of a probability after no event in ``total`` trials: 1 - (1 - level)^(1/total).
+def zero_count_upper_limit(total: int) -> float:
+    """One-sided 95 % upper limit of a probability after no event in ``total`` trials: 1 - 0.05^(1/total).
 
     Examples
     --------
     >>> zero_count_upper_limit(12203) < 2.5e-4
     True
     """
-    _check(np.asarray(0.0), np.asarray(float(total)), level)
-    return float(-np.expm1(np.log1p(-level) / total))
+    _check(np.asarray(0.0), np.asarray(float(total)))
+    return float(-np.expm1(np.log(0.05) / total))
 
 
 def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[float, float]:
@@ -175,9 +175,7 @@ def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[flo
     return float(1.0 - upper[0] - steps @ (1.0 - v)), float(upper[0] + steps @ v[::-1])
 
 
-def _check(k: Array, n: Array, level: float) -> None:
-    if not 0.0 < level < 1.0:
-        raise UsageError(f"confidence level {level:g}", expected="a number between 0 and 1, such as 0.95")
+def _check(k: Array, n: Array) -> None:
     if not (np.all(np.isfinite(k)) and np.all(np.isfinite(n)) and np.all(n >= 1)):
         raise UsageError("a proportion needs at least one trial")
     if np.any(k < 0) or np.any(k > n):
