@@ -144,7 +144,7 @@ HEAD = '{\n "schema_version": 1,\n "hyperval_version": "0.1.0",\n "rows": []\n}\
 SRC = Path(storage.__file__).parents[1]
 
 
-def refused(path: Path, words: str, kind: storage.FolderKind = storage.RESULTS) -> None:
+def refused(path: Path, words: str, kind: str = storage.RESULTS) -> None:
     with pytest.raises(UsageError, match=words), storage.whole_folder(path, kind):
         raise AssertionError("the block must not begin")
 
@@ -228,14 +228,14 @@ def test_a_failure_keeps_what_was_there(tmp_path, first):
 
 def test_each_kind_is_replaced_by_its_own_alone(tmp_path):
     for kind in (storage.RESULTS, storage.COLLECTION, storage.POWER):
-        path = tmp_path / ("n" * 200 + kind.marker)  # a name nearly as long as a name can be
+        path = tmp_path / ("n" * 200 + storage.MARKERS[kind])  # a name nearly as long as a name can be
         for content in "12":
             with storage.whole_folder(path, kind) as new:
-                (new / kind.marker).write_text(content)
+                (new / storage.MARKERS[kind]).write_text(content)
                 (new / f"old{content}.yaml").write_text("")
-        assert files(path) == {kind.marker: "2", "old2.yaml": ""}
+        assert files(path) == {storage.MARKERS[kind]: "2", "old2.yaml": ""}
         other = storage.COLLECTION if kind is storage.RESULTS else storage.RESULTS
-        refused(path, f"holds {kind.name}, not {other.name}", other)
+        refused(path, f"holds {kind}, not {other}", other)
 
 
 def test_a_damaged_list_loses_nothing(tmp_path):

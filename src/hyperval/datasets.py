@@ -22,7 +22,7 @@ from functools import cache
 from importlib import resources
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal, NamedTuple
+from typing import Any
 from urllib.parse import quote
 
 import platformdirs
@@ -169,14 +169,6 @@ class DataSet(Model):
         return self
 
 
-class FileCheck(NamedTuple):
-    """What :func:`verify` found of one file."""
-
-    path: str
-    state: Literal["ok", "missing", "differs"]
-    place: Path | None
-
-
 @cache
 def registry() -> Mapping[str, DataSet]:
     """Every registered data set by name."""
@@ -259,13 +251,10 @@ def files_at_hand(name: str) -> int:
     return sum(1 for root in _roots() for p in (root / dataset(name).name).rglob("*") if p.is_file())
 
 
-def verify(name: str) -> list[FileCheck]:
-    """Compare every file of a set, where it would be read from, with its registered SHA-256."""
-    found = [(file, _find(file.path)) for file in dataset(name).files]
-    return [
-        FileCheck(file.path, "missing" if path is None else "ok" if file.matches(path) else "differs", path)
-        for file, path in found
-    ]
+def verify(name: str) -> dict[str, str]:
+    """Every file of a set, where it would be read from: ok, missing, or differs (from its registered SHA-256)."""
+    found = {file: _find(file.path) for file in dataset(name).files}
+    return {f.path: "missing" if path is None else "ok" if f.matches(path) else "differs" for f, path in found.items()}
 
 
 def missing(name: str) -> list[str]:

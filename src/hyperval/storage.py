@@ -29,7 +29,6 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
 
 from hyperval.errors import HypervalError, refusal, refuse
 
@@ -202,17 +201,9 @@ _NEW = ".hyperval-new-"
 _SWAP = ".hyperval-swap"
 
 
-class FolderKind(NamedTuple):
-    """A kind of output folder: what it is in words, and the file without which it is none."""
-
-    name: str
-    marker: str
-
-
-RESULTS = FolderKind("results", "results.json")
-COLLECTION = FolderKind("a simulated collection", "truth.json")
-POWER = FolderKind("power tables", "power.csv")
-_MARKERS = dict((RESULTS, COLLECTION, POWER))
+# Kinds of output folders, in words, and the file without which each is none.
+RESULTS, COLLECTION, POWER = "results", "a simulated collection", "power tables"
+MARKERS = {RESULTS: "results.json", COLLECTION: "truth.json", POWER: "power.csv"}
 
 
 class Unplaced(HypervalError):
@@ -220,7 +211,7 @@ class Unplaced(HypervalError):
 
 
 @contextmanager
-def whole_folder(path: Path, kind: FolderKind = RESULTS) -> Iterator[Path]:
+def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
     """Give an empty folder whose content takes the place of that of ``path`` when the block ends well.
 
     Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.
@@ -248,7 +239,7 @@ def whole_folder(path: Path, kind: FolderKind = RESULTS) -> Iterator[Path]:
             shutil.rmtree(new, ignore_errors=True)
             raise
         try:
-            listing = {"schema": 1, "kind": kind.name, "files": sorted(_names(new))}
+            listing = {"schema": 1, "kind": kind, "files": sorted(_names(new))}
             (new / LIST).write_text(json.dumps(listing, indent=1) + "\n", "utf-8")
             os.rename(new, place / _SWAP)
             _finish(place)
@@ -268,15 +259,15 @@ def partial_folder(path: Path) -> Path:
     return Path(path).resolve() / PARTIAL
 
 
-def _refuse_foreign(place: Path, kind: FolderKind) -> None:
+def _refuse_foreign(place: Path, kind: str) -> None:
     """Raise UsageError where the folder holds what no run wrote, or another kind; hidden files stay as they are."""
     listing = _list(place)
     foreign = sorted(_names(place) - (listing[1] if listing else set()))
     if foreign:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         raise refusal("folder.foreign", place, names=", ".join(foreign[:3]) + more)
-    if listing is not None and listing[0] != kind.name:
-        raise refusal("folder.kind", place, held=listing[0], kind=kind.name)
+    if listing is not None and listing[0] != kind:
+        raise refusal("folder.kind", place, held=listing[0], kind=kind)
 
 
 @contextmanager
@@ -323,7 +314,7 @@ def _finish(place: Path) -> None:
 
 def _swap_content(place: Path, kind: str, new: set[str]) -> None:
     """Put the files of the swap folder in the place of the old ones; called again, it goes on where it ended."""
-    swap, marker, before = place / _SWAP, _MARKERS[kind], _list(place)
+    swap, marker, before = place / _SWAP, MARKERS[kind], _list(place)
     if (swap / marker).is_file():
         (place / marker).unlink(missing_ok=True)
     for name in sorted((before[1] if before else set()) - new):
@@ -352,7 +343,7 @@ def _list(folder: Path) -> tuple[str, set[str]] | None:
         files = {str(PurePosixPath(name)) for name in content["files"]}
         if content["schema"] != 1 or any(".." in PurePosixPath(f).parts or f.startswith("/") for f in files):
             return None
-        return (str(content["kind"]), files) if content["kind"] in _MARKERS else None
+        return (str(content["kind"]), files) if content["kind"] in MARKERS else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 

@@ -24,9 +24,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 import hyperval
-from hyperval.campaign import Job, jobs_of, validate
-from hyperval.campaign.provenance import command_without_output
-from hyperval.campaign.run import as_before
+from hyperval.campaign import Job, as_before, command_without_output, jobs_of, validate
 from hyperval.config import FILL_IN, Model, load_model
 from hyperval.errors import HypervalError, as_typed, reader, refuse
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
@@ -36,8 +34,7 @@ from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.verdict import accepted_words
 from hyperval.results import WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
-from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.specification import Sensor, library_names, load_sensor
+from hyperval.sensor import NoiseModel, Sensor, library_names, load_sensor
 from hyperval.sensor_check.suite import (
     FALSE_ALARM,
     LEVELS,

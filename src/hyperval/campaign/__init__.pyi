@@ -14,15 +14,15 @@ from .products import (
     without_circles,
 )
 from .provenance import command_without_output, package_versions, record_of, source_revision
-from .run import observe, run_campaign, validate
+from .run import as_before, observe, run_campaign, validate
 from .schema import Campaign, DayScenarios, Job, day_scenarios, job_of, jobs_of, read_jobs
 from .starter import StarterSources, starter_campaign
 
 __all__ = [
     "WRONG", "Campaign", "Collected", "DayScenarios", "Injected", "Item", "Job", "Power", "PowerTable", "Sight",
-    "StarterSources", "accepted_table", "campaign_power", "collected", "command_without_output", "day_scenarios",
-    "dry_run", "eigenvalues_of", "expected_maps", "gate_values", "job_of", "jobs_of", "observe", "overview",
-    "own_files", "package_versions", "power_table", "predict_to_folder", "read_jobs", "record_of", "run_campaign",
-    "scene_content", "source_revision", "starter_campaign", "summary", "validate", "with_fills_of_truth",
-    "with_measured_fractions", "without_circles", "write_power_table",
+    "StarterSources", "accepted_table", "as_before", "campaign_power", "collected", "command_without_output",
+    "day_scenarios", "dry_run", "eigenvalues_of", "expected_maps", "gate_values", "job_of", "jobs_of", "observe",
+    "overview", "own_files", "package_versions", "power_table", "predict_to_folder", "read_jobs", "record_of",
+    "run_campaign", "scene_content", "source_revision", "starter_campaign", "summary", "validate",
+    "with_fills_of_truth", "with_measured_fractions", "without_circles", "write_power_table",
 ]  # fmt: skip

@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from hyperval.collection import Detection
 from hyperval.figures.spec import ExpectedScores, Quicklook, ScoreMap
-from hyperval.imagery.cube import Cube
-from hyperval.imagery.truth import all_pixels
+from hyperval.imagery import Cube, all_pixels
 from hyperval.observe import Observed, Place, map_name, scored_pixels, target_groups
 from hyperval.pixels import false_alarm_ratio
 from hyperval.products import PredictedProducts, background_of

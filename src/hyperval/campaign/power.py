@@ -102,7 +102,7 @@ def campaign_power(
                 if item.table is not None:
                     power_file.write_power_table(place / f"{item.campaign}.yaml", item.table)
         if folder is not None:
-            write_text(folder / POWER.marker, _csv(tables))
+            write_text(folder / "power.csv", _csv(tables))
     return tables
 
 

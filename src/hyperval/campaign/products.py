@@ -32,9 +32,7 @@ from hyperval.compare.products import SPREAD
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, one_of, refusal, refuse
 from hyperval.figures.spec import EigenvalueSpectrum
-from hyperval.imagery import time_notes
-from hyperval.imagery.placing import sun_zenith_deg
-from hyperval.imagery.truth import TargetObject
+from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_pixels, target_groups

@@ -25,9 +25,7 @@ from hyperval.campaign.power_file import accepted_table
 from hyperval.campaign.products import Collected, collected, doubts, eigenvalues_of, joined, predicted_side
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
 from hyperval.campaign.schema import Job, Outline, job_of, jobs_of
-from hyperval.compare import compare_products, judged, told_apart
-from hyperval.compare.joint import would_decide
-from hyperval.compare.products import product_rows
+from hyperval.compare import compare_products, judged, product_rows, told_apart, would_decide
 from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, internal_error, refuse

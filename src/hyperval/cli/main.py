@@ -333,9 +333,9 @@ def data_verify(
     for name in names or []:
         if not dataset(name).public:
             note(f"{name}: not public, so no checksums are registered")
-    checks = [(name, check) for name in names or registry() for check in verify(name)]
-    print_table(("set", "file", "state"), [(name, check.path, check.state) for name, check in checks])
-    return 0 if all(check.state == "ok" for _, check in checks) else InputError.exit_code
+    checks = [(name, path, state) for name in names or registry() for path, state in verify(name).items()]
+    print_table(("set", "file", "state"), checks)
+    return 0 if all(state == "ok" for *_, state in checks) else InputError.exit_code
 
 
 @command("compare before after -o moved")

@@ -36,8 +36,7 @@ from hyperval.figures.spec import (
     of_side,
     predicted_mark,
 )
-from hyperval.model.intervals import Z95
-from hyperval.model.roc import detection_at
+from hyperval.model import Z95, detection_at
 from hyperval.products import ObjectScores, Products, RocCurve, ScoreDistribution
 from hyperval.results import Result
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.errors import refuse
-from hyperval.figures.catalogue import first_figures
-from hyperval.figures.spec import Figure
+from hyperval.figures import Figure, first_figures
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
 from hyperval.report.html import flat, page

@@ -23,11 +23,9 @@ import scipy
 import spectral
 from scipy import stats
 
-from hyperval.campaign import Campaign, Job, collected, jobs_of
-from hyperval.campaign.provenance import command_without_output, record_of
+from hyperval.campaign import Campaign, Job, collected, command_without_output, jobs_of, record_of
 from hyperval.collection import Detection
-from hyperval.compare.products import product_rows
-from hyperval.compare.rows import named, row, skipped
+from hyperval.compare import named, product_rows, row, skipped
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers

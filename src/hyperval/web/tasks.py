@@ -21,17 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval import api
-from hyperval.campaign.forward import predict_to_folder
-from hyperval.campaign.run import observe, validate
-from hyperval.campaign.schema import Job, jobs_of
-from hyperval.campaign.starter import StarterSources, starter_campaign
+from hyperval.campaign import Job, StarterSources, jobs_of, observe, predict_to_folder, starter_campaign, validate
 from hyperval.config import load_model, write_draft
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
-from hyperval.figures.catalogue import first_figures
-from hyperval.figures.detection import densities_figure, exceedance_figure
-from hyperval.figures.spec import Figure, statement
-from hyperval.figures.spectra import spectra_figure
+from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
 from hyperval.imagery import open_raster, record
 from hyperval.observe import open_source
 from hyperval.products import (
@@ -45,8 +39,7 @@ from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import load_inputs, load_scene, simulate
 from hyperval.storage import write_text
-from hyperval.study.run import study_to_folder
-from hyperval.study.trade import live, piece
+from hyperval.study import live, piece, study_to_folder
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
 
 
