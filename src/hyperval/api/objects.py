@@ -528,9 +528,9 @@ class Collection(_Shown):
 
     def to_xarray(self) -> xr.Dataset:
         """The cube, read where it is asked for: radiance over lines, samples and bands."""
-        from hyperval.imagery import cube_to_xarray, open_cube
+        from hyperval.imagery import open_cube
 
-        return xr.Dataset({"radiance": cube_to_xarray(open_cube(self.cube, quantity="radiance", unit=RADIANCE_UNIT))})
+        return xr.Dataset({"radiance": open_cube(self.cube, quantity="radiance", unit=RADIANCE_UNIT).to_xarray()})
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The list of targets."""

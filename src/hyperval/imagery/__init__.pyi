@@ -3,8 +3,6 @@
 from .cube import (
     Block,
     Cube,
-    cube_to_spy,
-    cube_to_xarray,
     map_to_spy,
     map_to_xarray,
     needs_header,
@@ -56,8 +54,6 @@ __all__ = [
     "all_pixels",
     "companion",
     "crs_of",
-    "cube_to_spy",
-    "cube_to_xarray",
     "cut_out",
     "envi_writer",
     "groups_by_size",

@@ -199,12 +199,38 @@ class Cube:
             yield self.read(first, min(step, self.lines - first), dtype)
 
     def to_spy(self) -> SpyFile | spectral.image.ImageArray:
-        """As an image of SPy: :func:`hyperval.imagery.cube_to_spy`."""
-        return cube_to_spy(self)
+        """As an image of SPy: memory-mapped where it is an ENVI file of one scale, else loaded as float32.
+
+        SPy divides stored values by ``scale_factor``, which is 1/gain here; of ignore values it knows nothing, so that
+        they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
+        """
+        from spectral.io import envi
+
+        raster, bands, gain = self.raster, _band_info(self.axis), self.gain
+        if isinstance(raster, EnviRaster) and not (self._reordered or np.ptp(gain) or np.any(self.offset)):
+            image = envi.open(str(raster.header.path), str(raster.path))
+            image.scale_factor, image.bands = 1.0 / float(gain[0]), bands
+            return image
+        values = np.concatenate([block.values for block in self.blocks(dtype=np.float32)])
+        return _image_array(values, bands, str(raster.path))
 
     def to_xarray(self) -> xr.DataArray:
-        """As a lazy array of xarray: :func:`hyperval.imagery.cube_to_xarray`."""
-        return cube_to_xarray(self)
+        """As a lazy array (line, sample, wavelength) in its unit, NaN where there is no data.
+
+        Parts are read when they are asked for; ``fwhm`` and ``good`` stand beside the wavelengths, and the position as
+        ``spatial_ref`` with ``GeoTransform``, as rioxarray has it.
+        """
+        import xarray as xr
+        from xarray.core import indexing
+
+        nm = {"units": "nm", "standard_name": "radiation_wavelength"}
+        coords: dict[str, Any] = {
+            "wavelength": ("wavelength", self.axis.centre_nm, nm), "good": ("wavelength", self.axis.good),
+            "fwhm": ("wavelength", self.axis.fwhm_nm, {"units": "nm"}),
+        }  # fmt: skip
+        lazy, about = indexing.LazilyIndexedArray(_lazy_cube(self)), {"units": self.unit, "quantity": self.quantity}
+        values = xr.Variable(("line", "sample", "wavelength"), lazy, about)
+        return _placed(xr.DataArray(values, coords, name=self.quantity), self.transform, self.crs)
 
     def kept_open(self) -> AbstractContextManager[object]:
         """Inside, an ENVI file is opened once for all reads."""
@@ -467,26 +493,6 @@ def open_cube(
     return _checked(cube) if check_values and quantity != "other" else cube
 
 
-def cube_to_spy(cube: Cube) -> SpyFile | spectral.image.ImageArray:
-    """A ``Cube`` as an image of SPy: memory-mapped where it is an ENVI file of one scale, else loaded as float32.
-
-    SPy divides stored values by ``scale_factor``, which is 1/gain here; of ignore values it knows nothing, so that
-    they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
-    """
-    from spectral.io import envi
-
-    gain, raster = cube.gain, cube.raster
-    bands = _band_info(cube.axis)
-    whole = np.array_equal(cube.stored_band, np.arange(raster.bands))
-    if isinstance(raster, EnviRaster) and whole and np.all(gain == gain[0]) and not np.any(cube.offset):
-        image = envi.open(str(raster.header.path), str(raster.path))
-        image.scale_factor = 1.0 / float(gain[0])
-        image.bands = bands
-        return image
-    values = np.concatenate([block.values for block in cube.blocks(dtype=np.float32)])
-    return _image_array(values, bands, str(raster.path))
-
-
 def _lazy_cube(cube: Any) -> Any:
     """The values of a cube as xarray takes them, which is loaded here: a run needs none of it."""
     from xarray.backends import BackendArray
@@ -518,29 +524,6 @@ def _lazy_cube(cube: Any) -> Any:
             return np.asarray(values[lines - first][..., key[1], key[2]])
 
     return LazyCube(cube)
-
-
-def cube_to_xarray(cube: Cube) -> xr.DataArray:
-    """A ``Cube`` as a lazy array (line, sample, wavelength) in its unit, NaN where there is no data.
-
-    Parts are read when they are asked for; ``fwhm`` and ``good`` stand beside the wavelengths, and the position as
-    ``spatial_ref`` with ``GeoTransform``, as rioxarray has it.
-    """
-    import xarray as xr
-    from xarray.core import indexing
-
-    lazy = indexing.LazilyIndexedArray(_lazy_cube(cube))
-    coords: dict[str, Any] = {
-        "wavelength": ("wavelength", cube.axis.centre_nm, {"units": "nm", "standard_name": "radiation_wavelength"}),
-        "fwhm": ("wavelength", cube.axis.fwhm_nm, {"units": "nm"}),
-        "good": ("wavelength", cube.axis.good),
-    }
-    array = xr.DataArray(
-        xr.Variable(("line", "sample", "wavelength"), lazy, {"units": cube.unit, "quantity": cube.quantity}),
-        coords=coords,
-        name=cube.quantity,
-    )
-    return _placed(array, cube.transform, cube.crs)
 
 
 def map_to_xarray(values: npt.NDArray[Any], transform: Any, crs: str | None, name: str) -> xr.DataArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from shapely.geometry import shape as shape_of
 from shapely.geometry.base import BaseGeometry
 
 from hyperval.errors import HypervalError, refusal, refuse
+from hyperval.imagery.placing import LookupTable
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -111,19 +112,7 @@ def point_mask(points: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> 
     return mask
 
 
-class MapGrid(Protocol):
-    """A position that is not an affine transform, such as a geographic lookup table."""
-
-    def to_pixel(self, points: Array, *, where: str) -> Array:
-        """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y)."""
-        ...
-
-    def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
-        """A geometry on the map with vertices along its sides, which are bent in the image."""
-        ...
-
-
-Position = Affine | MapGrid | None
+Position = Affine | LookupTable | None
 
 
 def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str) -> Array:

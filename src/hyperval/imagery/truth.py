@@ -141,57 +141,38 @@ def read_targets(
     if place is None or "material" not in fields:
         places = "; ".join(",".join(p) for p in _PLACES)
         raise refusal("target.columns", f"{path}:1", columns=", ".join(fields) or "none", places=places)
-    image = _Image(shape, transform, _pixel_size(pixel_size_m, transform, str(path)))
+    pixel_m = _pixel_size(pixel_size_m, transform, str(path))
     out: dict[str, TargetObject] = {}
     for line, row in rows:
-        target = _target(row, place, image, line, f"{path}:{line}")
-        refuse(target.name in out, "target.name", f"{path}:{line}")
-        out[target.name] = target
+        where, material = f"{path}:{line}", row["material"]
+        name = row.get("name") or f"{material} {line - 1}"
+        refuse(not material or name in out, "target.name", where)
+        number = {key: _number(row.get(key), key, where) for key in sorted(_NUMERIC)}
+        width, length, doubt = _size(number, where)
+        figure, area = _figure(row, width, length, where), number["area_m2"]
+        if math.isnan(area) and width > 0:
+            area = width * length * (math.pi / 4 if figure is _DISC else 1.0)
+        centre, corners = _position(number, place, transform, pixel_m, figure * (length, width), where)
+        if not inside_image(corners, shape):
+            mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
+            raise outside_error(corners, shape, where, f"the target {name!r}", mend)
+        drawn = polygon_mask(corners, shape, where=where, touched=True) if width > 0 else None
+        mask = point_mask([centre], shape, where=where) if drawn is None else drawn
+        placed = cut_out(guard(mask, doubt / pixel_m) if doubt > 0 else mask)
+        side = width if width == length and width > 0 and figure is _SQUARE else math.nan
+        pixel = (math.floor(centre[1]), math.floor(centre[0]))
+        out[name] = TargetObject(name, material, side, area, shape, *placed, pixel, dict(row))
     refuse(not out, "target.none", path)
     return list(out.values())
 
 
-@dataclass(frozen=True)
-class _Image:
-    """The image that the targets lie in: its shape (lines, samples), its place, the side of a pixel [m]."""
-
-    shape: tuple[int, int]
-    transform: Position
-    pixel_m: float
-
-
 def _pixel_size(stated: float | None, transform: Position, where: str) -> float:
     """Ground size of a pixel [m]: as stated, else that of the transform."""
-    size = stated
-    if size is None:
-        area = transform.determinant if isinstance(transform, Affine) else getattr(transform, "pixel_area_m2", None)
-        size = 0.0 if area is None else math.sqrt(abs(area))
-    refuse(not size > 0, "target.pixel", where)
-    return size
-
-
-def _target(row: Mapping[str, str], place: tuple[str, str], image: _Image, line: int, where: str) -> TargetObject:
-    """The target of one row of the list."""
-    name = row.get("name") or f"{row['material']} {line - 1}"
-    refuse(not row["material"], "target.name", where)
-    number = {key: _number(row.get(key), key, where) for key in sorted(_NUMERIC)}
-    width, length, doubt = _size(number, where)
-    figure = _figure(row, width, length, where)
-    area = number["area_m2"]
-    if math.isnan(area) and width > 0:
-        area = width * length * (math.pi / 4 if figure is _DISC else 1.0)
-    centre, corners = _position(number, place, image, figure * (length, width), where)
-    if not inside_image(corners, image.shape):
-        mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
-        raise outside_error(corners, image.shape, where, f"the target {name!r}", mend)
-    if width > 0:
-        mask = polygon_mask(corners, image.shape, where=where, touched=True)
-    else:
-        mask = point_mask([centre], image.shape, where=where)
-    placed = cut_out(guard(mask, doubt / image.pixel_m) if doubt > 0 else mask)
-    side = width if width == length and width > 0 and figure is _SQUARE else math.nan
-    pixel = (math.floor(centre[1]), math.floor(centre[0]))
-    return TargetObject(name, row["material"], side, area, image.shape, *placed, pixel, dict(row))
+    if stated is None and transform is not None:
+        area = transform.determinant if isinstance(transform, Affine) else transform.pixel_area_m2
+        stated = math.sqrt(abs(area or 0.0))
+    refuse(not (stated or 0.0) > 0, "target.pixel", where)
+    return float(stated or 0.0)
 
 
 def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]:
@@ -210,22 +191,21 @@ def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]
 
 
 def _position(
-    number: Mapping[str, float], place: tuple[str, str], image: _Image, sides: Array, where: str
+    number: Mapping[str, float], place: tuple[str, str], transform: Position, pixel_m: float, sides: Array, where: str
 ) -> tuple[tuple[float, float], Array]:
     """Centre (sample, line) and corners (n, 2) of a target, in continuous pixel coordinates."""
     first, second = number[place[0]], number[place[1]]
     refuse(math.isnan(first) or math.isnan(second), "target.place", where, place=place)
     heading = 0.0 if math.isnan(number["heading_deg"]) else number["heading_deg"]
-    shift = _PLACES[place]
-    if shift is not None:
+    if (shift := _PLACES[place]) is not None:
         x, y = second + shift, first + shift
     else:
-        x, y = map_to_pixel([(first, second)], image.transform, where=where)[0]
-    if shift is None and isinstance(image.transform, LookupTable):
-        around = _outline((0.0, 0.0), sides, image.transform.metres_per_unit, heading)
-        on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
-        return (x, y), map_to_pixel(on_map, image.transform, where=where)
-    return (x, y), _outline((x, y), sides, image.pixel_m, heading)
+        x, y = map_to_pixel([(first, second)], transform, where=where)[0]
+        if isinstance(transform, LookupTable):
+            around = _outline((0.0, 0.0), sides, transform.metres_per_unit, heading)
+            on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
+            return (x, y), map_to_pixel(on_map, transform, where=where)
+    return (x, y), _outline((x, y), sides, pixel_m, heading)
 
 
 # Points (along, across) of figures of unit size.
