@@ -29,36 +29,36 @@ def scene() -> tuple[np.ndarray, np.ndarray]:
 
 
 def written(path: Path, data: np.ndarray, **others: np.ndarray) -> Path:
-    """The arrays in the container that the end of the name says; ``.v73.mat`` is MATLAB 7.3."""
+    """The arrays in the container that the end of the name says, ``.v73.mat`` MATLAB 7.3; perhaps in a struct."""
+    held, group = {"data": data, **others}, "scene/" * path.name.startswith("s.")
     if path.suffix == ".npy":
         np.save(path, data)
-    elif path.name.endswith("73.mat"):
+    elif path.name.endswith(("73.mat", ".h5")):
         marked = path.name.endswith(".v73.mat")  # programs other than MATLAB leave its mark out
         with h5py.File(path, "w", userblock_size=512 * marked) as file:
-            for name, array in {"data": data, **others}.items():
-                file.create_dataset(name, data=array.T, chunks=True, compression="gzip")
+            for name, array in held.items():
+                file.create_dataset(group + name, data=array if path.suffix == ".h5" else array.T, chunks=True)
         if marked:
             with open(path, "r+b") as stream:
                 stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
     else:
-        scipy.io.savemat(path, {"data": data, **others}, do_compression=True)
+        scipy.io.savemat(path, {"scene": held} if group else held, do_compression=True)
     return path
 
 
-@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a-73.mat", "a.npy", "bands-first.mat", "bands-first.v73.mat"])
+@pytest.mark.parametrize("name", ["a.mat", "a.v73.mat", "a-73.mat", "a.npy", "s.mat", "s.h5", "b.mat", "b.v73.mat"])
 def test_the_values_are_those_of_the_array(tmp_path, scene, name):
     data, marked = scene
     more = {} if name.endswith("npy") else {"map": marked}
-    held = np.moveaxis(data, 2, 0) if name.startswith("bands-first") else data  # which the map beside it tells
-    cube = open_cube(written(tmp_path / name, held, **more), quantity="counts", axis="numbers")
-    assert cube.shape == (LINES, SAMPLES)
+    held = np.moveaxis(data, 2, 0) if name.startswith("b.") else data  # which the map beside it tells
+    path = written(tmp_path / name, held, **more)
+    cube = open_cube(path, quantity="counts", axis="numbers", variable={"s": "scene.data"}.get(name[0]))
     assert np.array_equal(np.concatenate([b.values for b in cube.blocks(7)]), data)
-    rows, cols = np.array([3, 3, 39]), np.array([0, 35, 7])
-    assert np.array_equal(cube.pixels((rows, cols)), data[rows, cols])
+    assert np.array_equal(cube.pixels(some := ([3, 3, 39], [0, 35, 7])), data[some])
     assert np.array_equal(cube.read_some_bands(5, 4, [6, 2]), data[5:9][:, :, [6, 2]])
     assert (cube.unit, cube.dtype) == ("counts", np.uint16)
     if more:
-        found = read_regions(tmp_path / name, (LINES, SAMPLES))
+        found = read_regions(path, (LINES, SAMPLES))
         assert [np.array_equal(r.mask, marked == 1) for r in found.values()] == [True]
 
 
@@ -79,7 +79,7 @@ def test_the_arrays_of_a_file_are_told_apart_and_one_is_chosen(tmp_path, scene):
 def test_what_would_not_fit_into_memory_is_refused_before_it_is_read(tmp_path, scene, monkeypatch):
     monkeypatch.setattr(arrays, "MAX_MATRIX_BYTES", 1000)
     with pytest.raises(InputError, match=r"in memory at once(?s:.*)-v7.3"):
-        open_raster(written(tmp_path / "a.mat", scene[0]))
+        open_raster(written(tmp_path / "s.mat", scene[0]))
     assert open_raster(written(tmp_path / "a.v73.mat", scene[0])).bands == BANDS
 
 
@@ -96,7 +96,7 @@ def is_met(cube: Path, folder: Path) -> bool:
 
 def test_a_scene_goes_from_its_file_to_a_report(tmp_path, scene):
     data, marked = scene
-    assert is_met(written(tmp_path / "scene.mat", data, map=marked), tmp_path / "new")
+    assert is_met(written(tmp_path / "s.h5", data, map=marked), tmp_path / "new")
     # Of objects of 9, 6, 4 and 2 pixels the second and fourth give the spectrum, the first and third are scored.
     regions = read_regions(tmp_path / "new" / "objects.csv", (LINES, SAMPLES))
     assert {name: region.n for name, region in regions.items()} == {
@@ -113,11 +113,11 @@ def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
     assert cube.axis.centre_nm.tolist() == [1, 2, 4, 5, 6, 7, 8]
     assert np.flatnonzero(~cube.axis.good).tolist() == [4]
     assert any("1 bands hold one number in all pixels seen, 1 none (the first: 3, 6)" in note for note in cube.notes)
-    nan, one = tmp_path / "nan.mat", np.where(np.indices(scene[1].shape)[0] < 10, scene[1], 0).astype(bool)
-    centre = np.linspace(450.0, 900.0, BANDS)
-    assert is_met(written(nan, data, gt=one, valid=1 - one, wavelengths=centre), tmp_path / "new")  # of one object
-    most = written(tmp_path / "most.mat", data, map=1 - one)
-    assert cli.run(["init", "--cube", str(most), "-o", str(tmp_path / "most")]) == 0
+    one = np.where(np.indices(scene[1].shape)[0] < 10, scene[1], 0).astype(bool)
+    nan, nm = tmp_path / "nan.mat", np.linspace(450.0, 900.0, BANDS)
+    assert is_met(written(nan, data, gt=one, valid=1 - one, wavelengths=nm), tmp_path / "new")  # of one object
+    most = written(tmp_path / "most.mat", data, map=1 - one), "-o", tmp_path / "most"
+    assert cli.run(["init", "--cube", *map(str, most)]) == 0
     assert "the map marks 99% of the image" in (tmp_path / "most" / "campaign.yaml").read_text()
 
 

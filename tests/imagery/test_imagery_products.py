@@ -151,7 +151,7 @@ def listed(name: str, value: float):
             lambda f: f.__delitem__("sensor_band_parameters/wavelengths"),
             {},
             InputError,
-            "no array of the file has a wa",
+            "the file lists no wavelengths",
         ),
         (listed("wavelengths", 0.0), {}, InputError, "no band has a wavelength"),
         (listed("wavelengths", 5e6), {}, UsageError, "cannot be in nm"),
@@ -388,7 +388,7 @@ def test_an_hdf5_tree_without_dimensions_is_a_cube_where_wavelengths_lie_beside(
     values = shells.drawn(7)[0]
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["scene/image"] = values
-    with pytest.raises(InputError, match=r"(?s)no array of the file has a wavelength coordinate.*scene/image \("):
+    with pytest.raises(InputError, match="the file lists no wavelengths"):
         open_cube(tmp_path / "a.h5", quantity="radiance")
     with h5py.File(tmp_path / "a.h5", "a") as file:
         file["scene/wavelength"] = np.linspace(400.0, 1000.0, 7)

@@ -507,7 +507,7 @@ def _by_objects(sources: StarterSources, raster: Raster, draft: Draft, quantity:
 
 def _object_masks(sources: StarterSources, raster: Raster) -> tuple[list[Mask], str]:
     """The objects of the map, the largest first, and words on them."""
-    if sources.targets is None and "MATLAB" not in raster.description.product:  # none in the file of the image itself
+    if sources.targets is None and " file" not in raster.description.product:  # none in the file of the image itself
         return [], "no map of objects is there (--targets)"
     try:
         regions = read_regions(sources.targets or sources.cube, raster.size[:2])

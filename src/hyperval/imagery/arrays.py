@@ -14,6 +14,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,7 +26,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import reader, refusal, refuse
-from hyperval.hdf5 import check_hdf5
+from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery.description import (
     Description,
     ListedBands,
@@ -149,11 +150,21 @@ def _tree(path: Path, engine: str | None) -> xr.DataTree:
 
 
 def _matrix(path: Path, name: str, kind: str) -> dict[str, Numbers]:
-    """An array of a MATLAB 5 file, read whole, or of a NumPy file, which is mapped."""
+    """Arrays of a variable of a MATLAB 5 file, read whole, or the one of a NumPy file, which is mapped."""
     with _readable(path, kind):
         if kind == "NumPy":
             return {name: np.load(path, mmap_mode="r", allow_pickle=False)}
-        return {name: scipy.io.loadmat(path, variable_names=[name])[name]}
+        variable = name.split("/")[0]
+        return dict(_fields(variable, scipy.io.loadmat(path, variable_names=[variable])[variable]))
+
+
+def _fields(name: str, value: Numbers) -> Iterator[tuple[str, Numbers]]:
+    """The numeric arrays of a variable of MATLAB by name: itself, or field b of struct a as "a/b"."""
+    if value.dtype.names and value.size == 1:
+        for field_name in value.dtype.names:
+            yield from _fields(f"{name}/{field_name}", np.asarray(value[field_name].flat[0]))
+    elif value.dtype.kind in "iufb":
+        yield name, value
 
 
 def at_hand(path: Path, name: str, array: Any) -> dict[str, Any]:
@@ -552,23 +563,36 @@ def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tupl
 
 
 def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
-    """The numeric arrays of a MATLAB or NumPy file and their shapes, without their values."""
-    if kind == "MATLAB 7.3":
-        check_own_values(path)
-        with Store(path, hdf5).kept_open() as file:
-            return {n: d.shape[::-1] for n, d in file.items() if isinstance(d, h5py.Dataset) and d.dtype.kind in "iufb"}
+    """The numeric arrays of a file without labels and their shapes; "a/b" is in the struct or group a."""
+    shapes: dict[str, tuple[int, ...]] = {}
     if kind == "NumPy":
-        return {path.stem: _matrix(path, path.stem, kind)[path.stem].shape}
-    with _readable(path, kind):
-        listed = scipy.io.whosmat(path)
-    return {name: shape for name, shape, what in listed if re.match("u?int|single|double|logical", what)}
+        shapes[path.stem] = _matrix(path, path.stem, kind)[path.stem].shape
+    elif kind == "MATLAB 5":
+        with _readable(path, kind):
+            for name, shape, what in scipy.io.whosmat(path):
+                if re.match("u?int|single|double|logical", what):
+                    shapes[name] = shape
+                elif what == "struct":  # whose size is known when it is read
+                    if why := trial(partial(scipy.io.loadmat, path, variable_names=[name])):
+                        raise ValueError(why)
+                    shapes |= {field: value.shape for field, value in _matrix(path, name, kind).items()}
+    else:
+        check_own_values(path)
+
+        def visit(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset) and item.dtype.kind in "iufb" and not name.startswith("#"):
+                shapes[name] = item.shape[:: -1 if kind == "MATLAB 7.3" else 1]
+
+        with Store(path, hdf5).kept_open() as file:
+            file.visititems(visit)
+    return shapes
 
 
 @reader
 def open_matrix(
     path: Path, kind: str, variable: str | None = None, plane: tuple[int, int] | None = None
 ) -> ArrayRaster:
-    """The image (lines, samples, bands) of a MATLAB (5 or 7.3) or NumPy file, or its map of the shape ``plane``.
+    """The image (lines, samples, bands) of a MATLAB, NumPy or bare HDF5 file, or its map of the shape ``plane``.
 
     Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.  An image
     is (lines, samples, bands) unless a map beside it is as large as its last two axes, and not its first two.
@@ -580,21 +604,29 @@ def open_matrix(
     """
     shapes = _shapes(path, kind)
     fits = [n for n, s in shapes.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
-    fits = [n for n in fits if variable in (None, n)]
+    fits = [n for n in fits if variable in (None, n, n.replace("/", "."))]
     fits = [n for n in fits if _TRUTH.search(n)] if plane and sum(bool(_TRUTH.search(n)) for n in fits) == 1 else fits
     if not fits:
-        listed = ", ".join(f"{name} {' x '.join(map(str, shape))}" for name, shape in shapes.items()) or "no numbers"
+        listed = (
+            ", ".join(f"{n.replace('/', '.')} {' x '.join(map(str, shape))}" for n, shape in shapes.items())
+            or "no numbers"
+        )
         wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
         raise refusal("array.none", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
-    refuse(len(fits) > 1, "array.maps" if plane else "array.images", path, count=len(fits), names=", ".join(fits))
+    refuse(
+        len(fits) > 1,
+        "array.maps" if plane else "array.images",
+        path,
+        count=len(fits),
+        names=", ".join(fits).replace("/", "."),
+    )
     name = fits[0]
     size = 8 * int(np.prod(shapes[name]))
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
         raise refusal("array.memory", path, name=name, mib=size >> 20)
-    tree = kind == "MATLAB 7.3"
+    tree, turn = kind not in ("MATLAB 5", "NumPy"), -1 if kind == "MATLAB 7.3" else 1
     planes = {s for s in shapes.values() if len(s) == 2 and min(s) > 1}
     is_bands_first = shapes[name][1:] in planes and shapes[name][:2] not in planes
-    turn = -1 if tree else 1
     axes, shape = ("bls" if is_bands_first else "lsb")[::turn], shapes[name][::turn]
 
     def stored(name: str) -> Store:
@@ -604,11 +636,13 @@ def open_matrix(
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
     piece = Piece((Term(name),), axes.replace("b", "") if plane else axes, shape, dtype.newbyteorder("="))
-    lists = {}
-    for pattern in (_WAVE, _WIDTH):
-        named = [n for n, s in shapes.items() if pattern.search(n) and max(s) == piece.size("b") == int(np.prod(s)) > 1]
-        if len(named) == 1:
-            whole = (slice(None),) * len(shapes[named[0]])
-            lists[pattern] = stored(named[0]).read(named[0], whole).astype(float).ravel()
-    own = ListedBands(lists[_WAVE], lists.get(_WIDTH)) if _WAVE in lists else None
+
+    def listed_beside(pattern: re.Pattern[str]) -> npt.NDArray[np.float64] | None:
+        named = [n for n in shapes if pattern.search(n) and not _GOOD.search(n)]
+        named = [n for n in named if max(shapes[n]) == piece.size("b") == int(np.prod(shapes[n])) > 1]
+        whole = (slice(None),) * len(shapes[named[0]]) if len(named) == 1 else None
+        return None if whole is None else stored(named[0]).read(named[0], whole).astype(float).ravel()
+
+    wave = listed_beside(_WAVE)
+    own = None if wave is None else ListedBands(wave, listed_beside(_WIDTH))
     return array_raster(store, (piece,), Description(f"array {name!r} of a {kind} file", own))

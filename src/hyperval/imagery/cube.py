@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.envi_header import data_beside, header_beside
-from hyperval.errors import reader, refusal, refuse
+from hyperval.errors import HypervalError, InputError, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.description import (
     Bands,
@@ -345,6 +345,7 @@ _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
 _OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which nothing here reads
 _HIERARCHIES = {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
 _MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | arrays.MATRICES | _HIERARCHIES | _OTHERS
+MATRICES = (*arrays.MATRICES.values(), _HDF5)  # arrays that bear no labels, or need not
 _MATLAB_SUFFIX = ".mat"  # of HDF5 that a program other than MATLAB has written: without its mark, in its order
 
 
@@ -387,12 +388,17 @@ def open_raster(
         return arrays.open_labelled(data, variable, "scipy")
     if header is None and kind == _HDF5:
         arrays.check_own_values(data)
-        product = open_product(data) if variable is None else None
-        return product if product is not None else arrays.open_labelled(data, variable, "h5netcdf")
+        try:
+            product = open_product(data) if variable is None else None
+            return product or arrays.open_labelled(data, variable, "h5netcdf")
+        except HypervalError:  # such as no array with wavelengths: it may be a bare one
+            with suppress(HypervalError):
+                return arrays.open_matrix(data, _HDF5, variable)
+            raise
     beside = Path(header) if header is not None else header_beside(data)
     if beside is not None:
         return open_envi(data, beside)
-    if kind in arrays.MATRICES.values():
+    if kind in MATRICES:
         return arrays.open_matrix(data, str(kind), variable)
     if kind is not None:
         raise refusal("image.kind", data, kind=kind)
@@ -411,7 +417,7 @@ def kind_of(path: Path) -> str | None:
 
 def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
-    own = (_TIFF, _HDF5, _NETCDF3, *arrays.MATRICES.values())
+    own = (_TIFF, _NETCDF3, *MATRICES)
     return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in own
 
 
@@ -422,8 +428,11 @@ def raster_of_size(path: Path, shape: tuple[int, int], variable: str | None = No
     """
     path = checked_file(path, what="image file")
     kind = kind_of(path)
-    matrix = kind in arrays.MATRICES.values() and header_beside(path) is None
-    raster = arrays.open_matrix(path, str(kind), variable, shape) if matrix else open_raster(path)
+    raster: Raster | None = None
+    if kind in MATRICES and header_beside(path) is None:
+        with suppress(*([InputError] if kind == _HDF5 else [])):  # which may hold an image of three axes alone
+            raster = arrays.open_matrix(path, str(kind), variable, shape)
+    raster = raster or open_raster(path)
     refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
     return raster
 

@@ -211,18 +211,14 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     parsed = read_header(checked_file(header, what="ENVI header"))
     _check_size(data, parsed)
     scaled = {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
-    gains = None if scaled or parsed.dtype.kind == "f" else _gain_file_beside(data)
+    # The .gain file that the image's name begins with, as f130612t01p00r10rdn_e.gain.
+    files = [] if scaled or parsed.dtype.kind == "f" else sorted(data.parent.glob("*.[gG][aA][iI][nN]"))
+    named = [p for p in files if data.name.lower().startswith(p.stem.lower())]
+    gains = max(named, key=lambda p: len(p.stem), default=None)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(entries=parsed.extras, notes=parsed.notes, header=parsed, gains=gains)
     size = parsed.lines, parsed.samples, parsed.bands
     return EnviRaster(data, size, parsed.dtype, about, transform_of(parsed), crs_of(parsed), others)
-
-
-def _gain_file_beside(image: Path) -> Path | None:
-    """The ``.gain`` file that the image's name begins with, as f130612t01p00r10rdn_e.gain; None without one."""
-    files = sorted(image.parent.glob("*.[gG][aA][iI][nN]"))
-    return max((p for p in files if image.name.lower().startswith(p.stem.lower())), key=lambda p: len(p.stem),
-               default=None)  # fmt: skip
 
 
 def _check_size(data: Path, header: EnviHeader) -> None:

@@ -205,17 +205,13 @@ class LocationTable(LookupTable):
         lines, samples = (some_lines(n, _AREA_LINES) for n in self.shape)
         for line, sample in product(lines, samples) if self.crs is not None else ():
             fit = self._fit(int(line), int(sample))
-            yield None if fit is None else abs(np.linalg.det(fit[1])) * math.prod(self._metres(fit[0][1]))
+            if fit is not None and self.crs is not None:
+                unit = self.crs.linear_units_factor[1] ** 2 if self.crs.is_projected else 0.0  # [m2]
+                yield abs(np.linalg.det(fit[1])) * float(unit or math.prod(metres_per_degree(fit[0][1])))
 
     def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
         """A geometry on the map with vertices at most 4 pixels apart on every side."""
         return _divided(geometry, self._pixel, where)
-
-    def _metres(self, latitude: float) -> tuple[float, float]:
-        """Metres of a unit of x and of y."""
-        if self.crs is not None and self.crs.is_projected:
-            return (float(self.crs.linear_units_factor[1]),) * 2
-        return metres_per_degree(latitude)
 
     @property
     def middle(self) -> tuple[float, float]:

@@ -28,8 +28,7 @@ from skimage.measure import label
 
 from hyperval.envi_header import header_beside
 from hyperval.errors import reader, refusal, refuse
-from hyperval.imagery.arrays import MATRICES
-from hyperval.imagery.cube import kind_of, raster_of_size
+from hyperval.imagery.cube import MATRICES, kind_of, raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
 from hyperval.imagery.drawing import WARNING, ImageGrid, Placing, Position, RegionDrawing, geometry_of, named_crs
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
@@ -130,7 +129,8 @@ def ascii_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
         made_for = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
         if made_for is None:
             raise refusal("roi.dimension", where, value=value)
-        _check_size((int(made_for[2]), int(made_for[1])), shape, where)
+        size = int(made_for[2]), int(made_for[1])
+        refuse(size != shape, "roi.size", where, size=size, shape=shape)
     names = [name for name, _ in told.get("roi name", [])]
     counts = [_whole(*count) for count in told.get("roi npts", [])]
     announced = [_whole(*count) for count in told.get("number of rois", [(str(len(names)), "")])][-1]
@@ -140,11 +140,6 @@ def ascii_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
     refuse(len(set(names)) < len(names), "roi.names", path)
     starts = np.cumsum([0, *counts])
     return _pixel_drawings({name: rows[starts[i] : starts[i + 1]] for i, name in enumerate(names)}, shape, path)
-
-
-def _check_size(made_for: tuple[int, int], shape: tuple[int, int], where: str) -> None:
-    """Raise InputError for regions of an image of another size than that of the cube."""
-    refuse(made_for != shape, "roi.size", where, size=made_for, shape=shape)
 
 
 def _pixel_drawings(pixels: Mapping[str, Sequence[tuple[int, int]]], shape: tuple[int, int], path: Path) -> Drawings:
@@ -186,7 +181,7 @@ def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
         name = raw[at : at + length].split(b"\0")[0].decode("latin-1").strip()
         at += -(-length // 4) * 4
         table, where = words(45), f"{path}: region {name!r}"
-        _check_size((table[1], table[0]), shape, where)
+        refuse(table[1::-1] != shape, "roi.size", where, size=table[1::-1], shape=shape)
         refuse(table[43], "roi.polylines", where)
         drawing = _new(drawings, name, shape, where)
         if table[44]:
@@ -436,7 +431,7 @@ def drawings_of(path: Path, grid: ImageGrid) -> Drawings:
         return vector_drawings(path, grid)
     if stripped.startswith(b"{"):
         return geojson_drawings(path, grid)
-    if ending == ".hdr" or kind_of(path) in MATRICES.values() or header_beside(path) is not None:
+    if ending == ".hdr" or kind_of(path) in MATRICES or header_beside(path) is not None:
         return raster_drawings(path, shape, grid.name_field)
     if ending in (".csv", ".txt"):
         return csv_drawings(path, shape)
@@ -546,10 +541,9 @@ def half_region(name: str, region: Region, *, first: bool) -> Region:
     lines, samples = np.nonzero(region.mask)
     along = lines if np.ptp(lines) >= np.ptp(samples) else samples
     before = along < np.sort(along)[along.size // 2]
-    chosen = before if first else ~before
-    refuse(not chosen.any(), "region.half", f"region {name!r}", of=region.name)
-    mask = np.zeros(region.mask.shape, bool)
-    mask[lines[chosen], samples[chosen]] = True
+    mask = region.mask.copy()
+    mask[lines, samples] = before == first
+    refuse(not mask.any(), "region.half", f"region {name!r}", of=region.name)
     return Region(name, mask, f"half of {region.name}")
 
 
