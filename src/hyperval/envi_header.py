@@ -225,8 +225,7 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
     if interleave not in allowed:
         raise refusal("header.interleave", where("interleave"), interleave=interleave, allowed=", ".join(allowed))
-    if integer("file compression", "0") != 0:
-        raise refusal("header.compressed", where("file compression"))
+    refuse(integer("file compression", "0") != 0, "header.compressed", where("file compression"))
     for key in ("major frame offsets", "minor frame offsets"):
         if any(part.strip() not in ("", "0") for part in entries.get(key, "").split(",")):
             raise refusal("header.frames", where(key), key=key)

@@ -400,8 +400,7 @@ def open_raster(
         return open_envi(data, beside)
     if kind in MATRICES:
         return arrays.open_matrix(data, str(kind), variable)
-    if kind is not None:
-        raise refusal("image.kind", data, kind=kind)
+    refuse(kind is not None, "image.kind", data, kind=kind)
     raise refusal("image.no_header", data, first=f"{data.name}.hdr", second=data.with_suffix(".hdr").name)
 
 
@@ -564,8 +563,7 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
     import spectral
     from spectral.io.spyfile import SpyFile
 
-    if not isinstance(image, SpyFile | spectral.image.ImageArray):
-        raise refusal("exchange.no_cube", kind=type(image).__name__)
+    refuse(not isinstance(image, SpyFile | spectral.image.ImageArray), "exchange.no_cube", kind=type(image).__name__)
     path, about = Path(str(image.filename or "SPy image")), image.bands
     headers = (path.with_suffix(".hdr"), Path(f"{path}.hdr"))
     if isinstance(image, SpyFile) and path.is_file() and any(h.is_file() for h in headers):

@@ -152,8 +152,7 @@ class Description:
             values, unit, key = in_names[0], in_names[1] or unit, "band names"
             notes = ("the header lists no wavelengths: those in the names of its bands are taken",)
         flags = header.numbers("bbl", header.bands)
-        if flags is not None and not np.all(np.isin(flags, (0.0, 1.0))):
-            raise refusal("bands.flags", header.where("bbl"))
+        refuse(flags is not None and not np.all(np.isin(flags, (0.0, 1.0))), "bands.flags", header.where("bbl"))
         where = {"wavelength": header.where(key), "wavelength units": header.where("wavelength units")}
         where |= {name: header.where(name) for name in ("fwhm", "bbl") if name in header.entries}
         good = None if flags is None else flags == 1.0
@@ -202,8 +201,7 @@ class Description:
         if has.size < bands.wavelength.size:
             notes.append(f"{bands.wavelength.size - has.size} stored bands without a wavelength are left out")
         good = np.ones(has.size, bool) if bands.good is None else bands.good[has]
-        if not good.any():
-            raise refusal("bands.bad", at["bbl"])
+        refuse(not good.any(), "bands.bad", at["bbl"])
         if bands.good is not None and ("bbl" in bands.where or not good.all()):
             notes.append(f"bad-band list: {int((~good).sum())} of {good.size} bands are bad")
         width = None if bands.fwhm is None else bands.fwhm[has] * to_nm
@@ -261,8 +259,7 @@ def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     kind = "data reflectance" if own else "data"
     gain, offset = (header.numbers(f"{kind} {name} values", header.bands) for name in ("gain", "offset"))
     factor = header.number("reflectance scale factor")
-    if gain is not None and np.any(gain == 0):
-        raise refusal("scale.zero", header.where(f"{kind} gain values"))
+    refuse(gain is not None and np.any(gain == 0), "scale.zero", header.where(f"{kind} gain values"))
     if factor is not None and not (np.isfinite(factor) and factor > 0):
         raise refusal("scale.factor", header.where("reflectance scale factor"), factor=factor)
     name = f"{kind} gain/offset values" if gain is not None or offset is not None else ""

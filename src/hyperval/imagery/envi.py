@@ -332,8 +332,7 @@ def envi_writer(
     if interleave not in INTERLEAVES or byte_order not in BYTE_ORDERS or data_type not in DATA_TYPES:
         known = f"{INTERLEAVES}, {tuple(BYTE_ORDERS)}, {tuple(DATA_TYPES)}"
         raise refusal("write.kind", interleave=interleave, order=byte_order, code=data_type, known=known)
-    if gain is not None and reflectance_scale_factor is not None:
-        raise refusal("write.scales")
+    refuse(gain is not None and reflectance_scale_factor is not None, "write.scales")
     if axis is not None and len(axis) != bands:
         raise refusal("write.axis", size=len(axis), bands=bands)
     entries: dict[str, Any] = {

@@ -124,8 +124,7 @@ class ProductTree:
     def image(self, reference: str, axes: int = 3) -> h5py.Dataset:
         """An array of so many axes; InputError where it is none or cannot be read by its blocks."""
         array = self.item(reference)
-        if not isinstance(array, h5py.Dataset):
-            raise refusal("product.image", self.path, name=reference)
+        refuse(not isinstance(array, h5py.Dataset), "product.image", self.path, name=reference)
         name = array.name.strip("/")
         if array.chunks is not None and int(np.prod(array.chunks)) * array.dtype.itemsize > arrays.MAX_CHUNK_BYTES:
             raise refusal("array.block", self.path, name=name, mib=arrays.MAX_CHUNK_BYTES >> 20)
@@ -488,8 +487,7 @@ def _angle(root: ElementTree.Element, tag: str | None) -> float | None:
 def _number(text: str | None, what: str, path: Path) -> float:
     """The first number of a text, as DESIS lists one for each temperature."""
     number = number_of((text or "").split(",")[0])
-    if not np.isfinite(number):
-        raise refusal("sidecar.number", path, what=what, text=(text or "")[:40])
+    refuse(not np.isfinite(number), "sidecar.number", path, what=what, text=(text or "")[:40])
     return number
 
 

@@ -164,8 +164,7 @@ def _numbers(texts: Mapping[str, Sequence[str]], key: str, path: Path) -> npt.ND
     if key not in texts:
         return None
     values = np.array([number_of(text) for text in texts[key]])
-    if not np.all((values > 0.0) & (values < np.inf)):  # NaN is none either
-        raise refusal("tiff.tags", path, key=key)
+    refuse(not np.all((values > 0.0) & (values < np.inf)), "tiff.tags", path, key=key)
     return values
 
 

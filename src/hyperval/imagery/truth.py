@@ -178,8 +178,7 @@ def _pixel_size(stated: float | None, transform: Position, where: str) -> float:
 def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]:
     """Width and length [m], 0 where nobody states a size, and the uncertainty of the position [m], maybe NaN."""
     for key in ("area_m2", "position_uncertainty_m"):
-        if number[key] < 0:
-            raise refusal("target.negative", where, key=key, value=number[key])
+        refuse(number[key] < 0, "target.negative", where, key=key, value=number[key])
     # A list may hold squares and rectangles.
     width = number["side_m"] if math.isnan(number["width_m"]) else number["width_m"]
     length = width if math.isnan(number["length_m"]) else number["length_m"]

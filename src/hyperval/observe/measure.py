@@ -20,7 +20,7 @@ import numpy.typing as npt
 from hyperval import pixels as px
 from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
 from hyperval.data import Array, ClassStatistics, Components, Index, Mask, SampleStatistics, statistics_of
-from hyperval.errors import UsageError, refusal, told_of
+from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube
 from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe import sites
@@ -624,8 +624,7 @@ def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, 
     lines, samples = np.nonzero(place.pixels_of(name))
     block = lines // task.block_lines
     blocks = np.unique(block)
-    if blocks.size < 2:
-        raise refusal("classes.block", name=name, block_lines=task.block_lines)
+    refuse(blocks.size < 2, "classes.block", name=name, block_lines=task.block_lines)
     # Half of the blocks that hold the class train.
     order = np.random.default_rng([task.seed, place.cube.lines]).permutation(-(-place.cube.lines // task.block_lines))
     dealt = order[np.isin(order, blocks)]

@@ -43,7 +43,7 @@ from hyperval.collection import (
     VectorSource,
 )
 from hyperval.data import Array, Index, Mask, SampleStatistics
-from hyperval.errors import InputError, UsageError, one_of, reader, refusal
+from hyperval.errors import InputError, UsageError, one_of, reader, refusal, refuse
 from hyperval.imagery import Cube, LookupTable, Raster, Region, TargetObject
 from hyperval.imagery.drawing import outside_error
 from hyperval.imagery.regions import patches
@@ -294,8 +294,7 @@ def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[Loo
     """What places the pixels of a cube in scanner geometry, stated or found, and notes on it."""
     if source.glt is None:
         return imagery.table_of(cube.raster)
-    if cube.transform is not None:
-        raise refusal("place.glt", source.path)
+    refuse(cube.transform is not None, "place.glt", source.path)
     raster = imagery.open_raster(resolve(source.glt))
     if raster.dtype.kind == "f" and raster.transform is None:
         return imagery.location_table(raster, cube.shape), ()
@@ -547,8 +546,7 @@ def image_targets(
     out: list[TargetObject] = []
     for material, cells in images:
         listed = list(islice(patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
-        if len(listed) > MAX_OBJECTS:
-            raise refusal("finer.patches", str(path), most=MAX_OBJECTS, material=material)
+        refuse(len(listed) > MAX_OBJECTS, "finer.patches", str(path), most=MAX_OBJECTS, material=material)
         for name, window, inside in listed:
             part, (down, right) = np.where(inside, cells[window], 0), (side.start for side in window)
             there = replace(grid, line=grid.line + grid.line_step * down, sample=grid.sample + grid.sample_step * right)
@@ -584,8 +582,7 @@ def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGri
             raise refusal("finer.crs", where, own=raster.crs.to_string()[:60], other=cube.crs.to_string()[:60])
         to_pixels: Affine = ~cube.transform @ raster.transform
         aslant = max(abs(to_pixels.b) * raster.lines, abs(to_pixels.d) * raster.samples)
-        if aslant > _SQUARE_OFF or to_pixels.a <= 0 or to_pixels.e <= 0:
-            raise refusal("finer.aslant", where)
+        refuse(aslant > _SQUARE_OFF or to_pixels.a <= 0 or to_pixels.e <= 0, "finer.aslant", where)
         grid = FinerGrid(to_pixels.f, to_pixels.c, to_pixels.e, to_pixels.a)
     if max(grid.line_step, grid.sample_step) > 0.5:
         raise refusal("finer.cells", where, line_step=grid.line_step, sample_step=grid.sample_step)
@@ -641,8 +638,7 @@ def object_of_fills(
 ) -> TargetObject:
     """A target by the fills (K, h, w) of a window: its pixels are those of which the mean reaches 0.02."""
     mask = fills.mean(axis=0) >= LEAST_FILL
-    if not mask.any():
-        raise refusal("truth.fill", where, name=name, least=LEAST_FILL)
+    refuse(not mask.any(), "truth.fill", where, name=name, least=LEAST_FILL)
     (line, sample), part = cut_out(mask)
     kept = fills[:, line : line + part.shape[0], sample : sample + part.shape[1]].copy()
     attributes = {"material": material, "region": name}
