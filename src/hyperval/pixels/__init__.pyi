@@ -6,6 +6,7 @@ from .detect import (
     LOCAL_DETECTORS,
     WITHOUT_COVARIANCE,
     AddedDetectorError,
+    ImageTruth,
     PixelDetector,
     Whitener,
     detector_names,
@@ -13,11 +14,12 @@ from .detect import (
     osp_filter,
     pixel_detector,
     register_detector,
+    register_estimator,
+    register_scores,
     score_cube,
     score_cube_locally,
     whitener_of,
 )
-from .images import ImageTruth, register_estimator, register_scores
 from .laws import (
     FEWEST_LEADING,
     LEAST_DOF,

@@ -10,7 +10,8 @@ With background mean mu and covariance Sigma, d = target - mu and z = x - mu:
     sam                   -arccos(t x / (|t| |x|))                             minus the angle [rad]
     rx                    z^T Sigma^-1 z                                       needs no target
 
-A higher score is always more like a target.  :func:`register_detector` adds one of your own.
+A higher score is always more like a target.  :func:`register_detector` adds one of your own, :func:`register_scores`
+and :func:`register_estimator` one that sees an image whole: a function, or an estimator of scikit-learn.
 
 :func:`score_cube` takes all detectors and targets in one pass, with gain and empirical line folded in.
 :func:`score_cube_locally` sets each pixel against the mean of its own surroundings, with the global covariance: the
@@ -21,6 +22,7 @@ and d = W (t - mu) - m.
 
 from __future__ import annotations
 
+import copy
 import itertools
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -28,13 +30,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from hyperval.data import LINEAR_DETECTORS, Array, Mask
+from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
 from hyperval.errors import HypervalError, UsageError, refusal
 from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
 from hyperval.pixels.line import EmpiricalLine
@@ -42,7 +44,6 @@ from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
-
 MOST_VALUES = 50_000_000  # of what detectors see of an image at once: 0.4 GB, twice that while they score it
 LEAST_PIXELS = 10  # fewer make no mean to speak of; the global one stands in
 _VALUES_AT_ONCE = 1_000_000  # of the pixels of a strip and what the window reaches beyond them
@@ -484,3 +485,96 @@ def _dot(a: Array, b: Array) -> Array:
 
 def _finite(score: Array) -> Array:
     return np.where(np.isfinite(score), score, np.nan)
+
+
+BLOCK = 16  # side of the squares that halve the background [pixels]
+MOST_LEARNED = 20_000  # pixels of the background that an estimator is fitted to
+
+
+class ImageTruth(NamedTuple):
+    """What the truth says of an image.
+
+    Attributes
+    ----------
+    background : (lines, samples) pixels that stand for the background
+    objects : (lines, samples) number of the object in a pixel, from 1; 0 where there is none
+    """
+
+    background: Mask
+    objects: Index
+
+    @property
+    def second_half(self) -> Mask:
+        """Every other square of the background and every other object, whole."""
+        lines, samples = np.indices(self.background.shape) // BLOCK
+        return np.where(self.objects > 0, self.objects % 2, (lines + samples) % 2).astype(bool)
+
+
+def register_scores(name: str, fit: Callable[[Array, Array], npt.ArrayLike]) -> None:
+    """Add a detector that is a function of the whole image.
+
+    Parameters
+    ----------
+    fit : image (lines, samples, B), NaN where it holds no data, and target (B,) -> score (lines, samples), the higher
+        the more like the target; it sees no truth
+
+    Raises
+    ------
+    UsageError : a name that is taken, or that cannot name files.
+
+    Examples
+    --------
+    >>> register_scores("first-band", lambda image, target: image[..., 0] / target[0])  # doctest: +SKIP
+    """
+    register_detector(name, partial(_whole, lambda image, target, scene: fit(image, target)))
+
+
+def register_estimator(name: str, estimator: Any) -> None:
+    """Add an estimator with the methods of scikit-learn as a detector.
+
+    With ``score_samples`` (one-class SVM, isolation forest, density) it is fitted to pixels of the background, and what
+    is unlike them scores high.  With ``decision_function`` or ``predict_proba`` it is fitted to target and background
+    pixels of one half of the objects and of the background's squares, and scores the other half: no pixel is scored by
+    what has learned from it or from its object.
+
+    Raises
+    ------
+    UsageError : a name that is taken, or an estimator with none of these methods.
+    """
+    if not any(hasattr(estimator, method) for method in ("score_samples", "decision_function", "predict_proba")):
+        raise UsageError(
+            f"{type(estimator).__name__} scores nothing",
+            expected="an estimator with score_samples, decision_function or predict_proba",
+        )
+    register_detector(name, partial(_whole, partial(_estimated, estimator)))
+
+
+def _whole(
+    score: Callable[[Array, Array, ImageTruth], npt.ArrayLike],
+    target: Array,
+    mean: Array,
+    covariance: Any,
+    undesired: Array,
+) -> PixelDetector:
+    bands = np.eye(mean.size)
+    return PixelDetector(bands, np.zeros(mean.size), image=lambda image, scene: score(image, target, scene))
+
+
+def _estimated(estimator: Any, image: Array, target: Array, scene: ImageTruth) -> Array:
+    known = np.isfinite(image).all(axis=-1)
+    scores = np.full(known.shape, np.nan)
+    if hasattr(estimator, "score_samples"):
+        learned = image[known & scene.background]
+        learned = learned[:: max(1, len(learned) // MOST_LEARNED)]
+        scores[known] = -copy.deepcopy(estimator).fit(learned).score_samples(image[known])
+        return scores
+    half, labelled = scene.second_half, known & (scene.background | (scene.objects > 0))
+    for own in (half, ~half):
+        learned, labels = image[labelled & own], scene.objects[labelled & own] > 0
+        if labels.all() or not labels.any():
+            raise UsageError("too few objects to learn from one half and score the other", expected="two and more")
+        fitted = copy.deepcopy(estimator).fit(learned, labels)
+        here = known & ~own
+        by_margin = hasattr(fitted, "decision_function")
+        scores[here] = fitted.decision_function(image[here]) if by_margin else fitted.predict_proba(image[here])[:, 1]
+    return scores

@@ -1,9 +1,19 @@
 """Pixel-level scene generator: a simulated collection with its truth, sampled and not derived."""
 
 from .collection import Detector, SimulationInputs, detector, field_axis, load_inputs, simulate, simulate_to_folder
-from .layout import centred_fill, lay_out, pixel_weights, regions, side_for_fill, square_footprint
+from .ground import (
+    SurfaceRenderer,
+    admixture_share,
+    centred_fill,
+    correlated_field,
+    lay_out,
+    pixel_weights,
+    regions,
+    sampler,
+    side_for_fill,
+    square_footprint,
+)
 from .schema import PaintedArea, SceneFile, load_scene
-from .surface import SurfaceRenderer, admixture_share, correlated_field, sampler
 
 __all__ = [
     "Detector",

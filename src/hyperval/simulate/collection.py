@@ -34,9 +34,8 @@ from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
 from hyperval.sensor import NoiseModel, load_sensor
 from hyperval.simulate import schema
-from hyperval.simulate.layout import GroundLayout, lay_out, regions
+from hyperval.simulate.ground import GroundLayout, SurfaceRenderer, lay_out, regions
 from hyperval.simulate.schema import SceneFile, load_scene
-from hyperval.simulate.surface import SurfaceRenderer
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import builtin_class, builtin_mean
 from hyperval.storage import COLLECTION, whole_folder, write_text
