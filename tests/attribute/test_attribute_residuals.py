@@ -34,6 +34,19 @@ def test_spectra_are_compared_where_both_have_bands_and_some_light():
     assert item.read(products.PredictedProducts(AXIS, radiance=predicted)) == pytest.approx(3.0 / 2.0)
 
 
+def test_spectra_that_are_exchanged_or_lose_light_to_other_wavelengths():
+    def sides(**means: list[float]) -> dict[str, products.SpectralEstimate]:
+        return {name: products.SpectralEstimate(np.array(mean), np.eye(2)) for name, mean in means.items()}
+
+    seen = sides(grass=[1.0, 3.0], roof=[2.0, 2.0])
+    both = (kind(AXIS, radiance=seen) for kind in (products.PredictedProducts, products.ObservedProducts))
+    stack = stacked(*both)
+    ((candidate, change),) = stack.exchanged(stack.observed).items()
+    assert candidate.labels == ("grass and roof",)
+    assert (stack.observed + change[:, 0]).tolist() == [2.0, 2.0, 1.0, 3.0]
+    assert stack.levelled(stack.observed).tolist() == [1.0, -1.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize(
     ("pixels", "bands", "known"),
     [(36, 16, 0.0), (36, 16, 1.0), pytest.param(200, 16, 0.0, marks=pytest.mark.slow), (30, 3, 0.1)],

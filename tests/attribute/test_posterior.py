@@ -1,5 +1,6 @@
 """From a ranking and what-ifs to rows that a reader understands."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,29 @@ def test_inputs_alike_are_named_as_a_group():
     assert {found.first, *found.alike} == {"gain", "twin"}
 
 
+def test_what_befalls_all_subjects_comes_before_what_befalls_one():
+    """Of two causes together; not where the shared one explains next to nothing."""
+    one = attribute.Candidate("region", "scene", "0.01 of the area", False, sizes=(-50.0, 50.0))
+    columns = {GAIN: COLUMNS[GAIN], one: np.outer(np.where(X > 0.9, 1.0, 0.0), one.sizes)}
+    for gain, first in ((2.0, ["gain", "region"]), (0.1, ["region", "gain"])):
+        found = _posterior(gain + 9.0 * (X > 0.9) + WAVE, columns)
+        assert [c.name for c in found.best.causes] == first
+        assert found.best.left[1] < found.best.left[0] < found.chi_square
+
+
+def test_a_change_is_not_bounded_by_what_is_stated():
+    residual = 30.0 * (X - 0.5)
+    bounded = _posterior(residual, {TILT: COLUMNS[TILT]})
+    free = _posterior(residual, {replace(TILT, unbounded=True): COLUMNS[TILT]})
+    assert (bounded.fits[0].limited, free.fits[0].limited) == (True, False)
+    assert (free.first, free.fits[0].units) == ("tilt", pytest.approx(30.0, rel=0.01))
+
+
+def test_a_smooth_gain_says_where_it_is_largest():
+    gain = attribute.Candidate("smooth gain", "sensor", "3 % in smooth pieces", False, knots_nm=(400.0, 600.0))
+    assert gain.in_words(np.array([-4.0, 1.0])) == "-12 % at 400 nm, where it is largest,"
+
+
 def test_evidence_is_the_likelihood_averaged_over_the_prior():
     """Of sizes by quadrature on a grid of its own, of directions by the normal density with each spread."""
     residual = 0.12 * np.ones(N) + WAVE
@@ -87,6 +111,7 @@ def test_worlds_that_hold_nothing_are_rarely_blamed_and_what_is_large_is_named()
     assert np.mean(blamed) < 0.05
     drawn = [(kind, found.first) for kind, found in reasoner.drawn(rng, 60)]
     assert np.mean([kind == first for kind, first in drawn if first != attribute.NOTHING]) > 0.8
+    assert np.mean([first == kind for kind, first in drawn if kind == attribute.NOTHING]) > 0.9
 
 
 def _three_subjects():

@@ -1,5 +1,6 @@
 """The power of a campaign: what its gates see of errors injected into its model, and what they do not."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -134,7 +135,17 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert "sunlight x 1.05: criteria, accepted: undetected" in said
     assert "noise x 1.5: undetected, accepted: not in the table" in said
     assert "another: not in the table, accepted: undetected" in said
+
+    def since() -> str:
+        rows = campaign.run_campaign(campaign.jobs_of(small.write())[0]).table
+        return next(iter(rows.where(subject="since the accepted run", metric="reduced_chi_square"))).reason
+
     small.scenario["atmosphere"]["aot550"] *= 1.5
-    rows = campaign.run_campaign(campaign.jobs_of(small.write())[0]).table
-    (since,) = rows.where(subject="since the accepted run", metric="reduced_chi_square")
-    assert since.reason.startswith("check the aerosol optical depth (x 0.66")
+    assert since().startswith("check the aerosol optical depth (x 0.66")
+    small.scenario["atmosphere"]["aot550"] /= 1.5
+    small.scenario["sensor_changes"] = {"fixed_noise_factor": 2.5}
+    assert "noise without signal" in since()
+    del small.scenario["sensor_changes"]
+    corner = re.compile(r"\[(\d+\.?\d*), (\d+\.?\d*)\]")
+    small.edit("regions.geojson", lambda text: corner.sub(lambda m: f"[{float(m[1]) - 1}, {float(m[2]) + 1}]", text))
+    assert since().startswith("check the position of the regions (-1 lines, +1 samples explains 99 %")

@@ -43,6 +43,21 @@ def test_targets_and_their_guard_are_left_out_of_the_scene(world, radius, pixels
     assert place.background(["image"]).all()
 
 
+def test_a_mistake_moves_values_bands_targets_and_regions(world):
+    world.regions(corner=[35, 5, 10, 20])
+    seen = world.observe().place
+    away = {"lines": 1, "samples": -2}
+    wrong, elsewhere = seen.mistaken({"gain": 1.1, "offset": 0.05, "nm": 2.0}), seen.mistaken(away | {"regions": 1})
+    level = seen.statistics["scene"].mean.mean()
+    assert wrong.cube.read(0, 3).values == pytest.approx(1.1 * seen.cube.read(0, 3).values + 0.05 * level)
+    assert wrong.cube.axis.centre_nm == pytest.approx(seen.cube.axis.centre_nm + 2.0)
+    assert np.array_equal(elsewhere.region("corner"), np.roll(seen.region("corner"), (1, -2), (0, 1)))
+    assert np.array_equal(seen.mistaken(away).region("corner"), seen.region("corner"))
+    for target, moved in zip(seen.targets, seen.mistaken(away).targets, strict=True):
+        last = np.subtract(target.shape, target.part.shape)
+        assert moved.corner == tuple(np.clip(np.add(target.corner, (1, -2)), 0, last))
+
+
 def test_regions_are_left_out_where_named_and_keep_clear_of_targets(world):
     world.regions(corner=[35, 5, 10, 20], around=[8, 8, 4, 4])
     place = world.place()

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.config import load_yaml
+from hyperval.config import Model, load_yaml
 from hyperval.errors import UsageError, refuse
 from hyperval.model import (
     Origins,
@@ -36,7 +36,7 @@ from hyperval.model import (
 from hyperval.model.inputs import Kind, field_spectrum_of, form_in_words
 from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
 from hyperval.products import PredictedProducts, SpectralEstimate
-from hyperval.scenario import Scenario, SpectralForm
+from hyperval.scenario import Scenario, SpectralForm, Target
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
 
 Array = npt.NDArray[np.float64]
@@ -45,7 +45,7 @@ Family = Callable[[World], Truth]  # what stands where with an error, for what a
 # Directions of an input that move all that is compared at once: of a smooth error nearly all of its variance, of a
 # rough one little.  The rest counts for each spectrum by itself (``stated_beyond``), and not for scores.
 MOST_DIRECTIONS = 8
-MOST_UNITS = 10.0  # a direction that would have to move farther is no reason
+MOST_UNITS, MOST_STEPS = 10.0, 200.0  # a direction that would have to move farther is no reason; of usual steps
 SHIFT_NM = 0.2
 SPREAD = 0.10
 FRACTION = 0.10
@@ -57,6 +57,7 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
     (SURROUNDINGS, "scene", "light.surroundings", 0.10),
     (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10),
     (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10),
+    ("ozone", "atmosphere", "atmosphere.ozone_atm_cm", 0.05),
     ("sunlight", "atmosphere", "light.irradiance", 0.01),
     ("path radiance", "atmosphere", "light.path", 0.10),
     ("spherical albedo", "atmosphere", "light.spherical_albedo", 0.10),
@@ -131,6 +132,8 @@ class Candidate:
     name, kind : for people
     step : one unit in words
     budgeted : its uncertainty is stated, and is in the covariance already
+    knots_nm : where its directions stand, over wavelength
+    unbounded : of a change: how far a user's mistake goes is not what the uncertainty says
     members : the input that it is in each scenario, None where it is none there
     sizes : of one thing, in units: where the model is asked; without one it is a set of directions
     labels : of alternatives
@@ -145,6 +148,8 @@ class Candidate:
     sizes: tuple[float, ...] = field(default=(), compare=False)
     labels: tuple[str, ...] = field(default=(), compare=False)
     moved: Callable[[float], list[Truth]] | None = field(default=None, compare=False, repr=False)
+    unbounded: bool = field(default=False, compare=False)
+    knots_nm: tuple[float, ...] = field(default=(), compare=False)
 
     @property
     def size(self) -> int:
@@ -152,15 +157,25 @@ class Candidate:
         return min(max((m.size for m in self.members if m is not None), default=0), MOST_DIRECTIONS)
 
     @property
+    def is_shared(self) -> bool:
+        """Whether it befalls all that is measured: the sensor, or the light."""
+        return self.kind in ("sensor", "atmosphere")
+
+    @property
     def unit(self) -> str:
         """One unit in a sentence."""
         return "stated uncertainty" if self.budgeted else f"step of {self.step}"
 
     @property
+    def most(self) -> float:
+        """Units that a direction may go: ten stated uncertainties, or 200 usual steps."""
+        return MOST_UNITS if self.budgeted and not self.unbounded else MOST_STEPS
+
+    @property
     def ends(self) -> tuple[float, float]:
-        """Least and greatest size that it may have; an input with a stated uncertainty ten times that."""
+        """Least and greatest size that it may have."""
         if self.budgeted:
-            return -MOST_UNITS, MOST_UNITS
+            return -self.most, self.most
         return _BELOW * min(self.sizes), _ABOVE * max(self.sizes)
 
     @property
@@ -174,11 +189,23 @@ class Candidate:
             return self.moved(units)
         return [{} if m is None or direction >= m.size else m.direction(direction, units) for m in self.members]
 
+    @property
+    def of_engine(self) -> bool:
+        """Whether each value of it takes a run of the engine."""
+        return any(m is not None and m.path.startswith("atmosphere.") for m in self.members)
+
+    def alone(self, scenario: int) -> list[Truth]:
+        """The truth of each scenario with it one unit off in one of them."""
+        return [m.moved(1.0) if m is not None and i == scenario else {} for i, m in enumerate(self.members)]
+
     def in_words(self, amplitudes: Array) -> str:
         """How far it is from what is stated."""
         if self.labels:
             return self.labels[int(amplitudes[0])]
         number, _, unit = self.step.partition(" ")
+        if self.knots_nm:
+            most = int(np.argmax(np.abs(amplitudes)))
+            return f"{float(number) * amplitudes[most]:+.2g} % at {self.knots_nm[most]:g} nm, where it is largest,"
         if not self.sizes or self.budgeted or not unit:
             size = f"{amplitudes[0]:+.2g}" if amplitudes.size == 1 else f"{np.sqrt(np.mean(amplitudes**2)):.2g}"
             return f"{size} times the {self.unit}"
@@ -214,13 +241,12 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     if any(s is not None and s.engine == "table" for s in states):
         states = [None for _ in states]
     out = []
-    if any(world.stated.scenario.atmosphere is not None for world in worlds):
 
-        def shifted(units: float) -> list[Truth]:
-            return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
+    def shifted(units: float) -> list[Truth]:
+        return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
 
-        out.append(Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted,
-                             sizes=(1.0, -1.0, -25.0, -5.0, 5.0, 25.0)))  # fmt: skip
+    out.append(Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted,
+                         sizes=(1.0, -1.0, -25.0, -5.0, 5.0, 25.0)))  # fmt: skip
     if any(s is not None and s.time_utc for s in states):
 
         def later(hours: float) -> list[Truth]:
@@ -228,6 +254,19 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
             return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
 
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
+    if any(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
+
+        def lower(degrees: float) -> list[Truth]:
+            zeniths = [None if s is None or s.time_utc else s.solar_zenith_deg for s in states]
+            return [{} if z is None else {"atmosphere.solar_zenith_deg": z + degrees} for z in zeniths]
+
+        out.append(Candidate("solar zenith angle", "scene", "1 deg", False, sizes=(1.0, -1.0, -5.0, 5.0), moved=lower))
+    if any(world.stated.sensor is not None for world in worlds):
+
+        def noisier(units: float) -> list[Truth]:
+            return [{"sensor_changes.fixed_noise_factor": 1.0 + 0.05 * units} for _ in worlds]
+
+        out.append(Candidate("noise without signal", "sensor", "5 %", False, sizes=(-10.0, 10.0, 30.0), moved=noisier))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
         kinds: dict[str, list[Truth]] = {
             h: [{"atmosphere.aerosol": h} if s is not None else {} for s in states] for h in HAZES if h not in hazes
@@ -241,6 +280,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
             one = _part(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", 0.05)
             members = tuple(one if i == number else None for i in range(len(worlds)))
             out.append(Candidate(one.name, one.kind, one.correlation, False, members, (-10.0, 12.0)))
+        out += [_sized(target, number, worlds) for target in scene.targets]
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
             for names in combinations([x.name for x in kind], 2):
                 pairs[" and ".join(names)] = alone(_exchanged(world, names))
@@ -249,6 +289,37 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
                 scaled[f"{name} x {x:g}"] = alone({f"surfaces.[{name}].mean": x * level})
     found = {"exchanged spectra or regions": pairs, "scale of a spectrum": scaled}
     return out + [_one_of(name, "scene", each) for name, each in found.items() if each]
+
+
+def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
+    """Targets of another size than stated: their sides, where fills follow from those; else their fills."""
+
+    def sized(units: float) -> list[Truth]:
+        factor, truth = 1.0 + 0.05 * units, dict[str, Any]()
+        for p in target.populations:
+            if p.fill is not None and p.fill.geometry is not None and p.fill.geometry.side_m is not None:
+                within = f".subjects.[{p.name}]" if target.subjects else ""
+                truth[f"scene.targets.[{target.name}]{within}.fill.geometry.side_m"] = factor * p.fill.geometry.side_m
+            else:
+                fill = np.asarray(value_at(worlds[number], f"fill.[{p.name}]"), dtype=float)[0]
+                truth[f"fill.[{p.name}]"] = np.minimum(factor**2 * fill, 1.0)
+        return _alone(number, len(worlds), truth)
+
+    return Candidate(f"size of {target.name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=sized)
+
+
+def exchanged_entries(worlds: Sequence[World]) -> list[Candidate]:
+    """Spectra of two targets in each other's place in the file: what detectors look for moves with them."""
+    pairs: dict[str, list[Truth]] = {}
+    for number, world in enumerate(worlds):
+        for a, b in combinations(world.stated.scenario.scene.targets, 2):
+            truth = {f"scene.targets.[{x.name}].spectrum": _entry(y.spectrum) for x, y in ((a, b), (b, a))}
+            pairs[f"{a.name} and {b.name}"] = _alone(number, len(worlds), truth)
+    return [_one_of("exchanged spectra in the file", "scene", pairs)] if pairs else []
+
+
+def _entry(model: Model) -> dict[str, Any]:
+    return model.model_dump(exclude_none=True, exclude_defaults=True)
 
 
 def _alone(number: int, of: int, truth: Truth) -> list[Truth]:

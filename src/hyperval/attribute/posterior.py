@@ -18,7 +18,7 @@ import numpy.typing as npt
 import scipy
 from scipy import linalg, special
 
-from hyperval.attribute.candidates import LIGHT, MOST_UNITS, Candidate
+from hyperval.attribute.candidates import LIGHT, MOST_STEPS, Candidate
 from hyperval.attribute.residuals import ENOUGH, Stack
 from hyperval.compare.rows import Array
 from hyperval.errors import refusal, refuse
@@ -33,8 +33,8 @@ NOTHING_PRIOR, NONE_PRIOR = 0.5, 0.05
 TYPICAL = 2.0  # units that an error has: half of all have less (Cauchy; a half-Cauchy spread of directions)
 LIKELY = 0.8  # probability from which a cause can be called enough
 ALIKE, CORRELATED = 10.0, 0.95  # odds within which causes are not told apart; correlation of their effects
-MOST_FIRST, MOST_STEPS = 4, 3
-MOST_UNSTATED = 200.0  # usual steps of a direction
+MOST_FIRST, MOST_CAUSES = 4, 3
+CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
 REMAINDER = 0.05  # of a chi-square without noise that causes may leave
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
@@ -145,7 +145,7 @@ class Directions:
         values, vectors = linalg.eigh(columns.T @ columns)
         keep = values > _ROUGH * max(float(values[-1]), 1e-300)
         self.values, self.vectors = values[keep], vectors[:, keep]
-        self.most = MOST_UNITS if candidate is not None and candidate.budgeted else MOST_UNSTATED
+        self.most = candidate.most if candidate is not None else MOST_STEPS
         spreads = np.geomspace(0.02, self.most, 41)
         self.tau = spreads if candidate is not None else np.append(0.0, spreads)
         self.scale2 = np.ones(1) if candidate is not None else _FACTORS**2
@@ -245,8 +245,10 @@ class Alternatives:
 Effect = Directions | Family | Alternatives
 
 
-def effect_of(candidate: Candidate, columns: Array) -> Effect:
+def effect_of(candidate: Candidate | None, columns: Array) -> Effect:
     """What a candidate does to whitened residuals (n, k), by its kind."""
+    if candidate is None:
+        return Directions(None, columns)
     if candidate.labels:
         return Alternatives(candidate, columns)
     return Family(candidate, columns) if candidate.sizes else Directions(candidate, columns)
@@ -328,11 +330,11 @@ class Posterior:
 
     @property
     def enough(self) -> bool:
-        """Whether the named causes explain the residuals: what is left passes, they are within their bounds, and the
-        first or those that cannot be told from it are likely.
+        """Whether the named causes explain the residuals: what is left passes, they are few, within their bounds, and
+        the first or those that cannot be told from it are likely.
         """
         causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.alike))
-        inside = bool(causes) and not any(c.candidate is None or c.limited for c in causes)
+        inside = 0 < len(causes) < MOST_CAUSES and not any(c.candidate is None or c.limited for c in causes)
         return inside and self.p_left >= ENOUGH and sure >= LIKELY
 
     @property
@@ -422,11 +424,12 @@ class Reasoner:
         found += [self._with(None, fit, e, whole) for fit in (*singles, self._none.fit(e))]
         beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not None]
         beam = [h for h in beam[:MOST_FIRST] if h.weight > found[0].weight]
-        for _ in range(MOST_STEPS - 1):
+        for _ in range(MOST_CAUSES - 1):
             longer = [more for h in beam for more in self._longer(h, e)]
             found += longer
             beam = [h for h in sorted(longer, key=lambda h: -h.weight)[:1] if h.causes[-1].candidate is not None]
         found.sort(key=lambda h: -h.weight)
+        found = [self._shared_first(h, e) if h.weight > found[0].weight - CLOSE else h for h in found]
         logs = np.array([h.weight for h in found])
         weights = np.exp(logs - special.logsumexp(logs))
         probability = dict.fromkeys((NOTHING, NONE, *(f.name for f in singles)), 0.0)
@@ -438,7 +441,8 @@ class Reasoner:
         return Posterior(group, whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
 
     def drawn(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
-        """Worlds with one cause each, from half to five times what can just be seen, and with what none describes.
+        """Worlds with one cause each, from half to five times what can just be seen, with what none describes, and with
+        nothing.
 
         Yields
         ------
@@ -448,15 +452,15 @@ class Reasoner:
         for _ in range(times):
             effects = {c: g[:, rng.integers(g.shape[1])] for c, g in self.columns.items()}
             kinds = list(dict.fromkeys(kind_of(c.name) for c in self.columns))
-            for kind in (*kinds, NONE):
+            for kind in (*kinds, NONE, NOTHING):
                 some = [made for c, made in effects.items() if kind_of(c.name) == kind and np.any(made)]
                 far = 0.1 * np.linalg.norm(self.wide)
                 made = self.wide @ rng.normal(size=self.wide.shape[1]) + far * rng.normal(size=n)
-                if kind != NONE:
+                if kind not in (NONE, NOTHING):
                     if not some:
                         continue
                     made = some[rng.integers(len(some))]
-                size = SEEN * np.exp(rng.uniform(np.log(0.5), np.log(5.0)))
+                size = 0.0 if kind == NOTHING else SEEN * np.exp(rng.uniform(np.log(0.5), np.log(5.0)))
                 yield kind, self.posterior(ALL, made * size / np.linalg.norm(made) + rng.normal(size=n))
 
     def _order(self, fit: Fit) -> tuple[bool, float, str]:
@@ -475,19 +479,34 @@ class Reasoner:
             causes, left = (), ()
         return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*left, float(rest @ rest)))
 
+    def _without(self, causes: Sequence[Fit], e: Array) -> tuple[Array, dict[Candidate | None, Array]]:
+        """Residuals that some causes have been taken from, and what others and no candidate would do to them."""
+        columns = dict[Candidate | None, Array](self.columns.items()) | {None: self.wide}
+        for fit in causes:
+            e, columns = _after(fit, e, {c: g for c, g in columns.items() if c is None or c is not fit.candidate})
+        return e, columns
+
     def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
         """Its causes and one more each."""
-        columns: Mapping[Candidate, Array] = self.columns
-        wide, whole = self.wide, float(e @ e)
-        for fit in h.causes:
-            e, moved = _after(fit, e, {None: wide, **columns})
-            wide = moved.pop(None)
-            columns = {c: g for c, g in moved.items() if c is not fit.candidate and c is not None}
-        if float(scipy.stats.chi2.sf(e @ e, e.size)) > SUFFICES:
-            return
-        yield self._with(h, Directions(None, wide).fit(e), e, whole)
-        for candidate, g in columns.items():
-            yield self._with(h, effect_of(candidate, g).fit(e), e, whole)
+        rest, columns = self._without(h.causes, e)
+        if float(scipy.stats.chi2.sf(rest @ rest, rest.size)) <= SUFFICES:
+            for candidate, g in columns.items():
+                yield self._with(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
+
+    def _shared_first(self, h: Hypothesis, e: Array) -> Hypothesis:
+        """The same causes: what befalls all subjects before what befalls one, where it explains a good part."""
+        order = sorted(h.causes, key=lambda f: f.candidate is not None and not f.candidate.is_shared)
+        order.sort(key=lambda f: f.candidate is None)
+        if not self.noisy or order[0] is h.causes[0] if order else True:
+            return h
+        causes, left = tuple[Fit, ...](), [float(e @ e)]
+        for cause in order:
+            rest, columns = self._without(causes, e)
+            causes += (effect_of(cause.candidate, columns[cause.candidate]).fit(rest),)
+            rest, _ = _after(causes[-1], rest, {})
+            left.append(float(rest @ rest))
+        good = left[0] - left[1] > GOOD_PART * (left[0] - h.left[-1]) and not causes[0].limited
+        return Hypothesis(causes, h.weight, tuple(left[1:])) if good else h
 
     def _alike(self, singles: Sequence[Fit], first: str, probability: Mapping[str, float]) -> tuple[str, ...]:
         """Candidates whose odds are near those of the first, or whose effect has its pattern."""

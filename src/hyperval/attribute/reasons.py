@@ -9,11 +9,18 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperval.attribute.candidates import Candidate, assumed_inputs, candidates, further_candidates
+from hyperval.attribute.candidates import (
+    Candidate,
+    assumed_inputs,
+    candidates,
+    exchanged_entries,
+    further_candidates,
+)
 from hyperval.attribute.posterior import (
     ALL,
     NONE,
@@ -46,6 +53,7 @@ from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 
 ATMOSPHERE, MOST_SCENARIOS = "atmosphere", 3  # inputs of this kind are asked for large errors in so many scenarios
+MOST_PIXELS = 2  # that regions may lie elsewhere
 MOST_ROUNDS, MOST_REFINED = 3, 4  # in which the model is asked again at the sizes found, of so many candidates
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 # A gain and an offset of the calibration that change smoothly over wavelength: a piece at each knot.
@@ -56,6 +64,13 @@ FACTOR = 2.0  # a ratio of false alarms within it is good
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
 CHANGE_FLOOR, OFF, STILL = 2e-3, 0.01, 1e-4
+# What befalls an image whose spectra are not compared: it is measured again.
+_OF_DATA: tuple[tuple[str, str, Callable[[float], Mapping[str, float]]], ...] = (
+    ("gain of the data", "1 %", lambda z: {"gain": 1.0 + 0.01 * z}),
+    ("offset of the data", "0.01 of the mean", lambda z: {"offset": 0.01 * z}),
+    ("wavelength shift", "0.5 nm", lambda z: {"nm": 0.5 * z}),
+)
+_OF_DATA_AT = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
 _EVERYTHING, SINCE = "every input", "since the accepted run"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
@@ -72,12 +87,13 @@ class ScenarioModel:
     ----------
     scenarios : as they stand in the campaign
     predict : (scenarios, truths) -> for each truth their products, merged as the campaign compares them
-    observe : measures the collection again with changed settings
+    observe : measures the collection again with changed settings, or with a mistake in its image
+        (:meth:`hyperval.observe.open.Place.mistaken`)
     """
 
     scenarios: Sequence[Scenario]
     predict: Callable[[Sequence[Scenario], Sequence[Truths]], Iterator[Products]]
-    observe: Callable[[Mapping[str, Any]], Products]
+    observe: Callable[[Mapping[str, Any], Mapping[str, float]], Products]
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
@@ -93,12 +109,14 @@ class Causes:
     stack, numbers : what is explained, as a vector and as single numbers
     predicted, values : both, with nothing moved
     of_spectra : errors that are linear in the spectra at a level (n,)
+    of_files : entries of a scenario's file that stand in each other's place, where all that is made of them moves too
     covariance : (n, n) of the vector, with everything that is budgeted
     columns : candidate -> (n, k) change of the prediction, as :class:`hyperval.attribute.posterior.Reasoner` has it
     ends : numbers with an input one unit up and down
     residual : (n,) observed minus predicted
     wide : (n, k) of what no candidate describes
     evaluate : asks the model again
+    mistaken : what is measured now, less what is measured with a mistake in the image
     """
 
     stack: Stack
@@ -106,12 +124,14 @@ class Causes:
     predicted: Array
     values: Array
     of_spectra: Callable[[Array], dict[Candidate, Array]]
+    of_files: Callable[[], dict[Candidate, Array]]
     covariance: Array
     columns: dict[Candidate, Array]
     ends: Ends
     residual: Array
     wide: Array
     evaluate: Evaluate
+    mistaken: Callable[[Mapping[str, float]], Array]
 
     def reasoner(self) -> Reasoner:
         """The same, whitened."""
@@ -146,16 +166,53 @@ class Causes:
         if not of.size:
             return None
         spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.columns
-        moved = self.stack.observed[of] - observed
+        moved, of_model = self.stack.observed[of] - observed, predicted - self.predicted[of]
         if np.any(np.abs(moved) > STILL * np.abs(observed), where=spectral[of]):
             level[of] = np.where(spectral[of], observed, predicted)
             light = (spectral | (self.stack.named("product") == "snr"))[of]
             of, moved = of[light], moved[light]
-            columns = {c: g for c, g in columns.items() if simulated or c.kind == "sensor" or c.labels}
-            columns |= self.of_spectra(level)
-        else:
-            moved = predicted - self.predicted[of]
-        return self.explained_change(moved, of, level, columns)
+            columns = {c: g for c, g in columns.items() if simulated or c.kind == "sensor"}
+            columns |= self.of_spectra(level) | self.stack.exchanged(level)
+            return self.or_displaced(moved, of, level, columns, regions=True)
+        if np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]):
+            # Of an entry that is wrong, filters and all that is made of it moved on both sides.
+            by_entry = self.explained_change(of_model, of, level, self.of_files())
+            if by_entry.enough:
+                return by_entry
+        if np.any(np.abs(moved) > CHANGE_FLOOR):
+            steps = {
+                Candidate(name, "sensor", step, False, sizes=_OF_DATA_AT): np.column_stack(
+                    [self.mistaken(mistake(z)) for z in _OF_DATA_AT]
+                )
+                for name, step, mistake in _OF_DATA
+            }
+            by_data = self.or_displaced(moved, of, level, steps, regions=False)
+            if by_data.first not in (NONE, NOTHING):
+                return by_data
+        return self.explained_change(moved + of_model, of, level, columns)
+
+    def or_displaced(
+        self, moved: Array, of: Indices, level: Array, columns: Mapping[Candidate, Array], *, regions: bool
+    ) -> Posterior:
+        """What explains a change; where nothing does, regions and targets that lie pixels away, measured again."""
+        found = self.explained_change(moved, of, level, columns)
+        effects, nearest = dict[tuple[int, int], Array](), (0, 0)
+        for _ in range(MOST_PIXELS if found.first == NONE else 0):
+            around = [(nearest[0] + i, nearest[1] + j) for i, j in product((-1, 0, 1), repeat=2)]
+            effects |= {
+                by: self.mistaken({"lines": by[0], "samples": by[1], "regions": regions})
+                for by in around
+                if by not in effects and any(by)
+            }
+            labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
+            name = "position of the regions" if regions else "position of the targets"
+            place = Candidate(name, "scene", "", False, labels=labels)
+            found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})
+            best = next((f for f in found.fits if f.candidate == place), None)
+            if best is None or found.enough:
+                break
+            nearest = list(effects)[int(best.amplitudes[0])]
+        return found
 
     def explained_change(
         self, moved: Array, of: Indices, level: Array, columns: Mapping[Candidate, Array]
@@ -170,7 +227,7 @@ class Causes:
             scale, floor = (np.abs(level[at]), SPECTRUM_FLOOR) if block.bands is not None else (1.0, CHANGE_FLOOR)
             part = np.sqrt(np.mean((change[at] / np.maximum(scale, 1e-300)) ** 2))
             variance[at] = np.maximum(scale**2 * (floor**2 + (OFF * part) ** 2), 1e-300)
-        own = {c: g[of] for c, g in columns.items() if np.any(g[of])}
+        own = {replace(c, unbounded=True): g[of] for c, g in columns.items() if np.any(g[of])}
         return self.explained(moved, np.diag(variance[of]), own, of, noisy=False)[1]
 
     def explained(
@@ -254,21 +311,16 @@ def causes_of(
             columns[candidate] = np.stack([side - predicted for side, _ in pairs[0]], axis=1)
     budget = budget_covariance(units, predicted.size)
     covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
-    # Each value of the atmosphere takes a run of the engine for each scenario.
-    fast = len(worlds) <= MOST_SCENARIOS
-    further = {c.name: c for c in further_candidates(worlds) if fast or c.kind != ATMOSPHERE}
-    every = [c for c in (further | {c.name: c for c in moved}).values() if c.sizes or c.labels]
-    places = {c: c.sizes or tuple(range(len(c.labels))) for c in every}
-    places |= {c: c.sizes[:2] for c in every if c.kind == ATMOSPHERE and not fast}
-    known = {c: columns.pop(c, np.zeros((predicted.size, 0))) for c in every}
-    larger = [(c, z) for c, at in places.items() for z in at[known[c].shape[1] :]]
-    asked = dict(zip(larger, _asked(evaluate, [c.at(0, z) for c, z in larger]), strict=True)) if larger else {}
-    for c, at in places.items():
-        sides = {z: side for z in at[known[c].shape[1] :] if (side := asked[c, z]) is not None}
-        there = (*at[: known[c].shape[1]], *sides)
-        kept = {"sizes": there} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in there)}
-        if there:
-            columns[replace(c, **kept)] = np.column_stack([known[c], *(side[0] - predicted for side in sides.values())])
+    # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
+    many = len(worlds) > MOST_SCENARIOS
+    apart = [c for c in moved if many and c.of_engine and c.sizes]
+    further = {c.name: c for c in further_candidates(worlds) if not many or c.kind != ATMOSPHERE}
+    every = [c for c in (further | {c.name: c for c in moved if c not in apart}).values() if c.sizes or c.labels]
+    known = {c: columns.pop(c) for c in (*every, *apart) if c in columns}
+    columns |= _columns_at(every, known, predicted, evaluate)
+    for c in apart:
+        sides = evaluate([c.alone(i) for i in range(len(worlds))], "attribution: scenario by scenario")
+        columns[replace(c, sizes=())] = np.column_stack([side - predicted for side, _ in sides])
     for c in moved:  # of a field spectrum, each band by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
             columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
@@ -278,7 +330,35 @@ def causes_of(
     of_spectra = partial(_of_spectra, stack, classes, observed.axis.centre_nm)
     columns |= of_spectra(predicted)
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
-    return Causes(stack, numbers, predicted, values, of_spectra, covariance, columns, ends, residual, wide, evaluate)
+    of_files = partial(_columns_at, exchanged_entries(worlds), {}, predicted, evaluate)
+
+    def mistaken(mistake: Mapping[str, float]) -> Array:
+        there = stacked(base, model.observe({}, mistake))
+        same = [b.observed.shape for b in there.blocks] == [b.observed.shape for b in stack.blocks]
+        return stack.observed - there.observed if same else np.zeros(predicted.size)
+
+    return Causes(
+        stack, numbers, predicted, values, of_spectra, of_files, covariance, columns, ends, residual, wide, evaluate,
+        mistaken,
+    )  # fmt: skip
+
+
+def _columns_at(
+    candidates: Sequence[Candidate], known: Mapping[Candidate, Array], predicted: Array, evaluate: Evaluate
+) -> dict[Candidate, Array]:
+    """What candidates make at their sizes or by their alternatives, without what cannot be; the first may be known."""
+    first = {c: known.get(c, np.zeros((predicted.size, 0))) for c in candidates}
+    places = {c: c.sizes or tuple(range(len(c.labels))) for c in candidates}
+    wanted = [(c, z) for c, at in places.items() for z in at[first[c].shape[1] :]]
+    found = dict(zip(wanted, _asked(evaluate, [c.at(0, z) for c, z in wanted]), strict=True)) if wanted else {}
+    out = {}
+    for c, at in places.items():
+        sides = {z: side for z in at[first[c].shape[1] :] if (side := found[c, z]) is not None}
+        there = (*at[: first[c].shape[1]], *sides)
+        kept = {"sizes": there} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in there)}
+        if there:
+            out[replace(c, **kept)] = np.column_stack([first[c], *(side[0] - predicted for side in sides.values())])
+    return out
 
 
 def attribute(
@@ -374,14 +454,17 @@ def _of_spectra(
         ("smooth gain of the sensor", "sensor", smooth, (), SMOOTH_PART * gain),
         ("smooth offset of the sensor", "sensor", smooth, (), SMOOTH_PART * offset),
         ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (shared - own)),
+        ("stray light between wavelengths", "sensor", mean, (-5.0, 20.0), 0.01 * stack.levelled(level)),
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
         *((name, "scene", area, (-5.0, 50.0), change) for name, change in mixed.items()),
     ]
-    return {
-        Candidate(name, kind, step, False, sizes=sizes): np.outer(change, sizes) if sizes else change
-        for name, kind, step, sizes, change in parts
-        if np.any(change)
-    }
+    out = {}
+    for name, kind, step, sizes, change in parts:
+        knots = tuple(KNOTS_NM) if step == smooth else ()
+        if np.any(change):
+            one = Candidate(name, kind, step, False, sizes=sizes, knots_nm=knots)
+            out[one] = np.outer(change, sizes) if sizes else change
+    return out
 
 
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
@@ -493,7 +576,7 @@ def _what_ifs(
 
     def tried(item: WhatIf) -> WhatIfOutcome:
         scenarios = changed_scenarios(model.scenarios, item)
-        return left(item, model.assuming(scenarios), model.observe(item.observe) if item.observe else sides[1])
+        return left(item, model.assuming(scenarios), model.observe(item.observe, {}) if item.observe else sides[1])
 
     if not what_ifs:
         return []

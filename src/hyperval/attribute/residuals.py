@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import permutations
+from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import linalg, special
 
+from hyperval.attribute.candidates import Candidate
 from hyperval.compare.rows import Array, Mask, scientific
 from hyperval.model.intervals import Z95
 from hyperval.model.roc import detection_at
@@ -32,6 +33,7 @@ from hyperval.spectra import SpectralAxis, in_window
 Indices = npt.NDArray[np.intp]
 
 PIECES = 17  # smooth pieces of a spectrum
+LIT = ("radiance", "toa_reflectance")
 POINTS = (1e-2, 1e-3)  # false-alarm rates that are looked at
 ENOUGH = 0.05  # p-value from which residuals count as explained
 # Numerical error of the model itself: what interpolation and rounding may do.  It keeps well sampled quantities
@@ -174,7 +176,7 @@ class Stack:
         times what each subject shows in ``level`` (n,) (a gain) or, ``alike``, what all of them show on average in a
         band (an offset).
         """
-        lit = np.isin(self.named("product"), ("radiance", "toa_reflectance"))
+        lit = np.isin(self.named("product"), LIT)
         sums, counts = (np.bincount(self.bands[lit], x, centre_nm.size) for x in (level[lit], None))
         own = np.where(lit, (sums / np.maximum(counts, 1))[self.bands] if alike else level, 0.0)
         hats = [np.interp(centre_nm, knots_nm, one)[self.bands] for one in np.eye(len(knots_nm))]
@@ -201,6 +203,27 @@ class Stack:
                     out[f"region of {block.subject} with pixels of {name}"] = change = np.zeros(level.size)
                     change[at] = 0.01 * np.nan_to_num(other[block.bands] - level[at])
         return out
+
+    def levelled(self, level: Array) -> Array:
+        """(n,) radiance that loses to its own mean over the bands what it has more than that."""
+        out = np.zeros(level.size)
+        for block, at in self.placed():
+            if block.product in LIT:
+                out[at] = np.mean(level[at]) - level[at]
+        return out
+
+    def exchanged(self, level: Array) -> dict[Candidate, Array]:
+        """Of what is measured, the spectra of two subjects in each other's place."""
+        changes = dict[str, Array]()
+        spectral = [(b, at, b.bands) for b, at in self.placed() if b.bands is not None]
+        for (a, here, own), (b, there, others) in combinations(spectral, 2):
+            if a.product == b.product:
+                _, i, j = np.intersect1d(own, others, return_indices=True)
+                changes[f"{a.subject} and {b.subject}"] = change = np.zeros(level.size)
+                change[here.start + i] = level[there][j] - level[here][i]
+                change[there.start + j] = -change[here.start + i]
+        one = Candidate("exchanged regions", "scene", "", False, labels=tuple(changes))
+        return {one: np.column_stack([*changes.values()])} if changes else {}
 
     def of_subject(self, level: Array, subject: str) -> Array:
         """(n, K) a tenth of a subject's spectrum in each band by itself."""

@@ -15,6 +15,7 @@ import numpy as np
 
 import hyperval
 from hyperval.attribute import (
+    NOTHING,
     Causes,
     Family,
     NotInjectable,
@@ -185,20 +186,22 @@ def _calibrated(causes: Causes) -> Reasons:
     """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
     named: dict[str, Counter[str]] = {}
     grouped: Counter[str] = Counter()
-    stated, wrong = [], 0
+    stated, wrong, worlds = list[tuple[float, bool]](), 0, 0
     for kind, found in causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS):
         first, group = kind_of(found.first), {kind_of(name) for name in (found.first, *found.alike)}
         named.setdefault(kind, Counter())[first] += 1
         grouped[kind] += kind in group
+        worlds += 1
         wrong += found.enough and kind not in group
-        stated.append((found.probability[found.first], first == kind))
+        if first != NOTHING:  # that chance explains a small error is no mistake
+            stated.append((found.probability[found.first], first == kind))
     steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
     return Reasons(
         first=causes.standing()[1].first,
-        worlds=len(stated),
+        worlds=worlds,
         named={kind: dict(counts) for kind, counts in named.items()},
         grouped=dict(grouped),
-        wrong_enough=round(wrong / len(stated), 4),
+        wrong_enough=round(wrong / worlds, 4),
         calibration=[(low + 0.1, round(sum(own) / len(own), 3), len(own)) for low, own in steps if own],
         sides=causes.sides(),
     )

@@ -78,7 +78,9 @@ class Reasons(Model):
     named: dict[str, dict[str, int]] = Field(description="kind of error -> first cause named, how often")
     grouped: dict[str, int] = Field(description="kind of error -> how often it was first, or in one group with it")
     wrong_enough: float = Field(description="share of all errors for which a wrong cause was called sufficient")
-    calibration: list[tuple[float, float, int]] = Field(description="stated probability, share that was right, worlds")
+    calibration: list[tuple[float, float, int]] = Field(
+        description="stated probability of a cause, share that was right, worlds"
+    )
     sides: dict[str, tuple[str, str, str]] = Field(description="unperturbed: bands, observed, predicted; by quantity")
 
     @property
@@ -91,9 +93,8 @@ class Reasons(Model):
             words = f"of {total} errors of {kind} {right} are named first, {self.grouped.get(kind, 0)} are in its group"
             out.append("; ".join([words, *(f"{n} are called {name}" for n, name in others)]))
         parts = [f"{100 * p:.0f} % was correct in {100 * share:.0f} % of {n}" for p, share, n in self.calibration]
-        out.append(
-            f"Stated probabilities: {'; '.join(parts)}. Wrong but called sufficient: {100 * self.wrong_enough:.1f} %."
-        )
+        out.append(f"Stated probabilities of a cause: {'; '.join(parts)}.")
+        out.append(f"Wrong but called sufficient: {100 * self.wrong_enough:.1f} %.")
         return out
 
 

@@ -247,11 +247,13 @@ def scenario_model(side: Collected, show_progress: bool | None) -> ScenarioModel
         for parts in zip(*sides, strict=True):
             yield joined(side, scenarios, parts)
 
-    def measured_again(changes: Mapping[str, Any]) -> Products:
+    def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, float]) -> Products:
         changed, detection = with_settings(side.campaign, changes), None
         if changed.detection is not None:  # no residual is an area
             detection = changed.detection.model_copy(update={"unmixing": None})
         before = side.observed if changed.collection == side.campaign.collection else None
+        if before is not None and before.place is not None and mistake:
+            before = replace(before, place=before.place.mistaken(mistake), sampling={})
         return observe_collection(
             changed.collection, detection, side.inputs.resolve, before=before, show_progress=show_progress
         ).observation

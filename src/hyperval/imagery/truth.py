@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -51,6 +51,14 @@ class TargetObject:
     centre_pixel: tuple[int, int] | None = None
     attributes: Mapping[str, str] = field(default_factory=dict)
     fills: Array | None = None
+
+    def displaced(self, lines: int, samples: int) -> TargetObject:
+        """The same elsewhere, as far as its window lies in the image."""
+        last = np.subtract(self.shape, self.part.shape)
+        down, right = np.clip(np.add(self.corner, (lines, samples)), 0, last) - self.corner
+        centre = self.centre_pixel and (self.centre_pixel[0] + int(down), self.centre_pixel[1] + int(right))
+        corner = self.corner[0] + int(down), self.corner[1] + int(right)
+        return replace(self, corner=corner, centre_pixel=centre)
 
     @property
     def placed(self) -> Placed:

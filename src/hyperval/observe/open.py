@@ -107,6 +107,23 @@ class Place:
         """The regions as drawn; a mask is handed out as an array of its own."""
         return replace(self.labels, members={n: own for n, own in self.labels.members.items() if n != _NEAR})
 
+    def mistaken(self, mistake: Mapping[str, float]) -> Place:
+        """The same with a mistake in it; statistics and line are still to be measured.
+
+        ``mistake`` : lines, samples that all targets are away, and regions (1) too; gain of the values; offset, a part
+        of the mean of all; nm that band centres are away
+        """
+        cube, labels, of = self.cube, self.labels, {"gain": 1.0, **mistake}
+        by = int(of.get("lines", 0)), int(of.get("samples", 0))
+        if of.get("regions"):
+            labels = replace(labels, number=np.roll(labels.number, by, (0, 1)))
+        gain, offset = (of["gain"] * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
+        offset = offset + of.get("offset", 0.0) * float(np.nanmean(self.statistics[SCENE].mean))
+        axis = replace(cube.axis, centre_nm=cube.axis.centre_nm + of.get("nm", 0.0))
+        cube = replace(cube, scaling=cube.scaling._replace(gain=gain, offset=offset), axis=axis)
+        targets = [target.displaced(*by) for target in self.targets]
+        return replace(self, cube=cube, labels=labels, targets=targets, statistics={}, line=None)
+
     @cached_property
     def classes(self) -> npt.NDArray[np.int32]:
         """(lines, samples) number of the class of each pixel: pixels that lie in the same regions are of one."""
