@@ -11,7 +11,6 @@ from .cube import (
     raster_of_size,
 )
 from .description import Description, Raster, acquisition_notes, record, time_notes
-from .drawing import outside_error, polygon_mask
 from .envi import EnviRaster, crs_of, envi_writer, pixel_area_m2, pixel_sides_m, transform_of, write_cube
 from .placing import (
     LocationTable,
@@ -31,8 +30,10 @@ from .regions import (
     half_region,
     holes,
     objects,
+    outside_error,
     overlaps,
     patches,
+    polygon_mask,
     read_regions,
     rectangle_region,
     ring_region,

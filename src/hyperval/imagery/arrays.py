@@ -27,13 +27,7 @@ from rasterio.crs import CRS
 
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5, trial
-from hyperval.imagery.description import (
-    Description,
-    ListedBands,
-    Raster,
-    crs_of_wkt,
-    gdal_transform,
-)
+from hyperval.imagery.description import Description, ListedBands, Raster, crs_of_wkt, gdal_transform
 from hyperval.units import in_nm, is_radiance
 
 if TYPE_CHECKING:

@@ -24,15 +24,7 @@ from rasterio.errors import CRSError
 from hyperval.envi_header import parse_header
 from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.imagery import arrays
-from hyperval.imagery.description import (
-    Description,
-    ListedBands,
-    Raster,
-    Scale,
-    crs_of_wkt,
-    gdal_transform,
-    some_lines,
-)
+from hyperval.imagery.description import Description, ListedBands, Raster, Scale, crs_of_wkt, gdal_transform, some_lines
 from hyperval.imagery.envi import crs_of, transform_of
 from hyperval.paths import checked_file, read_xml
 from hyperval.storage import number_of

@@ -21,14 +21,7 @@ from rasterio.windows import Window
 
 from hyperval.envi_header import header_beside, read_header
 from hyperval.errors import reader, refusal, refuse
-from hyperval.imagery.description import (
-    MAX_READ_BYTES,
-    Description,
-    ListedBands,
-    Raster,
-    Scale,
-    wavelengths_in_names,
-)
+from hyperval.imagery.description import MAX_READ_BYTES, Description, ListedBands, Raster, Scale, wavelengths_in_names
 from hyperval.imagery.envi import crs_of, transform_of
 from hyperval.imagery.products import NO_MAP, described_beside
 from hyperval.paths import checked_file

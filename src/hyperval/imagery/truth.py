@@ -13,9 +13,9 @@ import numpy.typing as npt
 from affine import Affine
 
 from hyperval.errors import reader, refusal, refuse
-from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, outside_error, point_mask, polygon_mask
+from hyperval.imagery import regions as roi
 from hyperval.imagery.placing import LookupTable
-from hyperval.imagery.regions import Region, guard, patches, window_of
+from hyperval.imagery.regions import Position
 from hyperval.paths import checked_file, read_table
 from hyperval.storage import number_of
 
@@ -111,7 +111,7 @@ def cut_out(mask: Mask) -> Placed:
     """The window of a mask (lines, samples) that holds all that is True in it; one pixel where nothing is."""
     if not mask.any():
         return (0, 0), np.zeros((1, 1), bool)
-    window = window_of(mask)
+    window = roi.window_of(mask)
     return (window[0].start, window[1].start), mask[window].copy()
 
 
@@ -161,12 +161,12 @@ def read_targets(
         if math.isnan(area) and width > 0:
             area = width * length * (math.pi / 4 if figure is _DISC else 1.0)
         centre, corners = _position(number, place, transform, pixel_m, figure * (length, width), where)
-        if not inside_image(corners, shape):
+        if not roi.inside_image(corners, shape):
             mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
-            raise outside_error(corners, shape, where, f"the target {name!r}", mend)
-        drawn = polygon_mask(corners, shape, where=where, touched=True) if width > 0 else None
-        mask = point_mask([centre], shape, where=where) if drawn is None else drawn
-        placed = cut_out(guard(mask, doubt / pixel_m) if doubt > 0 else mask)
+            raise roi.outside_error(corners, shape, where, f"the target {name!r}", mend)
+        drawn = roi.polygon_mask(corners, shape, where=where, touched=True) if width > 0 else None
+        mask = roi.point_mask([centre], shape, where=where) if drawn is None else drawn
+        placed = cut_out(roi.guard(mask, doubt / pixel_m) if doubt > 0 else mask)
         side = width if width == length and width > 0 and figure is _SQUARE else math.nan
         pixel = (math.floor(centre[1]), math.floor(centre[0]))
         out[name] = TargetObject(name, material, side, area, shape, *placed, pixel, dict(row))
@@ -207,11 +207,11 @@ def _position(
     if (shift := _PLACES[place]) is not None:
         x, y = second + shift, first + shift
     else:
-        x, y = map_to_pixel([(first, second)], transform, where=where)[0]
+        x, y = roi.map_to_pixel([(first, second)], transform, where=where)[0]
         if isinstance(transform, LookupTable):
             around = _outline((0.0, 0.0), sides, transform.metres_per_unit, heading)
             on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
-            return (x, y), map_to_pixel(on_map, transform, where=where)
+            return (x, y), roi.map_to_pixel(on_map, transform, where=where)
     return (x, y), _outline((x, y), sides, pixel_m, heading)
 
 
@@ -289,7 +289,7 @@ def intersected_objects(
 
 
 def region_objects(
-    regions: Iterable[Region],
+    regions: Iterable[roi.Region],
     material: str,
     *,
     whole: bool = False,
@@ -318,7 +318,7 @@ def region_objects(
     out = []
     for region in regions:
         shape = (region.mask.shape[0], region.mask.shape[1])
-        for name, window, part in patches(region.mask, region.name, whole=whole):
+        for name, window, part in roi.patches(region.mask, region.name, whole=whole):
             corner = (int(window[0].start), int(window[1].start))
             pixels = int(np.count_nonzero(part))
             side = math.sqrt(pixels * (pixel_area_m2 or 0.0)) if side_m == "marked" else side_m

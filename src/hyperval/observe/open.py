@@ -45,8 +45,7 @@ from hyperval.collection import (
 from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import InputError, UsageError, one_of, reader, refusal, refuse
 from hyperval.imagery import Cube, LookupTable, Raster, Region, TargetObject
-from hyperval.imagery.drawing import outside_error
-from hyperval.imagery.regions import patches
+from hyperval.imagery.regions import outside_error, patches
 from hyperval.imagery.truth import cut_out
 from hyperval.model.fill import aperture_weights
 from hyperval.paths import Resolve, checked_file
@@ -227,7 +226,8 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
     site = _Site(cube, table, area_m2, resolve, show_progress)
     regions: dict[str, Region] = {}
     for source in collection.regions:
-        new = site.regions_of(source, regions)
+        drawn = source.file is None
+        new = {str(source.name): site.region(source, regions)} if drawn else site.of_file(source)
         if twice := sorted(set(new) & set(regions)):
             raise UsageError(f"two regions are named {twice[0]!r}")
         regions |= new
@@ -336,13 +336,8 @@ class _Site:
             coordinates=source.coordinates, name_field=source.name_field, patterns=patterns, **options,
         )  # fmt: skip
 
-    def regions_of(self, source: RegionSource, above: Mapping[str, Region]) -> dict[str, Region]:
-        """The regions of one entry of a collection by name; ``above``: those of the entries before it."""
-        if source.file is not None:
-            return self._of_file(source, self.resolve(source.file))
-        return {str(source.name): self._region(source, above)}
-
-    def _region(self, source: RegionSource, above: Mapping[str, Region]) -> Region:
+    def region(self, source: RegionSource, above: Mapping[str, Region]) -> Region:
+        """A region that is drawn in the campaign; ``above``: those of the entries before it."""
         name, shape, made_of = str(source.name), self.cube.shape, source.half or source.ring
         if made_of is not None and made_of.of not in above:
             what, known = "half of" if source.half else "a ring around", one_of(above, "a region above it")
@@ -363,7 +358,9 @@ class _Site:
             return Region(name, self._normalized_difference(source.normalized_difference), "normalised difference")
         return Region(name, np.broadcast_to(np.True_, shape), "the whole image")
 
-    def _of_file(self, source: RegionSource, path: Path) -> dict[str, Region]:
+    def of_file(self, source: RegionSource) -> dict[str, Region]:
+        """The regions of a file, or of a truth image, by name."""
+        path = self.resolve(str(source.file))
         if source.classes:
             return material_regions(source, self.cube, path)
         new = self.read(path, source, [] if source.name is None else [escape(source.name)])
