@@ -10,8 +10,9 @@ ANL/NDM-121).
 
 Errors of smooth sources leave next to nothing between neighbouring pieces, where real spectra differ by some tenths of
 a percent.  C alone would read inputs from these; so each e has an error of its own besides, of the standard deviation
-t that the differences between subjects show: its posterior by their restricted likelihood (Harville, J. Am. Stat.
-Assoc. 72, 320-338, 1977) with a half-Cauchy prior (Gelman, Bayesian Anal. 1, 515-534, 2006), over which x is averaged.
+t and the correlation exp(-distance / length) over wavelength that the differences between subjects show: their
+posterior by the restricted likelihood (Harville, J. Am. Stat. Assoc. 72, 320-338, 1977) with a half-Cauchy prior of t
+(Gelman, Bayesian Anal. 1, 515-534, 2006), over which x is averaged.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +51,8 @@ _FEWEST_BANDS = 2
 _APART = 0.05  # of the brightest: subjects alike tell no gain from an offset
 # Standard deviations of what no source states, from what interpolation and rounding of the model leave; the median of
 # its prior, as AVIRIS-NG's spectra differ from band to band.
-UNSTATED_RATIOS, USUAL_RATIO = np.geomspace(1e-4, 0.1, 25), 0.01
+UNSTATED_RATIOS, USUAL_RATIO = np.geomspace(1e-4, 0.1, 13), 0.01
+UNSTATED_NM = (1.0, 30.0, 100.0, 300.0)  # how far they are correlated: not at all, to as far as field spectra
 _LEAST_LEFT = 0.1  # hardly anybody knows an input ten times better
 
 
@@ -104,9 +106,10 @@ class JointDifference:
 
     def in_common(self, columns: Array) -> InCommon:
         """Coefficients of ``columns`` (N, k) that all subjects share."""
-        fits, c = [], self.covariance
-        for unstated in UNSTATED_RATIOS:
-            whole = c + unstated**2 * np.eye(len(c))
+        fits, middle = [], np.mean(PIECES_NM, axis=1)[self.piece]
+        apart = np.where(self.subject[:, None] == self.subject, np.abs(middle[:, None] - middle), np.inf)
+        for unstated, length in product(UNSTATED_RATIOS, UNSTATED_NM):
+            whole = self.covariance + unstated**2 * np.exp(-apart / length)
             solved = np.linalg.solve(whole, np.column_stack([columns, self.difference]))
             information = columns.T @ solved[:, :-1]
             covariance = np.linalg.inv(information)
@@ -117,11 +120,11 @@ class JointDifference:
             fits.append((value, covariance, weights, errors, -0.5 * (self.difference @ errors + size)))
         values, covariances, weights, errors, evidence = map(np.stack, zip(*fits, strict=True))
         # The prior of the logarithm, in even steps of which the standard deviations are.
-        evidence += np.log(UNSTATED_RATIOS / (1.0 + (UNSTATED_RATIOS / USUAL_RATIO) ** 2))
-        share = np.exp(evidence - scipy.special.logsumexp(evidence))
+        sizes = np.repeat(UNSTATED_RATIOS, len(UNSTATED_NM))
+        share = scipy.special.softmax(evidence + np.log(sizes / (1.0 + (sizes / USUAL_RATIO) ** 2)))
         value = share @ values
         spread = np.tensordot(share, covariances, 1) + np.einsum("t,ti,tj->ij", share, values - value, values - value)
-        limits = np.interp([0.5, 0.025, 0.975], np.cumsum(share) - 0.5 * share, UNSTATED_RATIOS)
+        limits = np.interp([0.5, 0.025, 0.975], np.cumsum(share) - 0.5 * share, sizes)
         return InCommon(value, spread, np.tensordot(share, weights, 1), share @ errors, limits)
 
     def budget(self, found: InCommon, combined: Array) -> dict[str, float]:
@@ -197,9 +200,9 @@ def _regions(joint: JointDifference) -> Iterator[tuple[str, Array, Array]]:
 def _left(covariance: Array, difference: Array, column: Array) -> float:
     """Chi-square of what no multiple of a column makes of differences."""
     c = covariance + UNSTATED_RATIOS[0] ** 2 * np.eye(column.size)
-    solved = np.linalg.solve(c, np.stack([column, difference], axis=1))
-    left = solved[:, 1] - solved[:, 0] * (column @ solved[:, 1]) / (column @ solved[:, 0])
-    return float(difference @ left)
+    both = np.stack([column, difference])
+    (of_column, mixed), (_, whole) = both @ np.linalg.solve(c, both.T)
+    return float(whole - mixed**2 / of_column)
 
 
 def groups(observed: Products, fitted_on: Sequence[str]) -> dict[str, Products]:
@@ -239,8 +242,8 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
         value, half = float(pieces @ found.value), Z95 * math.hypot(*budget.values())
         number, *ends = np.expm1([value, value - half, value + half]).tolist()
         rows.append(row(f"joint_difference_ratio@{label}", number, ends, n=n, reason=why))
-        columns, c = (np.ones(n), own @ joint.inverse_level), own @ joint.covariance @ own.T
-        gain, offset = (_left(c, d, column) for column in columns)
+        levels = np.ones(n), own @ joint.inverse_level
+        gain, offset = (_left(own @ joint.covariance @ own.T, d, column) for column in levels)
         why = f"chi-square {gain:.3g} of {n - 1} as a gain, {offset:.3g} as an offset"
         rows.append(row(f"p_value_between@{label}", float(scipy.stats.chi2.sf(gain, n - 1)), n=n, reason=why))
     middle, *ends = found.unstated.tolist()
@@ -282,8 +285,8 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     """
     times, metric = item.shortfall, metric_of(item.metric)
     if metric.kind is Kind.TEST:
-        found = metric.departure or "its alternative"
-        return f"every stated uncertainty {times:.2g} times smaller, to detect {found}" if times > 1 else ""
+        words = f"every stated uncertainty {times:.2g} times smaller, to detect {metric.departure or 'its alternative'}"
+        return words if times > 1 else ""
     side = groups(observed, fitted_on).get(item.subject)
     budget, subjects = _of_region(item, predicted, side) if side else (_of_level(item, predicted, observed), 1)
     ends = [end for end in (item.limit_low, item.limit_high) if math.isfinite(end)]
@@ -297,9 +300,8 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
         more = f"a count of {math.ceil(item.n / wanted**2)} in place of {item.n}; or " if item.n else ""
         return f"{more}an interval {1.0 / wanted:.2g} times narrower"
     same = [p for s, p in getattr(predicted, item.product).items() if side or s == item.subject]
-    scales = {name: (e.size, e.unit) for p in same for name, e in p.errors.items()}
-    if side:
-        scales[OWN] = math.nan, ""  # field spectra of several subjects have no one uncertainty
+    # Field spectra of several subjects have no one uncertainty.
+    scales = {name: (e.size, e.unit) for p in same for name, e in p.errors.items() if not side or name != OWN}
     return deciding(budget, wanted, scales, subjects)
 
 
