@@ -587,7 +587,7 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
     each = e.once("reflectances", partial(reflectances, e))
     light = e.light.row(v)
     terms = light.terms if light.radiant else None
-    notes = [f"formulation: {e.scenario.formulation}", *(terms.notes if terms else ())]
+    notes = [f"formulation: {e.scenario.formulation}", *(terms.notes if terms else ()), *stated.notes]
     if not e.scenario.uncertainty.model_dump(exclude_defaults=True):
         notes.append("the scenario states no uncertainty: intervals and tests contain little but the collection's own")
     levels = {name: light.level(of_truth(rho, u)[0]) for name, (rho, _) in each.items()}
@@ -595,7 +595,7 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
         if light.noise.full_scale is not None:
             out["full_scale"] = {name: light.noise.full_scale_fraction(level) for name, level in levels.items()}
         out["noise"] = {n: asdict(light.noise.breakdown(x)) for n, x in levels.items() if n not in populations}
-        notes += [*stated.notes, *saturation_notes(out["full_scale"], e.axis)]
+        notes += saturation_notes(out["full_scale"], e.axis)
     out["distribution"] = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
     out |= {"notes": tuple(notes), "provenance": provenance_of(stated, terms)}
     spreads = {} if errors is None else pixel_spreads(e, u, levels)

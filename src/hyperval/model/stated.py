@@ -8,7 +8,7 @@ and how well they know the mean.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
@@ -58,6 +58,7 @@ Made = TypeVar("Made")
 SAME_BAND_NM = 0.05  # centres this close are the same band
 # Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
 FEW_PER_BAND = 3
+MOST_UNCOVERED = 0.1  # of the usable bands; a spectrum that lacks more is another one than was meant
 _SUN = ("solar_zenith_deg", "solar_azimuth_deg")
 MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is cached
 # What decides which files an engine finds.
@@ -361,33 +362,31 @@ def without_gaps(values: Array) -> Array:
     return np.interp(at, at[known], values[known])
 
 
-def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> None:
-    """Refuse a spectrum that does not cover the band set: usable bands beyond one of its ends.
+def uncovered_bands(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> Iterator[str]:
+    """What is to be said of spectra that end before usable bands do: these are left out.
 
-    Bands on the bad-band list may lack, and one band at each end; so may bands within
-    the spectrum that its file marks as unknown.
+    One band at each end may lack, and bands within the spectrum that its file marks as unknown.
 
     Raises
     ------
-    UsageError : with the field of the scenario.
+    UsageError : a spectrum that lacks more than a tenth of the usable bands, with the field of the scenario.
     """
-    scene = scenario.scene
     for key in ("classes", "panels", "sites", "targets"):
-        for i, surface in enumerate(getattr(scene, key)):
-            if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed":
-                continue
-            known = np.flatnonzero(np.isfinite(surfaces[surface.name].mean))
-            beyond = axis.good.copy()
+        for i, surface in enumerate(getattr(scenario.scene, key)):
+            known, beyond = np.flatnonzero(np.isfinite(surfaces[surface.name].mean)), axis.good.copy()
             # One band at each end may lack: its centre is covered where its response reaches a little further.
-            beyond[max(known[0] - 1, 0) : known[-1] + 2] = False
-            if beyond.any():
-                w = axis.centre_nm[beyond]
+            beyond[max(known.min(initial=beyond.size) - 1, 0) : known.max(initial=-2) + 2] = False
+            if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed" or not beyond.any():
+                continue
+            w = axis.centre_nm[beyond]
+            bands = f"{w.size} usable band{'s' * (w.size > 1)} (first {w[0]:g} nm, last {w[-1]:g} nm)"
+            if w.size > MOST_UNCOVERED * axis.good.sum():
                 raise UsageError(
-                    f"scene.{key}.{i}.spectrum of {surface.name!r} does not cover {int(beyond.sum())} usable bands "
-                    f"(first {w[0]:g} nm, last {w[-1]:g} nm)",
+                    f"scene.{key}.{i}.spectrum of {surface.name!r} does not cover {bands}",
                     expected=f"a spectrum over {axis.centre_nm[0]:g}-{axis.centre_nm[-1]:g} nm",
                     mend="give a longer spectrum, mark those bands bad, or allow it: spectrum: {gaps: allowed}",
                 )
+            yield f"the spectrum of {surface.name!r} does not reach {bands}, left out"
 
 
 def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
@@ -703,7 +702,7 @@ class Stated(Keeps):
     surfaces : name -> statistics of every class, panel, site and target, where the bands truly stand
     signatures : target -> (B,) reflectance that its filter looks for, where the bands are labelled
     surroundings : (B,) their reflectance where the scenario states it; None: the average of the classes
-    notes : what is to be said of the sensor
+    notes : what is to be said of the sensor, and of bands that spectra do not reach
     before, nominal : what the values of paths refer to, where this was read again after the change of some; None: this
     kept : what follows from it alone, once it was asked for
     names : class, surface or target -> names of them all, which the star of a path stands for
@@ -826,7 +825,7 @@ def read_files(
     scenario = with_sensor_blur(scenario, sensor)
     scene, sources = scenario.scene, Sources(true, measured, find, axis, source.read)
     surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
-    refuse_gaps(scenario, surfaces, true)
+    notes += uncovered_bands(scenario, surfaces, true)
     labelled, around = replace(sources, axis=axis, nominal=None), scene.adjacency.spectrum
     signatures = {t.name: labelled.spectrum(t.filter_spectrum or t.spectrum, t.name).mean for t in scene.targets}
     surroundings = None if around is None else without_gaps(sources.spectrum(around, "surroundings").mean)
