@@ -152,16 +152,17 @@ def test_channels_by_list_and_bad_list():
     assert "detectors use 3 of 10 bands" in p.notes
 
 
-def test_a_spectrum_that_does_not_cover_the_bands_is_refused_by_field(tmp_path):
-    w = np.arange(400.0, 1301.0, 5.0)
-    (tmp_path / "short.csv").write_text("wavelength_nm,reflectance\n" + "".join(f"{a:g},{0.3:g}\n" for a in w))
-    short = "{file: short.csv, reflectance_unit: fraction, wavelength_unit: nm"
-    words = r"scene\.classes\.0\.spectrum of 'grass' does not cover 2 usable bands \(first 2130"
-    with pytest.raises(UsageError, match=words):
-        model.predict(beside(tmp_path, short + "}"), ORIGINS)
-    p = model.predict(beside(tmp_path, short + ", gaps: allowed}"), ORIGINS)
-    assert np.isnan(p.reflectance["grass"].mean[-1])
-    assert "detectors use 7 of 10 bands" in p.notes
+def test_a_spectrum_that_does_not_cover_the_bands_is_refused_by_field_but_for_a_tenth_of_them(tmp_path):
+    def notes(last, more=""):
+        rows = "".join(f"{w},0.3\n" for w in range(400, last + 1, 5))
+        (tmp_path / f"{last}.csv").write_text("wavelength_nm,reflectance\n" + rows)
+        short = f"{{file: {last}.csv, reflectance_unit: fraction, wavelength_unit: nm{more}}}"
+        return model.predict(beside(tmp_path, short), ORIGINS).notes
+
+    with pytest.raises(UsageError, match=r"scene\.classes\.0\.spectrum of 'grass' does not cover 2 usable bands \("):
+        notes(1300)
+    assert "detectors use 7 of 10 bands" in notes(1300, ", gaps: allowed")
+    assert any("'grass' does not reach 1 usable band (first 2250 nm" in note for note in notes(1700))
 
 
 def state(**stated: object) -> AtmosphericState:
