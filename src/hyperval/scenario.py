@@ -72,7 +72,7 @@ class SpectrumSource(OneOf):
         None, description="which spectrum of a file of several: name, number from 0, or mean of all"
     )
     gaps: Literal["refused", "allowed"] = Field(
-        "refused", title="bands beyond its ends", description="usable ones; where allowed they are left out"
+        "refused", title="bands beyond its ends", description="usable ones; left out where allowed, or a tenth at most"
     )
     wavelength_unit: str | None = Field(None, description="stated when the file does not say")
     reflectance_unit: str | None = Field(None, description="stated when the file does not say: fraction, percent")
