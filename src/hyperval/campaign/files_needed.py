@@ -26,6 +26,7 @@ from hyperval.model import Sources
 from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe_radcalnet, open_place, target_groups
 from hyperval.paths import matching
 from hyperval.products import SPECTRA
+from hyperval.results import row_name
 from hyperval.scenario import Scenario, SpectrumSource, builtin_scenarios
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import load_scene
@@ -154,18 +155,10 @@ def _undecided(job: Job) -> list[Item]:
     if campaign.collection.cube is not None or not campaign.scenarios or not any(g.gate for g in campaign.comparisons):
         return []
     from hyperval.campaign.run import undecided_by
-    from hyperval.results import row_name
 
-    return [
-        Item(
-            "",
-            COMPARISON,
-            NEVER_MET if row.never_met else INCONCLUSIVE,
-            f"{row.product} {row_name(row)}",
-            f"to decide it: {words}",
-        )
-        for row, words in undecided_by(job)
-    ]
+    states = {True: NEVER_MET, False: INCONCLUSIVE}
+    found = [(states[row.never_met], f"{row.product} {row_name(row)}", words) for row, words in undecided_by(job)]
+    return [Item("", COMPARISON, state, name, f"to decide it: {words}") for state, name, words in found]
 
 
 def _file(reference: Reference, job: Job) -> list[Item]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
+from skimage.measure import block_reduce
 
 from hyperval.figures.spec import VIRIDIS, Drawing, Quicklook, ScoreMap, shortened, tones
 from hyperval.units import PLAUSIBLE_NM
@@ -264,12 +265,8 @@ def block_maximum(values: npt.NDArray[np.float64], most: int) -> tuple[npt.NDArr
     so that a target of one pixel is still seen; and the side of the block [pixels].
     """
     block = max(1, math.ceil(max(values.shape) / most))
-    if block == 1:
-        return values, 1
-    lines, samples = (math.ceil(n / block) for n in values.shape)
-    padded = np.full((lines * block, samples * block), -np.inf)
-    padded[: values.shape[0], : values.shape[1]] = np.where(np.isfinite(values), values, -np.inf)
-    reduced = padded.reshape(lines, block, samples, block).max(axis=(1, 3))
+    known = np.where(np.isfinite(values), values, -np.inf)
+    reduced = known if block == 1 else block_reduce(known, block, np.max, cval=-np.inf)
     return np.where(np.isfinite(reduced), reduced, np.nan), block
 
 

@@ -13,8 +13,9 @@ import os
 import re
 import secrets
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
+from http.cookies import CookieError, Morsel, SimpleCookie
 from typing import ClassVar
 from urllib.parse import urlsplit
 
@@ -30,6 +31,7 @@ from hyperval.web.store import ServerSettings
 
 COOKIE = "hyperval_session"
 _NAME = re.compile(r"[A-Za-z0-9_-]{43}")
+_PORT = re.compile(r"(?<=[^:]):\d+$")
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,14 @@ class Session:
     is_new: bool
 
 
-def session_named(name: str | None) -> Session:
+def _session(headers: Headers) -> Session:
     """The session of a cookie, or a new one where there is none or it is malformed."""
-    own = name if name is not None and _NAME.fullmatch(name) else None
-    known = own or secrets.token_urlsafe(32)
-    return Session(known, hashlib.sha256(b"owner" + known.encode()).hexdigest()[:32], own is None)
+    given = ""
+    with suppress(CookieError):
+        given = SimpleCookie(headers.get("cookie", "")).get(COOKIE, Morsel[str]()).value or ""
+    is_new = _NAME.fullmatch(given) is None
+    name = secrets.token_urlsafe(32) if is_new else given
+    return Session(name, hashlib.sha256(b"owner" + name.encode()).hexdigest()[:32], is_new)
 
 
 UPLOADS = "/uploads"
@@ -90,7 +95,7 @@ class Guard:
         headers, limits = Headers(scope=scope), self.settings.limits
         is_upload = scope["path"].removeprefix("/api/v1").startswith(UPLOADS)
         bound = limits.upload_bytes if is_upload else limits.body_bytes
-        session = scope["session"] = session_named(_cookie(headers))
+        session = scope["session"] = _session(headers)
         refusal = self._refusal(scope, headers, bound)
         seen, is_started = 0, False
 
@@ -126,7 +131,7 @@ class Guard:
         is_number = stated.isascii() and stated.isdigit() and len(stated) < 19
         is_other = (origin is not None and urlsplit(origin).netloc != host) or site not in ("same-origin", "none")
         rules = [
-            (len(headers.getlist("host")) == 1 and _name_of(host) in self.settings.hosts,
+            (len(headers.getlist("host")) == 1 and _PORT.sub("", host).lower() in self.settings.hosts,
              400, "host", "this server does not go by that name"),
             (len(scope.get("raw_path") or b"") + len(scope.get("query_string") or b"") <= _MOST_URL,
              414, "url", f"longer than {_MOST_URL:,} bytes"),
@@ -149,20 +154,6 @@ class Guard:
             secure = "; Secure" if self.settings.secure else ""
             cookie = f"{COOKIE}={session.name}; Path=/; Max-Age={_YEAR_S}; HttpOnly; SameSite=Lax{secure}"
             headers.append("set-cookie", cookie)
-
-
-def _cookie(headers: Headers) -> str | None:
-    try:
-        morsel = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-    except CookieError:
-        return None
-    return None if morsel is None else morsel.value
-
-
-def _name_of(host: str) -> str:
-    """A host without its port."""
-    name, colon, port = host.rpartition(":")
-    return name.lower() if colon and port.isdigit() and (not name.endswith(":")) else host.lower()
 
 
 HEAD_S = 10.0  # from the first byte that is waited for to the end of the head

@@ -24,6 +24,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent import futures
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -468,10 +469,8 @@ class Desk:
         job = self._jobs.get(run_id)
         if job is None or not seconds:
             return
-        ended = threading.Event()
-        job.future.add_done_callback(lambda _: ended.set())
         end = time.monotonic() + min(seconds, 60.0)
-        ended.wait(max(0.0, end - time.monotonic()))
+        futures.wait([job.future], min(seconds, 60.0))
         while run_id in self._jobs and time.monotonic() < end:  # what came of it is being written down
             time.sleep(0.002)
 
