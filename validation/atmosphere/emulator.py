@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from hyperval.atmosphere import AtmosphericState, emulator, sixs
+from hyperval.atmosphere import AtmosphericState, sixs
 from hyperval.atmosphere.physics import amounts
 from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.atmosphere.terms import cache_folder
@@ -63,7 +63,7 @@ def states(count: int, seed: int) -> list[AtmosphericState]:
 
 def quantities(state: AtmosphericState, folder: Path) -> dict[str, np.ndarray]:
     """What 6S scatters at the nodes, of clear air and of what haze adds to it, for the haze that it was run with."""
-    air, setting = emulator.air_of(state), sixs.setting_of(state)
+    air, setting = sixs.air_of(state), sixs.setting_of(state)
     hazy = sixs._scattering(state, setting, folder, False)
     clear = sixs._scattering(state.model_copy(update={"aerosol": "none", "aot550": None}), setting, folder, False)
     return {
@@ -79,10 +79,10 @@ def quantities(state: AtmosphericState, folder: Path) -> dict[str, np.ndarray]:
 def fitted_scattering(made_from: list[AtmosphericState], folder: Path) -> dict[str, np.ndarray]:
     """Parabola and weights of a Gaussian process for each quantity over its form."""
     runs = [quantities(state, folder) for state in track(made_from, "scattering", total=len(made_from))]
-    airs = [emulator.air_of(state) for state in made_from]
+    airs = [sixs.air_of(state) for state in made_from]
     held = {"molecules": np.mean([run["molecules"] for run in runs], axis=0)}
     held["features"] = np.array([air.features() for air in airs]).astype("f4").astype(float)
-    forms = [emulator.single_scattering(air, held["molecules"]) for air in airs]
+    forms = [sixs.single_scattering(air, held["molecules"]) for air in airs]
     for name, noise in NOISE.items():
         value, form = (np.array([of[name] for of in every]) for every in (runs, forms))
         if name.endswith("reflectance"):
@@ -99,7 +99,7 @@ def fitted_scattering(made_from: list[AtmosphericState], folder: Path) -> dict[s
 
 def fitted_process(x: np.ndarray, y: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shape of the kernel (the same for all nodes), (21, nodes) parabola and (n, nodes) weights."""
-    h, start = emulator.basis(x), np.array([0.7] * 5 + [-2.0, -1.0, -3.0])
+    h, start = sixs.basis(x), np.array([0.7] * 5 + [-2.0, -1.0, -3.0])
 
     def solved(k0: np.ndarray, j: int, height: float) -> tuple[float, np.ndarray, np.ndarray]:
         scale = np.exp(height) * max(float(np.std(y[:, j])), 1e-6)
@@ -113,12 +113,12 @@ def fitted_process(x: np.ndarray, y: np.ndarray, sigma: np.ndarray) -> tuple[np.
         return float(lost), parabola, scale**2 * alpha
 
     def unlikely(theta: np.ndarray) -> float:
-        k0 = emulator.kernel(x, x, theta)
+        k0 = sixs.kernel(x, x, theta)
         return sum(solved(k0, j, theta[-1])[0] for j in (1, 7, 13, 16)) + 0.02 * float(((theta - start) ** 2).sum())
 
     bounds = [(-1.2, 3.5)] * 5 + [(-3.5, 0.0), (-7.0, 2.0), (-9.0, 1.0)]
     theta = minimize(unlikely, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20}).x
-    k0 = emulator.kernel(x, x, theta)
+    k0 = sixs.kernel(x, x, theta)
     columns = [solved(k0, j, theta[-1])[1:] for j in range(y.shape[1])]
     return theta[:-1], np.stack([c[0] for c in columns], 1), np.stack([c[1] for c in columns], 1)
 
@@ -150,7 +150,7 @@ def fitted_gas(model: str, folder: Path) -> dict[str, np.ndarray]:
 def fitted_band(amount: np.ndarray, t: np.ndarray, middle: float, seen: np.ndarray) -> np.ndarray:
     """(4, n) numbers to transmittances (states, n), by Levenberg and Marquardt at all wavelengths at once."""
     prior = np.array([0.0, 1e-4, 1e-4, 1e-3])[:, None]  # weak: what does not show stays 0
-    model = lambda p: np.stack([np.exp(-emulator.band_depth(p, u, middle)) for u in amount])  # noqa: E731
+    model = lambda p: np.stack([np.exp(-sixs.band_depth(p, u, middle)) for u in amount])  # noqa: E731
     cost = lambda p, r: (seen * r**2).sum(0) + (prior**2 * p**2).sum(0)  # noqa: E731
     par = np.zeros((4, t.shape[1]))
     par[0] = np.log(np.median(-np.log(np.clip(t, 2.5e-5, 1 - 2e-5)) / amount[:, :1], axis=0)) + 0.3
@@ -172,7 +172,7 @@ def beside(count: int, seed: int, held: dict[str, np.ndarray], folder: Path) -> 
     """States that the engine takes, and their terms by 6S and by the numbers."""
     apart = [s for s in states(count, seed) if s.sun[0] <= 75.0 and s.aot550 <= 0.8]
     theirs = [sixs.sixs_terms(state, folder, False) for state in track(apart, "beside 6S", total=len(apart))]
-    return apart, theirs, [emulator.emulated(state, held) for state in apart]
+    return apart, theirs, [sixs.emulated(state, held) for state in apart]
 
 
 def main() -> None:
@@ -201,7 +201,7 @@ def main() -> None:
             cells.append(f"{median:.2f}, {great:.2f}, {worst:.1f}")
         print(f"| {rho:g}, {words} ({own.sum()} states) | " + " | ".join(cells) + " |")
     if "--write" in sys.argv:
-        place = Path(__file__).parents[2] / "src" / "hyperval" / "atmosphere" / emulator.FILE
+        place = Path(__file__).parents[2] / "src" / "hyperval" / "atmosphere" / sixs.EMULATOR
         rounded = {n: a.astype("f4") for n, a in held.items() if n.startswith(MODELS) or n.endswith("error")}
         np.savez_compressed(place, **held | rounded)
 

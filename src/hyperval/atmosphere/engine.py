@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hyperval.atmosphere.emulator import emulator_terms
 from hyperval.atmosphere.modtran import modtran_terms
-from hyperval.atmosphere.sixs import sixs_terms
+from hyperval.atmosphere.sixs import emulator_terms, sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.table import read_table
 from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder
