@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from stored_cases import CASES
 
-from hyperval.atmosphere import AtmosphericState, atmospheric_terms, emulator, physics
+from hyperval.atmosphere import AtmosphericState, atmospheric_terms, physics, sixs
 from hyperval.errors import UsageError
 from hyperval.model import Origins, predict
 from hyperval.scenario import Scenario
@@ -22,7 +22,7 @@ def terms(**changes):
 
 
 def test_absorption_grows_with_the_amount_where_lines_are_weak_and_with_its_root_where_they_are_strong():
-    depth = lambda u, pressure=1.0: emulator.band_depth(NUMBERS, np.array([u, u * pressure]), 0.8)  # noqa: E731
+    depth = lambda u, pressure=1.0: sixs.band_depth(NUMBERS, np.array([u, u * pressure]), 0.8)  # noqa: E731
     assert depth(1e-3)[0] == pytest.approx(0.2e-3, rel=1e-9)
     assert (depth(8.0) / depth(2.0)).tolist() == pytest.approx([4.0, 2.0], rel=1e-3)
     assert (depth(2.0, 0.25) / depth(2.0)).tolist() == pytest.approx([1.0, 0.5], rel=1e-3)  # narrow lines
