@@ -35,10 +35,8 @@ def test_spectra_are_compared_where_both_have_bands_and_some_light():
 
 
 def test_spectra_that_are_exchanged_or_lose_light_to_other_wavelengths():
-    def sides(**means: list[float]) -> dict[str, products.SpectralEstimate]:
-        return {name: products.SpectralEstimate(np.array(mean), np.eye(2)) for name, mean in means.items()}
-
-    seen = sides(grass=[1.0, 3.0], roof=[2.0, 2.0])
+    means = {"grass": [1.0, 3.0], "roof": [2.0, 2.0]}
+    seen = {name: products.SpectralEstimate(np.array(mean), np.eye(2)) for name, mean in means.items()}
     both = (kind(AXIS, radiance=seen) for kind in (products.PredictedProducts, products.ObservedProducts))
     stack = stacked(*both)
     ((candidate, change),) = stack.exchanged(stack.observed).items()

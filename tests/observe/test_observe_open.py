@@ -53,9 +53,8 @@ def test_a_mistake_moves_values_bands_targets_and_regions(world):
     assert wrong.cube.axis.centre_nm == pytest.approx(seen.cube.axis.centre_nm + 2.0)
     assert np.array_equal(elsewhere.region("corner"), np.roll(seen.region("corner"), (1, -2), (0, 1)))
     assert np.array_equal(seen.mistaken(away).region("corner"), seen.region("corner"))
-    for target, moved in zip(seen.targets, seen.mistaken(away).targets, strict=True):
-        last = np.subtract(target.shape, target.part.shape)
-        assert moved.corner == tuple(np.clip(np.add(target.corner, (1, -2)), 0, last))
+    target, moved = seen.targets[0], seen.mistaken(away).targets[0]
+    assert moved.corner == (target.corner[0] + 1, target.corner[1] - 2)
 
 
 def test_regions_are_left_out_where_named_and_keep_clear_of_targets(world):

@@ -190,6 +190,11 @@ class Candidate:
         return [{} if m is None or direction >= m.size else m.direction(direction, units) for m in self.members]
 
     @property
+    def makes_anything(self) -> bool:
+        """Whether it can make nearly any change of a spectrum, band by band."""
+        return self.name == "single bands" or (self.kind == "surface" and not self.sizes)
+
+    @property
     def of_engine(self) -> bool:
         """Whether each value of it takes a run of the engine."""
         return any(m is not None and m.path.startswith("atmosphere.") for m in self.members)
@@ -199,7 +204,12 @@ class Candidate:
         return [m.moved(1.0) if m is not None and i == scenario else {} for i, m in enumerate(self.members)]
 
     def in_words(self, amplitudes: Array) -> str:
-        """How far it is from what is stated."""
+        """How far it is from what is stated.
+
+        >>> gain = Candidate("smooth gain", "sensor", "3 % in smooth pieces", False, knots_nm=(400.0, 600.0))
+        >>> gain.in_words(np.array([-4.0, 1.0]))
+        '-12 % at 400 nm, where it is largest,'
+        """
         if self.labels:
             return self.labels[int(amplitudes[0])]
         number, _, unit = self.step.partition(" ")

@@ -330,11 +330,13 @@ class Posterior:
 
     @property
     def enough(self) -> bool:
-        """Whether the named causes explain the residuals: what is left passes, they are few, within their bounds, and
-        the first or those that cannot be told from it are likely.
+        """Whether the named causes explain the residuals: what is left passes, they are few, within their bounds, could
+        not make anything, and the first or those that cannot be told from it are likely.
         """
         causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.alike))
-        inside = 0 < len(causes) < MOST_CAUSES and not any(c.candidate is None or c.limited for c in causes)
+        inside = 0 < len(causes) < MOST_CAUSES and not any(
+            c.candidate is None or c.limited or c.candidate.makes_anything for c in causes
+        )
         return inside and self.p_left >= ENOUGH and sure >= LIKELY
 
     @property

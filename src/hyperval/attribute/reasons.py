@@ -205,7 +205,7 @@ class Causes:
                 if by not in effects and any(by)
             }
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
-            name = "position of the regions" if regions else "position of the targets"
+            name = "position of the regions" if regions else "position of the target regions"
             place = Candidate(name, "scene", "", False, labels=labels)
             found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})
             best = next((f for f in found.fits if f.candidate == place), None)
