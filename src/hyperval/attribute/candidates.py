@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.config import Model, load_yaml
+from hyperval.config import load_yaml
 from hyperval.errors import UsageError, refuse
 from hyperval.model import (
     Origins,
@@ -36,7 +36,7 @@ from hyperval.model import (
 from hyperval.model.inputs import Kind, field_spectrum_of, form_in_words
 from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
 from hyperval.products import PredictedProducts, SpectralEstimate
-from hyperval.scenario import Scenario, SpectralForm, Target
+from hyperval.scenario import Scenario, SpectralForm, Target, TargetSubject
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
 
 Array = npt.NDArray[np.float64]
@@ -63,6 +63,7 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
     ("spherical albedo", "atmosphere", "light.spherical_albedo", 0.10),
     ("sensor gain", "sensor", "sensor.gain", 0.01),
     ("sensor noise", "sensor", "sensor.noise", 0.05),
+    ("noise without signal", "sensor", "sensor_changes.fixed_noise_factor", 0.05),
     ("electrons per radiance", "sensor", "sensor.electrons", 0.05),
     ("fill fraction of the targets", "scene", "fill", 0.05),
     ("PSF width", "scene", "blur", 0.10),
@@ -70,6 +71,7 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
 # Where the model is asked besides one unit up and down, in units; between and a little beyond it is interpolated.
 _SIZES = {
     "sunlight": (-20.0, 25.0), "sensor gain": (-20.0, 25.0), "sensor noise": (-10.0, 10.0, 25.0),
+    "noise without signal": (-10.0, 10.0, 30.0),
     "electrons per radiance": (-12.0, -6.0, 10.0, 25.0),
     "fill fraction of the targets": (-12.0, -6.0, 6.0, 20.0), "tails": (5.0, 20.0), "PSF width": (-5.0, 5.0, 10.0),
     "path radiance": (-5.0, 10.0), AEROSOL: (-5.0, 10.0),
@@ -271,12 +273,6 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
             return [{} if z is None else {"atmosphere.solar_zenith_deg": z + degrees} for z in zeniths]
 
         out.append(Candidate("solar zenith angle", "scene", "1 deg", False, sizes=(1.0, -1.0, -5.0, 5.0), moved=lower))
-    if any(world.stated.sensor is not None for world in worlds):
-
-        def noisier(units: float) -> list[Truth]:
-            return [{"sensor_changes.fixed_noise_factor": 1.0 + 0.05 * units} for _ in worlds]
-
-        out.append(Candidate("noise without signal", "sensor", "5 %", False, sizes=(-10.0, 10.0, 30.0), moved=noisier))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
         kinds: dict[str, list[Truth]] = {
             h: [{"atmosphere.aerosol": h} if s is not None else {} for s in states] for h in HAZES if h not in hazes
@@ -290,7 +286,8 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
             one = _part(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", 0.05)
             members = tuple(one if i == number else None for i in range(len(worlds)))
             out.append(Candidate(one.name, one.kind, one.correlation, False, members, (-10.0, 12.0)))
-        out += [_sized(target, number, worlds) for target in scene.targets]
+        if len(scene.targets) > 1 or any(_side(p) for t in scene.targets for p in t.populations):
+            out += [_sized(target, number, worlds) for target in scene.targets]
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
             for names in combinations([x.name for x in kind], 2):
                 pairs[" and ".join(names)] = alone(_exchanged(world, names))
@@ -307,9 +304,9 @@ def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
     def sized(units: float) -> list[Truth]:
         factor, truth = 1.0 + 0.05 * units, dict[str, Any]()
         for p in target.populations:
-            if p.fill is not None and p.fill.geometry is not None and p.fill.geometry.side_m is not None:
+            if side := _side(p):
                 within = f".subjects.[{p.name}]" if target.subjects else ""
-                truth[f"scene.targets.[{target.name}]{within}.fill.geometry.side_m"] = factor * p.fill.geometry.side_m
+                truth[f"scene.targets.[{target.name}]{within}.fill.geometry.side_m"] = factor * side
             else:
                 fill = np.asarray(value_at(worlds[number], f"fill.[{p.name}]"), dtype=float)[0]
                 truth[f"fill.[{p.name}]"] = np.minimum(factor**2 * fill, 1.0)
@@ -318,18 +315,21 @@ def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
     return Candidate(f"size of {target.name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=sized)
 
 
+def _side(p: TargetSubject) -> float | None:
+    return p.fill.geometry.side_m if p.fill is not None and p.fill.geometry is not None else None
+
+
 def exchanged_entries(worlds: Sequence[World]) -> list[Candidate]:
     """Spectra of two targets in each other's place in the file: what detectors look for moves with them."""
     pairs: dict[str, list[Truth]] = {}
     for number, world in enumerate(worlds):
         for a, b in combinations(world.stated.scenario.scene.targets, 2):
-            truth = {f"scene.targets.[{x.name}].spectrum": _entry(y.spectrum) for x, y in ((a, b), (b, a))}
+            both = {
+                x.name: y.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for x, y in ((a, b), (b, a))
+            }
+            truth = {f"scene.targets.[{name}].spectrum": entry for name, entry in both.items()}
             pairs[f"{a.name} and {b.name}"] = _alone(number, len(worlds), truth)
     return [_one_of("exchanged spectra in the file", "scene", pairs)] if pairs else []
-
-
-def _entry(model: Model) -> dict[str, Any]:
-    return model.model_dump(exclude_none=True, exclude_defaults=True)
 
 
 def _alone(number: int, of: int, truth: Truth) -> list[Truth]:

@@ -22,6 +22,7 @@ from hyperval.attribute.candidates import LIGHT, MOST_STEPS, Candidate
 from hyperval.attribute.residuals import ENOUGH, Stack
 from hyperval.compare.rows import Array
 from hyperval.errors import refusal, refuse
+from hyperval.products import background_of
 
 ALL = "all"
 # A stated uncertainty is too wide where the data refute, at this level, all that is less than so many times so.
@@ -518,7 +519,8 @@ class Reasoner:
         near = {f.name for f in singles if probability[f.name] * ALIKE > probability[first]}
         for f in singles:
             one = f.amplitudes.size == best.amplitudes.size == 1 and f.evidence > 0.5 * best.evidence
-            if one and abs(_correlation(f, best)) > CORRELATED:
+            lengths = float(np.linalg.norm(f.shown) * np.linalg.norm(best.shown))
+            if one and abs(float(f.shown @ best.shown)) > CORRELATED * lengths:
                 near.add(f.name)
         return tuple(f.name for f in singles if f.name in near and f is not best)
 
@@ -545,11 +547,6 @@ def _after(fit: Fit, e: Array, columns: Mapping[Any, Array]) -> tuple[Array, dic
     return turned(e - fit.made), {c: turned(g) for c, g in columns.items()}
 
 
-def _correlation(a: Fit, b: Fit) -> float:
-    size = float(np.linalg.norm(a.shown) * np.linalg.norm(b.shown))
-    return float(a.shown @ b.shown) / size if size else 0.0
-
-
 def posteriors(
     stack: Stack,
     residual: Array,
@@ -570,7 +567,9 @@ def posteriors(
         parts = [posterior(name, *data) for name, data in common_and_own(common, *part(spectra)).items()]
     out = [replace(posterior(ALL, residual, covariance, columns, wide), parts=tuple(parts)), *parts]
     subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
-    out += [posterior(subject, *part(stack.indices_of(subject))) for subject in subjects]
+    for subject in subjects:  # with those of the background seen through its filter
+        own = np.isin(stack.named("subject"), [subject, background_of(subject)])
+        out.append(posterior(subject, *part(np.flatnonzero(own))))
     return [replace(r, level=ENOUGH / len(out)) for r in out]
 
 

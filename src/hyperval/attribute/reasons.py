@@ -199,11 +199,9 @@ class Causes:
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
         for _ in range(MOST_PIXELS if found.first == NONE else 0):
             around = [(nearest[0] + i, nearest[1] + j) for i, j in product((-1, 0, 1), repeat=2)]
-            effects |= {
-                by: self.mistaken({"lines": by[0], "samples": by[1], "regions": regions})
-                for by in around
-                if by not in effects and any(by)
-            }
+            for by in around:
+                if by not in effects and any(by):
+                    effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions})
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
             name = "position of the regions" if regions else "position of the target regions"
             place = Candidate(name, "scene", "", False, labels=labels)
@@ -242,7 +240,9 @@ class Causes:
             found = Reasoner(whitened, data.whiten(self.wide[of]), noisy=noisy).posterior(ALL, data.residual)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate and f.candidate.asked}
-            sizes = {c: a for c, a in sizes.items() if _far(a, c.sizes)}
+            # At none of those that the model was asked at.
+            far = {c: min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4 for c, a in sizes.items()}
+            sizes = {c: a for c, a in sizes.items() if far[c]}
             more = _asked(self.evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
@@ -255,11 +255,6 @@ class Causes:
 
 def _quantity(block: ResidualBlock) -> str:
     return f"{block.product} of {block.subject} {block.method}".strip()
-
-
-def _far(size: float, sizes: Sequence[float]) -> bool:
-    """Whether a size is none of those that the model was asked at."""
-    return min(abs(size - s) for s in (0.0, *sizes)) > 0.005 * abs(size) + 1e-4
 
 
 def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array] | None]:

@@ -245,10 +245,6 @@ class Stack:
         ends = np.cumsum([b.observed.size for b in self.blocks])
         return [(b, slice(int(e) - b.observed.size, int(e))) for b, e in zip(self.blocks, ends, strict=True)]
 
-    def indices_of(self, subject: str) -> Indices:
-        """Entries of one subject, with those of the background seen through its filter."""
-        return np.flatnonzero(np.isin(self.named("subject"), [subject, background_of(subject)]))
-
 
 def stacked(predicted: Products, observed: Products) -> Stack:
     """Everything both sides hold, as far as both have values there."""
