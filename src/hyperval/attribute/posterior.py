@@ -567,9 +567,8 @@ def posteriors(
         parts = [posterior(name, *data) for name, data in common_and_own(common, *part(spectra)).items()]
     out = [replace(posterior(ALL, residual, covariance, columns, wide), parts=tuple(parts)), *parts]
     subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
-    for subject in subjects:  # with those of the background seen through its filter
-        own = np.isin(stack.named("subject"), [subject, background_of(subject)])
-        out.append(posterior(subject, *part(np.flatnonzero(own))))
+    named = stack.named("subject")  # with the background seen through its filter
+    out += [posterior(s, *part(np.flatnonzero(np.isin(named, [s, background_of(s)])))) for s in subjects]
     return [replace(r, level=ENOUGH / len(out)) for r in out]
 
 

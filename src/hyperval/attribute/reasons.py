@@ -241,8 +241,7 @@ class Causes:
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate and f.candidate.asked}
             # At none of those that the model was asked at.
-            far = {c: min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4 for c, a in sizes.items()}
-            sizes = {c: a for c, a in sizes.items() if far[c]}
+            sizes = {c: a for c, a in sizes.items() if min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4}
             more = _asked(self.evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
@@ -455,9 +454,8 @@ def _of_spectra(
     ]
     out = {}
     for name, kind, step, sizes, change in parts:
-        knots = tuple(KNOTS_NM) if step == smooth else ()
         if np.any(change):
-            one = Candidate(name, kind, step, False, sizes=sizes, knots_nm=knots)
+            one = Candidate(name, kind, step, False, sizes=sizes, knots_nm=tuple(KNOTS_NM) if step == smooth else ())
             out[one] = np.outer(change, sizes) if sizes else change
     return out
 
