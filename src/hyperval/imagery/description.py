@@ -263,13 +263,9 @@ def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     if factor is not None and not (np.isfinite(factor) and factor > 0):
         raise refusal("scale.factor", header.where("reflectance scale factor"), factor=factor)
     name = f"{kind} gain/offset values" if gain is not None or offset is not None else ""
-    if factor not in (None, 1.0) and (name or quantity == "radiance"):
-        raise refusal(
-            "scale.two",
-            header.where("reflectance scale factor"),
-            first="'reflectance scale factor'",
-            second=name or "a radiance",
-        )
+    two, second = factor not in (None, 1.0) and (name or quantity == "radiance"), name or "a radiance"
+    key = "reflectance scale factor"
+    refuse(two, "scale.two", header.where(key), first=f"{key!r}", second=second)
     if name:
         return [Scale(1.0 if gain is None else gain, 0.0 if offset is None else offset, name)]
     if factor is not None and quantity == "reflectance":

@@ -230,15 +230,14 @@ def _check_size(data: Path, header: EnviHeader) -> None:
         head = stream.read(6)
     packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
     sides = f"{header.samples} samples x {header.lines} lines x {header.bands} bands x {header.dtype.itemsize} bytes"
-    raise refusal(
-        "image.packed" if packed else "image.short" if size < expected else "image.long",
-        data,
-        packed=packed,
-        size=size,
-        missing=100.0 * (expected - size) / expected,
-        more=size - expected,
-        described=f"{header.header_offset} + {sides} = {expected} bytes ({header.path})",
-    )
+    described = f"{header.header_offset} + {sides} = {expected} bytes ({header.path})"
+    told: dict[str, object] = {
+        "missing": 100.0 * (expected - size) / expected,
+        "more": size - expected,
+        "described": described,
+    }
+    told |= {"packed": packed, "size": size}
+    raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **told)
 
 
 @dataclass(eq=False)

@@ -713,13 +713,9 @@ def _band(raster: Raster, wanted: int | str, path: Path) -> int:
     fits = [i for i, name in enumerate(names) if name == wanted]
     fits = fits or [i for i, name in enumerate(names) if fnmatchcase(name.lower(), wanted.lower())]
     if len(fits) != 1:
-        raise InputError(
-            f"{len(fits)} bands are called {wanted!r}",
-            where=str(path),
-            expected="one of " + ", ".join(names)
-            if names
-            else f"a number, 1 to {raster.bands}: its header has no name for each band",
-        )
+        known = f"a number, 1 to {raster.bands}: its header has no name for each band"
+        known = f"one of {', '.join(names)}" if names else known
+        raise InputError(f"{len(fits)} bands are called {wanted!r}", where=str(path), expected=known)
     return fits[0]
 
 
