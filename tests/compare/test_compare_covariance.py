@@ -171,8 +171,8 @@ def test_noise_is_told_from_the_spread_of_a_class(columns):
     z = []
     for _ in range(60):
         seen = pixels(rng, NOISE - half, 1.3 * texture, columns=columns, calibration=half)
-        part = noise_part(seen, texture + np.diag(NOISE), NOISE, 1999.0, **known)
-        z.append((part.factor - 1.0) / part.uncertainty)
+        factor, uncertainty = noise_part(seen, texture + np.diag(NOISE), NOISE, 1999.0, **known)
+        z.append((factor - 1.0) / uncertainty)
     assert np.max(np.abs(z)) < 5
     assert abs(np.mean(z)) < 5 / np.sqrt(60)
     assert 0.6 < np.std(z) < 1.4

@@ -30,7 +30,7 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
     plain = s.model_copy(update={"uncertainty": Uncertainty()})
     blind = {"solar azimuth", "view zenith angle", "sensor altitude", "ground height"}  # to the stand-in engine
     for name, item in found.items():
-        off = run(plain, truth=item.moved(1.0))
+        off = run(plain, truth=item.direction(0, 1.0))
         moved = [
             not np.allclose(off.radiance["tenth"].mean, base.radiance["tenth"].mean, rtol=1e-9),
             not np.allclose(off.snr["panel"].mean, base.snr["panel"].mean, rtol=1e-9),
@@ -118,7 +118,7 @@ def test_changes_at_one_path_add_up_and_paths_to_one_number_compose():
     one, other = (
         model.number_input(world, n, "surface", grass, 0.0, rows=k * rows) for n, k in (("a", 1.0), ("b", 2.0))
     )
-    both = model.together([(one, one.moved(1.0)), (other, other.moved(-1.0))])
+    both = model.together([(one, one.direction(0, 1.0)), (other, other.direction(0, -1.0))])
     np.testing.assert_allclose(both[grass], mean("grass") - rows[0])
     twice = run(scenario(), truth={"sensor.electrons": 1.5, "sensor_changes.signal_factor": 2.0})
     once = run(scenario(), truth={"sensor.electrons": 3.0})
@@ -142,7 +142,7 @@ def test_a_library_at_the_labelled_bands_moves_with_a_shift_and_is_not_smoothed(
 def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
     def far_below(path: str):
         item = model.number_input(WORLD, "x", "scene", path, 1.0)
-        return item.moved(-1e6)[path]
+        return item.direction(0, -1e6)[path]
 
     assert far_below("atmosphere.aot550") == 0.0
     assert far_below("sensor.noise") == pytest.approx(1e-3)

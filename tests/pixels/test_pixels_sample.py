@@ -235,8 +235,8 @@ def test_a_ring_counts_where_its_mean_is_two_standard_errors_of_its_pairs_above_
 
 def test_noise_of_one_band_has_the_scatter_of_its_tails_and_of_its_columns():
     # (2 + 3 kappa)/n of the square for the pixels (Waternaux 1976), 2/(columns - 1) for what the columns share.
-    found = pixels.noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, calibration=[1.0], samples=11)
-    assert (found.factor, found.uncertainty**2) == pytest.approx((2.0, 4.0 * 8.0 / 100.0 + 0.2 / 16.0))
+    factor, uncertainty = pixels.noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, calibration=[1.0], samples=11)
+    assert (factor, uncertainty**2) == pytest.approx((2.0, 4.0 * 8.0 / 100.0 + 0.2 / 16.0))
 
 
 def test_kurtosis_rank_and_directions():

@@ -138,8 +138,8 @@ def noise(rng: np.random.Generator, together: bool) -> Intervals:
     pixels += rng.standard_normal(pixels.shape) * np.sqrt(stored - shared)
     pixels += (rng.standard_normal((COLUMNS, len(AXIS))) * np.sqrt(shared))[np.arange(PIXELS) % COLUMNS]
     known = {"calibration": shared, "samples": COLUMNS} if together else {}
-    part = noise_part(np.cov(pixels.T), _COVARIANCE + np.diag(stored), stored, PIXELS - 1.0, **known)
-    yield "noise of a class", bool(abs(part.factor - 1.0) <= 1.96 * part.uncertainty)
+    factor, uncertainty = noise_part(np.cov(pixels.T), _COVARIANCE + np.diag(stored), stored, PIXELS - 1.0, **known)
+    yield "noise of a class", bool(abs(factor - 1.0) <= 1.96 * uncertainty)
 
 
 def object_spread(rng: np.random.Generator, together: bool) -> Intervals:

@@ -203,7 +203,7 @@ class Candidate:
 
     def alone(self, scenario: int) -> list[Truth]:
         """The truth of each scenario with it one unit off in one of them."""
-        return [m.moved(1.0) if m is not None and i == scenario else {} for i, m in enumerate(self.members)]
+        return [m.direction(0, 1.0) if m is not None and i == scenario else {} for i, m in enumerate(self.members)]
 
     def in_words(self, amplitudes: Array) -> str:
         """How far it is from what is stated.

@@ -214,15 +214,15 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     calibration = calibration + beyond
     noise = total[bands] + beyond + np.broadcast_to(observed.rounding, total.shape)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[at]
-    part = pixels.noise_part(
+    factor, uncertainty = pixels.noise_part(
         second, first, noise, sample.fewest - 1.0, sample.kurtosis, calibration=calibration, samples=samples
     )
-    low, high = (part.factor + sign * Z95 * part.uncertainty for sign in (-1.0, 1.0))
+    low, high = (factor + sign * Z95 * uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
         yield from skipped(Cause.FEW_PIXELS, "noise and texture cannot be separated in these pixels", "noise_ratio")
         return
     why = f"noise is {np.median(noise / np.diag(first)):.2g} of the predicted variance (median over bands)"
-    yield row("noise_ratio", part.factor**-0.5, (high**-0.5, low**-0.5), n=sample.n, reason=why)
+    yield row("noise_ratio", factor**-0.5, (high**-0.5, low**-0.5), n=sample.n, reason=why)
 
 
 def _row(metric: str, value: float, interval: tuple[Any, Any], n: int, reason: str = "") -> Result:

@@ -345,10 +345,10 @@ def emulated(world: World, inputs: Sequence[UncertainInput]) -> Emulated:
         room, _, name = item.path.partition(".")
         if room == "atmosphere":
             at = state_value(state, name)
-            ends = [float(item.moved(z)[item.path][0]) for z in (-_NODE, _NODE)]
+            ends = [float(item.direction(0, z)[item.path][0]) for z in (-_NODE, _NODE)]
             ends = [end for end in ends if abs(end - at) > 1e-12]  # a node at the end of the range may be the stated
             if ends:
-                nodes[name], off[name] = [at, *ends], float(item.moved(1.0)[item.path][0])
+                nodes[name], off[name] = [at, *ends], float(item.direction(0, 1.0)[item.path][0])
     if not nodes:
         return Emulated(world, 1, None)
     star = replace(engine, nodes=nodes, star=True, kept={})

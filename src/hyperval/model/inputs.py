@@ -176,10 +176,6 @@ class UncertainInput:
         """The truth ``z`` units along direction ``k``, the rest as stated."""
         return self.along(z * np.eye(len(self.rows))[k])
 
-    def moved(self, z: float) -> dict[str, Any]:
-        """The truth ``z`` units along the leading direction."""
-        return self.direction(0, z)
-
 
 def together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
     """The truth in which several inputs are moved at once: changes of what stands at one path add up."""

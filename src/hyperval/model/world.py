@@ -606,17 +606,13 @@ def with_truths(world: World, truths: Sequence[Truth]) -> World:
     for path in dict.fromkeys(p for truth in truths for p in truth):
         if find(world.stated, path).shape == "number":
             here = world.moved[path][0] if path in world.moved else None  # as stated
-            values[path] = column_of([_one(truth.get(path, here)) for truth in truths])
+            each = [truth.get(path, here) for truth in truths]
+            values[path] = column_of([v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in each])
         else:
             here = value_at(world, path)[0]
-            each = (np.asarray(truth.get(path, here), dtype=float) for truth in truths)
-            values[path] = np.array(np.broadcast_arrays(*each))
+            spectra = (np.asarray(truth.get(path, here), dtype=float) for truth in truths)
+            values[path] = np.array(np.broadcast_arrays(*spectra))
     return replace(with_values(world, values), size=len(truths))
-
-
-def _one(value: Any) -> Any:
-    """A number or an entry, from what may be an array of one number."""
-    return value.reshape(-1)[0].item() if isinstance(value, np.ndarray) and value.size == 1 else value
 
 
 _AGAIN = 16  # of the latest scenarios that were read again

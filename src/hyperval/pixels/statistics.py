@@ -630,14 +630,6 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, float]:
 _LEAST_TEXTURE = 1e-6
 
 
-@dataclass(frozen=True)
-class NoisePart:
-    """Factor on the stated variance of the noise that the pixels show, and its standard uncertainty [1]."""
-
-    factor: float
-    uncertainty: float
-
-
 def noise_part(
     measured: npt.ArrayLike,
     expected: npt.ArrayLike,
@@ -647,8 +639,10 @@ def noise_part(
     *,
     calibration: npt.ArrayLike = 0.0,
     samples: int = 2,
-) -> NoisePart:
-    """Factor a on the noise in S = a N + g T, by quadratic estimation of variance components.
+) -> tuple[float, float]:
+    """Factor a on the noise in S = a N + g T and its standard uncertainty [1].
+
+    By quadratic estimation of variance components.
 
     With W = Sigma^-1, Sigma = N + T, the two traces tr(W N W S) and tr(W T W S) are equated to what they are
     expected to be (MINQUE: Rao, J. Multivariate Anal. 1, 257-275, 1971).  That is right on average whatever a and g
@@ -669,8 +663,8 @@ def noise_part(
     Examples
     --------
     >>> noise, texture = np.array([1.0, 2.0, 1.0]), np.full((3, 3), 4.0)
-    >>> found = noise_part(1.21 * np.diag(noise) + 0.9 * texture, np.diag(noise) + texture, noise, 1000.0)
-    >>> round(found.factor, 12), round(found.uncertainty, 3)
+    >>> factor, uncertainty = noise_part(1.21 * np.diag(noise) + 0.9 * texture, np.diag(noise) + texture, noise, 1000.0)
+    >>> round(factor, 12), round(uncertainty, 3)
     (1.21, 0.038)
     """
     s, sigma, n = (np.asarray(x, dtype=float) for x in (measured, expected, noise))
@@ -690,7 +684,7 @@ def noise_part(
     variance = (inverse @ covariance @ inverse.T)[0, 0]
     by_band = np.einsum("i,ibb->b", inverse[0], np.array(seen))
     columns = 2.0 / (samples - 1.0) * np.sum((by_band * calibration) ** 2)
-    return NoisePart(float(factors[0]), float(np.sqrt(variance + columns)))
+    return float(factors[0]), float(np.sqrt(variance + columns))
 
 
 # With m draws the r-th least and r-th greatest, r = 0.025 (m + 1), bound a further draw with probability 0.95,

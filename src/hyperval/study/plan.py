@@ -274,10 +274,6 @@ class Plan:
     sky_error: Mapping[str, float]
     log: InputLog
 
-    def columns(self, start: int, stop: int) -> dict[str, Column]:
-        """Dotted path -> values at the points from ``start`` to before ``stop``."""
-        return moved(self.study.inputs, input_values(self.study, start, stop))
-
 
 def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     """Check a study against its scenario and run its atmosphere.
@@ -287,10 +283,13 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     UsageError : inputs or outputs that the scenario does not have, or values that it does not take.
     InputError, EngineError : as ``predict``.
     """
-    scenario = _scenario(study)
+    file = None if study.folder is None else study.folder / study.scenario
+    file = None if study.scenario in builtin_scenarios() else file
+    scenario = load_scenario(file or study.scenario)
+    scenario = with_settings(scenario, study.settings) if study.settings else scenario
     log = InputLog(scenario.folder or study.folder)
-    if study.folder is not None and study.scenario not in builtin_scenarios():
-        log.add((study.folder / study.scenario).resolve(), study.scenario)
+    if file is not None:
+        log.add(file.resolve(), study.scenario)
     states, nodes = _states(study, scenario)
     # What has one value beside others that are interpolated is set.
     alone = {key: nodes.pop(key)[0] for key in [key for key, values in nodes.items() if len(values) == 1]}
@@ -304,14 +303,6 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     plan = Plan(study, scenario, world, (), {}, log)
     plan = replace(plan, sky_error=_sky_error(plan) if nodes else {})
     return replace(plan, notes=tuple(_notes(plan)))
-
-
-def _scenario(study: StudyFile) -> Scenario:
-    if study.scenario in builtin_scenarios() or study.folder is None:
-        scenario = load_scenario(study.scenario)
-    else:
-        scenario = load_scenario(study.folder / study.scenario)
-    return with_settings(scenario, study.settings) if study.settings else scenario
 
 
 def try_values(study: StudyFile, world: World) -> None:
@@ -412,7 +403,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     radiance, expected = (mean_radiance(terms, GROUND, GROUND)[seen] for terms in (ours, theirs))
     error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
-    columns = plan.columns(0, min(count, study.count))
+    columns = moved(study.inputs, input_values(study, 0, min(count, study.count)))
     short = len(next(iter(columns.values())))
     columns = {p: c[np.arange(count) % short] for p, c in columns.items()}
     columns |= states

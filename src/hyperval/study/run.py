@@ -28,7 +28,7 @@ from hyperval.progress import track
 from hyperval.run import Run, harmless
 from hyperval.storage import partial_folder, whole_folder, write_text
 from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
-from hyperval.study.plan import Plan, answers, fields_of, input_values, output_values, plain_value, plan_study
+from hyperval.study.plan import Plan, answers, fields_of, input_values, moved, output_values, plain_value, plan_study
 from hyperval.study.schema import StudyFile, load_study
 
 Array = npt.NDArray[np.float64]
@@ -67,7 +67,8 @@ def study_to_folder(
     """
     with whole_folder(Path(output)) as folder:  # first of all: hours may be spent on it
         plan = plan_study(load_study(Path(path)), show_progress=show_progress)
-        chunk = chunk_size(plan.study.count)
+        # Points evaluated and kept at once: by the study alone, as the last digits follow from the chunks.
+        chunk = int(np.clip(-(-plan.study.count // _CHUNKS), _SMALLEST, _LARGEST))
         store = PointStore(partial_folder(Path(output)), identity(plan, chunk))
         left = plan.study.count - len(store)
         # Starting processes takes longer than a few thousand points of linear detectors.
@@ -81,11 +82,6 @@ def study_to_folder(
         _write(plan, table, folder, show_progress)
     store.remove()
     return 0
-
-
-def chunk_size(points: int) -> int:
-    """Points evaluated and kept at once: it follows from the study alone, as the last digits do from the chunks."""
-    return int(np.clip(-(-points // _CHUNKS), _SMALLEST, _LARGEST))
 
 
 def identity(plan: Plan, chunk: int) -> str:
@@ -121,7 +117,7 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     plan: Plan = packed.open()
     study, parts, reasons, values_of = plan.study, [], dict[int, str](), partial(output_values, plan.world)
     for low in range(start, stop, _BATCH):
-        columns = plan.columns(low, min(low + _BATCH, stop))
+        columns = moved(study.inputs, input_values(study, low, min(low + _BATCH, stop)))
         values, problems = values_of(columns, study.outputs)
         said = {i: [text] for i, text in problems.items()}
         row = [values]

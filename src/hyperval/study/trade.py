@@ -32,7 +32,7 @@ from hyperval.model.stated import state_entries
 from hyperval.model.world import column_of, fits
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
-from hyperval.settings import path_parts, with_settings
+from hyperval.settings import numbers_of, path_parts, setting, with_settings
 from hyperval.study.page import cell_edges, heat_mark
 from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, input_values, moved, of_truths, output_values
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
@@ -157,7 +157,9 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prep
     own = [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
     if scenario.scene.targets:
         settings["processing.detectors"] = [detector or (own[0] if own else "cem")]
-    fixed = _fixed_fills(scenario)
+    # Population of a fixed fill -> path of the fill, and the fill.
+    paths = [path for path in numbers_of(scenario) if path.endswith(".fill.fixed")]
+    fixed = {path_parts(p)[-3]: (p.removesuffix(".fixed"), float(setting(scenario, p))) for p in paths}
     if side_m is not None and fixed:
         path, fill = fixed.get(of) or next(iter(fixed.values()))
         geometry = {"side_m": side_m, "gsd_m": side_m / math.sqrt(max(fill, 1e-4)), "heading_deg": "random"}
@@ -185,18 +187,6 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prep
 
 def _read(scenario: Scenario, settings: Mapping[str, Any]) -> World:
     return read(with_settings(scenario, settings) if settings else scenario, Origins(show_progress=False))
-
-
-def _fixed_fills(scenario: Scenario) -> dict[str, tuple[str, float]]:
-    """Population of a fixed fill -> path of the fill, and the fill."""
-    out = {}
-    for target in scenario.scene.targets:
-        for population in target.populations:
-            within = f".subjects.[{population.name}]" if target.subjects else ""
-            if population.fill is not None and population.fill.fixed is not None:
-                path = f"scene.targets.[{target.name}]{within}.fill"
-                out[population.name] = path, float(population.fill.fixed)
-    return out
 
 
 def prepared(source: str, trade: Trade) -> Prepared:
