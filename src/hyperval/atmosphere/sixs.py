@@ -654,7 +654,7 @@ EMULATOR = "emulator.npz"
 _MIDDLE_ATM = {"dry": 0.5, "water": 0.8}  # p0
 _LOST = {"molecules": 0.5, "haze": 0.16}  # part of the scattered light that does not go on forward
 _HEIGHTS_KM = (0.5, 20.0)
-_LEAST_DEPTH = 0.015  # thinner haze is this one, scaled
+_LEAST_EMULATED = 0.015  # thinner haze is this one, scaled
 _RHO = 0.3  # ground over which the error of the transmittances is stated
 
 
@@ -693,7 +693,7 @@ def air_of(state: AtmosphericState) -> Air:
     *_, ground, height = in_standard_air(state, setting)
     air, above = air_column(us62, ground), 0.0 if height is None else air_column(us62, ground + height)
     depth, fraction = state.aerosol_optical_depth, state.aerosol_fraction_below
-    used, share = trusted_stand_ins(np.full(NODES_NM.size, max(depth, _LEAST_DEPTH)), fraction, height)
+    used, share = trusted_stand_ins(np.full(NODES_NM.size, max(depth, _LEAST_EMULATED)), fraction, height)
     scale = 2.0 if height is None else min(-height / np.log1p(-min(share[0], 1.0 - 1e-9)), 4.0)
     total, part = depth / used, depth * fraction / (used * share)
     return Air(
