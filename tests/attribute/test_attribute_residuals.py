@@ -37,8 +37,7 @@ def test_spectra_are_compared_where_both_have_bands_and_some_light():
 def test_spectra_that_are_exchanged_or_lose_light_to_other_wavelengths():
     means = {"grass": [1.0, 3.0], "roof": [2.0, 2.0]}
     seen = {name: products.SpectralEstimate(np.array(mean), np.eye(2)) for name, mean in means.items()}
-    both = (kind(AXIS, radiance=seen) for kind in (products.PredictedProducts, products.ObservedProducts))
-    stack = stacked(*both)
+    stack = stacked(products.PredictedProducts(AXIS, radiance=seen), products.ObservedProducts(AXIS, radiance=seen))
     ((candidate, change),) = stack.exchanged(stack.observed).items()
     assert candidate.labels == ("grass and roof",)
     assert (stack.observed + change[:, 0]).tolist() == [2.0, 2.0, 1.0, 3.0]

@@ -25,6 +25,7 @@ from hyperval.attribute.posterior import (
     ALL,
     NONE,
     NOTHING,
+    Hypothesis,
     Posterior,
     Reasoner,
     Whitened,
@@ -70,7 +71,7 @@ _OF_DATA: tuple[tuple[str, str, Callable[[float], Mapping[str, float]]], ...] = 
     ("offset of the data", "0.01 of the mean", lambda z: {"offset": 0.01 * z}),
     ("wavelength shift", "0.5 nm", lambda z: {"nm": 0.5 * z}),
 )
-_OF_DATA_AT = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
+_AT = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
 _EVERYTHING, SINCE = "every input", "since the accepted run"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
@@ -153,7 +154,8 @@ class Causes:
     def changed(self, told: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
         """What explains the change since a run with the sides ``told``; None where both share no quantity.
 
-        The same data and the same draws have no noise: what was measured moved, or the prediction did.  Where measured
+        What is less than its uncertainty is nothing to explain.  Else the same data and the same draws have no noise:
+        what was measured moved, or the prediction did.  Where measured
         spectra moved the data are to say why, and the model too where they are ``simulated``; else the model.
         """
         places, then = [], []
@@ -167,6 +169,8 @@ class Causes:
             return None
         spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.columns
         moved, of_model = self.stack.observed[of] - observed, predicted - self.predicted[of]
+        if Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square < 1.0:
+            return Posterior(ALL, 0.0, of.size, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
         if np.any(np.abs(moved) > STILL * np.abs(observed), where=spectral[of]):
             level[of] = np.where(spectral[of], observed, predicted)
             light = (spectral | (self.stack.named("product") == "snr"))[of]
@@ -180,12 +184,8 @@ class Causes:
             if by_entry.enough:
                 return by_entry
         if np.any(np.abs(moved) > CHANGE_FLOOR):
-            steps = {
-                Candidate(name, "sensor", step, False, sizes=_OF_DATA_AT): np.column_stack(
-                    [self.mistaken(mistake(z)) for z in _OF_DATA_AT]
-                )
-                for name, step, mistake in _OF_DATA
-            }
+            columns_of = {name: np.column_stack([self.mistaken(told(z)) for z in _AT]) for name, _, told in _OF_DATA}
+            steps = {Candidate(name, "sensor", step, False, sizes=_AT): columns_of[name] for name, step, _ in _OF_DATA}
             by_data = self.or_displaced(moved, of, level, steps, regions=False)
             if by_data.first not in (NONE, NOTHING):
                 return by_data
@@ -203,8 +203,9 @@ class Causes:
                 if by not in effects and any(by):
                     effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions})
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
-            name = "position of the regions" if regions else "position of the target regions"
-            place = Candidate(name, "scene", "", False, labels=labels)
+            place = Candidate(
+                f"position of the {'' if regions else 'target '}regions", "scene", "", False, labels=labels
+            )
             found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})
             best = next((f for f in found.fits if f.candidate == place), None)
             if best is None or found.enough:
@@ -462,7 +463,7 @@ def _of_spectra(
 
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
     # The test of all products together concludes too, and informs.
-    words = "nothing changed" if r.group == SINCE and r.first == NOTHING else r.conclusion
+    words = "nothing changed by its uncertainty" if r.group == SINCE and r.first == NOTHING else r.conclusion
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
     if r.group != SINCE and (r.too_wide or not r.passes):
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
