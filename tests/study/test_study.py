@@ -24,7 +24,6 @@ from hyperval.scenario import load_scenario
 from hyperval.settings import with_settings
 from hyperval.study import Output, Required, answers, knee, load_study, output_values, study_to_folder
 
-# The whole command: designs, tables, answers, interruption, workers, exit codes.
 PD = Output(name="pd", kind="pd", subject="plank", pfa=1e-3)
 
 

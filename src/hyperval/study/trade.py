@@ -302,7 +302,7 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
         more["family"] = overlays[0].name
     inputs, scale = [*overlays, *axes], p.inputs[trade.x].spacing
     data = {
-        "schema": 1, "name": "trade", "title": f"{KINDS[trade.output]} against {' and '.join(i.label for i in inputs)}",
+        "schema": 1, "name": "trade", "title": f"{KINDS[trade.output]} against {' and '.join(i.label for i in axes)}",
         "scenario": scenario, "settings": settings, "inputs": inputs, "outputs": outputs,
         "plots": [Plot(x=axes[-1].name, output=o.name, scale=scale, **more) for o in outputs],
     }  # fmt: skip
