@@ -24,7 +24,6 @@ from PIL import Image
 
 from hyperval import cli
 from hyperval.campaign import eigenvalues_of
-from hyperval.figures.print import Print
 from hyperval.report.html import run_drawings
 
 SAMPLE = Path("reports") / "sample"
@@ -46,7 +45,7 @@ def smaller(content: bytes) -> str:
 def with_pictures(run: Path) -> str:
     """The page of a run with each of its figures as a picture, without what would draw them and without diagnostics."""
     pictures = {}
-    for drawing in run_drawings(run, Print("png", False), eigenvalues_of):
+    for drawing in run_drawings(run, eigenvalues_of, "png"):
         picture = f'<div class="card"><img src="{smaller(drawing.content)}" alt="{html.escape(drawing.alt)}"></div>'
         pictures.setdefault(drawing.name.removesuffix("-1"), picture)
 

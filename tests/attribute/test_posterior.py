@@ -75,9 +75,8 @@ def test_what_befalls_all_subjects_comes_before_what_befalls_one():
 
 
 def test_a_change_is_not_bounded_by_what_is_stated():
-    residual = 30.0 * (X - 0.5)
-    free = _posterior(residual, {replace(TILT, unbounded=True): COLUMNS[TILT]})
-    assert _posterior(residual, {TILT: COLUMNS[TILT]}).fits[0].limited
+    bounded, free = (_posterior(30.0 * (X - 0.5), {replace(TILT, unbounded=u): COLUMNS[TILT]}) for u in (False, True))
+    assert bounded.fits[0].limited
     assert (free.first, free.fits[0].units) == ("tilt", pytest.approx(30.0, rel=0.01))
 
 

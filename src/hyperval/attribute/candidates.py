@@ -210,14 +210,14 @@ class Candidate:
 
         >>> gain = Candidate("smooth gain", "sensor", "3 % in smooth pieces", False, knots_nm=(400.0, 600.0))
         >>> gain.in_words(np.array([-4.0, 1.0]))
-        'at most -12 % at 400 nm'
+        '-12 % at 400 nm and less elsewhere'
         """
         if self.labels:
             return self.labels[int(amplitudes[0])]
         number, _, unit = self.step.partition(" ")
         if self.knots_nm:
             most = int(np.argmax(np.abs(amplitudes)))
-            return f"at most {float(number) * amplitudes[most]:+.2g} % at {self.knots_nm[most]:g} nm"
+            return f"{float(number) * amplitudes[most]:+.2g} % at {self.knots_nm[most]:g} nm and less elsewhere"
         if not self.sizes or self.budgeted or not unit:
             size = f"{amplitudes[0]:+.2g}" if amplitudes.size == 1 else f"{np.sqrt(np.mean(amplitudes**2)):.2g}"
             return f"{size} times the {self.unit}"

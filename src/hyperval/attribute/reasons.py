@@ -54,8 +54,8 @@ from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 
 ATMOSPHERE, MOST_SCENARIOS = "atmosphere", 3  # inputs of this kind are asked for large errors in so many scenarios
-MOST_PIXELS = 2  # that regions may lie elsewhere
-MOST_ROUNDS, MOST_REFINED = 3, 4  # in which the model is asked again at the sizes found, of so many candidates
+# In which the model is asked again at the sizes found, of so many candidates; pixels that regions may lie elsewhere.
+MOST_ROUNDS, MOST_REFINED, MOST_PIXELS = 3, 4, 2
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 # A gain and an offset of the calibration that change smoothly over wavelength: a piece at each knot.
 SMOOTH_PART = 0.03
@@ -175,7 +175,8 @@ class Causes:
             level[of] = np.where(spectral[of], observed, predicted)
             light = (spectral | (self.stack.named("product") == "snr"))[of]
             of, moved = of[light], moved[light]
-            columns = {c: g for c, g in columns.items() if simulated or c.kind == "sensor"}
+            # No field spectrum, which could make anything, has moved what was measured.
+            columns = {c: g for c, g in columns.items() if c.kind == "sensor" or (simulated and not c.makes_anything)}
             columns |= self.of_spectra(level) | self.stack.exchanged(level)
             return self.or_displaced(moved, of, level, columns, regions=True)
         if np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]):

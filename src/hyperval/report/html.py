@@ -468,26 +468,31 @@ def flat(value: Any, at: str = "") -> dict[str, str]:
 Eigenvalues = Callable[[PredictedProducts, ObservedProducts], Mapping[tuple[str, str], EigenvalueSpectrum]]
 
 
-def figures_to_folder(run: Path, output: Path, eigenvalues: Eigenvalues, kind: Kind, journal: bool) -> int:
-    """Draw what the products of ``run`` and the reasons of its table allow into a new folder.
-
-    ``eigenvalues`` : the spread of its pixels
+def run_drawings(run: Path, eigenvalues: Eigenvalues, kind: Kind, journal: bool = False) -> list[Drawing]:
+    """What the products of a folder and the reasons of its table allow; ``eigenvalues`` : the spread of its pixels.
 
     Raises
     ------
     InputError : no products.nc, or a damaged one.
-    UsageError : products of which nothing can be drawn.
     """
     from hyperval.figures.print import drawings_of
 
-    sides, simulated = read_pair(run), is_simulated(run)
+    (predicted, observed), simulated = read_pair(run), is_simulated(run)
     known = Run.open(run) if is_run(run) else Run(ResultTable())
-    margin = equivalence_margin(known.provenance) if known.provenance else None
-    predicted, observed = sides
     spread = eigenvalues(predicted, observed) if predicted and observed else {}
-    figures = [criteria_figure(list(known.table)), *first_figures(sides)]
-    figures += further_figures(sides, known.table, spread, margin)
-    drawings = drawings_of([one for one in figures if one], simulated=simulated, kind=kind, journal=journal)
+    figures = [criteria_figure(list(known.table)), *first_figures((predicted, observed))]
+    figures += further_figures((predicted, observed), known.table, spread, equivalence_margin(known.provenance))
+    return drawings_of([one for one in figures if one], simulated=simulated, kind=kind, journal=journal)
+
+
+def figures_to_folder(run: Path, output: Path, eigenvalues: Eigenvalues, kind: Kind, journal: bool) -> int:
+    """Write the drawings of a run into a new folder.
+
+    Raises
+    ------
+    InputError, UsageError : as of :func:`run_drawings`, or products of which nothing can be drawn.
+    """
+    drawings = run_drawings(run, eigenvalues, kind, journal)
     refuse(not drawings, "results.figures", run)
     with whole_folder(output) as folder:
         for drawing in drawings:
