@@ -500,7 +500,7 @@ class Reasoner:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part."""
         order = sorted(h.causes, key=lambda f: f.candidate is not None and not f.candidate.is_shared)
         order.sort(key=lambda f: f.candidate is None)
-        if not self.noisy or order[0] is h.causes[0] if order else True:
+        if not self.noisy or not order or order[0] is h.causes[0]:
             return h
         causes, left = tuple[Fit, ...](), [float(e @ e)]
         for cause in order:

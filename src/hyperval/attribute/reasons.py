@@ -464,7 +464,7 @@ def _of_spectra(
 
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
     # The test of all products together concludes too, and informs.
-    words = "nothing changed by its uncertainty" if r.group == SINCE and r.first == NOTHING else r.conclusion
+    words = "no change beyond its uncertainty" if r.group == SINCE and r.first == NOTHING else r.conclusion
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
     if r.group != SINCE and (r.too_wide or not r.passes):
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
