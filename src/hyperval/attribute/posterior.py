@@ -333,6 +333,14 @@ class Posterior:
     def enough(self) -> bool:
         """Whether the named causes explain the residuals: what is left passes, they are few, within their bounds, could
         not make anything, and the first or those that cannot be told from it are likely.
+
+        >>> def said(r, *names):
+        ...     causes = [Candidate(name, "sensor", "1 %", False) for name in names]
+        ...     columns = {c: np.eye(8)[:, i : i + 1] for i, c in enumerate(causes)}
+        ...     found = Reasoner(columns, 0.1 * np.eye(8)[:, 4:]).posterior("all", np.pad(r, (0, 8 - len(r))))
+        ...     return len(found.best.causes), found.enough
+        >>> said([30.0], "gain"), said([30.0], "single bands")
+        ((1, True), (1, False))
         """
         causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.alike))
         inside = 0 < len(causes) < MOST_CAUSES and not any(
