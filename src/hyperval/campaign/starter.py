@@ -13,6 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,11 @@ from hyperval.observe import Place, open_place
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.spectra import SpectralAxis, in_window, read_records
+from hyperval.spectra import in_window, read_records
 from hyperval.storage import write_text
 from hyperval.units import is_radiance
 
-_REFLECTANCE_UNITS = ("fraction", "percent", "scaled:1000", "scaled:10000")
+_UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
 _RING_PIXELS = 4.0
 _MOST_SIZES = 12
 _FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
@@ -42,7 +43,12 @@ _SCALES = (0.01, 0.001, 0.0001)  # percent, and reflectance times 1000 or 10000
 _WHOLE = {"name": "whole image", "whole_image": True}
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
+_NAMED = {
+    "radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])",
+    "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])",
+}
 Mask = npt.NDArray[np.bool_]
+Entry = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -70,59 +76,26 @@ class StarterSources:
     key: str | None = None
 
 
-@dataclass
-class Draft:
-    """The content of a campaign file that grows, with its guesses by place, and where it will stand."""
+@dataclass(frozen=True)
+class RecordedSpectrum:
+    """A field spectrum that a name of the scene may go with.
 
-    folder: Path
-    content: dict[str, Any] = field(default_factory=dict)
-    guesses: dict[tuple[str, ...], str] = field(default_factory=dict)
+    Attributes
+    ----------
+    name : its own, or that of its file
+    path, record, unit : where it stands, and what its reader is to be told
+    flat : as flat as that of a calibration panel, of hardly any slope or feature
+    """
 
-    @property
-    def collection(self) -> dict[str, Any]:
-        """Its section of the collection."""
-        section: dict[str, Any] = self.content["collection"]
-        return section
-
-    def reference(self, path: Path) -> str:
-        """A file as the campaign names it: relative to the campaign's own folder."""
-        return os.path.relpath(path.resolve(), self.folder.resolve())
-
-    def guess(self, name: str, /, **words: object) -> None:
-        """Mark the value at a place of the content, as ``draft.yaml`` has both under a name."""
-        about = _templates()["guesses"][name]
-        self.guesses[tuple(about["at"].split("."))] = about["because"].format(**words)
-
-    def opened(self, **parts: Any) -> Place:
-        """The collection as it stands, with only these parts beside its cube."""
-
-        def resolve(reference: str) -> Path:
-            return Path(os.path.normpath(self.folder.resolve() / reference))
-
-        section = CollectionSection.model_validate({"cube": self.collection["cube"], **parts})
-        return open_place(section, resolve, show_progress=False)
-
-    def text(self) -> str:
-        """The campaign file: what was guessed has a comment before it."""
-        lines = yaml.dump(self.content, Dumper=_Written, sort_keys=False, allow_unicode=True, width=112).splitlines()
-        places = parse_yaml("\n".join(lines))[1]
-        comments: dict[int, str] = {}
-        for at, because in self.guesses.items():
-            place: Location = (at[0], 0, *at[1:]) if at[0] == "scenarios" and len(at) > 1 else at
-            if place in places:
-                row = places[place] - 1
-                row -= re.match(rf"[- ]*{at[-1]}:", lines[row]) is None  # what begins below its key
-                indent = len(lines[row]) - len(lines[row].lstrip())
-                comments[row] = comments.get(row, "") + f"{' ' * indent}# guess: {because}\n"
-        head = "# Written by hyperval init. What follows 'guess' was not stated by any file: check it.\n"
-        return head + "".join(f"{comments.get(row, '')}{line}\n" for row, line in enumerate(lines))
+    name: str
+    path: Path
+    record: str | None
+    unit: str | None
+    flat: bool
 
 
 class _Written(yaml.SafeDumper):  # type: ignore[misc]
     """What holds nothing but values stands on one line, sentences one a line."""
-
-    def __init__(self, *arguments: Any, **options: Any):
-        super().__init__(*arguments, **{**options, "default_flow_style": None})
 
     def ignore_aliases(self, data: Any) -> bool:
         """Write each entry out: the reader refuses aliases."""
@@ -144,28 +117,8 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     ------
     InputError : files that are missing or corrupt, regions outside the image.
     """
-    raster = open_raster(sources.cube, header=sources.header, variable=sources.key)
-    numbered = raster.description.listed() is None
-    silent = numbered or "MATLAB" in raster.description.product  # which say nothing of their numbers
-    quantity = sources.quantity or ("counts" if silent else stated_quantity(raster))
-    lines, samples, bands = raster.size
-    draft = Draft(folder)
-    cube = {"path": draft.reference(sources.cube)}
-    cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
-    cube |= {"header": draft.reference(sources.header)} if sources.header else {}
-    cube |= {"variable": sources.key} if sources.key else {}
-    draft.content = {
-        "schema": 1,
-        "name": name,
-        "title": f"{name}: {quantity or 'unknown'} of {sources.cube.name}",
-        "description": f"{(quantity or 'unknown').capitalize()} image of {lines} lines, {samples} samples "
-        f"and {bands} bands; drafted from its files, not yet reviewed.",
-        "assumptions": [],
-        "collection": {"cube": cube, "regions": [{"file": draft.reference(path)} for path in sources.regions]},
-    }
-    (_by_objects if numbered or quantity == "counts" else _by_wavelength)(sources, raster, draft, quantity)
-    guesses = [f"{'.'.join(at)}: {because}" for at, because in draft.guesses.items()]
-    draft.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
+    draft = Draft(sources, folder, open_raster(sources.cube, header=sources.header, variable=sources.key), name)
+    guesses = draft.complete()
     return draft.text(), guesses
 
 
@@ -174,57 +127,358 @@ def _templates() -> dict[str, Any]:
     return content
 
 
-def _by_wavelength(sources: StarterSources, raster: Raster, draft: Draft, quantity: str | None) -> None:
-    """The content of a campaign of an image with wavelengths."""
-    collection = draft.collection
-    if quantity and sources.quantity is None and raster.description.quantity is None:
-        draft.guess("quantity", quantity=quantity)
-    if quantity == "radiance":
-        unit = sources.unit or _stated_unit(raster)
-        if unit is not None or raster.description.unit is None:
-            collection["cube"]["unit"] = unit or f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
-    collection["regions"] = collection["regions"] or [_WHOLE]
-    if any(str(value).startswith(FILL_IN) for value in collection["cube"].values()):
-        flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
-        wanted = {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
-        further = ", ".join(option for name, option in wanted.items() if not getattr(sources, name))
-        draft.guess("no image", further=further or "nothing")
-        return
-    _scale(raster, draft)
-    for entry in collection["regions"] if sources.regions else ():  # where they are not those of the format
-        kinds = {kind: {"file": entry["file"], "kind": kind} for kind in ("pixel", "map")}
-        _stated(entry, "coordinates", kinds, draft, regions=[entry])
-    place = _place(sources, draft)
-    if not any(place.pixels_of(region).any() for region in place.regions):  # of targets alone
-        collection["regions"].append(_WHOLE)
-        place = _place(sources, draft)
-    spectra = field_spectra(sources.spectra)
-    matched = {region: match for region in place.regions if (match := matching_spectrum(region, spectra))}
-    flat = [region for region, match in matched.items() if match.flat]
-    panels = [region for region in place.regions if _PANEL.search(region) or (len(flat) > 1 and region in flat)]
-    known = [panel for panel in panels if panel in matched]
-    if quantity == "radiance" and len(known) > 1:
-        entries = [{"region": panel, "spectrum": matched[panel].source(draft)} for panel in known]
-        collection["empirical_line"] = {"panels": entries}
-        draft.guess("line", panels=", ".join(known))
-    if panels:
-        collection["leave_out"] = panels
-        collection["snr_regions"] = panels
-    materials = list(dict.fromkeys(target.material for target in place.targets))
-    try:
-        model = _scenario(sources, place, str(quantity), panels, matched, draft)
-        _add_targets(place, materials, spectra, model, draft)
-        draft.content["scenarios"] = [model]
-        draft.content["comparisons"] = usual_comparisons(draft.content)
-        refuse(not draft.content["comparisons"], "starter.nothing", names=", ".join([*place.regions, *materials]))
-    except UsageError as error:
-        for key in ("scenarios", "comparisons", "detection"):
-            draft.content.pop(key, None)
-        draft.guesses = {at: why for at, why in draft.guesses.items() if at[0] == "collection"}
-        draft.guess("no prediction", what=error.what, expected=error.expected)
+@dataclass
+class Draft:
+    """The content of a campaign file that grows, with its guesses by place.
+
+    Attributes
+    ----------
+    folder : where it will stand
+    raster : the image
+    """
+
+    sources: StarterSources
+    folder: Path
+    raster: Raster
+    name: str
+    content: Entry = field(default_factory=dict)
+    guesses: dict[tuple[str, ...], str] = field(default_factory=dict)
+
+    def complete(self) -> list[str]:
+        """Write all that can be known or guessed; the guesses in words."""
+        sources, about = self.sources, self.raster.description
+        numbered = about.listed() is None
+        silent = numbered or "MATLAB" in about.product  # which say nothing of their numbers
+        quantity = sources.quantity or ("counts" if silent else stated_quantity(self.raster))
+        lines, samples, bands = self.raster.size
+        cube = {"path": self.reference(sources.cube)}
+        cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
+        cube |= {"header": self.reference(sources.header)} if sources.header else {}
+        cube |= {"variable": sources.key} if sources.key else {}
+        self.content = {
+            "schema": 1,
+            "name": self.name,
+            "title": f"{self.name}: {quantity or 'unknown'} of {sources.cube.name}",
+            "description": f"{(quantity or 'unknown').capitalize()} image of {lines} lines, {samples} samples "
+            f"and {bands} bands; drafted from its files, not yet reviewed.",
+            "assumptions": [],
+            "collection": {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]},
+        }
+        if numbered or quantity == "counts":
+            self._by_objects()
+        else:
+            self._by_wavelength(quantity)
+        guesses = [f"{'.'.join(at)}: {because}" for at, because in self.guesses.items()]
+        self.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
+        return guesses
+
+    @property
+    def collection(self) -> Entry:
+        """Its section of the collection."""
+        section: Entry = self.content["collection"]
+        return section
+
+    @property
+    def quantity(self) -> str:
+        """What the image holds."""
+        return str(self.collection["cube"]["quantity"])
+
+    def reference(self, path: Path) -> str:
+        """A file as the campaign names it: relative to the campaign's own folder."""
+        return os.path.relpath(path.resolve(), self.folder.resolve())
+
+    def guess(self, name: str, /, **words: object) -> None:
+        """Mark the value at a place of the content, as ``draft.yaml`` has both under a name."""
+        about = _templates()["guesses"][name]
+        self.guesses[tuple(about["at"].split("."))] = about["because"].format(**words)
+
+    def opened(self, **parts: Any) -> Place:
+        """The collection as it stands, with only these parts beside its cube."""
+
+        def resolve(reference: str) -> Path:
+            return Path(os.path.normpath(self.folder.resolve() / reference))
+
+        section = CollectionSection.model_validate({"cube": self.collection["cube"], **parts})
+        return open_place(section, resolve, show_progress=False)
+
+    def text(self) -> str:
+        """The campaign file: what was guessed has a comment before it."""
+        style: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": 112, "default_flow_style": None}
+        lines = yaml.dump(self.content, Dumper=_Written, **style).splitlines()
+        places = parse_yaml("\n".join(lines))[1]
+        comments: dict[int, str] = {}
+        for at, because in self.guesses.items():
+            place: Location = (at[0], 0, *at[1:]) if at[0] == "scenarios" and len(at) > 1 else at
+            if place in places:
+                row = places[place] - 1
+                row -= re.match(rf"[- ]*{at[-1]}:", lines[row]) is None  # what begins below its key
+                indent = len(lines[row]) - len(lines[row].lstrip())
+                comments[row] = comments.get(row, "") + f"{' ' * indent}# guess: {because}\n"
+        head = "# Written by hyperval init. What follows 'guess' was not stated by any file: check it.\n"
+        return head + "".join(f"{comments.get(row, '')}{line}\n" for row, line in enumerate(lines))
+
+    # An image with wavelengths ----------------------------------------------------------------------------------------
+
+    def _by_wavelength(self, quantity: str | None) -> None:
+        collection, sources, stated = self.collection, self.sources, self.raster.description
+        if quantity and sources.quantity is None and stated.quantity is None:
+            self.guess("quantity", quantity=quantity)
+        if quantity == "radiance":
+            unit = sources.unit or _stated_unit(self.raster)
+            if unit is not None or stated.unit is None:
+                collection["cube"]["unit"] = unit or f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
+        collection["regions"] = collection["regions"] or [_WHOLE]
+        if any(str(value).startswith(FILL_IN) for value in collection["cube"].values()):
+            flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
+            wanted = {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
+            further = ", ".join(option for name, option in wanted.items() if not getattr(sources, name))
+            self.guess("no image", further=further or "nothing")
+            return
+        self._scale()
+        for entry in collection["regions"] if sources.regions else ():  # where they are not those of the format
+            kinds = {kind: {"file": entry["file"], "kind": kind} for kind in ("pixel", "map")}
+            self._stated(entry, "coordinates", kinds, regions=[entry])
+        place = self._place()
+        if not any(place.pixels_of(region).any() for region in place.regions):  # of targets alone
+            collection["regions"].append(_WHOLE)
+            place = self._place()
+        matched = {region: match for region in place.regions if (match := self.matching(region))}
+        flat = [region for region, match in matched.items() if match.flat]
+        panels = [region for region in place.regions if _PANEL.search(region) or (len(flat) > 1 and region in flat)]
+        known = [panel for panel in panels if panel in matched]
+        if quantity == "radiance" and len(known) > 1:
+            entries = [{"region": panel, "spectrum": self._spectrum(matched[panel])} for panel in known]
+            collection["empirical_line"] = {"panels": entries}
+            self.guess("line", panels=", ".join(known))
+        if panels:
+            collection["leave_out"] = collection["snr_regions"] = panels
+        try:
+            model = self._scenario(place, panels, matched)
+            self._add_targets(place, model)
+            self.content["scenarios"] = [model]
+            self.content["comparisons"] = usual_comparisons(self.content)
+            names = ", ".join([*place.regions, *dict.fromkeys(target.material for target in place.targets)])
+            refuse(not self.content["comparisons"], "starter.nothing", names=names)
+        except UsageError as error:
+            for key in ("scenarios", "comparisons", "detection"):
+                self.content.pop(key, None)
+            self.guesses = {at: why for at, why in self.guesses.items() if at[0] == "collection"}
+            self.guess("no prediction", what=error.what, expected=error.expected)
+
+    def _scale(self) -> None:
+        """State the scale of an image whose header does not.
+
+        Of reflectance, the largest that makes reflectances of the values; of radiance, the divisor that the header
+        states for a reflectance, as some programs write it for either.
+        """
+        entries, tried = self.raster.description.entries, dict[float, str]()
+        if self.quantity == "reflectance":
+            tried = {scale: f"{scale:g}, the largest that makes the values reflectances" for scale in _SCALES}
+        elif "reflectance scale factor" in entries and "data gain values" not in entries:
+            factor = float(entries["reflectance scale factor"])  # the reader has found it a number
+            why = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
+            tried = {1.0 / factor: why}
+        self._stated(self.collection["cube"], "scale", {scale: {"why": why} for scale, why in tried.items()})
+
+    def _stated(self, entry: Entry, key: str, values: Mapping[Any, Mapping[str, Any]], **parts: Any) -> None:
+        """State the first value of a key with which the collection opens, and its guess; none where it opens so."""
+        try:
+            self.opened(**parts)
+        except HypervalError as first:
+            for value, words in values.items():
+                entry[key] = value
+                with suppress(HypervalError):
+                    self.opened(**parts)
+                    return self.guess(key, **words)
+            raise first from None
+
+    def _place(self) -> Place:
+        """The opened collection, its targets one material for each region of their file."""
+        parts: Entry = {"regions": self.collection["regions"]}
+        if self.sources.targets is not None:
+            size = self.sources.pixel_size_m
+            truth = {"guard_pixels": 2} | ({"pixel_size_m": size} if size is not None else {})
+            file = self.reference(self.sources.targets)
+            own: Entry = {"csv": file}
+            if not _is_list(self.sources.targets):
+                every = [{"material": "every region", "file": file}]
+                found = self.opened(**parts, targets={"regions": every, **truth}).targets
+                names = dict.fromkeys(target.attributes["region"] for target in found)
+                own = {"regions": [{"material": name, "file": file, "regions": [name]} for name in names]}
+            parts["targets"] = self.collection["targets"] = own | truth
+        return self.opened(**parts)
+
+    # Spectra ----------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def spectra(self) -> list[RecordedSpectrum]:
+        """The reflectance spectra of the files, with the unit that each needs to be told."""
+        out: list[RecordedSpectrum] = []
+        for path in self.sources.spectra:
+            for file in filter(Path.is_file, sorted(path.iterdir()) if path.is_dir() else [path]):
+                try:
+                    out += _records(file)
+                except HypervalError:
+                    if file == path:  # of a folder only the files that hold spectra count
+                        raise
+        return out
+
+    def matching(self, name: str) -> RecordedSpectrum | None:
+        """The spectrum of the same name, else the only one with all its words, else the only one whose words it has."""
+        words = _words(name)
+        for test in (frozenset.__eq__, frozenset.__ge__, frozenset.__le__):
+            fits = [s for s in self.spectra if _words(s.name) and test(_words(s.name), words)]
+            if len(fits) == 1:
+                return fits[0]
+        return None
+
+    def _spectrum(self, one: RecordedSpectrum) -> Entry:
+        """As a scenario names it."""
+        entry = {"file": self.reference(one.path), "record": one.record, "reflectance_unit": one.unit}
+        return {key: value for key, value in entry.items() if value is not None}
+
+    # The model --------------------------------------------------------------------------------------------------------
+
+    def _scenario(self, place: Place, panels: Sequence[str], matched: Mapping[str, RecordedSpectrum]) -> Entry:
+        """Classes, panels, atmosphere and sensor of the model; UsageError where nothing has a reflectance."""
+        ground = [region for region in place.regions if region not in panels and place.pixels_of(region).any()]
+        measured = self.quantity == "reflectance" or "empirical_line" in self.collection
+        classes = [region for region in ground if measured or region in matched]
+        refuse(not classes, "starter.ground", names=", ".join(ground) or "regions")
+        pixels = np.array([place.pixels_of(region).sum() for region in classes], float)
+        shares = np.round(pixels / pixels.sum(), 4)
+        shares[-1] = 1.0 - shares[:-1].sum()
+        surfaces: list[Entry] = []
+        for region, share in zip(classes, shares, strict=True):
+            surfaces.append({"name": region, "fraction": round(float(share), 4), "spectrum": {"measured": region}})
+            if region in matched:
+                spread = {"measured": region} if measured else {"relative_sd": 0.1}
+                surfaces[-1] |= {"spectrum": self._spectrum(matched[region]), "covariance": spread}
+        scene: Entry = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
+        self.guess("classes")
+        known = [panel for panel in panels if panel in matched]
+        if known:
+            scene["panels"] = [{"name": panel, "spectrum": self._spectrum(matched[panel])} for panel in known]
+        flight = self._flight(place) if self.quantity == "radiance" else {}
+        processing: Entry = {"detectors": ["cem"], "bands": {"drop_bad": True}}
+        processing |= {} if self.quantity == "radiance" and measured else {"elm": "none"}
+        out = {"schema": 1, "name": self.name, **flight, "scene": scene, "processing": processing}
+        self._known_to(out, [*(region for region in classes if region in matched), *known])
+        return out
+
+    def _flight(self, place: Place) -> Entry:
+        """Atmosphere, sun, sensor, and what is known of them."""
+        sources, usual = self.sources, _templates()["flight"]
+        state, self.collection["calibration"] = usual["atmosphere"], usual["calibration"]
+        for name in ("atmosphere", "state", "calibration"):
+            self.guess(name)
+        centre = centre_of(place)
+        if centre is not None:
+            state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
+        stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
+        state |= {key: value for key, value in stated.items() if value}
+        sensor = sources.sensor or self._library_sensor(place)
+        is_file = sources.sensor is not None and Path(sensor).is_file()
+        sensor = self.reference(Path(sensor)) if is_file else sensor
+        return {"atmosphere": state, "sensor": sensor, "uncertainty": usual["uncertainty"]}
+
+    def _library_sensor(self, place: Place) -> str:
+        """The sensor of the library with the bands of the image."""
+        axis = place.cube.axis
+        for name in library_names():
+            own = load_sensor(name).axis
+            if len(own) == len(axis) and np.all(np.abs(own.centre_nm - axis.centre_nm) < own.fwhm_nm):
+                self.guess("sensor", name=name)
+                return name
+        has = f"no sensor of the library has these {len(axis)} bands"
+        return f"{FILL_IN}: {has}; --sensor names a file (hyperval sensor new)"
+
+    def _add_targets(self, place: Place, scenario: Entry) -> None:
+        """Detection in the image, and the targets of the model."""
+        materials = list(dict.fromkeys(target.material for target in place.targets))
+        known = {m: match for m in materials if (match := self.matching(m))}
+        if not known and len(materials) == len(self.spectra) == 1:
+            known = {materials[0]: self.spectra[0]}
+            self.guess("only one", spectrum=self.spectra[0].name, material=materials[0])
+        if not known:
+            return
+        if self.quantity == "radiance" and "empirical_line" not in self.collection:
+            self.guess("no detection")
+            return
+        members = {material: [t for t in place.targets if t.material == material] for material in known}
+        sizes = {material: _sizes(own) for material, own in members.items()}
+        looked_for = [{"name": m, "material": m, "spectrum": self._spectrum(match)} for m, match in known.items()]
+        group = "{target} {side_m} m" if all(sizes.values()) else "{material}"
+        self.content["detection"] = {"group": group, "detectors": ["cem"], "targets": looked_for}
+        classes = [c["name"] for c in scenario["scene"]["classes"]]
+        entries = scenario["scene"]["targets"] = []
+        for material, own in members.items():
+            fills: Entry = {"fill": _fill(place, own)}
+            if all(sizes.values()):
+                each = {size: [t for t in own if _size(t) == size] for size in sizes[material]}
+                names = [{"name": f"{material} {size} m", "fill": _fill(place, some)} for size, some in each.items()]
+                fills = {"subjects": names}
+            spread = {"relative_sd": 0.03, "band_sd": 0.001}
+            target = {"name": material, "spectrum": self._spectrum(known[material]), "covariance": spread}
+            entries.append({**target, "host": _host(place, own, classes), **fills})
+        self.guess("targets")
+        self._known_to(scenario, list(known))
+
+    def _known_to(self, scenario: Entry, subjects: Sequence[str]) -> None:
+        """State how well field spectra of subjects are known."""
+        if subjects:
+            entries = [{"subject": subject, "relative": 0.05, "correlation_nm": 200} for subject in subjects]
+            scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
+            self.guess("field spectra")
+
+    # Counts, or an image without wavelengths: a map of objects, and what they stand before ----------------------------
+
+    def _by_objects(self) -> None:
+        collection = self.collection
+        collection["cube"]["by_number"] = True
+        collection["regions"].insert(0, _WHOLE)
+        self.guess("no wavelengths" if self.raster.description.listed() is None else "no quantity")
+        detection = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good", "detectors": ["rx"]}
+        self.content["detection"] = detection
+        masks, why = self._object_masks()
+        if len(masks) < 2:
+            self.guess("anomalies", why=why)
+            return
+        scored, known = masks[::2], np.logical_or.reduce(masks[1::2])
+        marked = {"known objects": known} | {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
+        rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
+        write_text(self.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
+        named: Entry = {"variable": self.sources.key, "header": self.sources.header, "quantity": self.quantity}
+        cube = open_cube(self.sources.cube, axis="numbers", **named)
+        mean = "\n".join(map(repr, np.nan_to_num(cube.spectra(known).mean(axis=0)).tolist()))
+        write_text(self.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
+        usual, pixels = _templates()["objects"], int(np.sum(known))
+        collection["regions"].append({"name": "known objects", "file": "objects.csv"})
+        collection |= usual["collection"]
+        detection |= usual["detection"]
+        if pixels < _FEW:
+            usual["scene"]["targets"][0]["covariance"] = {"relative_sd": 0.05}
+        model = {"scene": usual["scene"], "processing": usual["processing"]}
+        self.content["scenarios"] = [{"schema": 1, "name": self.name, **model}]
+        self.guess("objects", why=why, scored=len(scored), pixels=pixels)
+        self.guess("objects filled")
+        self.content["comparisons"] = usual_comparisons(self.content)
+
+    def _object_masks(self) -> tuple[list[Mask], str]:
+        """The objects of the map, the largest first, and words on them."""
+        targets, none = self.sources.targets, "no map of objects is there (--targets)"
+        if targets is None and " file" not in self.raster.description.product:  # none in the file of the image itself
+            return [], none
+        try:
+            regions = read_regions(targets or self.sources.cube, self.raster.size[:2])
+        except HypervalError as error:
+            if targets is not None:
+                raise
+            return [], f"{none}: {error.what}"
+        return groups_by_size(np.logical_or.reduce([region.mask for region in regions.values()]))
 
 
-def usual_comparisons(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+def usual_comparisons(content: Mapping[str, Any]) -> list[Entry]:
     """Comparisons for the content of a campaign file, as that file states them: those of the subjects that it has."""
     collection, scenario = content["collection"], content["scenarios"][0]
     scene = scenario["scene"]
@@ -244,61 +498,14 @@ def usual_comparisons(content: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [entry for entry in usual if entry["subjects"]]
 
 
-@dataclass(frozen=True)
-class RecordedSpectrum:
-    """A field spectrum that a name of the scene may go with.
-
-    Attributes
-    ----------
-    name : its own, or that of its file
-    path, record, unit : where it stands, and what its reader is to be told
-    flat : as flat as that of a calibration panel, of hardly any slope or feature
-    """
-
-    name: str
-    path: Path
-    record: str | None
-    unit: str | None
-    flat: bool
-
-    def source(self, draft: Draft) -> dict[str, Any]:
-        """As a scenario names it."""
-        entry: dict[str, Any] = {"file": draft.reference(self.path)}
-        entry |= {"record": self.record} if self.record is not None else {}
-        return entry | ({"reflectance_unit": self.unit} if self.unit is not None else {})
-
-
-def matching_spectrum(name: str, spectra: Sequence[RecordedSpectrum]) -> RecordedSpectrum | None:
-    """The spectrum of the same name, else the only one with all its words, else the only one whose words it has."""
-    words = _words(name)
-    for test in (frozenset.__eq__, frozenset.__ge__, frozenset.__le__):
-        fits = [s for s in spectra if _words(s.name) and test(_words(s.name), words)]
-        if len(fits) == 1:
-            return fits[0]
-    return None
-
-
 def _words(name: str) -> frozenset[str]:
     """Words and numbers of a name in small letters; CamelCase and underscores part them."""
     parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     return frozenset(re.findall(r"[a-z]+|[0-9]+", parted.lower()))
 
 
-def field_spectra(paths: Sequence[Path]) -> list[RecordedSpectrum]:
-    """The reflectance spectra of the files, with the unit that each needs to be told."""
-    files = [f for path in paths for f in (sorted(path.iterdir()) if path.is_dir() else [path]) if f.is_file()]
-    out: list[RecordedSpectrum] = []
-    for path in files:
-        try:
-            out += _records(path)
-        except HypervalError:
-            if path in paths:  # of a folder only the files that hold spectra count
-                raise
-    return out
-
-
 def _records(path: Path) -> list[RecordedSpectrum]:
-    for unit in (None, *_REFLECTANCE_UNITS):
+    for unit in _UNITS:
         try:
             records = read_records(path, reflectance_unit=unit)
         except (UsageError, InputError):
@@ -315,123 +522,6 @@ def _records(path: Path) -> list[RecordedSpectrum]:
         return out
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
-
-
-def _scenario(
-    sources: StarterSources,
-    place: Place,
-    quantity: str,
-    panels: Sequence[str],
-    matched: Mapping[str, RecordedSpectrum],
-    draft: Draft,
-) -> dict[str, Any]:
-    """Classes, panels, atmosphere and sensor of the model; UsageError where nothing has a reflectance."""
-    ground = [region for region in place.regions if region not in panels and place.pixels_of(region).any()]
-    measured = quantity == "reflectance" or "empirical_line" in draft.collection
-    classes = [region for region in ground if measured or region in matched]
-    refuse(not classes, "starter.ground", names=", ".join(ground) or "regions")
-    pixels = np.array([place.pixels_of(region).sum() for region in classes], float)
-    shares = np.round(pixels / pixels.sum(), 4)
-    shares[-1] = 1.0 - shares[:-1].sum()
-    surfaces: list[dict[str, Any]] = []
-    for region, share in zip(classes, shares, strict=True):
-        surfaces.append({"name": region, "fraction": round(float(share), 4), "spectrum": {"measured": region}})
-        if region in matched:
-            spread = {"measured": region} if measured else {"relative_sd": 0.1}
-            surfaces[-1] |= {"spectrum": matched[region].source(draft), "covariance": spread}
-    scene: dict[str, Any] = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
-    draft.guess("classes")
-    known = [panel for panel in panels if panel in matched]
-    if known:
-        scene["panels"] = [{"name": panel, "spectrum": matched[panel].source(draft)} for panel in known]
-    out: dict[str, Any] = {"schema": 1, "name": draft.content["name"]}
-    if quantity == "radiance":
-        out |= _flight(sources, place, draft)
-    out["scene"] = scene
-    out["processing"] = {"detectors": ["cem"], "bands": {"drop_bad": True}}
-    if not (quantity == "radiance" and measured):
-        out["processing"]["elm"] = "none"
-    _spectra_known_to(out, [*(region for region in classes if region in matched), *known], draft)
-    return out
-
-
-def _flight(sources: StarterSources, place: Place, draft: Draft) -> dict[str, Any]:
-    """Atmosphere, sun, sensor, and what is known of them."""
-    usual = _templates()["flight"]
-    state, draft.collection["calibration"] = usual["atmosphere"], usual["calibration"]
-    for name in ("atmosphere", "state", "calibration"):
-        draft.guess(name)
-    centre = centre_of(place)
-    if centre is not None:
-        state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
-    stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
-    state |= {key: value for key, value in stated.items() if value}
-    sensor = sources.sensor or _library_sensor(place.cube.axis, draft)
-    named = sources.sensor is not None and Path(sensor).is_file()
-    sensor = draft.reference(Path(sensor)) if named else sensor
-    return {"atmosphere": state, "sensor": sensor, "uncertainty": usual["uncertainty"]}
-
-
-def _library_sensor(axis: SpectralAxis, draft: Draft) -> str:
-    """The sensor of the library with these bands."""
-    for name in library_names():
-        own = load_sensor(name).axis
-        if len(own) == len(axis) and np.all(np.abs(own.centre_nm - axis.centre_nm) < own.fwhm_nm):
-            draft.guess("sensor", name=name)
-            return name
-    return (
-        f"{FILL_IN}: no sensor of the library has these {len(axis)} bands; --sensor names a file (hyperval sensor new)"
-    )
-
-
-def _add_targets(
-    place: Place,
-    materials: Sequence[str],
-    spectra: Sequence[RecordedSpectrum],
-    scenario: dict[str, Any],
-    draft: Draft,
-) -> None:
-    """Detection in the image, and the targets of the model."""
-    known = {m: match for m in materials if (match := matching_spectrum(m, spectra))}
-    if not known and len(materials) == len(spectra) == 1:
-        known = {materials[0]: spectra[0]}
-        draft.guess("only one", spectrum=spectra[0].name, material=materials[0])
-    if not known:
-        return
-    if draft.collection["cube"]["quantity"] == "radiance" and "empirical_line" not in draft.collection:
-        draft.guess("no detection")
-        return
-    members = {material: [t for t in place.targets if t.material == material] for material in known}
-    sizes = {material: _sizes(own) for material, own in members.items()}
-    looked_for = [{"name": m, "material": m, "spectrum": match.source(draft)} for m, match in known.items()]
-    group = "{target} {side_m} m" if all(sizes.values()) else "{material}"
-    draft.content["detection"] = {"group": group, "detectors": ["cem"], "targets": looked_for}
-    classes = [c["name"] for c in scenario["scene"]["classes"]]
-    entries = scenario["scene"]["targets"] = []
-    for material, own in members.items():
-        entry: dict[str, Any] = {
-            "name": material,
-            "spectrum": known[material].source(draft),
-            "covariance": {"relative_sd": 0.03, "band_sd": 0.001},
-            "host": _host(place, own, classes),
-        }
-        if all(sizes.values()):
-            entry["subjects"] = [
-                {"name": f"{material} {size} m", "fill": _fill(place, [t for t in own if _size(t) == size])}
-                for size in sizes[material]
-            ]
-        else:
-            entry["fill"] = _fill(place, own)
-        entries.append(entry)
-    draft.guess("targets")
-    _spectra_known_to(scenario, list(known), draft)
-
-
-def _spectra_known_to(scenario: dict[str, Any], subjects: Sequence[str], draft: Draft) -> None:
-    if subjects:
-        entries = [{"subject": subject, "relative": 0.05, "correlation_nm": 200} for subject in subjects]
-        scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
-        draft.guess("field spectra")
 
 
 def _size(target: TargetObject) -> str | None:
@@ -460,7 +550,7 @@ def _host(place: Place, members: Sequence[TargetObject], classes: Sequence[str])
     return classes[int(np.argmax(likeness))]
 
 
-def _fill(place: Place, members: Sequence[TargetObject]) -> dict[str, Any]:
+def _fill(place: Place, members: Sequence[TargetObject]) -> Entry:
     """Fill from the geometry of the objects of a material; whole pixels where the ground size is not known."""
     if place.pixel_area_m2 is None:
         return {"fixed": 1.0}
@@ -472,65 +562,14 @@ def _fill(place: Place, members: Sequence[TargetObject]) -> dict[str, Any]:
     return {"geometry": {**shape, "pixels": "ranked", "n": max(1, min(400, round(pixels)))}}
 
 
-def _by_objects(sources: StarterSources, raster: Raster, draft: Draft, quantity: str | None) -> None:
-    """The content of a campaign of counts, or without wavelengths: a map of objects, and what they stand before."""
-    collection = draft.collection
-    collection["cube"]["by_number"] = True
-    collection["regions"].insert(0, _WHOLE)
-    draft.guess("no wavelengths" if raster.description.listed() is None else "no quantity")
-    detection = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good", "detectors": ["rx"]}
-    draft.content["detection"] = detection
-    masks, why = _object_masks(sources, raster)
-    if len(masks) < 2:
-        draft.guess("anomalies", why=why)
-        return
-    scored, known = masks[::2], np.logical_or.reduce(masks[1::2])
-    marked = {"known objects": known} | {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
-    rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
-    write_text(draft.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
-    cube = open_cube(sources.cube, quantity=quantity, axis="numbers", variable=sources.key, header=sources.header)  # type: ignore[arg-type]
-    mean = "\n".join(map(repr, np.nan_to_num(cube.spectra(known).mean(axis=0)).tolist()))
-    write_text(draft.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
-    usual = _templates()["objects"]
-    collection["regions"].append({"name": "known objects", "file": "objects.csv"})
-    collection |= usual["collection"]
-    detection |= usual["detection"]
-    pixels = int(np.sum(known))
-    if pixels < _FEW:
-        usual["scene"]["targets"][0]["covariance"] = {"relative_sd": 0.05}
-    model = {"scene": usual["scene"], "processing": usual["processing"]}
-    draft.content["scenarios"] = [{"schema": 1, "name": draft.content["name"], **model}]
-    draft.guess("objects", why=why, scored=len(scored), pixels=pixels)
-    draft.guess("objects filled")
-    draft.content["comparisons"] = usual_comparisons(draft.content)
-
-
-def _object_masks(sources: StarterSources, raster: Raster) -> tuple[list[Mask], str]:
-    """The objects of the map, the largest first, and words on them."""
-    if sources.targets is None and " file" not in raster.description.product:  # none in the file of the image itself
-        return [], "no map of objects is there (--targets)"
-    try:
-        regions = read_regions(sources.targets or sources.cube, raster.size[:2])
-    except HypervalError as error:
-        if sources.targets is not None:
-            raise
-        return [], f"no map of objects is there (--targets): {error.what}"
-    return groups_by_size(np.logical_or.reduce([region.mask for region in regions.values()]))
-
-
 def stated_quantity(raster: Raster) -> str | None:
     """Whether an image holds radiance or reflectance, by its metadata, else by its name; None: nothing says."""
     about = raster.description
     if about.quantity is not None:
         return about.quantity
-    entries = about.entries
-    words = " ".join(text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))
-    patterns = {
-        "radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])",
-        "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])",
-    }
-    for text in (words.lower(), raster.path.name.lower()):
-        named = [quantity for quantity, pattern in patterns.items() if re.search(pattern, text)]
+    told = (text for key, text in about.entries.items() if re.search(r"unit|plot titles|description|level", key))
+    for text in (" ".join(told).lower(), raster.path.name.lower()):
+        named = [quantity for quantity, pattern in _NAMED.items() if re.search(pattern, text)]
         if len(named) == 1:
             return named[0]
         if not named and _stated_unit(raster) is not None:
@@ -540,62 +579,9 @@ def stated_quantity(raster: Raster) -> str | None:
 
 def _stated_unit(raster: Raster) -> str | None:
     """The radiance unit that a header entry states, None where none is understood."""
-    for key, text in raster.description.entries.items():
-        if "unit" in key and "wavelength" not in key and is_radiance(text.strip()):
-            return text.strip()
-    return None
-
-
-def _scale(raster: Raster, draft: Draft) -> None:
-    """State the scale of an image whose header does not.
-
-    Of reflectance, the largest that makes reflectances of the values; of radiance, the divisor that the header
-    states for a reflectance, as some programs write it for either.
-    """
-    cube, entries = draft.collection["cube"], raster.description.entries
-    tried = {scale: f"{scale:g}, the largest that makes the values reflectances" for scale in _SCALES}
-    if cube["quantity"] != "reflectance":
-        tried = {}
-        if "reflectance scale factor" in entries and "data gain values" not in entries:
-            factor = float(entries["reflectance scale factor"])  # the reader has found it a number
-            tried = {
-                1.0 / factor: f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
-            }
-    _stated(cube, "scale", {scale: {"why": why} for scale, why in tried.items()}, draft)
-
-
-def _stated(
-    entry: dict[str, Any], key: str, values: Mapping[Any, Mapping[str, Any]], draft: Draft, **parts: Any
-) -> None:
-    """State the first value of a key with which the collection opens, and its guess; none where it opens without."""
-    try:
-        draft.opened(**parts)
-    except HypervalError as first:
-        for value, words in values.items():
-            entry[key] = value
-            with suppress(HypervalError):
-                draft.opened(**parts)
-                return draft.guess(key, **words)
-        raise first from None
-
-
-def _place(sources: StarterSources, draft: Draft) -> Place:
-    """The opened collection, its targets one material for each region of their file."""
-    regions = draft.collection["regions"]
-    if sources.targets is None:
-        return draft.opened(regions=regions)
-    truth: dict[str, Any] = {"guard_pixels": 2}
-    truth |= {"pixel_size_m": sources.pixel_size_m} if sources.pixel_size_m is not None else {}
-    file = draft.reference(sources.targets)
-    if _is_list(sources.targets):
-        draft.collection["targets"] = {"csv": file, **truth}
-    else:
-        every = [{"material": "every region", "file": file}]
-        found = draft.opened(regions=regions, targets={"regions": every, **truth}).targets
-        names = dict.fromkeys(target.attributes["region"] for target in found)
-        own = [{"material": name, "file": file, "regions": [name]} for name in names]
-        draft.collection["targets"] = {"regions": own, **truth}
-    return draft.opened(regions=regions, targets=draft.collection["targets"])
+    entries = {key: text.strip() for key, text in raster.description.entries.items()}
+    stated = (text for key, text in entries.items() if "unit" in key and "wavelength" not in key and is_radiance(text))
+    return next(stated, None)
 
 
 def _is_list(path: Path) -> bool:
