@@ -23,7 +23,6 @@ from pathlib import Path
 from PIL import Image
 
 from hyperval import cli
-from hyperval.campaign import eigenvalues_of
 from hyperval.report.html import run_drawings
 
 SAMPLE = Path("reports") / "sample"
@@ -45,7 +44,7 @@ def smaller(content: bytes) -> str:
 def with_pictures(run: Path) -> str:
     """The page of a run with each of its figures as a picture, without what would draw them and without diagnostics."""
     pictures = {}
-    for drawing in run_drawings(run, eigenvalues_of, "png"):
+    for drawing in run_drawings(run, "png"):
         picture = f'<div class="card"><img src="{smaller(drawing.content)}" alt="{html.escape(drawing.alt)}"></div>'
         pictures.setdefault(drawing.name.removesuffix("-1"), picture)
 

@@ -23,8 +23,8 @@ from hyperval import baseline, imagery, model, spectra
 from hyperval import campaign as campaigns
 from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError
+from hyperval.figures.catalogue import SPECTRA as PRODUCT_LABELS
 from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
-from hyperval.figures.spectra import SPECTRA as PRODUCT_LABELS
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Metric, table
 from hyperval.model import Z95, detection_at

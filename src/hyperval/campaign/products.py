@@ -1,6 +1,4 @@
-"""Curves that only figures need: eigenvalue spectra with their sampling bands.
-
-Scenarios that leave to the collection what it tells: fractions of the classes, fills of the targets.
+"""Scenarios that leave to the collection what it tells: fractions of the classes, fills of the targets.
 
 What header, map and truth of the collection say, held against what the scenarios of the campaign say of it.
 
@@ -27,17 +25,14 @@ from rasterio.warp import transform as reproject
 from hyperval.atmosphere.solar import parse_utc
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
-from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
-from hyperval.compare.products import SPREAD
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, one_of, refusal, refuse
-from hyperval.figures.spec import EigenvalueSpectrum
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_pixels, target_groups
 from hyperval.observe import observe as observe_collection
-from hyperval.pixels import average_roc, band_limits, compact_parts, with_shared_pixels
+from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
 from hyperval.products import (
     Abundance,
     ClassificationError,
@@ -431,24 +426,3 @@ def _areas(
             seed=detection.unmixing.seed,
         )
     return out
-
-
-MOST_SUBJECTS = 6  # in each quantity; those with the most pixels
-
-
-def eigenvalues_of(
-    prediction: PredictedProducts, observation: ObservedProducts
-) -> dict[tuple[str, str], EigenvalueSpectrum]:
-    """Eigenvalues of the classes that both sides hold by (subject, quantity), with the band of chance alone."""
-    eigenvalues = {}
-    for quantity in SPREAD:
-        left, right = getattr(prediction, quantity), getattr(observation, quantity)
-        common = [s for s in right if s in left and right[s].n and right[s].pixel_covariance is not None]
-        for subject in sorted(common, key=lambda s: -right[s].n)[:MOST_SUBJECTS]:
-            sample = sampled(prediction, observation, subject, quantity, MOST_EIGENVALUES)
-            if sample is None or isinstance(sample, str):
-                continue
-            low, high = band_limits(sample.band.eigenvalues)
-            measured, mean = sample.measured.eigenvalues, sample.band.eigenvalues.mean(axis=0)
-            eigenvalues[subject, quantity] = EigenvalueSpectrum(measured, mean, low, high, sample.n)
-    return eigenvalues

@@ -22,7 +22,7 @@ import hyperval
 from hyperval.attribute import ScenarioModel, Truths, attribute, few_objects
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
-from hyperval.campaign.products import Collected, collected, doubts, eigenvalues_of, joined, predicted_side
+from hyperval.campaign.products import Collected, collected, doubts, joined, predicted_side
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
 from hyperval.campaign.schema import Job, Outline, job_of, jobs_of
 from hyperval.compare import compare_products, judged, product_rows, told_apart, would_decide
@@ -108,8 +108,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         rows += reasons(side, prediction, show_progress=show_progress)
-        eigenvalues = eigenvalues_of(prediction, observed.observation)
-        more = {"kind": "Campaign", "deciding": deciding, "eigenvalues": eigenvalues}
+        more = {"kind": "Campaign", "deciding": deciding}
     else:
         rows = list(product_rows(observed.observation, "observed"))
     notes = [

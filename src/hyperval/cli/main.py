@@ -398,7 +398,7 @@ def figures(
     """Draw the figures of a finished run for print, from its folder."""
     from hyperval.report.html import figures_to_folder
 
-    return finished(figures_to_folder(folder, output, campaign.eigenvalues_of, kind, style == "journal"), output)
+    return finished(figures_to_folder(folder, output, kind, style == "journal"), output)
 
 
 @command("metrics", "metrics bias_ratio")

@@ -1,4 +1,4 @@
-"""Every figure of a run, in the order of its page; those of the reasons: which input explains the residuals."""
+"""Figures of what the sides of a run hold: spectra, their uncertainty and spread, detection, areas; all in order."""
 
 from __future__ import annotations
 
@@ -7,29 +7,773 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.special import betaincinv
 
-from hyperval.figures import detection, spectra
+from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
+from hyperval.compare.products import SPREAD
+from hyperval.figures.rows import reason_figures
 from hyperval.figures.spec import (
+    CURVES,
     DIFFERENCE,
     GREY,
-    MET,
-    NOT_MET,
+    MAX_PANELS,
+    MOST_ROWS,
+    PREDICTED,
     SIDES,
+    SOURCES,
     WAVELENGTH,
+    Array,
     Axis,
     ColourScale,
-    EigenvalueSpectrum,
     Figure,
     Mark,
     Panels,
     Part,
+    ScoreMap,
     Sides,
+    a_row_each,
+    a_view_each,
+    both_first,
+    both_sides,
+    count_text,
+    drawn_of,
+    in_windows,
     left_out,
-    of_rows,
-    row_names,
+    measured_mark,
+    of_side,
+    predicted_mark,
+    robust_limits,
+    single,
 )
-from hyperval.results import Result, ResultTable
-from hyperval.storage import number_of
+from hyperval.model import Z95, detection_at
+from hyperval.model.intervals import clopper_pearson, difference_ratio, difference_ratio_uncertainty
+from hyperval.pixels import band_limits, exceedance_of_distance
+from hyperval.products import (
+    ClassificationError,
+    ObjectScores,
+    Products,
+    RocCurve,
+    ScoreDistribution,
+    SpectralEstimate,
+)
+from hyperval.results import WORST_FIRST, Result, ResultTable
+from hyperval.spectra.axis import SpectralAxis
+
+# Of a product: its axis, its title, and whether its difference is a ratio.
+SPECTRA = {
+    "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
+    "toa_reflectance": ("reflectance", "Reflectance at the top of the atmosphere", True),
+    "snr": ("signal-to-noise ratio", "Signal-to-noise ratio", True),
+    "reflectance": ("reflectance", "Reflectance", False),
+}
+MOST_SUBJECTS = 24
+_MOST_SOURCES = 7
+_REST = "other sources"
+
+
+def wavelengths(axis: SpectralAxis) -> Axis:
+    """The axis of a figure over bands, which may go by their number; of a single band with room beside it."""
+    w = axis.centre_nm
+    ends = float(w[0]), float(max(w[-1], w[0] + 1.0))
+    return Axis("number of the band" if axis.numbered else WAVELENGTH, ends=ends)
+
+
+def spectra_figure(
+    sides: Sides, product: str, rows: Sequence[Result] = (), names: tuple[str, str] = SIDES
+) -> Figure | None:
+    """Both sides over wavelength with their difference below, a subject each; None where there is nothing to show.
+
+    Parameters
+    ----------
+    product : a key of SPECTRA
+    rows : subjects about which more is amiss in these come first
+    names : what the two sides are, where they are no prediction and collection
+    """
+    label, title, ratio = SPECTRA[product]
+    both, drawn, paired = drawn_of(sides, product)
+    if not drawn or (not paired and None not in sides):
+        return None  # a comparison that has none of this product
+    worst: dict[str, int] = {}
+    for row in rows:
+        if row.planned and row.product == product:
+            worst[row.subject] = min(worst.get(row.subject, len(WORST_FIRST)), WORST_FIRST.index(row.outcome))
+    shown = sorted(drawn, key=lambda subject: worst.get(subject, len(WORST_FIRST)))[:MOST_SUBJECTS]
+    axis = next(side.axis for side, own in zip(sides, both, strict=True) if side and shown[0] in own)
+    # Sides on other bands are not drawn over each other.
+    aligned = [own if side and side.axis.matches(axis) else {} for side, own in zip(sides, both, strict=True)]
+    gaps = {s: _difference(aligned[0][s], aligned[1][s], ratio) for s in shown if all(s in own for own in aligned)}
+    identical = bool(gaps) and not any(np.nan_to_num(gap).any() for gap, _ in gaps.values())
+    gaps = {} if identical else gaps  # nothing to draw
+    below = f"difference{' ratio' if ratio else ''}"
+    views = tuple(_view(axis, s, [own.get(s) for own in aligned], gaps.get(s), label, below, names) for s in shown)
+    keep = in_windows(axis)
+    medians = [
+        f"{subject} {np.nanmedian(np.abs(gap[keep])):{'.2%' if ratio else '.4f'}}"
+        for subject, (gap, _) in gaps.items() if np.isfinite(gap[keep]).any()
+    ]  # fmt: skip
+    alt = f"{title} against {wavelengths(axis).label.partition(' [')[0]}, a subject at a time: {names[0]} (dashed) and "
+    alt += f"{names[1]} (solid) with 95 % intervals{', the difference below' if gaps else ''}."
+    alt += f" Subjects: {', '.join(shown)}."
+    alt += f" Median absolute {below} in the windows: {'; '.join(medians)}." if medians else ""
+    words = " and ".join(names) if paired else names[0] if sides[0] is not None else names[1]
+    head = f"{title}: {words}{', which are identical' * identical}{'' if axis.numbered else ' (grey: absorption)'}"
+    every = {*both[0], *both[1]}
+    return Figure(product, product, head + left_out(len(shown), len(every)), alt, views, head=head, together="offered")
+
+
+def _difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
+    """(B,) predicted - measured, or that over measured, and its standard uncertainty, independent."""
+    p, c, up, uc = predicted.mean, measured.mean, predicted.standard_uncertainty, measured.standard_uncertainty
+    if ratio:
+        return difference_ratio(p, c), difference_ratio_uncertainty(p, c, up, uc)
+    return p - c, np.hypot(up, uc)
+
+
+def _view(
+    axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], gap: tuple[Array, Array] | None,
+    label: str, below: str, names: tuple[str, str],
+) -> Panels:  # fmt: skip
+    w, keep = axis.centre_nm, in_windows(axis)
+    marks, edges = [], []
+    # Dashes on top, so that neither hides the other.
+    for estimate, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])):
+        if estimate is not None:
+            half = Z95 * estimate.standard_uncertainty
+            marks.append(make("line", {"x": w, "y": estimate.mean, "half": half}, name, linked=True))
+            edges += [(estimate.mean - half)[keep], (estimate.mean + half)[keep]]
+    parts = [Part(Axis(label, ends=robust_limits(edges)), tuple(marks))]
+    if gap is not None:
+        value, half = gap[0], Z95 * gap[1]
+        ends = robust_limits([(value - half)[keep], (value + half)[keep]], trim=3.0)
+        mark = Mark("line", {"x": w, "y": value, "half": half}, "", DIFFERENCE, linked=True)
+        parts.append(Part(Axis(below, ends=ends), (mark,), (("y", 0.0),)))
+    return Panels(wavelengths(axis), tuple(parts), subject)
+
+
+def budget_figure(sides: Sides) -> Figure | None:
+    """Relative uncertainty of the radiance by source, stacked to the total; a view for each subject and side."""
+    estimates, drawn, _ = drawn_of(sides, "radiance")
+    panels: dict[str, tuple[SpectralAxis, SpectralEstimate]] = {
+        f"{subject} ({name})": (side.axis, own[subject])
+        for subject in drawn
+        for name, side, own in zip(SIDES, sides, estimates, strict=True)
+        if side is not None and subject in own and own[subject].budget
+    }
+    sources = _ranked_sources([estimate for _, estimate in list(panels.values())[:MAX_PANELS]])
+    head = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
+    return a_view_each(
+        "radiance-budget", "radiance", head,
+        "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
+        f"share of the variance. Sources, largest first: {', '.join(sources)}. Panels:",
+        list(panels), lambda name: (_stack(*panels[name], sources, name), name), head=head,
+    )  # fmt: skip
+
+
+def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str], subject: str) -> Panels:
+    w = axis.centre_nm
+    parts = np.zeros((len(sources), w.size))  # variance by source; the last may be everything without its own place
+    for source, u in estimate.budget.items():
+        if source in sources or sources[-1] == _REST:
+            parts[sources.index(source) if source in sources else -1] += np.square(np.asarray(u, float))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = np.sqrt(parts.sum(axis=0))
+        # Variances add, uncertainties do not: each source takes its share of the variance in the height.
+        heights = np.nan_to_num(100.0 * total / np.abs(estimate.mean) * parts / parts.sum(axis=0))
+    edges = np.concatenate([np.zeros((1, w.size)), np.cumsum(heights, axis=0)])
+    marks = [
+        Mark("area", {"x": w, "low": low, "high": high}, source, colour, alpha=1.0)
+        for low, high, source, colour in zip(edges[:-1], edges[1:], sources, SOURCES, strict=False)
+    ]
+    ends = robust_limits([edges[-1][in_windows(axis)]])
+    return single(wavelengths(axis), "standard uncertainty [% of radiance]", marks, subject=subject, ends=ends)
+
+
+def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
+    """Sources by their largest median share of the variance, the small ones taken together."""
+    weight: dict[str, float] = {}
+    for estimate in estimates:
+        squares = {s: float(np.nanmedian(np.square(u) / np.square(estimate.mean))) for s, u in estimate.budget.items()}
+        total = sum(squares.values()) or 1.0
+        for source, square in squares.items():
+            weight[source] = max(weight.get(source, 0.0), square / total)
+    ranked = sorted(weight, key=lambda s: (-weight[s], s))
+    return ranked if len(ranked) <= _MOST_SOURCES else [*ranked[: _MOST_SOURCES - 1], _REST]
+
+
+_MOST_SPREADS = 6  # subjects in each quantity; those with the most pixels
+_EIGENVALUES = {"radiance": "eigenvalue [(µW cm⁻² sr⁻¹ nm⁻¹)²]", "reflectance": "eigenvalue"}
+
+
+def eigenvalue_figures(sides: Sides) -> list[Figure | None]:
+    """Eigenvalues of both sides; below each, predicted over measured with the band that chance alone gives."""
+    predicted, observed = sides
+    if predicted is None or observed is None:
+        return [_eigenvalues_alone(sides)]
+    return [_both_eigenvalues(predicted, observed, quantity) for quantity in SPREAD]
+
+
+def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) -> Figure | None:
+    known = {s: e.n for s, e in getattr(observed, quantity).items() if e.n and e.pixel_covariance is not None}
+    known = {s: n for s, n in known.items() if s in getattr(predicted, quantity)}
+    most = sorted(known, key=lambda s: -known[s])[:_MOST_SPREADS]
+    found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s in most}
+    spreads = {s: one for s, one in found.items() if one is not None and not isinstance(one, str)}
+
+    def view(subject: str) -> tuple[Panels, str]:
+        spread = spreads[subject]
+        measured, drawn = spread.measured.eigenvalues, spread.band.eigenvalues
+        mean, (low, high), number = drawn.mean(axis=0), band_limits(drawn), np.arange(1.0, measured.size + 1)
+        expected = {"y": mean, "low": low, "high": high}
+        above = (
+            predicted_mark("line", {"x": number, **expected}, "predicted, mean and 95 % of samples", marker="circle"),
+            measured_mark("line", {"x": number, "y": measured}, marker="square"),
+        )
+        ratio = {"x": number, **{name: values / measured for name, values in expected.items()}}
+        below = Part(Axis("predicted / measured"), (Mark("line", ratio, colour=DIFFERENCE),), (("y", 1.0),))
+        inside = int(np.sum((measured >= low) & (measured <= high)))
+        words = f"{subject}: first eigenvalue predicted {mean[0]:.3g}, measured {measured[0]:.3g}; "
+        words += f"{inside} of {measured.size} inside"
+        x, name = (
+            Axis("number of the eigenvalue", ends=(0.0, number[-1] + 1.0)),
+            f"{subject} (n = {count_text(spread.n)})",
+        )
+        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name), words
+
+    return a_view_each(
+        f"{quantity}-eigenvalues", "covariance",
+        f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent pixels drawn "
+        "from the prediction)",
+        f"Leading eigenvalues of the pixel-to-pixel covariance of the {quantity}, logarithmic, predicted (hollow "
+        "circles, with the 95 % band of samples of as many pixels) and measured (squares); below, predicted over "
+        "measured with that band.", list(spreads), view,
+    )  # fmt: skip
+
+
+def _eigenvalues_alone(sides: Sides) -> Figure | None:
+    """Those of the radiance of a side alone, for which no band of chance is known."""
+    side, make = (sides[1], measured_mark) if sides[0] is None else (sides[0], predicted_mark)
+    known = {k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None}
+
+    def view(subject: str) -> tuple[Panels, str]:
+        n, values = known[subject].n, _eigenvalues(known[subject])
+        # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
+        factor = math.exp(Z95 * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
+        columns = {"y": values, "low": values / factor, "high": values * factor}
+        mark = make("line", {"x": np.arange(1.0, values.size + 1), **columns}, marker="circle")
+        x, part = (
+            Axis("number of the eigenvalue", ends=(0.0, MOST_EIGENVALUES + 1.0)),
+            Axis(_EIGENVALUES["radiance"], "log"),
+        )
+        return Panels(
+            x, (Part(part, (mark,)),), subject
+        ), f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
+
+    return a_view_each(
+        "radiance-eigenvalues", "covariance",
+        "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)",
+        f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
+        "logarithmic scale. Largest:", list(known), view,
+    )  # fmt: skip
+
+
+def _eigenvalues(estimate: SpectralEstimate) -> Array:
+    """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
+    covariance = np.asarray(estimate.pixel_covariance, dtype=float)
+    finite = np.isfinite(np.diag(covariance))
+    block = covariance[np.ix_(finite, finite)]
+    if block.size == 0 or not np.isfinite(block).all():
+        return np.empty(0)
+    rank = block.shape[0] if estimate.n is None else min(block.shape[0], max(estimate.n - 1, 0))
+    values = np.linalg.eigvalsh(block)[::-1][: min(rank, MOST_EIGENVALUES)]
+    return values[values > 1e-13 * max(values[0], 0.0)] if values.size else values
+
+
+def tail_figure(sides: Sides) -> Figure | None:
+    """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best."""
+    predicted, measured = (of_side(side, "distribution") for side in sides)
+
+    def view(subject: str) -> tuple[Panels, str]:
+        law, stated = measured[subject], predicted.get(subject)
+        n, dimension, distance = law.n or 1, law.leading_dimension, np.sqrt(law.distance)
+        low, high = clopper_pearson(law.exceedance * n, np.full(distance.size, n))
+        columns = {"x": distance, "y": law.exceedance, "low": low, "high": high}
+
+        def curve(dof: float) -> dict[str, Array]:
+            return {"x": distance, "y": exceedance_of_distance(law.distance, dimension, dof)}
+
+        marks = [measured_mark("line", columns, "measured, with its 95 % interval")]
+        marks += [] if stated is None else [predicted_mark("line", curve(stated.tail_dof), "predicted law")]
+        marks.append(Mark("line", curve(math.inf), "normal law", GREY, "dotted"))
+        marks.append(Mark("line", curve(law.leading_tail_dof), "fitted t", DIFFERENCE, "dashdot"))
+        told = "" if stated is None else f", {_dof(stated.tail_dof)} predicted"
+        part = Part(Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5)), tuple(marks))
+        x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
+        name = f"{subject}: {dimension} components, n = {count_text(n)}"
+        return Panels(x, (part,), name), f"{subject}: {_dof(law.leading_tail_dof)} measured{told}"
+
+    known = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
+    return a_view_each(
+        "pixel-tails", "covariance",
+        "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)",
+        "Share of a class's pixels beyond a Mahalanobis distance in the leading components, logarithmic: measured "
+        "with its 95 % interval, under the predicted law, the normal law, and the fitted t.", known, view,
+    )  # fmt: skip
+
+
+def _dof(dof: float) -> str:
+    return "normal" if math.isinf(dof) else f"{dof:.3g} degrees of freedom"
+
+
+def class_error_figure(sides: Sides) -> Figure | None:
+    """Classification error of every set of classes and features, both sides, with the bounds from distances."""
+    both = [of_side(side, "classification") for side in sides]
+    keys = list(dict.fromkeys([*both[1], *both[0]]))
+    # Left end of the axis: below every error that was measured or predicted, and not below a millionth.
+    least = min([1e-2, *(x for own in both for e in own.values() for x in (e.error, e.lower) if x > 0)])
+    floor = max(least / 2.0, 1e-6)
+
+    def columns(own: Sequence[ClassificationError], **names: str) -> dict[str, Any]:
+        names = names or {"x": "error", "low": "lower", "high": "upper"}
+        return {name: np.maximum([getattr(e, of) for e in own], floor) for name, of in names.items()}
+
+    bounded = {i: both[0][k] for i, k in enumerate(keys[:MOST_ROWS]) if k in both[0] and both[0][k].bound_upper > 0}
+    at, own = np.array(list(bounded), float), list(bounded.values())
+    bars = columns(own, left="bound_lower", right="bound_upper") | {"bottom": at - 0.31, "top": at + 0.31}
+    ticks = columns(own, x="approximation") | {"y": at}
+    under = [
+        Mark("bars", bars, "bounds from the predicted distance"),
+        Mark("dots", ticks, "estimate from it", marker="tick", along="x"),
+    ] if bounded else []  # fmt: skip
+    return a_row_each(
+        "class-error", "classification", "Error of a Gaussian maximum-likelihood classifier", keys, both,
+        Axis("probability of error", "log", ends=(floor / 1.4, 1.0)), columns,
+        lambda e: f"{e.error:.2g} ({e.lower:.1g} to {e.upper:.1g})", under=under,
+        legend=f"bar: 95 % interval; an error below {floor:.0e} is drawn there",
+    )  # fmt: skip
+
+
+MOST_CURVES = 24
+MANY_OBJECTS = 40  # of fewer, each has its place in a list
+_MOST_POINTS = 200
+_MOST_POPULATIONS = 12
+_MOST_MAPS = 6
+_SPAN = 5.0  # standard deviations about the mean, where a density is not stated
+_DEEPEST = 1e-8  # part of the greatest density
+_BINS = 24
+_PFA = "P_FA per pixel"
+Key = tuple[str, str, str]
+
+
+def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
+    """P_D against P_FA on a logarithmic axis, a view for each subject, a tab for each detector and unit."""
+    both, drawn, _ = drawn_of(sides, "roc")
+    measured: Mapping[Key, RocCurve] = both[1]
+    kinds = dict.fromkeys(key[1:] for key in drawn)
+    views, words = [], []
+    for kind in kinds:
+        keys = _best_counted([key for key in drawn if key[1:] == kind], measured, MOST_CURVES // len(kinds) or 1)
+        # Two decades past what the background can resolve are enough.
+        lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
+        seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
+        for key in keys:
+            curves = [own.get(key) for own in both]
+            views.append(_roc_view(key, curves, max(lowest, seen), names))
+            words.append(f"{', '.join(key)}: {_roc_words(curves, names) or 'no points'}.")
+    if not views:
+        return None
+    head = f"ROC: {names[0]}" + (f" (dashed) and {names[1]}" if measured else "")
+    head += " (dotted: 1 / background pixels)" if any(curve.n_background for curve in measured.values()) else ""
+    return Figure(
+        "roc", "roc", head + left_out(len(views), len({*both[0], *measured})),
+        f"Probability of detection against probability of false alarm (logarithmic), {names[0]} (dashed) and "
+        f"{names[1]}, with 95 % intervals. {' '.join(words)}",
+        tuple(views), head=head, together="first",
+    )  # fmt: skip
+
+
+def _best_counted(keys: list[Key], measured: Mapping[Key, RocCurve], most: int) -> list[Key]:
+    """``keys``, of too many those ``most`` with the most targets (pools of targets among them)."""
+    count = {key: (measured[key].n_target or 0) if key in measured else -1 for key in keys}
+    chosen = set(sorted(keys, key=lambda key: -count[key])[:most])
+    return [key for key in keys if key in chosen]
+
+
+def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tuple[str, str]) -> Panels:
+    predicted, measured = curves
+    marks = [] if predicted is None else [predicted_mark("line", _roc_columns(predicted, low), names[0])]
+    note, background = [], None
+    if measured is not None:
+        # Steps are counted pixels; the second of two predictions is as smooth as the first.
+        kind = "steps" if names[1] == SIDES[1] else "line"
+        marks.append(measured_mark(kind, _roc_columns(measured, low), names[1]))
+        background = measured.n_background
+        if measured.n_target is not None:
+            note.append(f"{count_text(measured.n_target)} {measured.unit}{'s' if measured.n_target != 1 else ''}")
+        if background is not None:
+            note.append(f"{count_text(background)} background px")
+    part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
+    return Panels(Axis(_PFA, "log", ends=(low, 1.0)), (part,), key[0], f"{key[1]}, by {key[2]}", ", ".join(note))
+
+
+def _roc_words(curves: Sequence[RocCurve | None], names: tuple[str, str]) -> str:
+    words = []
+    for name, curve in zip(names, curves, strict=True):
+        if curve is not None and curve.pfa.size:
+            at = float(np.clip(1e-3, curve.pfa[0], curve.pfa[-1]))
+            pd, low, high = (detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper))
+            words.append(f"{name} P_D {pd:.2f} ({low:.2f} to {high:.2f}) at P_FA {at:.1e}")
+    return "; ".join(words)
+
+
+def _roc_columns(curve: RocCurve, low: float) -> dict[str, Array]:
+    """At most a few hundred points of a curve, evenly spread over the logarithm of P_FA."""
+    keep = np.flatnonzero(curve.pfa >= low)
+    if keep.size > _MOST_POINTS:
+        wanted = np.geomspace(curve.pfa[keep[0]], curve.pfa[keep[-1]], _MOST_POINTS)
+        keep = np.unique(np.clip(np.searchsorted(curve.pfa, wanted), keep[0], keep[-1]))
+    columns = {"x": curve.pfa, "y": curve.pd, "low": curve.pd_lower, "high": curve.pd_upper}
+    return {name: values[keep] for name, values in columns.items()}
+
+
+def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
+    """Predicted minus measured P_D against P_FA with its 95 % interval, for the curves with the most targets."""
+    predicted, measured = (of_side(side, "roc") for side in sides)
+    rules = tuple(("y", place) for place in ((0.0,) if margin is None else (0.0, -margin, margin)))
+
+    def view(key: Key) -> tuple[Panels, str]:
+        columns = _difference_columns(predicted[key], measured[key])
+        x, *limits = columns.values()
+        at = int(np.argmin(np.abs(np.log(x) - math.log(1e-2))))
+        line = Mark("line", columns, "predicted minus measured, 95 % interval", DIFFERENCE)
+        part = Part(Axis("difference of P_D", ends=(-1.05, 1.05)), (line,), rules)  # type: ignore[arg-type]
+        axis, (d, low, high) = Axis(_PFA, "log", ends=(float(x[0]), float(x[-1]))), (y[at] for y in limits)
+        words = f"{', '.join(key)}: {d:+.2f} ({low:+.2f} to {high:+.2f}) at P_FA {x[at]:.1e}"
+        return Panels(axis, (part,), f"{key[0]}, {key[1]}, by {key[2]}"), words
+
+    # Objects are independent and pixels of one object are not: curves by object first, where there are several.
+    counts = {key: measured[key].n_target or 0 for key in predicted if key in measured}
+    keys = sorted(counts, key=lambda key: (key[2] != "object" or counts[key] < 2, -counts[key]))
+    return a_view_each(
+        "roc-difference", "roc", "ROC: predicted minus measured P_D",
+        "Predicted minus measured probability of detection.", keys, view,
+        legend="" if margin is None else f"dotted: equivalence margin {margin:g}",
+    )  # fmt: skip
+
+
+def _difference_columns(predicted: RocCurve, measured: RocCurve) -> dict[str, Array]:
+    """P_FA where both are known, the difference of P_D there, and the limits of its interval."""
+    low = max(float(predicted.pfa[0]), float(measured.pfa[measured.pfa > 0].min()), 1e-9)
+    if measured.n_background:
+        low = max(low, 3.0 / measured.n_background)
+    x = np.geomspace(low, min(float(predicted.pfa[-1]), float(measured.pfa[-1])), 120)
+    (p, p_low, p_high), (o, o_low, o_high) = (
+        [detection_at(c, np.clip(x, c.pfa[0], c.pfa[-1]), y) for y in (c.pd, c.pd_lower, c.pd_upper)]
+        for c in (predicted, measured)
+    )
+    return {
+        "x": x, "y": p - o, "low": p - o - np.hypot(p - p_low, o_high - o),
+        "high": p - o + np.hypot(p_high - p, o - o_low),
+    }  # fmt: skip
+
+
+def exceedance_figure(sides: Sides) -> Figure | None:
+    """Share of background pixels above a score, predicted and measured, on a logarithmic axis."""
+    predicted, measured = (of_side(side, "exceedance") for side in sides)
+
+    def view(key: tuple[str, str]) -> tuple[Panels, str]:
+        law, found, floor, span, words = predicted[key], measured.get(key), 1e-6, None, " ".join(key)
+        columns = {"x": law.threshold, "y": law.probability, "low": law.lower, "high": law.upper}
+        marks = [predicted_mark("line", _thinned(columns))]
+        if found is not None:
+            keep = found.probability > 0
+            x, p = found.threshold[keep], found.probability[keep]
+            low, high = np.nan_to_num(found.lower[keep], nan=1e-9), np.nan_to_num(found.upper[keep], nan=1.0)
+            columns = {"x": x, "y": p, "low": np.maximum(low, 1e-9), "high": high}
+            marks.insert(0, measured_mark("line", _thinned(columns)))
+            floor, span = 0.3 * float(p.min()), (1.05 * x[0] - 0.05 * x[-1], 1.35 * x[-1] - 0.35 * x[0])
+            at = int(np.argmin(np.abs(np.log(p) - math.log(1e-2))))
+            model = float(np.exp(np.interp(x[at], law.threshold, np.log(law.probability))))
+            words += f": at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}"
+        y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
+        return Panels(Axis("score", ends=span), (Part(y, tuple(marks)),), ", ".join(key)), words
+
+    legend = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
+    return a_view_each(
+        "exceedance", "scores", "False-alarm probability against the threshold",
+        "Fraction of the background above each score, predicted (dashed) and measured.",
+        [key for key in both_first(predicted, measured) if key in predicted], view, "results.csv",
+        legend=legend if measured else "",
+    )  # fmt: skip
+
+
+def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
+    """A curve of at most so many points, its ends among them."""
+    size = columns["x"].size
+    keep = np.unique(np.linspace(0, size - 1, min(size, _MOST_POINTS)).round().astype(int))
+    return {name: values[keep] for name, values in columns.items()}
+
+
+def score_figure(sides: Sides) -> Figure | None:
+    """Mean and 95 % range of each population's score."""
+    both = [of_side(side, "scores") for side in sides]
+    legend = "dot: mean; bar: mean ± 1.96 standard deviations"
+    return _value_figure("scores", "scores", "Score distributions", both, Axis("score"),
+                         ("mean", "sd"), "", (0.0, 1.0), legend)  # fmt: skip
+
+
+def abundance_figure(sides: Sides) -> Figure | None:
+    """Area of each target from its abundance, where no nominal area is known."""
+    both = [{k: a for k, a in of_side(side, "abundance").items() if a.nominal_m2 is None} for side in sides]
+    areas = np.array([a.area_m2 for own in both for a in list(own.values())[:MOST_ROWS]])
+    areas = areas[np.isfinite(areas)]
+    scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
+    x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
+    return _value_figure("abundance", "abundance", "Target area from the sum of abundances", both, x,
+                         ("area_m2", "standard_uncertainty"), "m²", () if scattered else (0.0,),
+                         "bar: 95 % interval")  # fmt: skip
+
+
+def _value_figure(
+    name: str, section: str, title: str, both: Sequence[Mapping[Any, Any]], x: Axis, of: tuple[str, str],
+    unit: str, rules: tuple[float, ...], legend: str,
+) -> Figure | None:  # fmt: skip
+    """A row for each key of either side: its value and its standard uncertainty, attributes of the entries."""
+    value, spread = of
+
+    def words(entry: Any) -> str:
+        text = f"{getattr(entry, value):.3g} ± {Z95 * getattr(entry, spread):.2g} {unit}".rstrip()
+        return text + (f", n = {count_text(entry.n)}" if entry.n else "")
+
+    def columns(own: Sequence[Any]) -> dict[str, Any]:
+        middle, half = np.array([(getattr(e, value), Z95 * getattr(e, spread)) for e in own]).T
+        return {"x": middle, "low": middle - np.nan_to_num(half), "high": middle + np.nan_to_num(half)}
+
+    names = " and ".join(word for word, own in zip(SIDES, both, strict=True) if own)
+    return a_row_each(name, section, f"{title}: {names}", both_first(*both), both, x, columns, words,
+                      rules=rules, legend=legend)  # fmt: skip
+
+
+def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
+    """Areas by unmixing against the nominal ones, and the root mean square error by size, by method."""
+    both = [{k: a for k, a in of_side(side, "abundance").items() if a.nominal_m2} for side in sides]
+
+    def view(method: str) -> tuple[Panels, str]:
+        place = _places({key: area.nominal_m2 for key, area in both[1].items() if key[1] == method})
+        sizes, words = np.array(sorted({both[1][key].nominal_m2 for key in place})), []
+        areas, errors, said = [], [], []
+        for name, own, shift in zip(("predicted", "observed"), both, (0.97, 1.03), strict=True):
+            each = {key: own[key] for key in place if key in own}
+            nominal = np.array([a.nominal_m2 for a in each.values()])
+            area, u = np.array([(a.area_m2, a.standard_uncertainty) for a in each.values()]).reshape(-1, 2).T
+            x = np.array([place[key] * shift for key in each])
+            areas.append({"x": x, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)})
+            said.append(tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items()))
+            points = sorted((float(r.subject.removesuffix(" m2").rpartition(" ")[2]), r.value, r.lower, r.upper)
+                            for r in rows if (r.method, r.metric) == (method, f"area_rmse_{name}"))  # fmt: skip
+            errors.append(dict(zip(("x", "y", "low", "high"), np.array(points).reshape(-1, 4).T, strict=True)))
+            told = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
+            words += [f"{method}, {name.replace('observed', 'measured')}: {told}"] if told else []
+        ratio = Axis("estimated / nominal area", ends=(-0.6, 4.2))
+        diagonal = Mark("line", {"x": sizes, "y": sizes}, "as large as the target", GREY)
+        return Panels(Axis("nominal area [m²]", "log", ends=(sizes[0] / 1.8, sizes[-1] * 1.8)), (
+            Part(ratio, tuple(both_sides("dots", areas, said)), (("y", 1.0),)),
+            Part(Axis("rms error [m²]", "log"), (*both_sides("line", errors, label=""), diagonal)),
+        ), method), "; ".join(words)  # fmt: skip
+
+    return a_view_each(
+        "unmixing-areas", "abundance", "Target areas by unmixing against nominal areas, and their error by size",
+        "Area of each target by fully constrained unmixing over its nominal area, predicted and measured with 95 % "
+        "intervals, against the nominal area; below, root mean square error by nominal area.",
+        list(dict.fromkeys(method for _, method in both[1])), view,
+    )  # fmt: skip
+
+
+def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
+    """Where each target stands: those of one area beside each other within a quarter of a decade."""
+    groups: dict[float, list[Any]] = {}
+    for key, area in nominal.items():
+        groups.setdefault(area, []).append(key)
+    return {
+        key: area * 10**step
+        for area, keys in groups.items()
+        for key, step in zip(keys, np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,), strict=True)
+    }
+
+
+def object_score_figure(sides: Sides) -> Figure | None:
+    """Single objects: predicted median and 95 % interval of the score, and what was measured, a row each."""
+    pairs = {key: (np.quantile(p, [0.025, 0.5, 0.975]), float(m[0])) for key, p, m in _objects(sides) if m.size == 1}
+    outside = sum(not low <= m <= high for (low, _, high), m in pairs.values())
+
+    def columns(own: Sequence[Array]) -> dict[str, Array]:
+        return dict(zip(("low", "x", "high"), np.array(own).T, strict=True))
+
+    def words(numbers: Array) -> str:
+        low, middle, high = numbers
+        return f"{middle:.3g}" + (f" ({low:.3g} to {high:.3g})" if low < high else "")
+
+    return a_row_each(
+        "object-scores", "scores",
+        f"Score of each object: predicted median and 95 % interval, and as measured; {outside} of {len(pairs)} outside",
+        list(pairs), [{k: law for k, (law, _) in pairs.items()}, {k: np.full(3, m) for k, (_, m) in pairs.items()}],
+        Axis("greatest score of the object"), columns, words, rules=(0.0,),
+    )  # fmt: skip
+
+
+def transform_figure(sides: Sides) -> Figure | None:
+    """Probability integral transforms of all objects in order, with a band, by detector."""
+    by_detector: dict[str, list[Array]] = {}
+    for (_, detector), draws, measured in _objects(sides):
+        below = np.searchsorted(np.sort(draws), measured)
+        by_detector.setdefault(detector, []).append(np.asarray((below + 0.5) / (draws.size + 1.0), float))
+
+    def view(detector: str) -> tuple[Panels, str]:
+        u = np.sort(np.concatenate(by_detector[detector]))
+        inside = float(np.mean((u >= 0.025) & (u <= 0.975)))
+        x = Axis("probability of a lower score", ends=(0.0, 1.0))
+        words = f"{detector}: {u.size} objects, {inside:.0%} in the central 95 %"
+        return Panels(x, (_ordered(u),), detector), words
+
+    return a_view_each(
+        "object-transforms", "scores",
+        "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction",
+        "Probability integral transforms of the objects' scores in order against the uniform distribution with its "
+        "95 % band for independent objects. Objects share errors of the inputs, which the band leaves out.",
+        list(by_detector), view,
+    )  # fmt: skip
+
+
+def _ordered(u: Array) -> Part:
+    n, rank = u.size, np.arange(1, u.size + 1)
+    at = (rank - 0.5) / n
+    low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
+    band = Mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects", PREDICTED)
+    uniform = Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", GREY, "dotted")
+    objects = measured_mark("line", {"x": at, "y": u}, "objects, in order")
+    return Part(Axis("transform value", ends=(0.0, 1.0)), (band, uniform, objects))
+
+
+def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
+    """(subject, detector), predicted draws and measured scores of what both sides hold."""
+    predicted, measured = (of_side(side, "object_scores") for side in sides)
+    both = {key: measured[key].values[np.isfinite(measured[key].values)] for key in predicted if key in measured}
+    return [(key, predicted[key].values.ravel(), values) for key, values in both.items() if values.size]
+
+
+def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | None:
+    """The objects of each score map at their places, coloured by measured minus predicted score, above the histogram
+    of their scores; None where they are few.
+    """
+    found = {name: own for name, one in maps.items() if (own := _map_objects(name, one, sides)) is not None}
+    return a_view_each(
+        "objects", "scores",
+        "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
+        "in one is highlighted in the other",
+        "Map of the objects coloured by measured minus predicted score, and a histogram of the measured scores "
+        "with the prediction, a view for each score map.", list(found)[:_MOST_MAPS], found.__getitem__,
+    )  # fmt: skip
+
+
+def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> tuple[Panels, str] | None:
+    if None in sides or len(score_map.outlines) <= MANY_OBJECTS:
+        return None
+    predicted: Mapping[Any, ObjectScores] = of_side(sides[0], "object_scores")
+    names, measured, median = [], [], []
+    laws: list[tuple[int, Array]] = []
+    for (subject, detector), scores in of_side(sides[1], "object_scores").items():
+        law = predicted.get((subject, detector))
+        if law is None or not name.endswith(f"-{detector}"):
+            continue
+        own = [i for i, one in enumerate(scores.names) if one in score_map.outlines and np.isfinite(scores.values[i])]
+        if own:
+            laws.append((len(own), np.ravel(law.values)))
+            names += [scores.names[i] for i in own]
+            measured += [float(scores.values[i]) for i in own]
+            median += [float(np.median(laws[-1][1]))] * len(own)
+    if len(names) <= MANY_OBJECTS:
+        return None
+    line, sample = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]).T + 0.5
+    value = np.array(measured) - np.array(median)
+    reach = float(np.max(np.abs(value))) or 1.0
+    said = tuple(f"{one}: measured {m:.3g}, predicted median {p:.3g}"
+                 for one, m, p in zip(names, measured, median, strict=True))  # fmt: skip
+    scale = ColourScale("signed", -reach, reach, "measured − predicted")
+    columns = {"x": sample, "y": line, "value": value}
+    dots = Mark("dots", columns, marker="circle", words=said, scale=scale, linked=True)
+    lines, samples = (float(n) for n in np.shape(score_map.values))
+    place = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,))
+    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), (place, _scores_of_all(measured, laws, said)), name), (
+        f"{name}: {len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
+    )
+
+
+def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]], said: tuple[str, ...]) -> Part:
+    """Histogram of measured scores and of those that the prediction expects.
+
+    Scores beyond the edges count in the outermost bins, so that both sum to the number of objects.
+    """
+    ends = np.concatenate([measured, *(np.quantile(draws, [0.005, 0.995]) for _, draws in laws)])
+    edges = np.linspace(ends.min(), max(ends.max(), ends.min() + 1e-9), _BINS + 1)
+    expected = sum(n * np.histogram(np.clip(d, edges[0], edges[-1]), edges)[0] / d.size for n, d in laws)
+    counts = np.histogram(measured, edges)[0].astype(float)
+    top, margin = 1.08 * float(max(counts.max(), np.max(expected))), 0.02 * (edges[-1] - edges[0])
+    bins = {"left": edges[:-1], "right": edges[1:], "bottom": np.zeros(_BINS), "top": counts}
+    dots = {"x": np.array(measured), "y": np.zeros(len(measured))}
+    marks = (
+        measured_mark("bars", bins, alpha=0.35),
+        predicted_mark("steps", {"x": edges, "y": np.append(expected, np.ravel(expected)[-1])}),
+        measured_mark("dots", dots, "", marker="circle", words=said, linked=True),
+    )
+    x = Axis("greatest score over the object's pixels", ends=(float(edges[0] - margin), float(edges[-1] + margin)))
+    return Part(Axis("number of objects", ends=(0.0, top)), marks, x=x)
+
+
+def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
+    """Densities of the detectors' scores, a view for each; None without any.
+
+    A density that the product does not state is that of the normal law with its moments.  Sides after the first are
+    dashed.
+    """
+
+    def view(detector: str) -> tuple[Panels, str]:
+        curves = [
+            (label, number, subject, *density_of(score))
+            for number, (label, side) in enumerate(sides)
+            for subject, score in [(s, v) for (s, d), v in side.scores.items() if d == detector and v.sd > 0][
+                :_MOST_POPULATIONS
+            ]
+        ]
+        subjects = list(dict.fromkeys(subject for _, _, subject, *_ in curves))
+        top = max((float(np.nanmax(y)) for *_, y in curves), default=1.0)
+        marks = tuple(
+            Mark("line", {"x": x, "y": np.maximum(y, top * _DEEPEST / 10)},
+                 f"{subject}, {label}" if len(sides) > 1 else subject,
+                 CURVES[subjects.index(subject) % len(CURVES)], "dashed" if number else "solid")
+            for label, number, subject, x, y in curves
+        )  # fmt: skip
+        part = Part(Axis("density", "log", ends=(top * _DEEPEST, 2.0 * top)), marks)
+        return Panels(Axis(f"score of {detector}"), (part,), detector), f"{detector}: {', '.join(subjects)}"
+
+    return a_view_each(
+        "densities", "scores", "Scores: probability density of each population and of the background",
+        "Probability density (logarithmic) of the detector's score, a view for each detector. Populations:",
+        list(dict.fromkeys(detector for _, side in sides for _, detector in side.scores)), view,
+    )  # fmt: skip
+
+
+def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
+    """Scores (G,) [1] and the probability density (G,) at each [per unit of score].
+
+    Examples
+    --------
+    >>> score, density = density_of(ScoreDistribution(0.5, 0.1))
+    >>> round(float(np.trapezoid(density, score)), 5)
+    1.0
+    """
+    if score.grid is not None and score.density is not None:
+        return score.grid, score.density
+    z = np.linspace(-_SPAN, _SPAN, 201)
+    return score.mean + score.sd * z, np.exp(-0.5 * z**2) / (score.sd * np.sqrt(2.0 * np.pi))
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:
@@ -39,219 +783,18 @@ def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[s
     """
     rows = list(table) if table is not None else []
     made = [
-        *(spectra.spectra_figure(sides, product, rows, names) for product in spectra.SPECTRA),
-        detection.roc_figure(sides, names),
+        *(spectra_figure(sides, product, rows, names) for product in SPECTRA),
+        roc_figure(sides, names),
     ]
     return [figure for figure in made if figure is not None]
 
 
-def further_figures(
-    sides: Sides,
-    table: ResultTable,
-    eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum],
-    margin: float | None,
-) -> list[Figure]:
-    """What else the products, the rows and the eigenvalues of a run give, with its margin of P_D."""
+def further_figures(sides: Sides, table: ResultTable, margin: float | None) -> list[Figure]:
+    """What else the products and the rows of a run give, with its margin of P_D."""
     made = [
-        spectra.budget_figure(sides),
-        *(spectra.sampled_eigenvalue_figures(eigenvalues) if eigenvalues else [spectra.eigenvalue_figure(sides)]),
-        spectra.tail_figure(sides),
-        spectra.class_error_figure(sides),
-        detection.score_figure(sides),
-        detection.object_score_figure(sides),
-        detection.transform_figure(sides),
-        detection.exceedance_figure(sides),
-        detection.roc_difference_figure(sides, margin),
-        detection.abundance_figure(sides),
-        detection.unmixing_figure(sides, list(table.where(product="abundance"))),
-        *reason_figures(table),
-    ]
+        budget_figure(sides), *eigenvalue_figures(sides), tail_figure(sides), class_error_figure(sides),
+        score_figure(sides), object_score_figure(sides), transform_figure(sides), exceedance_figure(sides),
+        roc_difference_figure(sides, margin), abundance_figure(sides),
+        unmixing_figure(sides, list(table.where(product="abundance"))), *reason_figures(table),
+    ]  # fmt: skip
     return [figure for figure in made if figure is not None]
-
-
-_MOST_INPUTS = 14
-_MOST_GROUPS = 26
-_MOST_QUANTITIES = 26
-_STATED, _UNSTATED = "#0072B2", "#E69F00"
-_BEST, _OTHER = "#C2410C", "#8aa4b8"
-_ALL = "all"
-_LONGEST = 34  # characters of an input's name
-# Twice a log-likelihood of 10.8 has one chance in a thousand by luck, for one direction.
-_TELLING = 10.8
-
-
-def reason_figures(table: ResultTable) -> list[Figure]:
-    """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
-    gains = [r for r in table.where(product="attribution") if r.metric == "likelihood_gain"]
-    whole = sorted((r for r in gains if r.subject == _ALL), key=lambda r: -r.value)
-    others = [r for r in gains if r.subject != _ALL]
-    moves = [r for r in table.where(product="sensitivity") if r.metric.endswith("_change")]
-    outcomes = [r for r in table.where(product="what-if") if r.metric == "reduced_chi_square"]
-    left = [
-        r for r in table.where(product="attribution") if r.metric == "reduced_chi_square" and r.method != "every input"
-    ]
-    left = sorted(left, key=lambda r: -_leading_number(r.reason))[:_MOST_QUANTITIES]
-    first = next((f"Residuals before and after: {r.method}" for r in left), "")
-    made = (
-        _before_and_after("residuals", "attribution", left, [r.subject for r in left], first),
-        _inputs(whole[:_MOST_INPUTS], table) if whole else None,
-        _gain(table),
-        _by_subject(others) if others else None,
-        _effects(moves) if moves else None,
-        _before_and_after("what-ifs", "what-if", outcomes, [r.method for r in outcomes], "What-ifs: before and after"),
-    )
-    return [figure for figure in made if figure is not None]
-
-
-def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
-    stated, names = _stated(table), [r.method for r in rows]
-    marks = []
-    for colour, label, own in (
-        (_STATED, "uncertainty stated", [i for i, name in enumerate(names) if name in stated]),
-        (_UNSTATED, "none stated: standard step", [i for i, name in enumerate(names) if name not in stated]),
-    ):
-        if own:
-            at, ends = np.array(own, float), np.array([max(rows[i].value, 0.1) for i in own])
-            columns = {"left": np.full(at.size, 0.1), "right": ends, "bottom": at - 0.35, "top": at + 0.35}
-            # An input that explains nothing has nothing to say, however far it moves.
-            words = [rows[i].reason.partition("; ")[0].partition(": ")[2] if rows[i].value >= 1.0 else "" for i in own]
-            words = [text.replace("-", "−") for text in words]
-            marks.append(Mark("bars", columns, label, colour, words=tuple(words), beside="right", alpha=0.85))
-    best = rows[0]
-    alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
-    alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
-    numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
-    legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
-    legend += "; a number in brackets: one of several independent shapes of an error" if numbered else ""
-    x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
-    title = "Inputs that would explain the differences if they were less certain"
-    y = row_names(names, _LONGEST)
-    return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
-
-
-def _gain(table: ResultTable) -> Figure | None:
-    """The gain of the sensor that would explain the radiance of all subjects, over wavelength."""
-    marks: dict[str, Mark] = {}
-    labels = {
-        "": "gain without an offset",
-        "_beside_offset": "gain beside the offset below",
-        "o": "offset beside that gain",
-    }
-    for kind, label in labels.items():
-        name = "sensor_offset@" if kind == "o" else f"sensor_gain{kind}@"
-        every = [r for r in table.where(product="radiance") if r.metric.startswith(name)]
-        if every:
-            numbers = np.array([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in every])
-            columns = dict(zip(("x", "y", "low", "high"), numbers.T, strict=True))
-            colour, hollow = (GREY, True) if kind else (DIFFERENCE, False)
-            marks[kind] = Mark("dots", columns, f"{label}, 95 % interval", colour, marker="circle", hollow=hollow)
-    if not marks:
-        return None
-    nm, gain, low, high = (marks[""].columns[name] for name in ("x", "y", "low", "high"))
-    far = int(np.argmax(np.abs(gain - 1.0)))
-    title = "Gain and offset [uW cm-2 sr-1 nm-1] of the sensor that would explain the radiance of all subjects"
-    alt = f"{title}; gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at "
-    alt += f"{nm[far]:.0f} nm."
-    offset = [marks.pop("o")] if "o" in marks else []
-    parts = [Part(Axis("measured / predicted radiance"), tuple(marks.values()), (("y", 1.0),))]
-    parts += [Part(Axis("offset"), (mark,), (("y", 0.0),)) for mark in offset]
-    return Figure("sensor-gain", "attribution", title, alt, (Panels(Axis(WAVELENGTH), tuple(parts)),))
-
-
-def _by_subject(rows: Sequence[Result]) -> Figure | None:
-    """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
-    by = {(r.subject, r.method): r.value for r in rows}
-    # A gain below 1 explains nothing; subjects without any greater one have nothing to explain.
-    telling, asked = {r.subject for r in rows if r.value >= 1.0}, list(dict.fromkeys(r.subject for r in rows))
-    every = [s for s in asked if s in telling]
-    if not every:
-        return None
-    subjects = every[:_MOST_GROUPS]
-    best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
-    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
-    gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
-    part = gains / np.maximum(gains.max(axis=1, keepdims=True), 1e-300)
-    marks = []
-    for first, label, colour in ((False, "part of it", _OTHER), (True, "greatest gain of a subject", _BEST)):
-        own = (gains > 0.0) & ((part >= 0.999) == first)
-        if own.any():
-            y, x = np.nonzero(own)
-            columns = {"x": x.astype(float), "y": y.astype(float), "size": 14.0 * np.sqrt(part[own])}
-            words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[own])
-            beside: Any = "right" if first else ""
-            marks.append(Mark("dots", columns, label, colour, marker="circle", words=words, beside=beside))
-    legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
-    quiet = len(asked) - len(every)
-    legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
-    legend += left_out(len(subjects), len(every), "results.csv")
-    tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
-    title, alt = "The same for each subject", f"For each subject the input that gains most: {tops}."
-    names = row_names(inputs, _LONGEST), row_names(subjects, _LONGEST)
-    return of_rows("attribution-subjects", "attribution", title, alt, *names, marks, legend)
-
-
-def _effects(rows: Sequence[Result]) -> Figure:
-    """Change of each number of the comparison per unit of each input, as a matrix of colours."""
-
-    def label(r: Result) -> str:
-        what = r.metric.removesuffix("_change").replace("roc_pd@", "P_D ").removesuffix("_ratio_windows")
-        way = r.method.partition(" / ")[2].removesuffix("/pixel")
-        return f"{r.subject}, {what}" + (f" {way}" if way else "")
-
-    every = list(dict.fromkeys(label(r) for r in rows))
-    gaps = {label(r): abs(_leading_number(r.reason.partition("gap ")[2])) for r in rows}
-    shown = sorted(every, key=lambda q: -gaps[q])[:_MOST_QUANTITIES]
-    by = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
-    names = list(dict.fromkeys(r.method.partition(" / ")[0] for r in rows))
-    names = sorted(names, key=lambda n: -max(abs(by.get((q, n), 0.0)) for q in shown))[:_MOST_INPUTS]
-    y, x = (place.ravel().astype(float) for place in np.mgrid[: len(shown), : len(names)])
-    values = np.array([by.get((q, n), math.nan) for q in shown for n in names])
-    words = tuple(f"{v:+.{1 + (abs(v) >= 0.001)}g}" if abs(v) >= 0.0005 else "" for v in values)
-    # Colours end where nearly all values lie: one that is far out takes them from all others.
-    finite = np.abs(values[np.isfinite(values)])
-    reach = max(float(np.percentile(finite, 97)) if finite.size else 0.0, 1e-6)
-    columns = {"left": x - 0.5, "right": x + 0.5, "bottom": y - 0.5, "top": y + 0.5, "value": values}
-    scale = ColourScale("signed", -reach, reach, "change per unit")
-    cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
-    largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
-    alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
-    alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
-    legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
-    legend += "gap: predicted minus measured; spectra relative to the measured mean, P_D as a difference; "
-    legend += "the largest gaps are shown"
-    quantities = [f"{q} (gap {gaps[q]:.2g})" for q in shown]
-    ways = row_names(names, _LONGEST), row_names(quantities, 56)
-    title = "Change by one unit of each input"
-    return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
-
-
-def _before_and_after(name: str, product: str, rows: Sequence[Result], names: list[str], title: str) -> Figure | None:
-    """Reduced chi-square of each row, and that which its reason tells."""
-    if not rows:
-        return None
-    before = np.array([_leading_number(r.reason) for r in rows])
-    after, at = np.array([r.value for r in rows]), np.arange(float(len(rows)))
-    marks = [Mark("dots", {"x": before, "y": at}, "as in the campaign", marker="circle", hollow=True)]
-    for own, label, colour, marker in (
-        (after < before, "after, closer", MET, "left"), (~(after < before), "after, farther", NOT_MET, "right")
-    ):  # fmt: skip
-        if own.any():
-            ends = {"low": np.minimum(before, after)[own], "high": np.maximum(before, after)[own]}
-            words = tuple(f"{value:.3g}" for value in after[own])
-            marks.append(Mark("dots", {"x": after[own], "y": at[own], **ends}, label, colour, marker=marker,
-                              along="x", words=words, beside="right"))  # fmt: skip
-    both = [v for v in (*before, *after) if v > 0]
-    scattered = bool(both) and max(both) > 20.0 * min(both)
-    x = Axis("reduced chi-square", "log" if scattered else "linear")
-    each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
-    alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
-    return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
-
-
-def _stated(table: ResultTable) -> set[str]:
-    rows = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
-    return {r.method for r in rows if "none is stated" not in r.reason}
-
-
-def _leading_number(text: str) -> float:
-    return number_of((text.split() or [""])[0].rstrip(",;"))

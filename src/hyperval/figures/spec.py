@@ -14,8 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.model.intervals import difference_ratio, difference_ratio_uncertainty
-from hyperval.products import Products, SpectralEstimate
+from hyperval.products import Products
 from hyperval.spectra.axis import ABSORPTION_BANDS_NM, SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
@@ -502,24 +501,6 @@ class Quicklook:
     pixel_size_m: float | None = None
 
 
-@dataclass(frozen=True)
-class EigenvalueSpectrum:
-    """Leading eigenvalues of one class's covariance from pixel to pixel, largest first.
-
-    Attributes
-    ----------
-    measured : (K,) of the collection
-    expected, lower, upper : (K,) mean and 95 % limits of those of as many pixels drawn from the prediction
-    n : pixels
-    """
-
-    measured: npt.NDArray[np.float64]
-    expected: npt.NDArray[np.float64]
-    lower: npt.NDArray[np.float64]
-    upper: npt.NDArray[np.float64]
-    n: int
-
-
 def of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
     """A product of a side, empty where the side is absent."""
     return {} if side is None else getattr(side, product)
@@ -539,14 +520,6 @@ def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[
     both = [of_side(side, product) for side in sides]
     pairs = [key for key in both[0] if key in both[1]]
     return both, pairs or both_first(*both), bool(pairs)
-
-
-def difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
-    """(B,) predicted - measured, or that over measured, and its standard uncertainty, independent."""
-    p, c, up, uc = predicted.mean, measured.mean, predicted.standard_uncertainty, measured.standard_uncertainty
-    if ratio:
-        return difference_ratio(p, c), difference_ratio_uncertainty(p, c, up, uc)
-    return p - c, np.hypot(up, uc)
 
 
 def in_windows(axis: SpectralAxis) -> npt.NDArray[np.bool_]:

@@ -23,13 +23,11 @@ from markupsafe import Markup
 
 import hyperval
 from hyperval.errors import refuse
-from hyperval.figures.catalogue import first_figures, further_figures
-from hyperval.figures.criteria import campaigns_figure, criteria_figure
-from hyperval.figures.detection import many_objects_figure
-from hyperval.figures.spec import Drawing, EigenvalueSpectrum, Figure, statement
-from hyperval.figures.spectra import SPECTRA
+from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
+from hyperval.figures.rows import campaigns_figure, criteria_figure
+from hyperval.figures.spec import Drawing, Figure, statement
 from hyperval.metrics import Evidence, explained
-from hyperval.products import ObservedProducts, PredictedProducts, background_of
+from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.report.run import WARNING, RunReport
 from hyperval.report.verdict import outcome_words, worst
@@ -202,7 +200,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     many = many_objects_figure(run.score_maps, sides)
     shown_first = [*spectra, *([many] if many is not None else [])]
     charts, further = shown_first[:_MOST_OPEN_FIGURES], shown_first[_MOST_OPEN_FIGURES:]
-    plots = further_figures(sides, run.table, run.eigenvalues, equivalence_margin(run.provenance))
+    plots = further_figures(sides, run.table, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
     planned = [row for row in rows if row.planned]
@@ -465,11 +463,8 @@ def flat(value: Any, at: str = "") -> dict[str, str]:
     return {at: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}
 
 
-Eigenvalues = Callable[[PredictedProducts, ObservedProducts], Mapping[tuple[str, str], EigenvalueSpectrum]]
-
-
-def run_drawings(run: Path, eigenvalues: Eigenvalues, kind: Kind, journal: bool = False) -> list[Drawing]:
-    """What the products of a folder and the reasons of its table allow; ``eigenvalues`` : the spread of its pixels.
+def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
+    """What the products of a folder and the reasons of its table allow.
 
     Raises
     ------
@@ -477,22 +472,20 @@ def run_drawings(run: Path, eigenvalues: Eigenvalues, kind: Kind, journal: bool 
     """
     from hyperval.figures.print import drawings_of
 
-    (predicted, observed), simulated = read_pair(run), is_simulated(run)
-    known = Run.open(run) if is_run(run) else Run(ResultTable())
-    spread = eigenvalues(predicted, observed) if predicted and observed else {}
-    figures = [criteria_figure(list(known.table)), *first_figures((predicted, observed))]
-    figures += further_figures((predicted, observed), known.table, spread, equivalence_margin(known.provenance))
-    return drawings_of([one for one in figures if one], simulated=simulated, kind=kind, journal=journal)
+    sides, known = read_pair(run), Run.open(run) if is_run(run) else Run(ResultTable())
+    figures = [criteria_figure(list(known.table)), *first_figures(sides)]
+    figures += further_figures(sides, known.table, equivalence_margin(known.provenance))
+    return drawings_of([one for one in figures if one], simulated=is_simulated(run), kind=kind, journal=journal)
 
 
-def figures_to_folder(run: Path, output: Path, eigenvalues: Eigenvalues, kind: Kind, journal: bool) -> int:
+def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:
     """Write the drawings of a run into a new folder.
 
     Raises
     ------
     InputError, UsageError : as of :func:`run_drawings`, or products of which nothing can be drawn.
     """
-    drawings = run_drawings(run, eigenvalues, kind, journal)
+    drawings = run_drawings(run, kind, journal)
     refuse(not drawings, "results.figures", run)
     with whole_folder(output) as folder:
         for drawing in drawings:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from hyperval.figures.spec import EigenvalueSpectrum, Quicklook, ScoreMap
+from hyperval.figures.spec import Quicklook, ScoreMap
 from hyperval.products import ObservedProducts, PredictedProducts
 from hyperval.results import Result, ResultTable
 
@@ -49,7 +49,6 @@ class RunReport:
         (versions, command, seed, formulation, ...) are shown as they are
     notes : assumptions made, what was left out
     references : literature
-    eigenvalues : (subject, quantity) -> eigenvalues of both sides
     chosen_after : (what, as it was before) of each range that was set after its data were seen
     deciding : inconclusive criteria, and what would decide each
     power : which standard errors the campaign would detect, None where that was not worked out
@@ -70,7 +69,6 @@ class RunReport:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     notes: Sequence[str] = ()
     references: Sequence[str] = ()
-    eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum] = field(default_factory=dict)
     chosen_after: Sequence[tuple[str, str]] = ()
     deciding: Sequence[tuple[Result, str]] = ()
     power: PowerWords | None = None

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from hyperval.figures.criteria import criteria_of, effect_text, ranked, row_label, short_text
+from hyperval.figures.rows import criteria_of, effect_text, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import EVERY, OUTCOMES, WORST_FIRST, Cause, Outcome, Result
 

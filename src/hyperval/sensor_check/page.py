@@ -15,7 +15,7 @@ import numpy as np
 from hyperval.campaign.provenance import record_of
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
-from hyperval.figures.detection import roc_figure
+from hyperval.figures.catalogue import roc_figure
 from hyperval.figures.print import drawings_of
 from hyperval.figures.spec import (
     SOURCES,
