@@ -752,8 +752,8 @@ def check(
     files = [campaigns] if isinstance(campaigns, Path | str) else list(campaigns)
     names = [sensors] if isinstance(sensors, str) else list(sensors)
     folder = Path(baselines or baseline.DEFAULT_FOLDER)
-    outcome = baseline.check([Path(f) for f in files], names, baselines=folder, show_progress=show_progress)
-    return Results(outcome.table)
+    runs = baseline.check([Path(f) for f in files], names, baselines=folder, show_progress=show_progress)
+    return Results(baseline.rows_of(runs))
 
 
 def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress: bool | None = None) -> Collection:

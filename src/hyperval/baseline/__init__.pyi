@@ -13,11 +13,14 @@ from .accepted import (
     compare,
     key_of,
     load_baseline,
+    rows_of,
     sensor_metrics,
     split_key,
+    today,
 )
 
 __all__ = [
     "DEFAULT_FOLDER", "SENSORS", "Accepted", "Baseline", "RunNumbers", "accept", "accepted_of", "campaign_metrics",
-    "check", "compare", "key_of", "load_baseline", "sensor_metrics", "split_key",
+    "check", "compare", "key_of", "load_baseline", "rows_of", "sensor_metrics", "split_key",
+    "today",
 ]  # fmt: skip

@@ -138,20 +138,12 @@ class Baseline(Model):
 
 
 def _line(item: Accepted) -> str:
-    entries = item.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    entries = {"accepted": item.accepted, **{k: v for k, v in entries.items() if k != "accepted"}}
-    return "{" + ", ".join(f"{key}: {_scalar(value)}" for key, value in entries.items()) + "}"
+    entries = {"accepted": None} | item.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    plain = (value if isinstance(value, str) and value.isalpha() else _text(value) for value in entries.values())
+    return "{" + ", ".join(map("{}: {}".format, entries, plain)) + "}"
 
 
-def _scalar(value: object) -> str:
-    if value is None:
-        return "null"
-    if isinstance(value, str):
-        return value if value.isalpha() else _text(value)
-    return repr(value)
-
-
-def _text(value: str) -> str:
+def _text(value: object) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
@@ -215,12 +207,6 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Result]:
         old = metrics.setdefault(key_of(row), row)
         metrics[key_of(row)] = replace(old, outcome=min(old.outcome, row.outcome, key=WORST_FIRST.index))
     return dict(sorted(metrics.items()))
-
-
-def skipped_reason(rows: Sequence[Result] | ResultTable) -> str | None:
-    """Why a campaign as a whole was skipped, None when any of its rows was made."""
-    reasons = [row.reason for row in rows if row.outcome is Outcome.SKIPPED]
-    return reasons[0] if reasons and len(reasons) == len(rows) else None
 
 
 METHOD = "sensor"
@@ -301,35 +287,9 @@ def _scenarios(check: SensorCheck) -> Iterator[Result]:
 
 
 DEFAULT_FOLDER = Path("validation/baselines")
-SENSORS = "sensors"
+SENSORS, CANDIDATE = "sensors", ".candidate.yaml"
 # What a change of numbers may come from besides this project.
 PACKAGES = ("numpy", "scipy")
-
-
-def baseline_path(folder: Path, kind: Kind, name: str) -> Path:
-    """The file of a baseline: ``folder``/NAME.yaml, sensors in a folder of their own."""
-    return folder / (f"{name}.yaml" if kind == "campaign" else f"{SENSORS}/{name}.yaml")
-
-
-def candidate_path(folder: Path, kind: Kind, name: str) -> Path:
-    """Where the numbers of a run without a baseline are left, beside where they would be accepted."""
-    return baseline_path(folder, kind, name).with_suffix(".candidate.yaml")
-
-
-def stored(folder: Path, kind: Kind, name: str) -> Baseline | None:
-    """The baseline of a campaign or sensor, None when there is none.
-
-    Raises
-    ------
-    UsageError : mistakes in the file, or a file of something else.
-    """
-    path = baseline_path(folder, kind, name)
-    if not path.is_file():
-        return None
-    baseline = load_baseline(path)
-    other = (baseline.kind, baseline.name) != (kind, name)
-    refuse(other, "baseline.other", path, wanted=f"{kind} {name}", of=f"{baseline.kind} {baseline.name!r}")
-    return baseline
 
 
 def accepted_of(measured: Mapping[str, Result], before: Mapping[str, Accepted]) -> dict[str, Accepted]:
@@ -409,7 +369,7 @@ ALL, RUNS = "all", "runs"
 
 @dataclass(frozen=True)
 class RunNumbers:
-    """The numbers of one campaign or sensor.
+    """The numbers of one campaign or sensor, checked or accepted.
 
     Attributes
     ----------
@@ -421,6 +381,7 @@ class RunNumbers:
     reference : what a command names it by: the campaign file, or the sensor
     rows : one for each number of either side once it is checked, or one that says why there are none
     before : what was accepted, where there was a run and a baseline
+    after : what is accepted now
     """
 
     kind: Kind
@@ -433,6 +394,35 @@ class RunNumbers:
     reference: str = ""
     rows: ResultTable = field(default_factory=ResultTable)
     before: Baseline | None = None
+    after: Baseline | None = None
+
+    def path(self, folder: Path, end: str = ".yaml") -> Path:
+        """The file of its baseline: ``folder``/NAME.yaml, of sensors in a folder of their own.
+
+        With the ``end`` .candidate.yaml where the numbers of a run without a baseline are left.
+        """
+        return (folder if self.kind == "campaign" else folder / SENSORS) / f"{self.name}{end}"
+
+    def stored(self, folder: Path) -> Baseline | None:
+        """Its baseline, None when there is none.
+
+        Raises
+        ------
+        UsageError : mistakes in the file, or a file of something else.
+        """
+        path = self.path(folder)
+        if not path.is_file():
+            return None
+        found = load_baseline(path)
+        other = (found.kind, found.name) != (self.kind, self.name)
+        refuse(other, "baseline.other", path, wanted=f"{self.kind} {self.name}", of=f"{found.kind} {found.name!r}")
+        return found
+
+    @property
+    def changes(self) -> list[tuple[str, Accepted | None, Accepted | None]]:
+        """Name, before and after of each number that is accepted otherwise than before."""
+        old, new = (side.metrics if side else {} for side in (self.before, self.after))
+        return [(k, old.get(k), new.get(k)) for k in sorted({*old, *new}) if old.get(k) != new.get(k)]
 
     def acceptance(self, baselines: Path) -> str:
         """The command that takes the numbers of this run for accepted, in the folder ``baselines``."""
@@ -507,27 +497,16 @@ def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     stale = finished and (folder / RECORD).is_file() and as_before(job, folder) is None
     refuse(stale, "baseline.stale", folder, name=name)
     made_with = versions(run.provenance.get("packages"), run.provenance.get("python"))
+    reasons = {row.reason if row.outcome is Outcome.SKIPPED else None: None for row in table}
     return RunNumbers(
-        "campaign", name, job.outline.title, campaign_metrics(table), made_with, skipped_reason(table),
-        bool(job.outline.simulated), str(job.path),
+        "campaign", name, job.outline.title, campaign_metrics(table), made_with,
+        None if None in reasons else next(iter(reasons)), bool(job.outline.simulated), str(job.path),
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Checks:
-    """What a check found."""
-
-    checked: list[RunNumbers] = field(default_factory=list)
-
-    @property
-    def table(self) -> ResultTable:
-        """All rows."""
-        return ResultTable(row for item in self.checked for row in item.rows)
-
-    @property
-    def exit_code(self) -> int:
-        """1 when a number moved, is missing, new, or was never accepted; 5 when nothing was checked."""
-        return self.table.exit_code()
+def rows_of(runs: Iterable[RunNumbers]) -> ResultTable:
+    """All rows; their exit code is 1 when a number moved, is missing, new, or was never accepted, 5 without any."""
+    return ResultTable(row for run in runs for row in run.rows)
 
 
 def check(
@@ -540,7 +519,7 @@ def check(
     junit: Path | None = None,
     engine: Engine | None = None,
     show_progress: bool | None = None,
-) -> Checks:
+) -> list[RunNumbers]:
     """Compare campaigns and sensors with what was accepted.
 
     Parameters
@@ -560,38 +539,36 @@ def check(
     with whole_folder(output) if output is not None else nullcontext() as folder:
         keep = folder / RUNS if folder is not None else None
         runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine, show_progress=show_progress)
-        outcome = Checks([_against(run, baselines) for run in runs])
+        runs = [_against(run, baselines) for run in runs]
         if folder is not None:
-            _write(outcome, baselines, folder)
+            _write(runs, baselines, folder)
     if junit is not None:
-        write_text(junit, junit_xml(outcome.table))
-    return outcome
+        write_text(junit, junit_xml(rows_of(runs)))
+    return runs
 
 
 def _against(run: RunNumbers, folder: Path) -> RunNumbers:
-    path = baseline_path(folder, run.kind, run.name)
-    outcome, words = Outcome.DISAGREES, ""
+    path, outcome, cause = run.path(folder), Outcome.DISAGREES, Cause.NONE
     if run.skipped is not None:
-        outcome, words = Outcome.SKIPPED, run.skipped
-    elif (before := stored(folder, run.kind, run.name)) is not None:
+        outcome, cause, words = Outcome.SKIPPED, Cause.NO_DATA, run.skipped
+    elif (before := run.stored(folder)) is not None:
         return replace(run, rows=ResultTable(compare(run.owner, before.metrics, run.metrics)), before=before)
     elif run.broken:
         words = f"no baseline ({path}), and this run cannot become one: {run.broken[0]}"
     else:
-        candidate = candidate_path(folder, run.kind, run.name)
+        candidate = run.path(folder, CANDIDATE)
         run.baseline(f"{FILL_IN}: why these numbers are right", {}).write(candidate)
         how = f"to make them one: {run.acceptance(folder)}"
         words = f"no baseline ({path}); the numbers of this run are in {candidate}; {how}"
-    cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.NONE
     names = (run.owner, "baseline", run.name, run.kind, "baseline")
     return replace(run, rows=ResultTable([Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=words)]))
 
 
-def _write(outcome: Checks, baselines: Path, folder: Path) -> None:
+def _write(runs: Sequence[RunNumbers], baselines: Path, folder: Path) -> None:
     """A folder of results: one page for each campaign and sensor, and one that joins them."""
     reports = []
-    for run in outcome.checked:
-        path = baseline_path(baselines, run.kind, run.name)
+    for run in runs:
+        path = run.path(baselines)
         inputs = [{"reference": path.name, "sha256": sha256_of(path)}] if path.is_file() else []
         reports.append(RunReport(
             campaign=run.owner, title=f"{run.title}: against the accepted numbers",
@@ -608,33 +585,6 @@ def _write(outcome: Checks, baselines: Path, folder: Path) -> None:
     write_index(reports, folder, "Accepted numbers")
 
 
-Change = tuple[str, str, Accepted | None, Accepted | None]  # owner, name, before and after: None where there is none
-
-
-@dataclass(frozen=True)
-class Acceptance:
-    """What was accepted.
-
-    Attributes
-    ----------
-    written : the baselines that changed, by owner
-    unchanged, skipped : owners whose numbers are those of the baseline; owner -> why there was no run
-    changes : every number that changed
-    date : of the baselines that were written
-    """
-
-    written: Mapping[str, Path]
-    unchanged: Sequence[str]
-    skipped: Mapping[str, str]
-    changes: Sequence[Change]
-    date: str
-
-    @property
-    def exit_code(self) -> int:
-        """5 when there was no run to accept."""
-        return 0 if self.written or self.unchanged else 5
-
-
 def accept(
     campaigns: Sequence[Path],
     sensors: Sequence[str] = (),
@@ -644,14 +594,14 @@ def accept(
     source: Path | None = None,
     engine: Engine | None = None,
     show_progress: bool | None = None,
-) -> Acceptance:
+) -> list[RunNumbers]:
     """Store the numbers of campaigns and sensors as accepted, with the reason.
 
     Tolerances that stand in a baseline are kept; new numbers get the default of their kind.  A baseline whose
     numbers are all the same is left as it is, with its reason and date.  Nothing is written unless every run is
     sound.
 
-    Parameters as for :func:`check`.
+    Parameters as for :func:`check`.  What was run and has changes was written; what was skipped was not run.
 
     Raises
     ------
@@ -662,20 +612,13 @@ def accept(
     runs = all_runs(campaigns, sensors, source=source, engine=engine, show_progress=show_progress)
     for run in runs:
         refuse(run.broken, "baseline.broken", owner=run.owner, why="; ".join(run.broken[:1]))
-    done = [run for run in runs if run.skipped is None]
-    before = {run.owner: stored(baselines, run.kind, run.name) for run in done}  # all are read before one is written
-    written, unchanged, changes = {}, [], list[Change]()
-    for run in done:
-        held = before[run.owner]
-        old = held.metrics if held else {}
-        new = run.baseline(words, old)
-        keys = [key for key in sorted({*old, *new.metrics}) if old.get(key) != new.metrics.get(key)]
-        if not keys:
-            unchanged.append(run.owner)
-            continue
-        written[run.owner] = baseline_path(baselines, run.kind, run.name)
-        new.write(written[run.owner])
-        candidate_path(baselines, run.kind, run.name).unlink(missing_ok=True)
-        changes += [(run.owner, key, old.get(key), new.metrics.get(key)) for key in keys]
-    skipped = {run.owner: run.skipped for run in runs if run.skipped is not None}
-    return Acceptance(written, unchanged, skipped, changes, today())
+    before = {run.owner: run.stored(baselines) for run in runs}  # all are read before one is written
+    for i, run in enumerate(runs):
+        if run.skipped is None:
+            held = before[run.owner]
+            new = run.baseline(words, held.metrics if held else {})
+            runs[i] = replace(run, before=held, after=new)
+            if runs[i].changes:
+                new.write(run.path(baselines))
+                run.path(baselines, CANDIDATE).unlink(missing_ok=True)
+    return runs

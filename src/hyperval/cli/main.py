@@ -186,7 +186,7 @@ def check(
     """Run campaigns and sensors, and compare with what was accepted."""
     if baselines is not None and not baselines.is_dir():
         raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
-    outcome = baseline.check(
+    runs = baseline.check(
         campaigns or [],
         sensors or [],
         baselines=baselines or baseline.DEFAULT_FOLDER,
@@ -196,16 +196,16 @@ def check(
         show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
-    compared = [row for run in outcome.checked if run.before for row in run.rows if everything or row.reason]
+    compared = [row for run in runs if run.before for row in run.rows if everything or row.reason]
     print_table(header, list(map(_cells, compared)))
     skipped: dict[str, list[str]] = {}
-    for run in outcome.checked:
+    for run in runs:
         _tell(run, baselines or baseline.DEFAULT_FOLDER)
         if run.skipped is not None:
             skipped.setdefault(run.skipped, []).append(run.owner)
     for reason, owners in skipped.items():
         note(f"{', '.join(owners)}: skipped: {reason}")
-    return finished(outcome.exit_code, output)
+    return finished(baseline.rows_of(runs).exit_code(), output)
 
 
 def _cells(row: Result) -> tuple[str, ...]:
@@ -257,26 +257,24 @@ def baseline_accept(
     source: Finished = None,
 ) -> int:
     """Take the numbers of a run as those that later runs must give; prints what changes."""
-    done = baseline.accept(
+    folder = baselines or baseline.DEFAULT_FOLDER
+    runs = baseline.accept(
         campaigns or [],
         sensors or [],
         reason=reason,
-        baselines=baselines or baseline.DEFAULT_FOLDER,
+        baselines=folder,
         source=source,
         show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted before", "accepted now")
-    print_table(header, [(owner, key, _in_words(old), _in_words(new)) for owner, key, old, new in done.changes])
-    for name in done.unchanged:
-        note(f"{name}: nothing changed")
-    for name, why in done.skipped.items():
-        note(f"{name}: skipped: {why}")
-    for name, path in done.written.items():
-        note(f"{name}: written to {path}")
-    if done.written:
+    print_table(header, [(r.owner, key, _in_words(old), _in_words(new)) for r in runs for key, old, new in r.changes])
+    for run in runs:
+        done = f"written to {run.path(folder)}" if run.changes else "nothing changed"
+        note(f"{run.owner}: {done if run.skipped is None else f'skipped: {run.skipped}'}")
+    if written := [run.owner for run in runs if run.changes]:
         note('add to the changelog, under "Science changes", with what moved in place of the dots:')
-        note(f"| {done.date} | {' '.join(reason.split())} | ... | {', '.join(done.written)} |")
-    return done.exit_code
+        note(f"| {baseline.today()} | {' '.join(reason.split())} | ... | {', '.join(written)} |")
+    return 0 if any(run.after for run in runs) else 5
 
 
 def _in_words(item: object) -> str:
