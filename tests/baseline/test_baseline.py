@@ -12,18 +12,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperval import cli
-from hyperval.baseline import (
-    Accepted,
-    accept,
-    accepted_of,
-    campaign_metrics,
-    check,
-    compare,
-    load_baseline,
-    rows_of,
-    split_key,
-)
+from hyperval import baseline, cli
+from hyperval.baseline import Accepted, accept, accepted_of, campaign_metrics, check, compare, load_baseline, split_key
 from hyperval.errors import UsageError
 from hyperval.metrics import Tolerance, default_tolerance
 from hyperval.model import clopper_pearson
@@ -273,10 +263,10 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys, mo
 def test_a_check_runs_the_campaign_itself_and_keeps_the_run(small, place):
     path = small.write()
     accept([path], reason="First", baselines=place / "b")
-    assert rows_of(check([path], baselines=place / "b", output=place / "out")).exit_code() == 0
+    assert baseline.rows_of(check([path], baselines=place / "b", output=place / "out")).exit_code() == 0
     assert (place / "out/runs/results.json").is_file()
     small.scenario["atmosphere"] = {**small.scenario["atmosphere"], "aot550": 0.21}
-    wrong = rows_of(check([small.write()], baselines=place / "b")).where(outcome=Outcome.DISAGREES)
+    wrong = baseline.rows_of(check([small.write()], baselines=place / "b")).where(outcome=Outcome.DISAGREES)
     assert "radiance" in {row.product for row in wrong}
     assert all("moved from" in row.reason or "verdict" in row.reason for row in wrong)
 
@@ -339,8 +329,7 @@ def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere):
     assert told[told.index("--sensors") + 1] == file
     data["measured_noise"]["table"][0][1] *= 1.01
     write_yaml(tmp_path / "mine.yaml", data)
-    (done,) = check([], [file], baselines=folder, engine=stand_in_atmosphere)
-    wrong = done.rows.where(outcome=Outcome.DISAGREES)
+    wrong = check([], [file], baselines=folder, engine=stand_in_atmosphere)[0].rows.where(outcome=Outcome.DISAGREES)
     moved = {row.metric for row in wrong}
     assert {"median_snr", "median_electrons_per_radiance", "median_noise_shot"} <= moved
     assert not any("SWIR2" in row.subject for row in wrong)  # its noise stands in another row of the table

@@ -193,8 +193,9 @@ def _part(own: Sequence[Result], most: int) -> Part:
     ends = _ends(own, True) if log else (low, high)
     title = ": ".join(word for word in (product_words(first.product), "" if several else _words(first)) if word)
     label = f"{title[:1].upper()}{title[1:]}" + (f" [{first.effect_unit}]" if first.effect_unit else "")
-    nothing = {"detectable_low": math.nan, "detectable_high": math.nan}  # another for each that is folded
-    at = [(float(min(i, most)), row if i < most else replace(row, **nothing)) for i, row in enumerate(own)]
+    # What could be detected is another for each of those that are folded.
+    folded = (replace(row, detectable_low=math.nan, detectable_high=math.nan) for row in rest)
+    at = [*((float(i), row) for i, row in enumerate(own[:most])), *((float(most), row) for row in folded)]
     ideal = (("x", first.ideal),) if math.isfinite(first.ideal) else ()
     y = replace(row_names(names), notes=tuple(notes))
     return Part(y, _marks(at, ends), ideal, Axis(label, "log" if log else "linear", ends=ends))  # type: ignore[arg-type]
