@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import re
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
@@ -14,6 +13,7 @@ from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import Match
 
 import hyperval
 from hyperval.errors import HypervalError
@@ -102,7 +102,9 @@ def _told(request: Request, error: Exception) -> Response:
     elif isinstance(error, HypervalError):
         status, mistakes = 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))]
     if request.url.path.startswith("/api/"):
-        headers |= {"allow": ", ".join(_methods(request.app, request.url.path))} if status == 405 else {}
+        if status == 405:  # a router tells the methods of one of its routes alone
+            methods = (getattr(r, "methods", ()) for r in api.routes if r.matches(request.scope)[0] is not Match.NONE)
+            headers["allow"] = ", ".join(sorted(set[str]().union(*methods)))
     elif "text/html" in request.headers.get("accept", ""):
         answer = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
         answer.headers.update(headers)
@@ -115,13 +117,3 @@ def _of_field(item: Mapping[str, Any], body: Any) -> FieldMistake:
     place, *rest = item["loc"]
     name = field_name(rest, body, item["type"] == "missing") if place == "body" else ".".join(map(str, rest))
     return mistake_of(item, name or str(place))
-
-
-def _methods(app: FastAPI, path: str) -> list[str]:
-    """What may be asked of a path: a router tells the methods of one of its routes alone."""
-    methods: set[str] = set()
-    for template, operations in app.openapi()["paths"].items():
-        pattern = re.sub(r"\\\{[^}]*\\\}", "[^/]+", re.escape(template))
-        if re.fullmatch(pattern, path):
-            methods |= {method.upper() for method in operations}
-    return sorted(methods)

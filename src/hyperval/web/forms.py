@@ -13,7 +13,6 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
-from itertools import islice
 from typing import Any
 
 import yaml
@@ -396,7 +395,7 @@ def needs(source: object) -> dict[str, str]:
     return lacking
 
 
-_FILES = ("file", "files", "library", "table", "measured", "replicates")
+_FILES = {"file", "files", "library", "table", "measured", "replicates"}
 _GREY = re.compile(r"grey-panel-\d\d")
 _MOST_TEXT = 200
 _MOST_DEPTH = 24
@@ -404,7 +403,6 @@ _MOST_ITEMS = 5000  # of a list of numbers
 _MOST_ENTRIES = 100  # of a list of groups, which are checked one by one
 _MOST_VALUES = 20_000
 _MOST_MISTAKES = 40
-_LARGEST = {"processing.samples": 20_000, "uncertainty.samples": 1_000}
 
 
 @lru_cache(maxsize=1)
@@ -443,37 +441,40 @@ def refuse_excess(data: Any, at: str = "") -> None:
     ------
     Refused : it holds too much, at which field.
     """
-    place = (at,) if at else ()
-    mistakes = list(islice(_too_much(data, place, [_MOST_VALUES]), _MOST_MISTAKES))
+    mistakes = list[FieldMistake]()
+    for number, (place, value) in enumerate(_values(data, (at,) if at else ()), start=1):
+        words = _excess(place, value)
+        if number == _MOST_VALUES:
+            words = f"with it there are more than {_MOST_VALUES:,} values"
+        mistakes += [FieldMistake(".".join(place), words)] if words else []
+        if number == _MOST_VALUES or len(mistakes) == _MOST_MISTAKES:
+            break
     if mistakes:
         raise Refused(422, mistakes)
 
 
-def _too_much(data: Any, at: tuple[str, ...], left: list[int]) -> Iterator[FieldMistake]:
-    """What there is too much of; ``left`` counts down the values that are still looked at."""
-    left[0] -= 1
-    if left[0] == 0:
-        yield FieldMistake(".".join(at), f"with it there are more than {_MOST_VALUES:,} values")
-    elif len(at) > _MOST_DEPTH:
-        yield FieldMistake(".".join(at[:4]), "too deep")
-    elif isinstance(data, Mapping | list | tuple):
-        is_rows = isinstance(data, Mapping) or (len(data) > 0 and isinstance(data[0], Mapping))
+def _values(data: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Path and value of everything in nested data, what holds others before these; nothing too deep."""
+    yield at, data
+    items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list | tuple) else ()
+    for key, value in items if len(at) <= _MOST_DEPTH else ():
+        yield from _values(value, (*at, str(key)[:60]))
+
+
+def _excess(at: tuple[str, ...], value: Any) -> str:
+    """What there is too much of in a value, in words; empty: nothing."""
+    is_long = at[-1:] == ("description",)
+    if len(at) > _MOST_DEPTH:
+        return "too deep"
+    if isinstance(value, Mapping | list | tuple):
+        is_rows = isinstance(value, Mapping) or (len(value) > 0 and isinstance(value[0], Mapping))
         most = _MOST_ENTRIES if is_rows else _MOST_ITEMS
-        if len(data) > most:
-            yield FieldMistake(".".join(at), f"{len(data):,} entries; at most {most:,} are taken")
-            return
-        for key, value in data.items() if isinstance(data, Mapping) else enumerate(data):
-            if left[0] <= 0:
-                return
-            yield from _too_much(value, (*at, str(key)[:60]), left)
-    elif isinstance(data, str):
-        longest = 2000 if at[-1:] == ("description",) else _MOST_TEXT
-        if len(data) > longest:
-            yield FieldMistake(".".join(at), f"longer than {longest} characters")
-        elif not data.isprintable() and at[-1:] != ("description",):
-            yield FieldMistake(".".join(at), "holds a character that cannot be printed")
-    elif isinstance(data, int) and abs(data) > 1 << 62:
-        yield FieldMistake(".".join(at), "a number of too many digits")
+        return f"{len(value):,} entries; at most {most:,} are taken" if len(value) > most else ""
+    if isinstance(value, str):
+        longest = 2000 if is_long else _MOST_TEXT
+        unseen = "" if is_long or value.isprintable() else "holds a character that cannot be printed"
+        return f"longer than {longest} characters" if len(value) > longest else unseen
+    return "a number of too many digits" if isinstance(value, int) and abs(value) > 1 << 62 else ""
 
 
 def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMistake]:
@@ -481,44 +482,34 @@ def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMis
         yield FieldMistake("sensor", f"no such sensor; one of {', '.join((*library_names(), *uploads))}")
     if scenario.atmosphere is not None and scenario.atmosphere.engine not in ("sixs", "emulator"):
         yield FieldMistake("atmosphere.engine", "this server has the engines sixs and emulator alone")
-    for path, name in _leaves(plain(scenario), "builtin"):
-        if name not in SURFACES and not _GREY.fullmatch(str(name)):
-            yield FieldMistake(path, f"no such surface; one of {', '.join(SURFACES)}")
+    for at, name in _values(plain(scenario)):
+        if at[-1:] == ("builtin",) and name not in SURFACES and not _GREY.fullmatch(str(name)):
+            yield FieldMistake(".".join(at), f"no such surface; one of {', '.join(SURFACES)}")
 
 
 def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
-    for key in _FILES:
-        for path, value in _leaves(data, key):
-            if value is None or (key == "file" and value in uploads):
-                continue
-            if key == "file" and value in known_files():
-                yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
-            else:
-                words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
-                yield FieldMistake(path, words if key == "file" else "files of the server are not read")
+    for at, value in _values(data):
+        is_file, path = at[-1:] == ("file",), ".".join(at)
+        if not {*at[-1:]} & _FILES or value is None or (is_file and value in uploads):
+            continue
+        if is_file and value in known_files():
+            yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
+        else:
+            words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
+            yield FieldMistake(path, words if is_file else "files of the server are not read")
 
 
 def _of_cost(scenario: Scenario) -> Iterator[FieldMistake]:
     scene = scenario.scene
-    subjects = len(scene.classes) + len(scene.panels) + len(scene.sites)
-    populations = sum(len(t.populations) for t in scene.targets)
-    if subjects + populations > 60:
-        yield FieldMistake("scene", f"{subjects + populations} subjects; at most 60")
-    for path, most in _LARGEST.items():
-        group, name = path.split(".")
-        value = getattr(getattr(scenario, group), name)
-        if value > most and (group != "uncertainty" or scenario.uncertainty.method != "linear"):
-            yield FieldMistake(path, f"{value:,}; this server draws at most {most:,}")
-
-
-def _leaves(data: Any, key: str, at: str = "") -> Iterator[tuple[str, Any]]:
-    """Path and value of every entry that goes by ``key``."""
-    items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list | tuple) else ()
-    for name, value in items:
-        path = f"{at}.{name}" if at else str(name)
-        if name == key:
-            yield path, value
-        yield from _leaves(value, key, path)
+    subjects = [*scene.classes, *scene.panels, *scene.sites, *(p for t in scene.targets for p in t.populations)]
+    if len(subjects) > 60:
+        yield FieldMistake("scene", f"{len(subjects)} subjects; at most 60")
+    draws = [("processing.samples", scenario.processing.samples, 20_000)]
+    if scenario.uncertainty.method != "linear":
+        draws.append(("uncertainty.samples", scenario.uncertainty.samples, 1_000))
+    for path, count, most in draws:
+        if count > most:
+            yield FieldMistake(path, f"{count:,}; this server draws at most {most:,}")
 
 
 def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[str, list[str]]:

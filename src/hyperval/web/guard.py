@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import math
 import os
 import re
 import secrets
@@ -159,6 +160,7 @@ class Guard:
 HEAD_S = 10.0  # from the first byte that is waited for to the end of the head
 BODY_S = 10.0  # a body may take so long, and a second more for each LEAST_BYTES of it
 LEAST_BYTES = 10_000
+_LOOK_S = 0.5
 _FILES = 256  # open at a time besides connections
 _HEAD, _BODY = "IDLE", "SEND_BODY"  # what h11 calls the states of a client that sends them
 _WORDS = {408: "Request Timeout", 503: "Service Unavailable"}
@@ -173,72 +175,59 @@ class _Connection(H11Protocol):
 
     most: ClassVar[int]
     most_of_all: ClassVar[int]
-    by_address: ClassVar[dict[str, list[_Connection]]]
-    _clock: asyncio.TimerHandle | None = None
-    _awaited = ""  # what the clock runs for
+    every: ClassVar[list[_Connection]]
+    _look_again: asyncio.TimerHandle | None = None
+    _awaited = ""
     _begun = 0.0
     _received = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Count the connection, and wait for its first head."""
         super().connection_made(transport)
-        own = self.by_address.setdefault(self._address, [])
-        every = [one for connections in self.by_address.values() for one in connections]
-        if len(own) >= self.most or len(every) >= self.most_of_all:
-            crowd = own if len(own) >= self.most else every
+        own = [one for one in self.every if one._address == self._address]
+        if len(own) >= self.most or len(self.every) >= self.most_of_all:
+            crowd = own if len(own) >= self.most else self.every
             idle = min((c for c in crowd if repr(c.conn.their_state) == _HEAD), key=lambda c: c._begun, default=None)
             if idle is None:
                 self._end(503)
                 return
-            self.by_address[idle._address].remove(idle)
+            self.every.remove(idle)
             idle._end(408)
-        own.append(self)
-        self._watch()
+        self.every.append(self)
+        self._look()
 
     def data_received(self, data: bytes) -> None:
         """Take what came, and see what is waited for now."""
         self._received += len(data)
         super().data_received(data)
-        self._watch()
+        self._note()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the connection."""
         super().connection_lost(exc)
-        if self._clock is not None:
-            self._clock.cancel()
-        own = self.by_address.get(self._address, [])
-        if self in own:
-            own.remove(self)
-        if not own:
-            self.by_address.pop(self._address, None)
+        if self._look_again is not None:
+            self._look_again.cancel()
+        if self in self.every:
+            self.every.remove(self)
 
     @property
     def _address(self) -> str:
         return self.client[0] if self.client else ""
 
-    def _watch(self) -> None:
-        """Start a clock where a head or a body is waited for, and stop it where neither is."""
+    def _note(self) -> None:
+        """Count anew where something else is waited for than before, or the delay is this server's own."""
         state = repr(self.conn.their_state)
-        awaited = state if state in (_HEAD, _BODY) else ""
-        if awaited == self._awaited:
-            return
-        if self._clock is not None:
-            self._clock.cancel()
-        self._awaited, self._begun, self._received = awaited, self.loop.time(), 0
-        seconds = HEAD_S if awaited == _HEAD else BODY_S
-        self._clock = None if not awaited else self.loop.call_later(seconds, self._look)
+        if state != self._awaited or self.flow.read_paused:
+            self._awaited, self._begun, self._received = state, self.loop.time(), 0
 
     def _look(self) -> None:
-        """End the connection, or wait on for a body that comes fast enough."""
-        now = self.loop.time()
-        if self._awaited == _BODY:
-            if self.flow.read_paused:  # the delay is this server's own
-                self._begun, self._received = now, 0
-            left = self._begun + BODY_S + self._received / LEAST_BYTES - now
-            if left > 0:
-                self._clock = self.loop.call_later(left, self._look)
-                return
-        self._end(408)
+        """End the connection where a head or a body has not come in time; look again in a moment."""
+        self._note()
+        seconds = {_HEAD: HEAD_S, _BODY: BODY_S + self._received / LEAST_BYTES}.get(self._awaited, math.inf)
+        if self.loop.time() - self._begun > seconds:
+            self._end(408)
+        else:
+            self._look_again = self.loop.call_later(_LOOK_S, self._look)
 
     def _end(self, status: int) -> None:
         if self.cycle is None or self.cycle.response_complete:
@@ -250,4 +239,4 @@ class _Connection(H11Protocol):
 def connections_of(most: int) -> type[H11Protocol]:
     """The class of a server's connections, of which one address has at most ``most`` at a time."""
     of_all = max(16, os.sysconf("SC_OPEN_MAX") - _FILES)
-    return type("Connection", (_Connection,), {"most": most, "most_of_all": of_all, "by_address": {}})
+    return type("Connection", (_Connection,), {"most": most, "most_of_all": of_all, "every": []})

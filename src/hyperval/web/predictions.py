@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from importlib import resources
 from itertools import groupby
-from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import Query, Request
@@ -28,7 +29,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
-from hyperval.study.trade import KINDS, Live, Offer, Prepared, Progress, Trade, completed, notebook, prepared, study_of
+from hyperval.study.trade import KINDS, Live, Prepared, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.forms import (
     MOST_ROWS,
     SURFACES,
@@ -46,7 +47,8 @@ from hyperval.web.forms import (
 from hyperval.web.pages import api, form_parts, page, pages, session_of
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, answer_of, run, run_of
-from hyperval.web.store import Desk, Limits, WebRun, copies_of, files_of
+from hyperval.web.store import Desk, Files, Limits, WebRun
+from hyperval.web.uploads import Uploads
 
 _WAIT_S = 5.0
 _FREE: dict[str, Any] = {
@@ -96,22 +98,20 @@ def predict_form(
 async def predict_post(request: Request) -> Response:
     """Add or remove a row of the form, or run it."""
     form = await request.form(max_fields=4000)
-    given = texts_of(form)
+    given = {name: [text for text in form.getlist(name) if isinstance(text, str)] for name in form}
+    return await run_in_threadpool(_posted, request, given)
+
+
+def _posted(request: Request, given: dict[str, list[str]]) -> Response:
+    data, begun = dict[str, Any](), given.get("begun", [""])[0]
     if given.get("action", ["run"])[0] != "run":
-        changed = with_action(given)
-        return await run_in_threadpool(_form, request, form_data(changed), given.get("begun", [""])[0])
-    return await run_in_threadpool(_run, request, given)
-
-
-def _run(request: Request, given: dict[str, list[str]]) -> Response:
-    data: dict[str, Any] = {}
+        return _form(request, form_data(with_action(given)), begun)
     try:
-        data = form_data(given)
-        data.setdefault("schema", 1)
+        data = {"schema": 1} | form_data(given)
         ordered = order_prediction(request, data)
     except Refused as refusal:
-        return _form(request, data, given.get("begun", [""])[0], to_show(refusal), 422)
-    request.app.state.desk.wait(ordered.id, _WAIT_S)
+        return _form(request, data, begun, to_show(refusal), 422)
+    request.app.state.desk.wait(ordered, _WAIT_S)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
 
@@ -122,13 +122,12 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     ------
     Refused : what is wrong with it, or there is no room.
     """
-    owner = session_of(request).owner
     desk: Desk = request.app.state.desk
-    own = files_of(request.app.state.settings, owner)
-    scenario = checked_scenario(data, own)
+    own = Uploads(request)
+    scenario = checked_scenario(data, own.names())
     text = yaml_text("scenario", plain(scenario))
-    files: dict[str, str | Path] = {"scenario.yaml": text, **copies_of(request.app.state.settings, owner, text, own)}
-    return desk.order(owner, "prediction", scenario.name, scenario.title, files)
+    files: Files = {"scenario.yaml": text, **own.copies(text)}
+    return desk.order(own.owner, "prediction", scenario.name, scenario.title, files)
 
 
 def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
@@ -156,15 +155,15 @@ def _form(
     request: Request, data: dict[str, Any], begun: str = "", mistakes: Sequence[FieldMistake] = (), status: int = 200
 ) -> Response:
     """The form, and what differs in it from the scenario that it began with."""
-    settings, owner = request.app.state.settings, session_of(request).owner
-    first = _first(request, begun)
-    nodes = scenario_form().nodes(data, first, {"sensor": files_of(settings, owner, ["sensors"])})
+    own, first = Uploads(request), _first(request, begun)
+    begun = begun if first else ""
+    nodes = scenario_form().nodes(data, first, {"sensor": own.names("sensors")})
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
     return page(
         request, "predict.html.j2", status=status, errors=errors, scenarios=predefined(),
-        changes=sum(n.changes for n in nodes), parts=form_parts(nodes, errors, begun if first else ""),
-        titles=titles, begun=begun if first else "", uploads=files_of(settings, owner, ["spectra"]),
+        changes=sum(n.changes for n in nodes), parts=form_parts(nodes, errors, begun),
+        titles=titles, begun=begun, uploads=own.names("spectra"),
     )  # fmt: skip
 
 
@@ -175,26 +174,13 @@ def walk(nodes: Sequence[Node]) -> Iterator[Node]:
         yield from walk(node.children)
 
 
-def texts_of(form: FormData) -> dict[str, list[str]]:
-    """The fields of a form that hold text."""
-    given: dict[str, list[str]] = {}
-    for name, value in form.multi_items():
-        if isinstance(value, str):
-            given.setdefault(name, []).append(value)
-    return given
-
-
 def with_action(given: dict[str, list[str]]) -> dict[str, list[str]]:
     """The fields of a form, with a row more or less, as its button says."""
-    action = given["action"][0]
-    if action.startswith("add:"):
-        name = f"{action[4:]}#"
-        count = given.get(name, ["0"])[0]
-        if name in given and count.isdecimal() and len(count) < 4 and int(count) < MOST_ROWS:
-            return {**given, name: [str(int(count) + 1)]}
-    elif action.startswith("remove:"):
-        return {**given, f"{action[7:]}!": ["1"]}
-    return given
+    verb, _, path = given["action"][0].partition(":")
+    count = given.get(f"{path}#", [""])[0]
+    if verb == "add" and count.isdecimal() and len(count) < 4 and int(count) < MOST_ROWS:
+        return {**given, f"{path}#": [str(int(count) + 1)]}
+    return {**given, f"{path}!": ["1"]} if verb == "remove" else given
 
 
 Setting = float | str | bool | list[Any] | None
@@ -273,6 +259,7 @@ def _scenario_of(order: PredictionOrder) -> dict[str, Any]:
 
 
 _MOST_STATES = 40
+_MOST_WORDS = 100  # values of an input that are no numbers: each is tried in the scenario
 _SETTABLE = ("atmosphere", "sensor_changes", "sensor_operation", "scene", "processing")
 _FIRST = "yellow-planks-asphalt"
 _LISTS = ("subject", "background", "sensor")
@@ -308,28 +295,23 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
     Refused : every mistake with its field.
     """
     texts = [(name, text.strip()) for name, text in given.multi_items() if isinstance(text, str) and text.strip()]
-    data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields and name not in _LISTS}
+    data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
     data["moved"] = {name[3:]: _number(text) for name, text in texts if name.startswith("at:")}
     try:
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
         p = prepared(source, trade)
-        moved = {key: value for key, value in trade.moved.items() if _is_moved(p.inputs.get(key), value)}
+        # The six digits of a slider that nobody moved are no other value.
+        still = {key for key, offer in p.inputs.items()
+                 if abs(trade.moved.get(key, math.inf) - offer.now) <= _UNMOVED * abs(offer.now)}  # fmt: skip
+        moved = {key: value for key, value in trade.moved.items() if key not in still}
         return source, completed(trade.model_copy(update={"moved": moved}), p), p
     except ValidationError as error:
-        raise Refused(422, [_at_slider(m) for m in mistakes_of(error, data)]) from error
+        mistakes = mistakes_of(error, data)
+        raise Refused(422, [replace(m, field=re.sub(r"^moved\.", "at:", m.field)) for m in mistakes]) from error
     except UsageError as error:
         raise Refused(422, [FieldMistake(error.where or "", said(error))]) from error
-
-
-def _at_slider(mistake: FieldMistake) -> FieldMistake:
-    room, _, key = mistake.field.partition("moved.")
-    return mistake if room or not key else FieldMistake(f"at:{key}", mistake.message)
-
-
-def _is_moved(offer: Offer | None, value: float) -> bool:
-    return offer is None or not abs(value - offer.now) <= _UNMOVED * abs(offer.now)
 
 
 @pages.get("/trade")
@@ -380,12 +362,8 @@ def curve(request: Request) -> Response:
             while before is None or before.left:
                 before = told = Progress(*ask("trade_piece", source=source, trade=trade, number=number, before=before))
                 number += 1
-                yield (
-                    json.dumps(
-                        {"figure": told.figure, "needed": [words for _, words in told.needed], "left": told.left}
-                    )
-                    + "\n"
-                )
+                shown = {"figure": told.figure, "needed": [words for _, words in told.needed], "left": told.left}
+                yield json.dumps(shown) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
 
@@ -394,9 +372,8 @@ def curve(request: Request) -> Response:
 
 def _study(request: Request, given: QueryParams | FormData, *, exact: bool = False) -> tuple[str, dict[str, Any]]:
     """The scenario of what is asked, its name or its file, and the study."""
-    source, trade, _ = _asked(request, given)
-    named = source if source in builtin_scenarios() else "scenario.yaml"
-    study = study_of(prepared(source, trade), trade, named, exact=exact)
+    source, trade, p = _asked(request, given)
+    study = study_of(p, trade, source if source in builtin_scenarios() else "scenario.yaml", exact=exact)
     return source, study.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 
@@ -408,8 +385,7 @@ def take_away(request: Request, name: str) -> Response:
     texts = {"study.yaml": yaml_text("study", study, note)}
     if source not in builtin_scenarios():
         texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
-    if name == "trade.ipynb":
-        texts[name] = notebook(texts)
+    texts["trade.ipynb"] = notebook(texts)
     if name not in texts:
         raise Refused(404, "there is no such file")
     headers = {"content-disposition": f'attachment; filename="{name}"'}
@@ -420,12 +396,9 @@ def take_away(request: Request, name: str) -> Response:
 async def keep(request: Request) -> Response:
     """Run the study under the exact engine, and keep what comes of it."""
     form = await request.form(max_fields=1000)
-    return await run_in_threadpool(_keep, request, form)
-
-
-def _keep(request: Request, form: FormData) -> Response:
-    study = _study(request, form, exact=True)[1]
-    run = order_study(request, {**study, "scenario": form.get("scenario") or _FIRST})
+    study = (await run_in_threadpool(_study, request, form, exact=True))[1]
+    study["scenario"] = form.get("scenario") or _FIRST
+    run = await run_in_threadpool(order_study, request, study)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
@@ -436,22 +409,18 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     ------
     Refused : what is wrong with it, or there is no room.
     """
-    owner, state = session_of(request).owner, request.app.state
-    limits: Limits = state.settings.limits
+    own, state = Uploads(request), request.app.state
     try:
         study = StudyFile.model_validate(data)
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
-    uploads = files_of(state.settings, owner)
     scenario = load_scenario(_source(request, study.scenario))
-    mistakes = [*_of_size(study, limits), *_of_paths(study, scenario, uploads)]
-    if mistakes:
+    if mistakes := [*_of_size(study, state.settings.limits), *_of_paths(study, scenario, own.names())]:
         raise Refused(422, mistakes)
     text = yaml_text("scenario", plain(scenario))
-    own = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
-    copies = copies_of(state.settings, owner, text, uploads)
-    files = {"study.yaml": yaml_text("study", own), "scenario.yaml": text, **copies}
-    run: WebRun = state.desk.order(owner, "study", study.name, study.title, files)
+    asked = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
+    files = {"study.yaml": yaml_text("study", asked), "scenario.yaml": text, **own.copies(text)}
+    run: WebRun = state.desk.order(own.owner, "study", study.name, study.title, files)
     return run
 
 
@@ -483,19 +452,19 @@ def _of_size(study: StudyFile, limits: Limits) -> Iterator[FieldMistake]:
 
 def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
     """Paths that lead nowhere, and values that cannot stand there: files of the server among them."""
-    items: list[tuple[str, Input | Required]] = [(f"inputs.{i}", item) for i, item in enumerate(study.inputs)]
-    items += [(f"required.{i}", item) for i, item in enumerate(study.required)]
-    for path in study.settings:
-        if path.partition(".")[0] not in _SETTABLE:
-            yield FieldMistake("settings", f"{path!r} cannot be set from here")
-            return
+    if wrong := [path for path in study.settings if path.partition(".")[0] not in _SETTABLE]:
+        yield FieldMistake("settings", f"{wrong[0]!r} cannot be set from here")
+        return
+    asked: list[tuple[str, Input | Required, list[Any]]] = [
+        (f"inputs.{i}", one, one.values or ([one.grid.start] if one.grid else [])) for i, one in enumerate(study.inputs)
+    ]
+    asked += [(f"required.{i}", one, [one.between[0]]) for i, one in enumerate(study.required)]
     tries = [("settings", study.settings)]
-    for at, item in items:
-        listed = (item.values or []) if isinstance(item, Input) else [item.between[0]]
-        if isinstance(item, Input) and item.grid:
-            listed = [item.grid.start]
-        words = [value for value in listed if not isinstance(value, int | float)]
-        for value in (words or listed)[:100]:
+    for at, item, values in asked:
+        words = list({repr(value): value for value in values if not isinstance(value, int | float)}.values())
+        if len(words) > _MOST_WORDS:
+            yield FieldMistake(f"{at}.values", f"{len(words)} that are no numbers; at most {_MOST_WORDS} are taken")
+        for value in (words or values)[:_MOST_WORDS]:
             for k, move in enumerate(item.targets):
                 own = move.of(value[k] if isinstance(value, list) and len(item.moves) > 1 else value)
                 if in_file(move.path) and move.path.partition(".")[0] in Scenario.model_fields and own is not None:

@@ -6,10 +6,11 @@ Pages of runs: how they stand, what came of them, files to take away.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from mimetypes import guess_type
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from hyperval.web.refusal import FieldMistake, Refused
 from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, WebRun, view_name
 
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9][A-Za-z0-9_.@+-]{0,120}")
-_OWN = ("scenario.yaml", "study.yaml", "campaign.yaml")
+_SOURCES = {"prediction": "scenario.yaml", "study": "study.yaml", "pipeline": "campaign.yaml"}
 
 
 class RunAnswer(WebRun):
@@ -75,7 +76,7 @@ def runs(request: Request) -> list[RunAnswer]:
 @api.get("/runs/{run_id}")
 def run(request: Request, run_id: str, wait: float = Query(0.0, ge=0, le=60)) -> RunAnswer:
     """A run of this session; with ``wait`` once it has ended, or after so many seconds."""
-    request.app.state.desk.wait(run_of(request, run_id).id, wait)
+    request.app.state.desk.wait(run_of(request, run_id), wait)
     return answer_of(request, run_of(request, run_id))
 
 
@@ -83,49 +84,33 @@ def run(request: Request, run_id: str, wait: float = Query(0.0, ge=0, le=60)) ->
 def run_page(request: Request, run_id: str, beside: str | None = None) -> Response:
     """A run: its numbers and charts, or how far it is."""
     run = run_of(request, run_id)
-    desk, store = request.app.state.desk, request.app.state.store
+    store = request.app.state.store
     other = run_of(request, beside) if beside else None
     others = [r for r in store.runs(run.owner, run.kind) if r.id != run.id and r.state == "finished"]
-    rows = _beside(run, other) if run.kind == "prediction" and run.state == "finished" else []
-    maps = (store.place(run.id) / "results" / "scores").is_dir()
     files = files_of(store.place(run.id), run)
-    pictures, figures = figures_of(files)
+    figures = [name for name in files if name.startswith("figures/") and name.endswith((".svg", ".png"))]
+    pictures = [name for name in (f"figures/{p}.png" for p in PICTURES) if name in figures]  # of the scene
     return page(
-        request, "run.html.j2", run=run, maps=maps, progress=desk.progress(run), others=others[:50], other=other,
-        rows=rows, ended=run.state in ENDED, source=_source(run), is_own=run.owner != EVERYBODY,
-        files=files, pictures=pictures, figures=figures,
+        request, "run.html.j2", run=run, maps=maps_of(store.place(run.id)), others=others[:50], other=other,
+        progress=request.app.state.desk.progress(run), ended=run.state in ENDED, is_own=run.owner != EVERYBODY,
+        source=_SOURCES.get(run.kind, "") if run.owner != EVERYBODY else "", rows=_beside(run, other),
+        files=files, pictures=pictures, figures=[name for name in figures if name not in pictures],
     )  # fmt: skip
 
 
-def figures_of(files: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Pictures of the scene with the first score maps, which stand beside each other, and all other figures."""
-    figures = [name for name in files if name.startswith("figures/") and name.endswith((".svg", ".png"))]
-    pictures = [name for name in (f"figures/{p}.png" for p in PICTURES) if name in figures]
-    return pictures, [name for name in figures if name not in pictures]
-
-
-def _source(run: WebRun) -> str:
-    names = {"prediction": "scenario.yaml", "study": "study.yaml", "pipeline": "campaign.yaml"}
-    return names.get(run.kind, "") if run.owner != EVERYBODY else ""
-
-
 def _beside(run: WebRun, other: WebRun | None) -> list[dict[str, Any]]:
-    """Rows of P_D, with those of another run and the difference."""
-
-    def key(row: dict[str, Any]) -> tuple[Any, ...]:
-        return row["subject"], row["detector"], row["unit"], row["pfa"]
-
-    earlier = {key(row): row for row in (other.summary.get("detection", ()) if other else ())}
+    """Rows of P_D, with those of another run and the difference; not those of objects of one pixel."""
+    key = itemgetter("subject", "detector", "pfa", "unit")
+    earlier, now = (
+        {key(row): row for row in (side.summary.get("detection", ()) if side else ())} for side in (other, run)
+    )
     rows = []
-    every = run.summary.get("detection", ())
-    pixels = {(*key(row)[:2], row["pfa"]): row["pd"] for row in every if row["unit"] == "pixel"}
-    for row in every:
-        if row["unit"] == "object" and pixels.get((*key(row)[:2], row["pfa"])) == row["pd"]:
-            continue  # objects of one pixel: nothing new
-        before = earlier.get(key(row))
-        known = before is not None and None not in (before["pd"], row["pd"])
-        difference = row["pd"] - before["pd"] if known and before is not None else None
-        rows.append({**row, "earlier": before["pd"] if before else None, "difference": difference})
+    for at, row in now.items():
+        if at[-1] == "object" and now.get((*at[:-1], "pixel"), {}).get("pd") == row["pd"]:
+            continue
+        before = earlier.get(at, {}).get("pd")
+        difference = None if before is None or row["pd"] is None else row["pd"] - before
+        rows.append({**row, "earlier": before, "difference": difference})
     return rows
 
 
@@ -163,8 +148,8 @@ def file(request: Request, run_id: str, name: str) -> Response:
         raise Refused(404, "this run has no such file")
     if name == "campaign.zip":
         raise Refused(410, "campaign.yaml stands in its place: the files that were sent go into collection/ beside it")
-    path = place / name if name in _OWN else place / "results" / name
-    if name not in _OWN and run.kind == "prediction":
+    path = place / name if name in _SOURCES.values() else place / "results" / name
+    if path.parent != place and run.kind == "prediction":
         request.app.state.desk.view(run, "files", "results/results.csv")
     # What a command wrote is reached by a link of the store's own; no other leads out of the run.
     if not path.is_file() or not any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results")):
@@ -182,14 +167,14 @@ def file(request: Request, run_id: str, name: str) -> Response:
 @pages.post("/runs/{run_id}/cancel")
 def run_cancel(request: Request, run_id: str) -> Response:
     """Call a run off."""
-    request.app.state.desk.cancel(run_of(request, run_id).id)
+    request.app.state.desk.cancel(run_of(request, run_id))
     return RedirectResponse(f"/runs/{run_id}", status_code=303)
 
 
 @api.post("/runs/{run_id}/cancel")
 def cancel(request: Request, run_id: str) -> RunAnswer:
     """Call a run off."""
-    request.app.state.desk.cancel(run_of(request, run_id).id)
+    request.app.state.desk.cancel(run_of(request, run_id))
     return run(request, run_id, 5.0)
 
 

@@ -1,7 +1,6 @@
 """Runs and what came of them: a folder each, whose run.json says how the run stands; and the desk, which takes orders.
 
-What one server takes on, and how long it keeps what came of it.  Files that a session brought are kept apart from those
-of others, under names that are no paths.
+What one server takes on, and how long it keeps what came of it.
 
 The desk hands orders to the workers, and writes down what came of them.  Workers are the server's own processes, or
 those of a Dask scheduler.  There the folder of the server is reached under the same path: a task reads and writes its
@@ -10,7 +9,6 @@ run's folder, tells there how far it is, and looks there whether it is called of
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import importlib
 import json
@@ -23,8 +21,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent import futures
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -43,9 +40,9 @@ from hyperval.errors import HypervalError, internal_error
 from hyperval.executors import NOTHING, Cancelled, Process, TaskFailed, TaskPool, Worker, Workers, WorkerTask, workers
 from hyperval.progress import set_listener
 from hyperval.report import first_screen
-from hyperval.run import CSV, Run, is_run, provenance_of
+from hyperval.run import Run, is_run, provenance_of
 from hyperval.storage import size_of, write_text
-from hyperval.web.refusal import FieldMistake, Refused, said
+from hyperval.web.refusal import Refused, said
 
 MEGABYTE = 1_000_000
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -110,6 +107,7 @@ EVERYBODY = ""  # the owner of what commands wrote
 MOST_LISTED = 40
 _STUDY_COLUMNS = ("subject", "method", "metric", "value", "unit")
 COLLECTION = "collection"  # folder of a run that keeps what its campaign simulates
+Files = Mapping[str, str | Path]  # name in the folder of a run -> its text, or the path of what is copied
 
 
 class WebRun(BaseModel):
@@ -156,20 +154,23 @@ class RunStore:
         self.clear()
 
     def _settle(self) -> None:
-        lost = unreadable = 0
-        for place in (self.folder / "runs").iterdir():
-            run = _read(place)
-            if run is None and _ID.fullmatch(place.name):
-                unreadable += 1
-                shutil.rmtree(place, ignore_errors=True)
-            elif run is not None and run.state not in ENDED:
-                lost += 1
-                with suppress(OSError):
-                    self.change(run.id, state="lost", reason="the server stopped before the run had finished")
+        known = {run.id for run in self._every()}
+        unreadable = [p for p in (self.folder / "runs").iterdir() if _ID.fullmatch(p.name) and p.name not in known]
+        lost = [run.id for run in self._every() if run.state not in ENDED]
+        for place in unreadable:
+            shutil.rmtree(place, ignore_errors=True)
+        for run_id in lost:
+            with suppress(OSError):
+                self.change(run_id, state="lost", reason="the server stopped before the run had finished")
         if lost:
-            self.notices.append(f"{lost} runs had not finished when the server stopped, and are lost.")
+            self.notices.append(f"{len(lost)} runs had not finished when the server stopped, and are lost.")
         if unreadable:
-            self.notices.append(f"{unreadable} folders of runs could not be read and were removed.")
+            self.notices.append(f"{len(unreadable)} folders of runs could not be read and were removed.")
+
+    def _every(self) -> list[WebRun]:
+        """The runs of all sessions."""
+        read = (self._unwritten.get(place.name) or _read(place) for place in (self.folder / "runs").iterdir())
+        return [run for run in read if run is not None]
 
     def place(self, run_id: str) -> Path:
         """The folder of a run."""
@@ -178,23 +179,16 @@ class RunStore:
         return self.folder / "runs" / run_id
 
     def new(
-        self, owner: str, kind: str, name: str, title: str, version: str,
-        files: Mapping[str, str | Path] = MappingProxyType({}),
-    ) -> WebRun:  # fmt: skip
-        """A run that waits, with its folder.
-
-        Parameters
-        ----------
-        files : that the folder begins with: name -> text, or the path of what is copied
+        self, owner: str, kind: str, name: str, title: str, version: str, files: Files = MappingProxyType({})
+    ) -> WebRun:
+        """A run that waits, with its folder, which begins with ``files``.
 
         Raises
         ------
         OSError : it cannot be written.
         """
-        run = WebRun(
-            id=secrets.token_urlsafe(12), owner=owner, kind=kind, name=name, title=title, created=time.time(),
-            version=version,
-        )  # fmt: skip
+        about = {"owner": owner, "kind": kind, "name": name, "title": title, "version": version}
+        run = WebRun(id=secrets.token_urlsafe(12), created=time.time(), **about)
         place = self.place(run.id)
         try:
             place.mkdir(mode=0o700)
@@ -210,30 +204,22 @@ class RunStore:
     def _write(self, run: WebRun) -> None:
         write_text(self.place(run.id) / "run.json", run.model_dump_json(indent=1) + "\n")
 
-    def known(self, run_id: str) -> WebRun:
-        """A run of any session; KeyError where there is none."""
-        run = self._unwritten.get(run_id) or _read(self.place(run_id))
-        if run is None:
-            raise KeyError(run_id)
-        return run
-
-    def run(self, run_id: str, owner: str) -> WebRun:
-        """A run that a session sees.
+    def run(self, run_id: str, owner: str | None = None) -> WebRun:
+        """A run that a session sees; of any session where no ``owner`` is named.
 
         Raises
         ------
         KeyError : there is none, or it is another session's.
         """
-        run = self.known(run_id)
-        if run.owner not in (owner, EVERYBODY):
+        run = self._unwritten.get(run_id) or _read(self.place(run_id))
+        if run is None or (owner is not None and run.owner not in (owner, EVERYBODY)):
             raise KeyError(run_id)
         return run
 
     def runs(self, owner: str, kind: str | None = None) -> list[WebRun]:
         """Runs that a session sees, the latest first."""
         self._adopt()
-        every = (self._unwritten.get(place.name) or _read(place) for place in (self.folder / "runs").iterdir())
-        seen = [r for r in every if r is not None and r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
+        seen = [r for r in self._every() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
         return sorted(seen, key=lambda r: -r.created)
 
     def _adopt(self) -> None:
@@ -256,7 +242,7 @@ class RunStore:
         That a run has begun stands in memory alone: after a restart it is lost as one that waited is.
         """
         with self._lock:
-            run = self._unwritten[run_id] = self.known(run_id).model_copy(update=changes)
+            run = self._unwritten[run_id] = self.run(run_id).model_copy(update=changes)
             if run.state != "running":
                 self._write(run)
                 del self._unwritten[run_id]
@@ -276,10 +262,8 @@ class RunStore:
                 return
             self._cleared = now
             kept = [(path.stat().st_mtime, path) for path in (self.folder / "uploads").glob("*/*/*")]
-            for place in (self.folder / "runs").iterdir():
-                run = _read(place)
-                if run is not None and run.state in ENDED and run.owner != EVERYBODY:
-                    kept.append((run.created, place))
+            own = [run for run in self._every() if run.state in ENDED and run.owner != EVERYBODY]
+            kept += [(run.created, self.place(run.id)) for run in own]
             sizes = [size_of(path) for _, path in kept]
             total = sum(sizes)
             for (created, path), size in sorted(zip(kept, sizes, strict=True)):
@@ -321,20 +305,16 @@ def _told_of(run_id: str, results: Path, record: Mapping[str, Any], written: flo
 
 def summary_of(kind: str, results: Path) -> dict[str, Any]:
     """What a list and a page say of a folder of results: the numbers of a study, the verdict of anything else."""
-    if kind == "study":
-        with (results / CSV).open(encoding="utf-8", newline="") as file:
-            told = [{k: row[k] for k in _STUDY_COLUMNS} for row in csv.DictReader(file)]
-        return {"rows": told[:MOST_LISTED], "left_out": max(0, len(told) - MOST_LISTED)}
     rows = list(Run.open(results).table)
+    if kind == "study":
+        told = [{name: getattr(row, name) for name in _STUDY_COLUMNS} for row in rows[:MOST_LISTED]]
+        return {"rows": told, "left_out": max(0, len(rows) - MOST_LISTED)}
     counts = Counter(str(row.outcome) for row in rows if row.planned)
     screen = first_screen(rows)
     said = (f"{screen.head}. {screen.lead}", screen.words) if counts else ("One side alone: nothing is compared.",) * 2
     return {
         "tone": str(screen.outcome), "status": said[0], "verdict": said[1], "counts": dict(counts), "rows": len(rows),
     }  # fmt: skip
-
-
-_SCRIPTS = (("hyperval.figures", ".", "charts.js"), ("hyperval.web", "static", "map.js"))
 
 
 def view_name(stem: str) -> str:
@@ -344,49 +324,8 @@ def view_name(stem: str) -> str:
 
 @lru_cache(maxsize=1)
 def _scripts() -> str:
-    digest = hashlib.sha256()
-    for package, folder, name in _SCRIPTS:
-        digest.update((resources.files(package) / folder / name).read_bytes())
-    return digest.hexdigest()[:8]
-
-
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")
-KINDS = ("spectra", "sensors")
-SPECTRA = (".txt", ".csv", ".asd", ".sli", ".sed", ".sig")
-
-
-def folder_of(settings: ServerSettings, owner: str) -> Path:
-    """The folder of a session's uploads."""
-    return settings.folder / "uploads" / owner
-
-
-def checked_name(field: str, name: str) -> str:
-    """A name under which a file of a field may be kept.
-
-    Raises
-    ------
-    Refused : it is a path, or holds what a name of a file had better not hold.
-    """
-    if not NAME.fullmatch(name):
-        words = "letters, digits, - and _, with one or two endings, at most 80 characters"
-        raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {words}")])
-    return name
-
-
-def files_of(settings: ServerSettings, owner: str, kinds: Sequence[str] = KINDS) -> tuple[str, ...]:
-    """Names of the spectra and sensor files that a session brought."""
-    folders = [folder_of(settings, owner) / kind for kind in kinds]
-    return tuple(sorted(p.name for folder in folders if folder.is_dir() for p in folder.iterdir() if p.is_file()))
-
-
-def copies_of(settings: ServerSettings, owner: str, text: str, names: Collection[str]) -> dict[str, Path]:
-    """Files that the text of a scenario names, by the name that the run keeps them under."""
-    folder = folder_of(settings, owner)
-    places = {name: folder / kind / name for kind in KINDS for name in files_of(settings, owner, [kind])}
-    return {name: places[name] for name in names if name in text}
-
-
-_TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "pipeline": "pipeline"}
+    files = resources.files("hyperval.figures") / "charts.js", resources.files("hyperval.web") / "static" / "map.js"
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
 
 
 class Desk:
@@ -404,94 +343,97 @@ class Desk:
         self.quick, self.long = pools or (
             of(limits.quick_workers, seconds=limits.quick_seconds), of(limits.long_workers, seconds=limits.long_seconds)
         )  # fmt: skip
-        self._jobs: dict[str, WorkerTask] = {}
-        self._views: dict[tuple[str, ...], WorkerTask] = {}
-        self._lock = threading.Lock()
+        self._tasks: dict[tuple[str, object], WorkerTask] = {}  # by owner and run, or by run and file
+        self._changed = threading.Condition()
+
+    def _hand(
+        self, key: tuple[str, object], pool: TaskPool, task: WorkerTask, end: Callable[[], None] = lambda: None
+    ) -> None:
+        """Give a task to the workers; when it has its result and ``end`` is done, it is on its way no more."""
+        self._tasks[key] = task
+        try:
+            pool.submit(task)
+        except Full:
+            del self._tasks[key]
+            raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
+
+        def ended(_: Future[Any]) -> None:
+            try:
+                end()
+            finally:
+                with self._changed:
+                    self._tasks.pop(key, None)
+                    self._changed.notify_all()
+
+        task.future.add_done_callback(ended)
 
     def order(
-        self, owner: str, kind: str, name: str, title: str,
-        files: Mapping[str, str | Path] = MappingProxyType({}), **arguments: Any,
-    ) -> WebRun:  # fmt: skip
-        """Take an order.
-
-        Parameters
-        ----------
-        files : that the folder of the run begins with, as for :meth:`RunStore.new`
-        arguments : of the task
+        self, owner: str, kind: str, name: str, title: str, files: Files = MappingProxyType({}), **arguments: Any
+    ) -> WebRun:
+        """Take an order: a run whose folder begins with ``files``, and the arguments of its task.
 
         Raises
         ------
         Refused : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
         """
-        with self._lock:
-            own = sum(self.store.known(run_id).owner == owner for run_id in list(self._jobs))
+        with self._changed:
+            own = sum(of == owner for of, _ in list(self._tasks))
             if own >= self.limits.per_session:
                 raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
             try:
                 run = self.store.new(owner, kind, name, title, hyperval.__version__, files)
             except OSError as error:
                 raise Refused(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
-            begun = partial(self._note, run.id, state="running")
-            job = WorkerTask(_TASKS[kind], {"folder": str(self.store.place(run.id)), **arguments}, begun=begun)
-            self._jobs[run.id] = job
+            task = WorkerTask(kind, {"folder": str(self.store.place(run.id)), **arguments})
+            task.begun = partial(self._note, run.id, state="running")
             try:
-                _submit(self.quick if kind == "prediction" else self.long, job)
+                pool = self.quick if kind == "prediction" else self.long
+                self._hand((owner, run.id), pool, task, partial(self._end, run.id, task))
             except Refused:
-                del self._jobs[run.id]
                 self.store.remove(run.id)
                 raise
-        job.future.add_done_callback(lambda future: self._end(run.id, job, future))
         return run
 
     def _note(self, run_id: str, **changes: Any) -> None:
+        """Change a run, unless it was removed meanwhile."""
         with suppress(OSError, KeyError):
             self.store.change(run_id, **changes)
 
-    def _end(self, run_id: str, job: WorkerTask, future: Future[Any]) -> None:
-        seconds = time.monotonic() - job.started if job.started else 0.0
-        error = future.exception()
+    def _end(self, run_id: str, task: WorkerTask) -> None:
+        seconds = time.monotonic() - task.started if task.started else 0.0
+        error = task.future.exception()
+        state = "finished" if error is None else "cancelled" if isinstance(error, Cancelled) else "failed"
+        told = {"summary": task.future.result()} if error is None else {"reason": str(error)}
         try:
-            if error is None:
-                self.store.change(run_id, state="finished", seconds=seconds, summary=future.result())
-            else:
-                state = "cancelled" if isinstance(error, Cancelled) else "failed"
-                self.store.change(run_id, state=state, seconds=seconds, reason=str(error))
+            self.store.change(run_id, state=state, seconds=seconds, **told)
         except OSError as full:
             self._note(run_id, state="failed", reason=f"its results could not be stored: {full.strerror}", summary={})
         except KeyError:
             pass  # removed meanwhile
-        finally:
-            self._jobs.pop(run_id, None)
         self.store.clear()
 
-    def wait(self, run_id: str, seconds: float) -> None:
+    def wait(self, run: WebRun, seconds: float) -> None:
         """Wait until a run has ended, or for some time."""
-        job = self._jobs.get(run_id)
-        if job is None or not seconds:
-            return
-        end = time.monotonic() + min(seconds, 60.0)
-        futures.wait([job.future], min(seconds, 60.0))
-        while run_id in self._jobs and time.monotonic() < end:  # what came of it is being written down
-            time.sleep(0.002)
+        with self._changed:
+            self._changed.wait_for(lambda: (run.owner, run.id) not in self._tasks, seconds)
 
     def progress(self, run: WebRun) -> dict[str, Any]:
         """Where a run on its way is: stage, part that is done, seconds left."""
-        job = self._jobs.get(run.id)
-        if job is None or run.state in ENDED:
+        task = self._tasks.get((run.owner, run.id))
+        if task is None or run.state in ENDED:
             return {"stage": "", "done": 1.0 if run.state == "finished" else 0.0, "seconds_left": None}
-        what, done, total = job.progress
-        left = job.seconds_left
+        what, done, total = task.progress
+        left = task.seconds_left
         return {
-            "stage": what or ("waiting" if not job.started else "working"),
+            "stage": what or ("waiting" if not task.started else "working"),
             "done": done / total if total else 0.0,
             "seconds_left": None if left is None else math.ceil(left),
         }
 
-    def cancel(self, run_id: str) -> None:
+    def cancel(self, run: WebRun) -> None:
         """Call a run off."""
-        job = self._jobs.get(run_id)
-        if job is not None:
-            job.is_cancelled = True
+        if task := self._tasks.get((run.owner, run.id)):
+            task.is_cancelled = True
 
     def view(self, run: WebRun, task: str, name: str, /, **arguments: Any) -> Path:
         """A file beside a finished run, made by a worker where it is not there yet.
@@ -502,23 +444,17 @@ class Desk:
         """
         if run.state != "finished":
             raise Refused(409, f"this run has no results: {run.reason or run.state}")
-        path = self.store.place(run.id) / name
-        if path.exists():
-            return path
-        if task in ("files", "draw") and run.version != hyperval.__version__:  # the scenario would give other numbers
-            raise Refused(
-                409, f"the run was made by version {run.version}, and this is {hyperval.__version__}: run it again"
-            )
-        key = (run.id, task, name)
-        with self._lock:
-            job = self._views.get(key)
-            if job is None:
-                job = WorkerTask(task, {"folder": str(self.store.place(run.id)), **arguments})
-                _submit(self.long if task == COLLECTION else self.quick, job)
-                self._views[key] = job
-                job.future.add_done_callback(lambda _: self._views.pop(key, None))
-        _result(job, self.limits.quick_seconds * 2)
-        return path
+        place, now = self.store.place(run.id), hyperval.__version__
+        if (place / name).exists():
+            return place / name
+        if task in ("files", "draw") and run.version != now:  # the scenario would give other numbers
+            raise Refused(409, f"the run was made by version {run.version}, and this is {now}: run it again")
+        with self._changed:
+            own = self._tasks.get((run.id, name)) or WorkerTask(task, {"folder": str(place), **arguments})
+            if (run.id, name) not in self._tasks:
+                self._hand((run.id, name), self.long if task == COLLECTION else self.quick, own)
+        self._result(own, self.limits.quick_seconds * 2)
+        return place / name
 
     def ask(self, task: str, **arguments: Any) -> Any:
         """What a quick task returns that belongs to no run.
@@ -527,30 +463,22 @@ class Desk:
         ------
         Refused : it came to nothing, or there is no room.
         """
-        job = WorkerTask(task, arguments)
-        _submit(self.quick, job)
-        return _result(job, self.limits.quick_seconds)
+        own = WorkerTask(task, arguments)
+        self._hand(("", own), self.quick, own)
+        return self._result(own, self.limits.quick_seconds)
+
+    def _result(self, task: WorkerTask, seconds: float) -> Any:
+        try:
+            return task.future.result(seconds)
+        except TimeoutError:
+            raise Refused(503, "the server is busy; try again soon", wait=5) from None
+        except TaskFailed as error:
+            raise Refused(409, str(error)) from error
 
     def close(self) -> None:
         """End the workers."""
         for pool in (self.quick, self.long):
             pool.close()
-
-
-def _submit(pool: TaskPool, job: WorkerTask) -> None:
-    try:
-        pool.submit(job)
-    except Full:
-        raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
-
-
-def _result(job: WorkerTask, seconds: float) -> Any:
-    try:
-        return job.future.result(seconds)
-    except TimeoutError:
-        raise Refused(503, "the server is busy; try again soon", wait=5) from None
-    except TaskFailed as error:
-        raise Refused(409, str(error)) from error
 
 
 __all__ = ["Cancelled", "Full", "TaskFailed", "WorkerPool", "WorkerTask"]
@@ -615,7 +543,7 @@ def carried_out(module: str, task: str, arguments: Mapping[str, Any]) -> Any:
 
 
 _TICK_S = 0.2
-_NEWS, _STOP = ".news.json", ".stop"
+_NEWS, _STOP = ".news.json", ".stop"  # in the folder of a run
 _alone = threading.Lock()  # a worker of several threads has one listener, and one library that draws
 
 
@@ -632,10 +560,12 @@ class _Place:
 
     def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
         """Hand a task in, and wait until a worker has it."""
-        self._folder = _folder(task.arguments)
-        _clear(self._folder)
+        self._folder = Path(task.arguments["folder"]) if "folder" in task.arguments else None
+        for name in (_NEWS, _STOP):
+            if self._folder is not None:
+                (self._folder / name).unlink(missing_ok=True)
         self._future = self._at.submit(run, (self._module, task.task, dict(task.arguments)))
-        while not (self._folder is None or self._future.done() or self._told()[0] or is_over()):
+        while self._folder and not (self._future.done() or self._told()[0] or is_over()):
             time.sleep(_TICK_S)
 
     def news(self) -> tuple[str, Any]:
@@ -663,30 +593,19 @@ class _Place:
                 (self._folder / _STOP).touch()
 
 
-def _folder(arguments: Mapping[str, Any]) -> Path | None:
-    return Path(arguments["folder"]) if "folder" in arguments else None
-
-
-def _clear(folder: Path | None) -> None:
-    for name in (_NEWS, _STOP):
-        if folder is not None:
-            (folder / name).unlink(missing_ok=True)
-
-
 def run(call: tuple[str, str, Mapping[str, Any]]) -> Any:
     """On a worker: carry a task of a module out, with news of it in its folder."""
     module, task, arguments = call
-    folder, latest = _folder(arguments), [0.0]
+    folder, latest = Path(arguments.get("folder", "")), 0.0
 
     def report(what: str, done: int, total: int | None) -> None:
-        if folder is None or time.monotonic() - latest[0] < _TICK_S:
+        nonlocal latest
+        if "folder" not in arguments or time.monotonic() - latest < _TICK_S:
             return
-        latest[0] = time.monotonic()
+        latest = time.monotonic()
         if (folder / _STOP).exists():
             raise Cancelled("cancelled")
-        part = folder / f"{_NEWS}.part"
-        part.write_text(json.dumps([what, done, total]), "utf-8")
-        part.replace(folder / _NEWS)
+        write_text(folder / _NEWS, json.dumps([what, done, total]))
 
     with _alone:
         os.environ["HYPERVAL_WORKERS"] = "1"
@@ -696,4 +615,3 @@ def run(call: tuple[str, str, Mapping[str, Any]]) -> Any:
             return carried_out(module, task, arguments)
         finally:
             set_listener(None)
-            _clear(folder)

@@ -152,21 +152,23 @@ def campaign(folder: str, path: str) -> dict[str, Any]:
     return summary_of("validation", Path(folder) / "results") | {"exit_code": code}
 
 
-def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
-    """Write the campaign of what was brought, and run its empirical pipeline."""
-    place = Path(folder)
-    raster = open_raster(place / sources["cube"])
-    if (count := math.prod(raster.size)) > sources["most"]:
-        raise UsageError(f"the cube has {count:,} values", expected=f"at most {sources['most']:,}")
+def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, Any], most: int) -> dict[str, Any]:
+    """Write the campaign of what was brought, and run its empirical pipeline.
+
+    Parameters
+    ----------
+    parts : of the collection -> names of files;  stated : what a person says of it;  most : values of the cube
+    """
+    place, about = Path(folder), dict(stated)
+    files = {part: [place / COLLECTION / name for name in names] for part, names in parts.items()}
+    raster = open_raster(files["cube"][0])
+    if (count := math.prod(raster.size)) > most:
+        raise UsageError(f"the cube has {count:,} values", expected=f"at most {most:,}")
     header = {what: value for what, value, _ in record(raster) if what != "assumed"}
-    named = StarterSources(
-        cube=place / sources["cube"],
-        regions=[place / name for name in sources["regions"]],
-        targets=place / sources["targets"] if sources["targets"] else None,
-        spectra=[place / name for name in sources["spectra"]],
-        **sources["stated"],
-    )
-    text, guesses = starter_campaign(named, place, sources["name"])
+    spectra = [path for path in files["spectra"] if path.suffix != ".hdr"]
+    name, targets = about.pop("name"), next(iter(files["targets"]), None)
+    named = StarterSources(files["cube"][0], files["regions"], targets, spectra, **about)
+    text, guesses = starter_campaign(named, place, name)
     write_draft(place / "campaign.yaml", "campaign", text)
     with _command("observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results", show_progress=False)
@@ -290,7 +292,7 @@ def _write(path: Path, content: Any) -> None:
 
 
 TASKS: Mapping[str, Callable[..., Any]] = {
-    "predict": predict, "draw": draw, "files": files, "study": study, "campaign": campaign,
+    "prediction": predict, "draw": draw, "files": files, "study": study, "validation": campaign,
     "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor,
     "collection": collection, "trade_live": live, "trade_piece": piece,
 }  # fmt: skip

@@ -1,6 +1,7 @@
 """Imagery that a session brings: checked as it comes in, kept, and put through the empirical pipeline.
 
-A file that is right is kept under its field; what the request that it came with lacks is asked for alone.
+A file that is right is kept under its field, apart from those of other sessions, under a name that is no path; what the
+request that it came with lacks is asked for alone.
 """
 
 from __future__ import annotations
@@ -27,27 +28,116 @@ from hyperval.web.forms import marked
 from hyperval.web.pages import api, page, pages, session_of
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, to_show
 from hyperval.web.runs import RunAnswer, answer_of
-from hyperval.web.store import KINDS, SPECTRA, WebRun, checked_name, files_of, folder_of
+from hyperval.web.store import WebRun
 
 MOST_FILES = 20
 _MOST_KEPT = 50
+_SPECTRA = (".txt", ".csv", ".asd", ".sli", ".sed", ".sig")
 PARTS = {  # of a collection -> endings of the names of its files
     "cube": (".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ""),
     "header": (".hdr",),
     "regions": (".txt", ".geojson", ".json", ".csv", ".roi"),
     "targets": (".csv", ".geojson", ".json", ".txt"),
-    "spectra": (*SPECTRA, ".hdr"),
+    "spectra": (*_SPECTRA, ".hdr"),
 }
 _SINGLE = ("cube", "header", "targets")  # of which one file is taken
 _ENDINGS = {**PARTS, "sensors": (".yaml", ".yml")}
-_PACKED = {
-    b"PK\x03\x04": "a zip archive",
-    b"\x1f\x8b": "packed by gzip",
-    b"<?xml": "XML",
-    b"BZh": "packed by bzip2",
-}
+_OF_SCENARIOS = ("spectra", "sensors")  # which stay when their collection has been taken
+_NEEDED = {
+    "cube": "one data file of a cube is needed", "header": "the ENVI header is needed",
+    "regions": "at least one file of regions is needed",
+}  # fmt: skip
+_PACKED = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "packed by gzip", b"<?xml": "XML", b"BZh": "packed by bzip2"}
 _LARGEST_TEXT = 4_000_000
 _INSIDE = re.compile(r"(?:[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}/){0,12}[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")
+_NAME_WORDS = "letters, digits, - and _, with one or two endings, at most 80 characters"
+
+
+class Uploads:
+    """Files that the session of a request brought: a folder for each field.
+
+    Parameters
+    ----------
+    request : whose session and server they are
+    """
+
+    def __init__(self, request: Request):
+        self._state = request.app.state
+        self.owner = session_of(request).owner
+        self.folder: Path = self._state.settings.folder / "uploads" / self.owner
+
+    def names(self, *fields: str) -> tuple[str, ...]:
+        """Names of the files of some fields; of those that scenarios may name where none is given."""
+        folders = (self.folder / field for field in fields or _OF_SCENARIOS)
+        return tuple(sorted(path.name for folder in folders for path in folder.glob("*") if path.is_file()))
+
+    def copies(self, text: str) -> dict[str, Path]:
+        """Files that the text of a scenario names, by the name that the run keeps them under."""
+        return {name: self.folder / of / name for of in _OF_SCENARIOS for name in self.names(of) if name in text}
+
+    def given(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
+        """Field of each file that a form gives, and what finds it: sent, kept of an earlier request, named."""
+        for field, file in form.multi_items():
+            if isinstance(file, UploadFile) and field in _ENDINGS and (file.filename or file.size):
+                yield field, partial(self._keep, field, file)
+        for field in PARTS:  # of a cube what was sent has taken the place of what was kept
+            for name in {*form.getlist(f"{field}_kept")} & {*self.names(field)}:
+                yield field, partial((self.folder / field).joinpath, str(name))
+            for name in filter(None, (n.strip() for n in str(form.get(f"{field}_named") or "").split(","))):
+                yield field, partial(self._named, field, name)
+
+    def _keep(self, field: str, file: UploadFile) -> Path:
+        """Keep a file under its field; a new one takes the place of one of its name, and of any other of a cube."""
+        name, place = file.filename or "", self.folder / field
+        if not _NAME.fullmatch(name):
+            raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {_NAME_WORDS}")])
+        place.mkdir(parents=True, exist_ok=True)
+        part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
+        try:
+            with part.open("wb") as out:
+                shutil.copyfileobj(file.file, out)
+            self._check(field, name, part)
+            if len({*self.names(field), name}) > _MOST_KEPT:
+                raise Refused(422, [FieldMistake(field, f"a session keeps at most {_MOST_KEPT}")])
+            if field in ("cube", "header"):
+                shutil.rmtree(place)
+                place.mkdir()
+            part.replace(place / name)
+        finally:
+            part.unlink(missing_ok=True)
+        return place / name
+
+    def _check(self, field: str, name: str, path: Path) -> None:
+        """Refuse a file by the ending of its name, its head or its size; one of a sensor by what it says."""
+        with path.open("rb") as file:
+            head = file.read(8)
+        packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
+        largest = self._state.settings.limits.samples * 8 if field == "cube" else _LARGEST_TEXT
+        wrong = {
+            f"ends with none of {', '.join(filter(None, _ENDINGS[field]))}":
+                Path(name).suffix.lower() not in _ENDINGS[field],
+            f"is {packed}, which is not accepted": packed is not None,
+            f"larger than {largest:,} bytes": path.stat().st_size > largest,
+        }  # fmt: skip
+        if mistakes := [FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so]:
+            raise Refused(422, mistakes)
+        if field == "sensors":
+            try:
+                self._state.desk.ask("sensor", path=str(path))
+            except Refused as refusal:
+                words = refusal.mistakes[0].message.replace(path.name, name)
+                raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
+
+    def _named(self, field: str, name: str) -> Path:
+        """A file of the data folder that a form names."""
+        data = self._state.settings.data
+        with suppress(HypervalError, OSError):
+            if data is not None and _INSIDE.fullmatch(name):
+                path = checked_file(data / name, root=data)
+                self._check(field, path.name, path)
+                return path
+        raise Refused(422, [FieldMistake(f"{field}_named", "the data folder of this server has no such file")])
 
 
 class StatedCollection(BaseModel):
@@ -95,12 +185,12 @@ async def form_of(request: Request) -> FormData:
 def _page(
     request: Request, given: Mapping[str, str], mistakes: Sequence[FieldMistake] = (), status: int = 200
 ) -> Response:
-    settings, owner = request.app.state.settings, session_of(request).owner
+    settings, own = request.app.state.settings, Uploads(request)
     errors = marked(mistakes, [mistake.field for mistake in mistakes])
     return page(
         request, "uploads.html.j2", status=status, errors=errors, given=given, most=settings.limits.upload_bytes,
         has_data=settings.data is not None, sensors=library_names(),
-        kept={field: files_of(settings, owner, [field]) for field in _ENDINGS},
+        kept={field: own.names(field) for field in _ENDINGS},
     )  # fmt: skip
 
 
@@ -111,10 +201,10 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     ------
     Refused : what is wrong with them, or there is no room; what was right is kept none the less.
     """
-    state, owner = request.app.state, session_of(request).owner
-    fields, mistakes = set[str](), list[FieldMistake]()
+    own, state, mistakes = Uploads(request), request.app.state, list[FieldMistake]()
     files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
-    for field, find in _given(request, form):
+    fields = set[str]()
+    for field, find in own.given(form):
         fields.add(field)
         try:
             path = find()
@@ -124,115 +214,31 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         if files.setdefault(path.name, (field, path)) != (field, path):
             mistakes.append(FieldMistake(field, f"{path.name}: was given twice"))
     state.store.clear()
-    others = [form.get(f"{field}_{end}") for field in PARTS for end in ("kept", "named")]
-    if any(others) or not fields or fields - {*KINDS}:
-        return _order(request, form, files, mistakes)
-    if mistakes:
-        raise Refused(422, mistakes)
-    return list(files_of(state.settings, owner))
-
-
-def _given(request: Request, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
-    """Field of each file that a form gives, and what finds it: sent, kept of an earlier request, named."""
-    settings, owner = request.app.state.settings, session_of(request).owner
-    for field, file in form.multi_items():
-        if isinstance(file, UploadFile) and field in _ENDINGS and (file.filename or file.size):
-            yield field, partial(_keep, request, field, file)
-    for field in PARTS:  # of a cube what was sent has taken the place of what was kept
-        for name in {*form.getlist(f"{field}_kept")} & {*files_of(settings, owner, [field])}:
-            yield field, partial((folder_of(settings, owner) / field).joinpath, str(name))
-        for name in filter(None, (n.strip() for n in str(form.get(f"{field}_named") or "").split(","))):
-            yield field, partial(_named, request, field, name)
-
-
-def _keep(request: Request, field: str, file: UploadFile) -> Path:
-    """Keep a file under its field; a new one takes the place of one of the same name, and of any other of a cube."""
-    settings, owner = request.app.state.settings, session_of(request).owner
-    name = checked_name(field, file.filename or "")
-    place = folder_of(settings, owner) / field
-    place.mkdir(parents=True, exist_ok=True)
-    part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
-    try:
-        with part.open("wb") as out:
-            shutil.copyfileobj(file.file, out)
-        _check(request, field, name, part)
-        if len({*files_of(settings, owner, [field]), name}) > _MOST_KEPT:
-            raise Refused(422, [FieldMistake(field, f"a session keeps at most {_MOST_KEPT}")])
-        if field in ("cube", "header"):
-            shutil.rmtree(place)
-            place.mkdir()
-        part.replace(place / name)
-    finally:
-        part.unlink(missing_ok=True)
-    return place / name
-
-
-def _check(request: Request, field: str, name: str, path: Path) -> None:
-    """Refuse a file by the ending of its name, its head or its size; one of a sensor by what it says."""
-    ending, state = Path(name).suffix.lower(), request.app.state
-    with path.open("rb") as file:
-        head = file.read(8)
-    packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
-    largest = state.settings.limits.samples * 8 if field == "cube" else _LARGEST_TEXT
-    wrong = {
-        f"ends with none of {', '.join(filter(None, _ENDINGS[field]))}": ending not in _ENDINGS[field],
-        f"is {packed}, which is not accepted": packed is not None,
-        f"larger than {largest:,} bytes": path.stat().st_size > largest,
-    }
-    if mistakes := [FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so]:
-        raise Refused(422, mistakes)
-    if field == "sensors":
+    others = any(form.get(f"{field}_{end}") for field in PARTS for end in ("kept", "named"))
+    is_cube = others or not fields or bool(fields - {*_OF_SCENARIOS})
+    parts = {field: [name for name, (of, _) in files.items() if of == field] for field in PARTS}
+    stated = StatedCollection()
+    if is_cube:
+        wrong = {mistake.field.removesuffix("_named") for mistake in mistakes}
+        lacking = [field for field in _NEEDED if not parts[field] or (field == "cube" and len(parts[field]) > 1)]
+        mistakes += [FieldMistake(field, _NEEDED[field]) for field in lacking if field not in wrong]
+        texts = ((name, str(form.get(name) or "").strip()) for name in StatedCollection.model_fields)
+        given = {name: text for name, text in texts if text}
         try:
-            state.desk.ask("sensor", path=str(path))
-        except Refused as refusal:
-            words = refusal.mistakes[0].message.replace(path.name, name)
-            raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
-
-
-def _named(request: Request, field: str, name: str) -> Path:
-    """A file of the data folder that a form names."""
-    data = request.app.state.settings.data
-    with suppress(HypervalError, OSError):
-        if data is not None and _INSIDE.fullmatch(name):
-            path = checked_file(data / name, root=data)
-            _check(request, field, path.name, path)
-            return path
-    raise Refused(422, [FieldMistake(f"{field}_named", "the data folder of this server has no such file")])
-
-
-def _order(
-    request: Request, form: FormData, files: Mapping[str, tuple[str, Path]], mistakes: list[FieldMistake]
-) -> WebRun:
-    """Order the empirical pipeline of files."""
-    owner, settings = session_of(request).owner, request.app.state.settings
-    parts = {field: [f"collection/{name}" for name, (of, _) in files.items() if of == field] for field in PARTS}
-    wrong = {mistake.field.removesuffix("_named") for mistake in mistakes}
-    for field, words in (
-        ("cube", "one data file of a cube is needed"),
-        ("header", "the ENVI header is needed"),
-        ("regions", "at least one file of regions is needed"),
-    ):
-        if field not in wrong and (not parts[field] or (field == "cube" and len(parts[field]) > 1)):
-            mistakes.append(FieldMistake(field, words))
-    given = {name: str(value).strip() for name, value in form.items() if name in StatedCollection.model_fields}
-    given = {name: value for name, value in given.items() if value}
-    try:
-        stated = StatedCollection.model_validate(given)
-    except ValidationError as error:
-        mistakes += mistakes_of(error, given)
+            stated = StatedCollection.model_validate(given)
+        except ValidationError as error:
+            mistakes += mistakes_of(error, given)
     if mistakes:
         raise Refused(422, mistakes)
-    sources: dict[str, Any] = {
-        "cube": parts["cube"][0], "header": parts["header"][0], "regions": parts["regions"],
-        "targets": next(iter(parts["targets"]), None),
-        "spectra": [name for name in parts["spectra"] if not name.endswith(".hdr")], "name": stated.name,
-        "stated": stated.model_dump(exclude={"name"}, exclude_none=True), "most": settings.limits.samples,
-    }  # fmt: skip
-    copies = {f"collection/{name}": path for name, (_, path) in files.items()}
-    title = f"{stated.name}: {Path(sources['cube']).name}"
-    run: WebRun = request.app.state.desk.order(owner, "pipeline", stated.name, title, copies, sources=sources)
-    for field in PARTS.keys() - KINDS:
-        shutil.rmtree(folder_of(settings, owner) / field, ignore_errors=True)
+    if not is_cube:
+        return list(own.names())
+    run: WebRun = state.desk.order(
+        own.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
+        {f"collection/{name}": path for name, (_, path) in files.items()},
+        parts=parts, stated=stated.model_dump(exclude_none=True), most=state.settings.limits.samples,
+    )  # fmt: skip
+    for field in PARTS.keys() - {*_OF_SCENARIOS}:
+        shutil.rmtree(own.folder / field, ignore_errors=True)
     return run
 
 
