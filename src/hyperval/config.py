@@ -15,7 +15,7 @@ from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import InputError, UsageError, reader, refusal, refuse
 from hyperval.storage import installed_file, write_text
 from hyperval.units import radiance_to_internal, wavelength_to_nm
 
@@ -183,16 +183,16 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
     UsageError : not UTF-8, too large, too deep, duplicate keys, anchors, tags, or a syntax error.
     """
     path = Path(path)
+    refuse(path.is_dir(), "file.folder", path, file=min(path.glob("*.y*ml"), default=path / "FILE.yaml"))
     try:
         with open(path, "rb") as stream:
             content = stream.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            raise UsageError(f"larger than {MAX_BYTES} bytes", where=str(path), expected="a hand-written YAML file")
+        refuse(len(content) > MAX_BYTES, "file.large", path, most=MAX_BYTES)
         text = content.decode("utf-8-sig")
     except FileNotFoundError as error:
         raise InputError("no such file", where=str(path)) from error
     except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+        raise refusal("file.unreadable", path, why=error.strerror) from error
     except UnicodeDecodeError as error:
         raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
     data, lines = parse_yaml(text, str(path))

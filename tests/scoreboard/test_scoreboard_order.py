@@ -129,8 +129,8 @@ def test_drawn_shares_are_those_of_a_background_made_of_the_drawn_blocks(scores)
 @pytest.mark.parametrize("name", list(MEASURES))
 def test_metrics_are_those_of_the_roc(scores, name):
     targets, background, block = scores
-    over, tie = one_detector(targets, background, block).shares()
-    value = measured(MEASURES[name], over[..., None], tie[..., None], np.ones((targets.size, 1)))[0, 0]
+    shares = one_detector(targets, background, block).shares(np.ones((7, 1)))
+    value = measured(MEASURES[name], *shares, np.ones((targets.size, 1)))[0, 0]
     counts = counts_of(targets, background)
     expected = {
         "auc": lambda: roc_area(counts),

@@ -31,7 +31,8 @@ from hyperval.model import Z95, detection_at
 from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, Products
 from hyperval.results import ResultTable, of_campaign
 from hyperval.run import Run, to_xarray
-from hyperval.scenario import Scenario, load_scenario
+from hyperval.scenario import Scenario
+from hyperval.scenario import load_scenario as load_scenario
 from hyperval.storage import whole_folder
 from hyperval.units import RADIANCE_UNIT
 
@@ -157,13 +158,10 @@ class _Shown:
     """What a notebook shows: the object in words, and its first rows without the columns that are empty there."""
 
     def _repr_html_(self: Any) -> str:
-        rows = self._first_rows().head(_ROWS)
+        rows = getattr(self, "summary", None)  # what was judged, where that is told apart
+        rows = (self.to_dataframe() if rows is None else rows).head(_ROWS)
         rows = rows.loc[:, ~(rows.isna() | (rows == "")).all()]
         return f"<pre>{html.escape(repr(self))}</pre>{rows.to_html(border=0, notebook=True)}"
-
-    def _first_rows(self: Any) -> pandas.DataFrame:
-        frame: pandas.DataFrame = self.to_dataframe()
-        return frame
 
     def to_xarray(self: Any) -> Any:
         """The columns as variables over the rows."""
@@ -189,17 +187,22 @@ class _Tables(_Shown):
     sides: Mapping[str, xr.Dataset]
 
     @property
+    def plot(self) -> SidesPlot:
+        """``plot.spectra()``, ``plot.roc()``; ``plot()`` draws what there is."""
+        return SidesPlot(self)
+
+    @property
     def spectra(self) -> pandas.DataFrame:
         """Means with their standard uncertainties: a row for each side, product, subject and band."""
         names = ["side", "product", "subject", "band_nm", "value", "standard_uncertainty"]
-        parts = []
+        parts = [pandas.DataFrame(columns=names)]
         for (side, data), product in product_of(self.sides.items(), SPECTRA):
             if subjects := _subjects(data, product):
                 columns = [product, f"{product}_standard_uncertainty"]
                 frame = data[columns].sel(subject=subjects).transpose("subject", ...).to_dataframe().reset_index()
                 frame = frame.rename(columns=dict(zip(["wavelength", *columns], names[3:], strict=True)))
                 parts.append(frame.assign(side=side, product=product)[names])
-        return pandas.concat(parts, ignore_index=True) if parts else pandas.DataFrame(columns=names)
+        return _joined(parts)
 
     @property
     def roc(self) -> pandas.DataFrame:
@@ -212,13 +215,18 @@ class _Tables(_Shown):
         return self._entries("score", ["mean", "sd", "n"], ["subject", "detector"])
 
     def _entries(self, name: str, values: list[str], names: list[str]) -> pandas.DataFrame:
-        parts = []
+        parts = [pandas.DataFrame(columns=["side", *names, *values])]
         for side, data in self.sides.items():
             if f"{name}_{values[0]}" in data:
                 frame = data[[f"{name}_{v}" for v in values]].to_dataframe().reset_index()
                 frame.columns = frame.columns.str.removeprefix(f"{name}_")
                 parts.append(frame.dropna(subset=values[:1]).assign(side=side)[["side", *names, *values]])
-        return pandas.concat(parts, ignore_index=True) if parts else pandas.DataFrame(columns=["side", *names, *values])
+        return _joined(parts)
+
+
+def _joined(parts: list[pandas.DataFrame]) -> pandas.DataFrame:
+    """The tables after the first, which is empty and has their columns, as one."""
+    return pandas.concat(parts[1:] or parts, ignore_index=True)
 
 
 class Probability(NamedTuple):
@@ -294,11 +302,6 @@ class _Side(_Tables):
         from hyperval.compare.products import product_rows
 
         return ResultTable(product_rows(self.products, type(self).__name__.lower())).frame()
-
-    @property
-    def plot(self) -> SidesPlot:
-        """``plot.spectra()``, ``plot.roc()``; ``plot()`` draws what there is."""
-        return SidesPlot(self)
 
 
 class Prediction(_Side):
@@ -401,10 +404,6 @@ class Validation(_Tables):
         """The rows in the columns of ``results.csv``."""
         return self.results.to_dataframe()
 
-    def _first_rows(self) -> pandas.DataFrame:
-        """What was judged."""
-        return self.summary
-
     @property
     def summary(self) -> pandas.DataFrame:
         """The planned comparisons alone, as ``summary.csv`` has them: the outcome of each, and by how much."""
@@ -451,11 +450,6 @@ class Validation(_Tables):
     def to_xarray(self) -> xr.DataTree:
         """Both sides as the groups of ``products.nc``."""
         return xr.DataTree.from_dict(dict(self.sides), name=self.name)
-
-    @property
-    def plot(self) -> SidesPlot:
-        """``plot.spectra()``, ``plot.roc()`` of both sides; ``results.plot()`` draws what was judged."""
-        return SidesPlot(self)
 
 
 @dataclass(frozen=True, repr=False)
@@ -569,13 +563,6 @@ class Metrics(_Shown):
         """A row for each metric, by name."""
         names = [f.name for f in fields(Metric) if f.name not in ("tolerance", "usual")]
         return pandas.DataFrame([{n: getattr(m, n) for n in names} for m in self.rows.values()]).set_index("name")
-
-
-__all__ = [
-    "Collection", "Metrics", "Observation", "Prediction", "Results", "Study", "Validation", "check", "compare",
-    "explain", "load_campaign", "load_scenario", "metrics", "observe", "open", "predict", "simulate", "study",
-    "validate",
-]  # fmt: skip
 
 
 def load_campaign(path: Path | str) -> Job:

@@ -16,13 +16,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import compress, product
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 import spectral
 from scipy import special, stats
 
@@ -35,14 +35,14 @@ from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, measured_mark, row_names
 from hyperval.imagery.cube import raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
-from hyperval.observe import Observed, map_name, open_place, scored_pixels, target_groups
+from hyperval.observe import Observed, Place, map_name, open_place, scored_pixels, target_groups
 from hyperval.pixels import (
-    ANOMALY_DETECTORS,
     LEAST_EXPECTED_ALARMS,
     LOCAL_DETECTORS,
     AddedDetectorError,
     AlarmBlocks,
     PixelDetector,
+    Placed,
     detect,
     detector_names,
     interval_of_mean,
@@ -103,22 +103,16 @@ class BlockCounts:
         columns = [self.over[:, d].tobytes() + self.tie[:, d].tobytes() for d in range(len(self.detectors))]
         return [seen.setdefault(column, len(seen)) for column in columns]
 
-    def shares(self, weights: Array | None = None) -> tuple[Array, Array]:
-        """Share of the background above each look's score and level with it, each (P, D) or (P, D, R).
+    def shares(self, weights: Array) -> tuple[Array, Array]:
+        """Share of the background above each look's score and level with it, each (P, D, R).
 
         Parameters
         ----------
-        weights : (K, R) how often each block is drawn; None: once
+        weights : (K, R) how often each block is drawn
         """
-        if weights is None:
-            return self.over.sum(axis=2) / self.n, self.tie.sum(axis=2) / self.n
-        total = self.pixels @ weights
-        flat = (-1, self.pixels.size)
-        shape = (*self.over.shape[:2], weights.shape[1])
-        return (
-            (self.over.reshape(flat) @ weights / total).reshape(shape),
-            (self.tie.reshape(flat) @ weights / total).reshape(shape),
-        )
+        total, shape = self.pixels @ weights, (*self.over.shape[:2], weights.shape[1])
+        over, tie = (np.reshape(n.reshape(-1, self.pixels.size) @ weights, shape) for n in (self.over, self.tie))
+        return over / total, tie / total
 
 
 def counts_by_block(scores: Array, background: AlarmBlocks) -> tuple[Counts, Counts]:
@@ -140,8 +134,7 @@ class Measure:
     ----------
     name, title : in the table, and on the page
     of_look : the part each look has in the metric, from (over, tie); the metric is their mean.  None: the quantile
-        of false alarms at P_D = 0.5
-    better : whether more or less of it is better
+        of false alarms at P_D = 0.5, of which less is better
     least_pfa : P_FA that the background must resolve for it; 0: any
     observed : name of the metric in the rows of one observed side
     """
@@ -149,7 +142,6 @@ class Measure:
     name: str
     title: str
     of_look: Callable[[Array, Array], Array] | None
-    better: Literal["high", "low"]
     least_pfa: float
     observed: str
 
@@ -166,14 +158,14 @@ def detected_at(pfa: float) -> Callable[[Array, Array], Array]:
 MEASURES: Mapping[str, Measure] = {
     m.name: m
     for m in (
-        Measure("auc", "AUC", AREAS["auc"].averaged, "high", 0.0, "auc_measured"),
+        Measure("auc", "AUC", AREAS["auc"].averaged, 0.0, "auc_measured"),
         Measure(
-            LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, "high", 1e-3,
+            LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, 1e-3,
             "log_auc_measured@1e-3..1e-1",
         ),
-        Measure("pd@1e-2", "P_D at P_FA 1e-2", detected_at(1e-2), "high", 1e-2, "pd@1e-2"),
-        Measure("pd@1e-3", "P_D at P_FA 1e-3", detected_at(1e-3), "high", 1e-3, "pd@1e-3"),
-        Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None, "low", 0.0, "far_measured@pd0.5"),
+        Measure("pd@1e-2", "P_D at P_FA 1e-2", detected_at(1e-2), 1e-2, "pd@1e-2"),
+        Measure("pd@1e-3", "P_D at P_FA 1e-3", detected_at(1e-3), 1e-3, "pd@1e-3"),
+        Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None, 0.0, "far_measured@pd0.5"),
     )
 }  # fmt: skip
 
@@ -203,17 +195,12 @@ def measured(measure: Measure, over: Array, tie: Array, weight: Array) -> Array:
     """(D, R) the metric in draws of looks and background; of false alarms the P_FA, not yet per km2."""
     if measure.of_look is None:
         return pfa_at_detection(over, tie, weight)
-    return mean_of(measure.of_look(over, tie), weight)
-
-
-def mean_of(parts: Array, weight: Array) -> Array:
-    """(D, R) weighted mean over looks of their parts (P, D, R), the weights (P, R)."""
-    return np.asarray(np.einsum("pdr,pr->dr", parts, weight) / weight.sum(axis=0))
+    return np.asarray(np.einsum("pdr,pr->dr", measure.of_look(over, tie), weight) / weight.sum(axis=0))
 
 
 def goodness(measure: Measure, values: Array, n: int) -> Array:
     """The metric so that more is better; of P_FA minus its logarithm, no less than half a pixel of ``n``."""
-    if measure.better == "high":
+    if measure.of_look is not None:
         return values
     return np.asarray(-np.log10(np.maximum(values, 0.5 / n)))
 
@@ -314,26 +301,28 @@ def ranked(
     (array([1, 2]), array([1., 0.]))
     """
     order = np.array(counts.orders)
-    one_of = np.array([int(np.argmax(order == k)) for k in range(int(order.max()) + 1)])
+    one_of = np.unique(order, return_index=True)[1]
     item = np.unique(counts.item[looks], return_inverse=True)[1]
     m, n = int(item.max()) + 1, counts.n
     cells = np.ix_(np.array(looks), one_of)
-    part = BlockCounts(
-        tuple(counts.detectors[d] for d in one_of), counts.over[cells],
-        counts.tie[cells], counts.pixels, item, {}, counts.density_km2,
-    )  # fmt: skip
-    over, tie = part.shares()
-    value = measured(measure, over[..., None], tie[..., None], np.ones((len(looks), 1)))[:, 0]
+    names = tuple(counts.detectors[d] for d in one_of)
+    part = BlockCounts(names, counts.over[cells], counts.tie[cells], counts.pixels, item, {}, counts.density_km2)
+    shares = part.shares(np.ones((part.pixels.size, 1)))
+    value = measured(measure, *shares, np.ones((len(looks), 1)))[:, 0]
     both, still = _drawn(part, measure, m, draws, rng)
     best, drawn = goodness(measure, value, n), goodness(measure, both, n)
     enough = m >= fewest_objects(value.size)
     low, high = rank_sets(best, drawn, m) if enough else (np.ones(value.size, int), np.full(value.size, value.size))
-    lower, upper = _limits(part, measure, value, both, still, m)
+    if measure.of_look is None:  # percentiles of the draws, and above no alarm at all the exact limit
+        lower, upper = np.quantile(both, [0.025, 0.975], axis=1)
+        upper = np.maximum(upper, zero_count_upper_limit(n))
+    else:
+        lower, upper = _limits(item, measure.of_look(*shares)[:, :, 0], still, n)
     rank = np.array([1 + np.sum(best > x + 1e-12) for x in best], dtype=np.int64)
     first = np.mean(drawn >= drawn.max(axis=0) - 1e-12, axis=1)
     return RankedDetectors(
-        value[order], lower[order], upper[order], rank[order], np.minimum(low, rank)[order],
-        np.maximum(high, rank)[order], first[order], m, value.size, enough,
+        value[order], np.minimum(lower, value)[order], np.maximum(upper, value)[order], rank[order],
+        np.minimum(low, rank)[order], np.maximum(high, rank)[order], first[order], m, value.size, enough,
     )  # fmt: skip
 
 
@@ -343,40 +332,29 @@ def _drawn(
     """(D, R) the metric with objects and blocks drawn anew, and with blocks alone."""
     blocks, looks = part.pixels.size, part.item.size
     step = max(1, _CHUNK_VALUES // (looks * len(part.detectors)))
-    both: list[Array] = []
-    still: list[Array] = []
+    drawn: list[tuple[Array, Array]] = []
     for first in range(0, draws, step):
         size = min(step, draws - first)
         weights = rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=size).T.astype(float)
         taken = rng.multinomial(objects, np.full(objects, 1.0 / objects), size=size).T[part.item].astype(float)
-        over, tie = part.shares(weights)
-        parts = None if measure.of_look is None else measure.of_look(over, tie)
-        for out, weight in ((both, taken), (still, np.ones_like(taken))):
-            out.append(pfa_at_detection(over, tie, weight) if parts is None else mean_of(parts, weight))
-    return np.concatenate(both, axis=1), np.concatenate(still, axis=1)
+        shares = part.shares(weights)
+        drawn.append((measured(measure, *shares, taken), measured(measure, *shares, np.ones_like(taken))))
+    both, still = (np.concatenate(each, axis=1) for each in zip(*drawn, strict=True))
+    return both, still
 
 
-def _limits(
-    part: BlockCounts, measure: Measure, value: Array, both: Array, still: Array, objects: int
-) -> tuple[Array, Array]:
-    """95 % interval of each detector's metric.
+def _limits(item: npt.NDArray[np.intp], parts: Array, still: Array, n: int) -> tuple[Array, Array]:
+    """95 % interval of each detector's mean of parts (P, D) between 0 and 1, of objects ``item`` (P,).
 
-    Means of parts between 0 and 1: the logit interval with both variances, no narrower than what is known of a
-    bounded mean.  False alarms: percentiles of the draws, and above no alarm at all the exact limit.
+    The logit interval with both variances, no narrower than what is known of a bounded mean.
     """
-    if measure.of_look is None:
-        low, high = np.quantile(both, [0.025, 0.975], axis=1)
-        return np.minimum(low, value), np.maximum(np.maximum(high, value), zero_count_upper_limit(part.n))
-    over, tie = part.shares()
-    parts = measure.of_look(over, tie)
-    lows, highs = [], []
-    for d in range(value.size):
-        of_object = np.bincount(part.item, parts[:, d]) / np.bincount(part.item)
-        spread = float(of_object.var(ddof=1)) / objects if objects > 1 else 0.25
-        low, high = interval_of_mean(of_object, spread, float(still[d].var(ddof=1)), part.n)
-        lows.append(min(low, float(value[d])))
-        highs.append(max(high, float(value[d])))
-    return np.array(lows), np.array(highs)
+    limits = []
+    for own, moved in zip(parts.T, still, strict=True):
+        of_object = np.bincount(item, own) / np.bincount(item)
+        spread = float(of_object.var(ddof=1)) / of_object.size if of_object.size > 1 else 0.25
+        limits.append(interval_of_mean(of_object, spread, float(moved.var(ddof=1)), n))
+    lower, upper = np.array(limits).T
+    return lower, upper
 
 
 PRODUCT = "benchmark"
@@ -437,65 +415,60 @@ def classes_with_regions(scenarios: Sequence[Scenario], regions: Iterable[str]) 
     return list(dict.fromkeys(n for n in named if n is not None and n in there))
 
 
-def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
+def _subjects(place: Place, detection: Detection) -> Iterator[tuple[str, dict[str, dict[str, Placed]]]]:
+    """Each target with the pixels of its objects that are scored: subject -> object -> pixels."""
+    for target in detection.targets:
+        groups = target_groups(place.targets, target, detection.group)
+        yield target.name, {s: {o.name: scored_pixels(o, place) for o in own} for s, own in groups.items()}
+
+
+def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) -> BlockCounts:
     """Background pixels above every object's greatest score, by detector and block of the image.
 
     A halo that the campaign gives its objects is left out: pixels of the object alone count, and of the background
     single pixels.
+
+    Parameters
+    ----------
+    maps : score maps (lines, samples) by their names
     """
-    place, measured = observed.place, observed.detected
-    assert place is not None  # noqa: S101 - detection has both
-    assert measured is not None  # noqa: S101
-    counted = place.background(detection.false_alarms)
     names = tuple(detection.detectors)
-    keys = {(t.name, d): d if d in ANOMALY_DETECTORS else f"{t.name}-{d}" for t in detection.targets for d in names}
-    for key in set(keys.values()):
-        counted = counted & np.isfinite(measured.score_maps[key])
-    over, tie = [], []
-    item: list[int] = []
-    group: dict[str, list[int]] = {}
-    number: dict[str, int] = {}
-    for target in detection.targets:
-        groups = target_groups(place.targets, target, detection.group)
-        objects = {o.name: scored_pixels(o, place) for members in groups.values() for o in members}
-        maps = [measured.score_maps[keys[target.name, d]] for d in names]
-        scores = np.array([list(object_scores(m, objects).values()) for m in maps])
-        valid = np.isfinite(scores).all(axis=0)
-        kept = [name for name, ok in zip(objects, valid, strict=True) if ok]
-        at = {name: len(item) + i for i, name in enumerate(kept)}
-        pairs = []
-        for own, m in zip(scores, maps, strict=True):
-            background = AlarmBlocks.of_map(m, counted)
-            pairs.append(counts_by_block(own[valid], background))
-        over.append(np.stack([p[0] for p in pairs], axis=1))
-        tie.append(np.stack([p[1] for p in pairs], axis=1))
-        item += [number.setdefault(name, len(number)) for name in kept]
-        for subject, members in groups.items():
-            group[subject] = [at[o.name] for o in members if o.name in at]
-    for pool in detection.pools:
-        group[pool.name] = [i for s in pool.subjects for i in group.get(s, [])]
+    used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
+    counted = place.background(detection.false_alarms)
+    for scores in (one for own in used.values() for one in own):
+        counted = counted & np.isfinite(scores)
+    looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
+    for target, subjects in _subjects(place, detection):
+        objects = {name: pixels for own in subjects.values() for name, pixels in own.items()}
+        greatest = np.array([list(object_scores(one, objects).values()) for one in used[target]])
+        valid = np.isfinite(greatest).all(axis=0)
+        at = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
+        blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
+        pairs = [counts_by_block(own[valid], each) for own, each in zip(greatest, blocks, strict=True)]
+        looks.append(np.array(pairs).transpose(1, 2, 0, 3))
+        item += [number.setdefault(name, len(number)) for name in at]
+        group |= {subject: [at[name] for name in own if name in at] for subject, own in subjects.items()}
+    group |= {pool.name: [i for s in pool.subjects for i in group.get(s, [])] for pool in detection.pools}
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
-    return BlockCounts(
-        names, np.concatenate(over), np.concatenate(tie), background.pixels,
-        np.array(item, dtype=np.intp), group, density,
-    )  # fmt: skip
+    over, tie = np.concatenate(looks, axis=1)
+    return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density)
 
 
 def detector_rows(
     observed: Observed, question: Question, *, seed: int, show_progress: bool | None = None
 ) -> list[Result]:
     """Rows of every detector: metrics by subject, the same of all objects, ranks, and what could not run."""
-    detection = question.campaign.detection
-    if detection is None or observed.detected is None:
+    detection, place = question.campaign.detection, observed.place
+    if detection is None or place is None or observed.detected is None:
         why = "the campaign looks for no targets"
         return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors"))
-    rows = _measured_rows(observed) + threshold_rows(observed, detection)
-    counts = block_counts(observed, detection)
+    maps = observed.detected.score_maps
+    rows = _measured_rows(observed) + threshold_rows(place, maps, detection)
+    counts = block_counts(place, maps, detection)
     groups = {name: looks for name, looks in counts.group.items() if looks}
     for name, looks in track(groups.items(), "ranks", len(groups), show=show_progress):
-        objects = len(set(counts.item[list(looks)]))
-        if objects < 2:
+        if len(set(counts.item[list(looks)])) < 2:
             continue  # one object orders detectors by chance alone
         for measure in MEASURES.values():
             if measure.known_from(counts.n):
@@ -513,33 +486,27 @@ def predicted_rows(predictions: Iterable[PredictedProducts]) -> list[Result]:
     return [replace(r, product=PRODUCT, metric=names[r.metric], evidence=None) for r in rows if r.metric in names]
 
 
-def threshold_rows(observed: Observed, detection: Detection) -> list[Result]:
+def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection) -> list[Result]:
     """Areas of the other two sides of the 3-D ROC by subject: P_D and P_FA over the threshold.
 
     Scores run from 0, the least of background and targets, to 1, the greatest; the area under an exceedance is then
     the mean.  Intervals are of the means of objects and of blocks of the image.
     Source: Chang, IEEE Trans. Geosci. Remote Sens. 59, 5131-5153, 2021.
     """
-    place, measured = observed.place, observed.detected
-    assert place is not None  # noqa: S101 - detection has both
-    assert measured is not None  # noqa: S101
     counted, rows = place.background(detection.false_alarms), list[Result]()
-    for target in detection.targets:
-        groups = target_groups(place.targets, target, detection.group)
-        for name in detection.detectors:
-            scores = measured.score_maps[map_name(target.name, name)]
-            own = {s: [values_on(scores, scored_pixels(o, place)) for o in members] for s, members in groups.items()}
-            noise = AlarmBlocks.of_map(scores, counted)
-            every = np.concatenate([noise.scores, *(values for each in own.values() for values in each)])
-            low, high = np.nanmin(every), np.nanmax(every)
-            sums, sizes = (np.bincount(noise.block, weights) for weights in (noise.scores - low, None))
-            for subject, each in own.items():
-                found = [np.array([part.sum(), part.size]) for v in each if (part := v[np.isfinite(v)] - low).size]
-                for metric, parts in (("auc_d_tau", np.array(found).T), ("auc_f_tau", np.stack([sums, sizes]))):
-                    if parts.size:
-                        mean, ends = _mean_of_parts(parts[0] / max(float(high - low), 1e-300), parts[1])
-                        made = [row(metric, mean, ends, n=parts.shape[1])]
-                        rows += named(made, PRODUCT, subject, f"{name}/pixel")
+    for (target, subjects), name in product(_subjects(place, detection), detection.detectors):
+        scores = maps[map_name(target, name)]
+        own = {s: [values_on(scores, pixels) for pixels in objects.values()] for s, objects in subjects.items()}
+        noise = AlarmBlocks.of_map(scores, counted)
+        every = np.concatenate([noise.scores, *(values for each in own.values() for values in each)])
+        low, high = np.nanmin(every), np.nanmax(every)
+        sums, sizes = (np.bincount(noise.block, weights) for weights in (noise.scores - low, None))
+        for subject, each in own.items():
+            found = [np.array([part.sum(), part.size]) for v in each if (part := v[np.isfinite(v)] - low).size]
+            for metric, parts in (("auc_d_tau", np.array(found).T), ("auc_f_tau", np.stack([sums, sizes]))):
+                if parts.size:
+                    mean, ends = _mean_of_parts(parts[0] / max(float(high - low), 1e-300), parts[1])
+                    rows += named([row(metric, mean, ends, n=parts.shape[1])], PRODUCT, subject, f"{name}/pixel")
     return rows
 
 
@@ -565,33 +532,25 @@ def _measured_rows(observed: Observed) -> list[Result]:
 
 def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDetectors) -> list[Result]:
     """``METRIC`` (of all objects together), ``rank_METRIC`` and ``first_METRIC`` of each detector on one group."""
-    m, rows = ranks.objects, list[Result]()
+    m, rows, name = ranks.objects, list[Result](), measure.name
     words = f"paired: {DRAWS} draws of {m} objects and of blocks of the background, the same for all detectors"
     if not ranks.orders:
         words += f"; {m} objects cannot order {ranks.distinct} detectors, {fewest_objects(ranks.distinct)} could"
     first = "share of the draws in which it is the best, equals counted alike"
-    known = measure.of_look is not None or math.isfinite(counts.density_km2)
-    if group == EVERY_OBJECT and not known:
-        why = "the ground area of the background is not known"
-        rows += named(skipped(Cause.NO_GROUND_AREA, why, measure.name), PRODUCT, group, "detectors")
+    why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
+    scale, unit = (counts.density_km2, "km-2") if measure.of_look is None else (1.0, "1")
+    if group == EVERY_OBJECT and math.isnan(scale):
+        unknown = skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", name)
+        rows += named(unknown, PRODUCT, group, "detectors")
     for d, detector in enumerate(counts.detectors):
-        ends = float(ranks.rank_lower[d]), float(ranks.rank_upper[d])
-        own = [
-            *([_value_row(counts, measure, ranks, d)] if group == EVERY_OBJECT and known else []),
-            row(f"rank_{measure.name}", float(ranks.rank[d]), ends, n=m, reason=words),
-            row(f"first_{measure.name}", float(ranks.first[d]), n=m, reason=first),
+        value, *ends = (float(each[d]) * scale for each in (ranks.value, ranks.lower, ranks.upper))
+        own = [row(name, value, ends, unit=unit, n=m, reason=why)] if group == EVERY_OBJECT and value == value else []
+        own += [
+            row(f"rank_{name}", ranks.rank[d], (ranks.rank_lower[d], ranks.rank_upper[d]), n=m, reason=words),
+            row(f"first_{name}", ranks.first[d], n=m, reason=first),
         ]
         rows += named(own, PRODUCT, group, f"{detector}/object")
     return rows
-
-
-def _value_row(counts: BlockCounts, measure: Measure, ranks: RankedDetectors, d: int) -> Result:
-    per_area = measure.of_look is None
-    scale = counts.density_km2 if per_area else 1.0
-    ends = float(ranks.lower[d]) * scale, float(ranks.upper[d]) * scale
-    why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
-    unit = "km-2" if per_area else "1"
-    return row(measure.name, float(ranks.value[d]) * scale, ends, unit=unit, n=ranks.objects, reason=why)
 
 
 MOST_VALUES = 50_000_000  # of the image in the bands of the filters: SPy works on all of it in memory
@@ -628,34 +587,26 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     alarms = place.background(detection.false_alarms) & valid
     spectra = {key.removesuffix(f"-{name}"): own for key, (name, own) in detected.bank.forms.items() if own is not None}
     rows: list[Result] = []
-    for target in detection.targets:
-        spectrum = spectra[target.name]
-        groups = target_groups(place.targets, target, detection.group)
-        for name, peer in PEERS.items():
-            scores = np.asarray(peer(image, spectrum, background), dtype=np.float64)
-            scores[~valid] = np.nan
-            for subject, members in groups.items():
-                pixels = np.concatenate([values_on(scores, scored_pixels(o, place)) for o in members])
-                own_rows = _subject_rows(pixels[np.isfinite(pixels)], scores[alarms])
-                rows += named(own_rows, PRODUCT, subject, f"{PEER}-{name}/pixel")
-            own = detected.score_maps.get(name if name == "rx" else f"{target.name}-{name}")
-            if own is not None:
-                both = np.isfinite(own) & np.isfinite(scores)
-                value = float(scipy.stats.spearmanr(own[both], scores[both]).statistic)
-                found = row("score_rank_correlation", value, n=int(both.sum()), reason=_version())
-                rows += named([found], PRODUCT, target.name, f"{PEER}-{name}/pixel")
+    version = f"a peer: SPy {spectral.__version__}, same bands, spectra and background"
+    for (target, subjects), (name, peer) in product(_subjects(place, detection), PEERS.items()):
+        scores = np.asarray(peer(image, spectra[target], background), dtype=np.float64)
+        scores[~valid] = np.nan
+        noise = scores[alarms]
+        for subject, objects in subjects.items():
+            pixels = np.concatenate([values_on(scores, placed) for placed in objects.values()])
+            pixels = pixels[np.isfinite(pixels)]
+            found = skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
+            if pixels.size and noise.size:
+                share = stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
+                found = [row("auc", float(share), n=int(pixels.size), reason=version)]
+            rows += named(found, PRODUCT, subject, f"{PEER}-{name}/pixel")
+        own = detected.score_maps.get(map_name(target, name))
+        if own is not None:
+            both = np.isfinite(own) & np.isfinite(scores)
+            value = float(stats.spearmanr(own[both], scores[both]).statistic)
+            found = [row("score_rank_correlation", value, n=int(both.sum()), reason=version)]
+            rows += named(found, PRODUCT, target, f"{PEER}-{name}/pixel")
     return rows
-
-
-def _subject_rows(pixels: Array, noise: Array) -> list[Result]:
-    if not pixels.size or not noise.size:
-        return skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
-    share = scipy.stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
-    return [row("auc", float(share), n=int(pixels.size), reason=_version())]
-
-
-def _version() -> str:
-    return f"a peer: SPy {spectral.__version__}, same bands, spectra and background"
 
 
 _LOADED: set[Path] = set()
