@@ -101,6 +101,8 @@ def test_any_text_is_read_or_refused_with_a_message(text):
 
 def test_files_that_are_no_text_and_one_of_windows(tmp_path):
     path = tmp_path / "a.yaml"
+    with pytest.raises(InputError, match="name a file in it, such as"):
+        config.load_yaml(tmp_path)
     with pytest.raises(InputError, match="no such file") as caught:
         config.load_yaml(path)
     assert caught.value.exit_code == 3

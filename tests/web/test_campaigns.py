@@ -196,11 +196,8 @@ def test_results_of_the_command_line_below_the_folder_are_seen_by_everybody(own,
     shutil.copytree(place_of(own, told) / "results", own.folder / "by-hand")
     client, api_runs = own.session(), f"{own.address}/api/v1/runs"
     (seen,) = client.get(api_runs).json()
-    assert (seen["kind"], seen["name"], seen["summary"]["verdict"]) == (
-        "validation",
-        "small",
-        told["summary"]["verdict"],
-    )
+    about = seen["kind"], seen["name"], seen["summary"]["verdict"]
+    assert about == ("validation", "small", told["summary"]["verdict"])
     assert told["summary"]["status"] in client.get(f"{own.address}/runs").text
     for part in ("", "/map", "/map.json?name=yellow-cem", "/files/report.html", "/files/results.csv"):
         assert client.get(f"{own.address}/runs/{seen['id']}{part}").status_code == 200, part

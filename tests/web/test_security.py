@@ -146,7 +146,8 @@ def test_study_of_a_thousand_million_points_is_refused(server, client):
     answer = client.post(f"{server.address}/api/v1/studies", json={"study": study})
     assert answer.status_code == 422
     assert "1,000,000,000 evaluations" in answer.json()["errors"][0]["message"]
-    for part, field in REFUSED["studies"]:
+    late = {"inputs": [{"name": "a", "path": "sensor", "values": ["prospectir-vs"] * 100 + ["/etc/passwd"]}]}
+    for part, field in [*REFUSED["studies"], (late, "inputs.0.path")]:
         inputs = [{"name": "a", "path": "scene.classes.0.gain", "values": [1]}]
         own = {"study": {**study, "inputs": inputs, **part}}
         answer = client.post(f"{server.address}/api/v1/studies", json=own)

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from hyperval.config import Model, parse_yaml
+from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, package_table
 from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
 from hyperval.model.intervals import Z95
@@ -146,9 +146,8 @@ class Prepared(NamedTuple):
 
 @lru_cache(maxsize=1)
 def _table() -> list[Offer]:
-    text = resources.files("hyperval.study").joinpath("trade.yaml").read_text("utf-8")
-    groups: dict[str, list[dict[str, Any]]] = parse_yaml(text, "trade.yaml")[0]
-    return [Offer(group=group, **row) for group, rows in groups.items() for row in rows]
+    groups = package_table("study/trade.yaml").items()
+    return [Offer(group=group, **row) for group, rows in groups for row in rows]
 
 
 @lru_cache(maxsize=16)

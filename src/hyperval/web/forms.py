@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
+from itertools import zip_longest
 from typing import Any
 
 import yaml
@@ -186,32 +187,32 @@ class Form:
         hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
         is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
         node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
+        if len(kinds) == 1 or "group" not in kinds:
+            return self._filled(node, schema, members, value, begun)
+        chosen, first = (_chosen(members, kinds, one) for one in (value, begun))
+        children = []
+        for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
+            title = _CAPITAL.sub(" ", str(member["title"])).lower() if kind == "group" else node.title
+            own, was = value if number == chosen else None, begun if number == first else None
+            children.append(self._filled(replace(node, title=title, hint=""), member, [member], own, was))
+        return replace(node, kind="variants", children=tuple(children), chosen=chosen, is_changed=chosen != first)
+
+    def _filled(self, node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
+        """What stands under a title: the entries of a group, rows, or a field, with what is given."""
+        kinds, path = [_kind(m) for m in members], node.path
         if kinds == ["group"]:
             children = self._group(members[0], path, value, begun)
-            is_shown = is_main or any(child.is_shown for child in children)
-            is_open = (bool(value) or is_needed) and _is_open(path)
-            hint = hint or _summary(members[0])
+            is_shown = node.is_shown or any(child.is_shown for child in children)
+            is_open = (bool(value) or node.is_needed) and _is_open(path)
+            hint = node.hint or _summary(members[0])
             return replace(node, hint=hint, children=children, is_shown=is_shown, is_open=is_open)
         if kinds == ["rows"]:
             rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
-            item = self._members(members[0]["items"])[0]
-            children = tuple(
-                self._row(item, f"{path}.{i}", row, first[i] if i < len(first) else {}, len(rows) <= _MOST_OPEN)
-                for i, row in enumerate(rows[:MOST_ROWS])
-            )
+            item, few = self._members(members[0]["items"])[0], len(rows) <= _MOST_OPEN
+            each = enumerate(zip_longest(rows[:MOST_ROWS], first[: min(len(rows), MOST_ROWS)]))
+            children = tuple(self._row(item, f"{path}.{i}", row, was, few) for i, (row, was) in each)
             return replace(node, kind="rows", children=children, is_changed=len(rows) < len(first))
-        if "group" in kinds:
-            return self._variants(node, members, kinds, value, begun)
-        return self._field(node, schema, members, value, begun)
-
-    def _row(self, item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
-        given = row if isinstance(row, Mapping) else {}
-        title = str(given.get("name") or int(path.rsplit(".", 1)[-1]) + 1)
-        is_open = (is_few and _is_open(path)) or not given
-        return Node("group", path, title, children=self._group(item, path, given, begun), is_open=is_open)
-
-    def _field(self, node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
-        kind, known = _one_kind([_kind(m) for m in members]), _choices(node.path)
+        kind, known = _one_kind(kinds), _choices(path)
         choices = tuple(str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
         if known and kind in ("text", "yaml"):
             kind, choices = ("choice" if kind == "text" else "several"), known
@@ -228,18 +229,11 @@ class Form:
             is_changed=value != begun and not (_blank(value) and _blank(begun)),
         )  # fmt: skip
 
-    def _variants(self, node: Node, members: list[Schema], kinds: list[str], value: Any, begun: Any) -> Node:
-        children: list[Node] = []
-        chosen, first = (_chosen(members, kinds, one) for one in (value, begun))
-        for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
-            own, was = value if number == chosen else None, begun if number == first else None
-            child = replace(node, hint=_summary(member), is_open=True)
-            if kind == "group":
-                child = replace(child, title=_CAPITAL.sub(" ", str(member["title"])).lower())
-                children.append(replace(child, children=self._group(member, node.path, own, was)))
-            else:
-                children.append(self._field(replace(child, hint=""), member, [member], own, was))
-        return replace(node, kind="variants", children=tuple(children), chosen=chosen, is_changed=chosen != first)
+    def _row(self, item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
+        given = row if isinstance(row, Mapping) else {}
+        title = str(given.get("name") or int(path.rsplit(".", 1)[-1]) + 1)
+        is_open = (is_few and _is_open(path)) or not given
+        return Node("group", path, title, children=self._group(item, path, given, begun), is_open=is_open)
 
     # From a filled form to data.
 
@@ -253,11 +247,9 @@ class Form:
             return self._read_group(members[0], path, given) or None
         if "group" in kinds:
             number = _count(given, f"{path}?", len(members))
-            if not number:
-                return None
-            members, kinds = [members[number - 1]], [kinds[number - 1]]
-            if kinds == ["group"]:
-                return self._read_group(members[0], path, given)
+            if number and kinds[number - 1] == "group":  # which counts where nothing stands in it, too
+                return self._read_group(members[number - 1], path, given)
+            return self._read([members[number - 1]], path, given) if number else None
         is_list = f"{path}#" in given
         if kinds == ["rows"]:
             item = self._members(members[0]["items"])[0]

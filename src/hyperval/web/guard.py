@@ -15,7 +15,6 @@ import re
 import secrets
 import sys
 from contextlib import suppress
-from dataclasses import dataclass
 from http.cookies import CookieError, Morsel, SimpleCookie
 from typing import ClassVar
 from urllib.parse import urlsplit
@@ -35,30 +34,16 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{43}")
 _PORT = re.compile(r"(?<=[^:]):\d+$")
 
 
-@dataclass(frozen=True)
-class Session:
-    """One browser or program.
+def _session(headers: Headers) -> tuple[str, bool]:
+    """The name in the cookie, and whether it is new: where there is none, or a malformed one.
 
-    Attributes
-    ----------
-    name : what the cookie holds; whoever knows it is the session
-    owner : what its runs are stored under, from which the name does not follow
-    is_new : whether the cookie is still to be set
+    Whoever knows it is the session.
     """
-
-    name: str
-    owner: str
-    is_new: bool
-
-
-def _session(headers: Headers) -> Session:
-    """The session of a cookie, or a new one where there is none or it is malformed."""
     given = ""
     with suppress(CookieError):
         given = SimpleCookie(headers.get("cookie", "")).get(COOKIE, Morsel[str]()).value or ""
-    is_new = _NAME.fullmatch(given) is None
-    name = secrets.token_urlsafe(32) if is_new else given
-    return Session(name, hashlib.sha256(b"owner" + name.encode()).hexdigest()[:32], is_new)
+    is_known = _NAME.fullmatch(given) is not None
+    return (given if is_known else secrets.token_urlsafe(32)), not is_known
 
 
 UPLOADS = "/uploads"
@@ -96,7 +81,9 @@ class Guard:
         headers, limits = Headers(scope=scope), self.settings.limits
         is_upload = scope["path"].removeprefix("/api/v1").startswith(UPLOADS)
         bound = limits.upload_bytes if is_upload else limits.body_bytes
-        session = scope["session"] = _session(headers)
+        name, is_new = _session(headers)
+        # What its runs are stored under, from which the name does not follow.
+        scope["owner"] = hashlib.sha256(b"owner" + name.encode()).hexdigest()[:32]
         refusal = self._refusal(scope, headers, bound)
         seen, is_started = 0, False
 
@@ -113,7 +100,7 @@ class Guard:
             if message["type"] == "http.response.start":
                 is_started = True
                 # What another site's page sent comes without the cookie: its answer must not replace the user's.
-                self._complete(MutableHeaders(scope=message), session if refusal is None else None)
+                self._complete(MutableHeaders(scope=message), name if is_new and refusal is None else None)
             await send(message)
 
         try:
@@ -147,13 +134,13 @@ class Guard:
         broken = (problems(status, [FieldMistake(at, words)]) for holds, status, at, words in rules if not holds)
         return next(broken, None)
 
-    def _complete(self, headers: MutableHeaders, session: Session | None) -> None:
+    def _complete(self, headers: MutableHeaders, session: str | None) -> None:
         """Add the headers of every answer, and the cookie of a new session."""
         for name, value in _HEADERS.items():
             headers.setdefault(name, value)
-        if session is not None and session.is_new and not headers["cache-control"].startswith("public"):
+        if session is not None and not headers["cache-control"].startswith("public"):
             secure = "; Secure" if self.settings.secure else ""
-            cookie = f"{COOKIE}={session.name}; Path=/; Max-Age={_YEAR_S}; HttpOnly; SameSite=Lax{secure}"
+            cookie = f"{COOKIE}={session}; Path=/; Max-Age={_YEAR_S}; HttpOnly; SameSite=Lax{secure}"
             headers.append("set-cookie", cookie)
 
 

@@ -23,7 +23,6 @@ from hyperval.report.html import LIBRARY, library, script, strict_templates
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check import SensorNumber, numbers
 from hyperval.web.forms import Node
-from hyperval.web.guard import Session
 from hyperval.web.refusal import FieldMistake, Refused
 
 
@@ -51,18 +50,9 @@ _LIBRARY = dict(zip(("bokeh.js", "bokeh-api.js"), LIBRARY, strict=True))
 @lru_cache(maxsize=1)
 def _environment() -> jinja2.Environment:
     environment = strict_templates("hyperval.web")
-    environment.filters["digits"] = _digits
     environment.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
     environment.filters["since"] = _since
     return environment
-
-
-def _digits(text: str) -> str:
-    """A number of a file with as many digits as a page needs."""
-    try:
-        return f"{float(text):.5g}"
-    except ValueError:
-        return text
 
 
 def _since(seconds: float) -> str:
@@ -71,10 +61,9 @@ def _since(seconds: float) -> str:
     return datetime.datetime.fromtimestamp(seconds, datetime.UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def session_of(request: Request) -> Session:
-    """Whose request it is."""
-    session: Session = request.scope["session"]
-    return session
+def owner_of(request: Request) -> str:
+    """Whose request it is: what the session's runs are stored under."""
+    return str(request.scope["owner"])
 
 
 def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:

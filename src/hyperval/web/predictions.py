@@ -44,7 +44,7 @@ from hyperval.web.forms import (
     scenario_form,
     yaml_text,
 )
-from hyperval.web.pages import api, form_parts, page, pages, session_of
+from hyperval.web.pages import api, form_parts, owner_of, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, answer_of, run, run_of
 from hyperval.web.store import Desk, Files, Limits, WebRun
@@ -72,7 +72,7 @@ def warm() -> None:
 @pages.get("/")
 def start(request: Request) -> Response:
     """What can be done here, and what was done last."""
-    runs = request.app.state.store.runs(session_of(request).owner)
+    runs = request.app.state.store.runs(owner_of(request))
     missing = {name: needs(scenario) for name, scenario in predefined().items()}
     return page(request, "start.html.j2", scenarios=predefined(), missing=missing, runs=runs[:8])
 
@@ -330,7 +330,7 @@ def desk(request: Request) -> Response:
         o for o in ordered
         if o.slider and (o.group != "Target" or len(o.paths) > 1 or any(f"[{s}]" in o.key for s in trade.subject))
     ]  # fmt: skip
-    runs = request.app.state.store.runs(session_of(request).owner, "prediction")
+    runs = request.app.state.store.runs(owner_of(request), "prediction")
     return page(
         request, "trade.html.j2", status=status, trade=trade, offers=offers, sliders=shown,
         errors=marked(mistakes, [mistake.field for mistake in mistakes]),

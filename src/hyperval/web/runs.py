@@ -22,7 +22,7 @@ from hyperval.config import load_yaml
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
 from hyperval.web.forms import needs
-from hyperval.web.pages import api, page, pages, session_of
+from hyperval.web.pages import api, owner_of, page, pages
 from hyperval.web.refusal import FieldMistake, Refused
 from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, WebRun, view_name
 
@@ -55,7 +55,7 @@ def run_of(request: Request, run_id: str) -> WebRun:
     Refused : there is none by that name, or it is another session's.
     """
     try:
-        run: WebRun = request.app.state.store.run(run_id, session_of(request).owner)
+        run: WebRun = request.app.state.store.run(run_id, owner_of(request))
     except KeyError:
         raise Refused(404, "there is no such run in this session") from None
     return run
@@ -64,13 +64,13 @@ def run_of(request: Request, run_id: str) -> WebRun:
 @pages.get("/runs")
 def runs_page(request: Request) -> Response:
     """Every run of this session."""
-    return page(request, "runs.html.j2", runs=request.app.state.store.runs(session_of(request).owner))
+    return page(request, "runs.html.j2", runs=request.app.state.store.runs(owner_of(request)))
 
 
 @api.get("/runs")
 def runs(request: Request) -> list[RunAnswer]:
     """Runs of this session, the latest first."""
-    return [answer_of(request, run) for run in request.app.state.store.runs(session_of(request).owner)]
+    return [answer_of(request, run) for run in request.app.state.store.runs(owner_of(request))]
 
 
 @api.get("/runs/{run_id}")
@@ -222,7 +222,7 @@ def known_campaigns(request: Request) -> dict[str, CampaignAnswer]:
     """Campaigns by name: those of the folder of campaigns, then those of this session."""
     out = {one.name: one for one in campaigns_of(request.app.state.settings)}
     store = request.app.state.store
-    for run in store.runs(session_of(request).owner, "pipeline"):
+    for run in store.runs(owner_of(request), "pipeline"):
         path = store.place(run.id) / "campaign.yaml"
         if run.state == "finished" and path.is_file():
             about = {"title": run.title or run.name, "description": "Brought by this session."}
@@ -254,7 +254,7 @@ def _read(path: Path, changed: int, size: int) -> tuple[CampaignAnswer, ...]:
 @pages.get("/validate")
 def campaigns_page(request: Request) -> Response:
     """Campaigns with their verdicts over time."""
-    runs = request.app.state.store.runs(session_of(request).owner, "validation")
+    runs = request.app.state.store.runs(owner_of(request), "validation")
     known = known_campaigns(request)
     lacking = {name: needs(campaign.path.read_text("utf-8")) for name, campaign in known.items()}
     return page(request, "validate.html.j2", campaigns=known, lacking=lacking, runs=runs)
@@ -274,7 +274,7 @@ def validations(request: Request, order: ValidationOrder) -> RunAnswer:
     if known is None:
         raise Refused(422, [FieldMistake("campaign", "this server has no campaign of that name")])
     own = known.name if not known.name.startswith("run:") else "campaign"
-    owner, arguments = session_of(request).owner, {"path": str(known.path)}
+    owner, arguments = owner_of(request), {"path": str(known.path)}
     return answer_of(request, request.app.state.desk.order(owner, "validation", own, known.title, **arguments))
 
 

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval import api
-from hyperval.campaign import Job, StarterSources, jobs_of, observe, predict_to_folder, starter_campaign, validate
+from hyperval.campaign import StarterSources, jobs_of, observe, predict_to_folder, starter_campaign, validate
+from hyperval.collection import CollectionSection, CubeSource
 from hyperval.config import load_model, write_draft
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
@@ -43,13 +45,12 @@ from hyperval.study import live, piece, study_to_folder
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
 
 
-def charts_of(sides: Mapping[str, PredictedProducts]) -> list[dict[str, Any]]:
+def charts_of(*sides: PredictedProducts) -> list[dict[str, Any]]:
     """Charts of a prediction, and of an earlier one where there are two."""
-    now, *earlier = sides.values()
-    both = now, earlier[0] if earlier else None
     names = ("this run", "earlier run")
-    scores = densities_figure([(name, side) for name, side in zip(names, both, strict=True) if side is not None])
-    figures = (*first_figures(both, names=names), scores, exceedance_figure((now, None)))
+    both = sides[0], sides[1] if len(sides) > 1 else None
+    scores = densities_figure(list(zip(names, sides, strict=False)))
+    figures = (*first_figures(both, names=names), scores, exceedance_figure((sides[0], None)))
     return [fetched(figure) for figure in figures if figure is not None]
 
 
@@ -67,8 +68,7 @@ _MOST_PIXELS = 1_000_000
 
 def warm() -> None:
     """Load what a first prediction and its charts would wait for."""
-    answer = api.predict("yellow-planks-asphalt").products
-    charts_of({"predicted": answer})
+    charts_of(api.predict("yellow-planks-asphalt").products)
 
 
 def predict(folder: str) -> dict[str, Any]:
@@ -80,24 +80,17 @@ def predict(folder: str) -> dict[str, Any]:
 def summary(prediction: api.Prediction) -> dict[str, Any]:
     """Bands, mean SNR, and P_D at some P_FA with 95 % limits, a row for each curve."""
     rows: list[dict[str, Any]] = []
-    for key in prediction.products.roc:
+    for key, pfa in product(prediction.products.roc, _PFA):
         about = dict(zip(("subject", "detector", "unit"), key, strict=True))
-        for pfa in _PFA:
-            found = map(_number, prediction.pd(pfa=pfa, **about))
-            rows.append({**about, "pfa": pfa, **dict(zip(("pd", "lower", "upper"), found, strict=True))})
-    snr = [
-        {"subject": name, "median": _number(np.nanmedian(e.mean))}
-        for name, e in prediction.snr.items()
-        if not name.endswith(")")
-    ]
+        found = prediction.pd(pfa=pfa, **about)
+        rows.append({**about, "pfa": pfa, **dict(zip(("pd", "lower", "upper"), map(_number, found), strict=True))})
+    medians = {name: _number(np.nanmedian(e.mean)) for name, e in prediction.snr.items() if not name.endswith(")")}
+    snr = [{"subject": name, "median": median} for name, median in medians.items()]
     nm = prediction.axis.centre_nm
     return {
-        "bands": int(nm.size),
-        "range_nm": [float(nm[0]), float(nm[-1])],
-        "detection": rows,
-        "snr": snr[:MOST_LISTED],
-        "notes": list(prediction.notes),
-    }
+        "bands": int(nm.size), "range_nm": [float(nm[0]), float(nm[-1])], "detection": rows,
+        "snr": snr[:MOST_LISTED], "notes": list(prediction.notes),
+    }  # fmt: skip
 
 
 def _number(value: Any) -> float | None:
@@ -114,12 +107,9 @@ def _predicted(folder: str) -> api.Prediction:
 
 def draw(folder: str, earlier: str | None = None) -> None:
     """Write the charts of a prediction, beside those of an earlier one where there is one."""
-    sides = {"predicted": _predicted(folder).products}
-    name = view_name("charts")
-    if earlier is not None:
-        sides["earlier"] = _predicted(earlier).products
-        name = view_name(f"charts-{Path(earlier).name}")
-    _write(Path(folder) / name, charts_of(sides))
+    sides = [_predicted(one).products for one in (folder, earlier) if one is not None]
+    name = "charts" if earlier is None else f"charts-{Path(earlier).name}"
+    _write(Path(folder) / view_name(name), charts_of(*sides))
 
 
 @contextmanager
@@ -246,16 +236,18 @@ def _scores(observed: ObservedProducts, subject: str, detector: str, unit: str) 
     return first, second
 
 
-def _job(path: str) -> Job | None:
-    return next((job for job in jobs_of(Path(path)) if job.waits is None), None)
+def _collection(path: str) -> tuple[CollectionSection, CubeSource, InputLog]:
+    """The collection of a campaign, its cube, and where its files are."""
+    job = next((job for job in jobs_of(Path(path)) if job.waits is None), None)
+    if job is None or job.campaign.collection is None or job.campaign.collection.cube is None:
+        raise UsageError("this campaign has no cube")
+    return job.campaign.collection, job.campaign.collection.cube, InputLog.of_file(job.path)
 
 
 def collection(folder: str, path: str) -> None:
     """Make the simulated collection of a campaign again, as its seed says, and keep it beside the run."""
-    job = _job(path)
-    if job is None or job.campaign.collection is None or job.campaign.collection.simulate is None:
-        raise UsageError("this campaign simulates nothing")
-    file = InputLog.of_file(job.path).resolve(job.campaign.collection.simulate)
+    stated, _, inputs = _collection(path)
+    file = inputs.resolve(str(stated.simulate))
     scene, part = load_scene(file), Path(folder) / "collection.part"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
@@ -265,25 +257,21 @@ def collection(folder: str, path: str) -> None:
 
 def pixel(folder: str, path: str, line: int, sample: int) -> None:
     """Write the chart of a pixel's spectrum beside the predicted ones."""
-    job = _job(path)
-    collection = None if job is None else job.campaign.collection
-    if job is None or collection is None or collection.cube is None:
-        raise UsageError("this campaign has no cube")
-    inputs = InputLog.of_file(job.path)
-    if collection.simulate:
+    stated, source, inputs = _collection(path)
+    if stated.simulate:
         inputs.simulated = Path(folder) / COLLECTION
-    cube = open_source(collection.cube, inputs.resolve, collection.bands)
+    cube = open_source(source, inputs.resolve, stated.bands)
     if not (0 <= line < cube.lines and 0 <= sample < cube.samples):
         raise UsageError(f"no such pixel: ({line}, {sample})", expected=f"({cube.lines}, {cube.samples}) pixels")
     values = cube.read(line, 1).values[0, sample]
     predicted, _ = read_pair(Path(folder) / "results")
     if predicted is None:
         raise UsageError("this run predicted nothing")
-    product = collection.cube.quantity
-    mine = SpectralEstimate(values, np.zeros((values.size, values.size)))
-    sides: dict[str, Any] = {product: dict.fromkeys(getattr(predicted, product), mine)}
+    quantity = source.quantity
+    own = SpectralEstimate(values, np.zeros((values.size, values.size)))
+    sides: dict[str, Any] = {quantity: dict.fromkeys(getattr(predicted, quantity), own)}
     observed = ObservedProducts(cube.axis, **sides)
-    figure = spectra_figure((predicted, observed), product, names=("predicted", f"pixel ({line}, {sample})"))
+    figure = spectra_figure((predicted, observed), quantity, names=("predicted", f"pixel ({line}, {sample})"))
     _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [fetched(figure)] if figure else [])
 
 

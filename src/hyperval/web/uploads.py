@@ -25,7 +25,7 @@ from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.web.forms import marked
-from hyperval.web.pages import api, page, pages, session_of
+from hyperval.web.pages import api, owner_of, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, to_show
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
@@ -64,7 +64,7 @@ class Uploads:
 
     def __init__(self, request: Request):
         self._state = request.app.state
-        self.owner = session_of(request).owner
+        self.owner = owner_of(request)
         self.folder: Path = self._state.settings.folder / "uploads" / self.owner
 
     def names(self, *fields: str) -> tuple[str, ...]:
