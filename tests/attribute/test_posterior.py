@@ -104,6 +104,8 @@ def test_worlds_that_hold_nothing_are_rarely_blamed_and_what_is_large_is_named()
     drawn = [(kind, found.first) for kind, found in reasoner.drawn(rng, 60)]
     assert np.mean([kind == first for kind, first in drawn if first != attribute.NOTHING]) > 0.8
     assert np.mean([first == kind for kind, first in drawn if kind == attribute.NOTHING]) > 0.9
+    faint = attribute.Reasoner({TILT: 0.05 * COLUMNS[TILT]}, WIDE)  # within its bounds it cannot be seen
+    assert {kind for kind, _ in faint.drawn(rng, 3)} == {attribute.NONE, attribute.NOTHING}
 
 
 def _three_subjects():
@@ -201,6 +203,9 @@ def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(case):
     scene = {"classes": classes, "targets": case.get("targets", [])}
     data = {"name": "s", "scene": scene, "processing": {"elm": "none", "detectors": []}, **case.get("more", {})}
     origins = Origins(axis=AXIS, engine=stand_in_atmosphere)
-    found = {i.name for i in attribute.assumed_inputs(read(Scenario.model_validate(data), origins))}
+    world = read(Scenario.model_validate(data), origins)
+    found = {i.name for i in attribute.assumed_inputs(world)}
     assert {*case["among"]} <= found
     assert not {*case["absent"]} & found
+    level = next(c for c in attribute.rarer_candidates([world]) if c.name == "level of the spectrum of c0")
+    np.testing.assert_allclose(level.at(0, -4.0)[0]["surfaces.[c0].mean"], 0.16)  # 4 steps of 5 % less than 0.2

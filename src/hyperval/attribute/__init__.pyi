@@ -9,6 +9,7 @@ from .candidates import (
     errors_of_file,
     injected_errors,
     injected_prediction,
+    rarer_candidates,
 )
 from .posterior import (
     COMMON,
@@ -44,5 +45,5 @@ __all__ = [
     "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "budget_covariance", "candidates", "causes_of",
     "changed_scenarios", "common_and_own", "errors_of_file", "few_objects", "injected_errors", "injected_prediction",
     "kind_of", "posterior",
-    "posteriors", "quantities", "reason_for", "sampled_covariance", "shares_of_variance", "stacked",
+    "posteriors", "quantities", "rarer_candidates", "reason_for", "sampled_covariance", "shares_of_variance", "stacked",
 ]  # fmt: skip

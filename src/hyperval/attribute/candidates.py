@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
-from itertools import combinations, product
+from itertools import chain, combinations, permutations, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere.solar import SPECTRA as SOLAR_SPECTRA
 from hyperval.atmosphere.solar import parse_utc
 from hyperval.config import load_yaml
 from hyperval.errors import UsageError, refuse
@@ -79,6 +80,12 @@ _SIZES = {
 _OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
 SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
+# Of the state of atmosphere and view: step, its unit, where the model is asked.
+_OF_STATE: tuple[tuple[str, str, float, str, tuple[float, ...]], ...] = (
+    ("sensor_altitude_km", "sensor altitude", 10.0, "%", (-5.0, 20.0)),
+    ("ground_altitude_km", "ground height", 0.1, "km", (-5.0, 8.0)),
+    ("view_zenith_deg", "view zenith angle", 1.0, "deg", (-20.0, 20.0)),
+)
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
 
 
@@ -178,7 +185,7 @@ class Candidate:
         """Least and greatest size that it may have."""
         if self.budgeted:
             return -self.most, self.most
-        return _BELOW * min(self.sizes), _ABOVE * max(self.sizes)
+        return _BELOW * min(0.0, *self.sizes), _ABOVE * max(0.0, *self.sizes)
 
     @property
     def asked(self) -> bool:
@@ -258,7 +265,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
 
     out.append(Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted,
-                         sizes=(1.0, -1.0, -25.0, -5.0, 5.0, 25.0)))  # fmt: skip
+                         sizes=(1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)))  # fmt: skip
     if any(s is not None and s.time_utc for s in states):
 
         def later(hours: float) -> list[Truth]:
@@ -284,8 +291,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
         for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
             one = _part(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", 0.05)
-            members = tuple(one if i == number else None for i in range(len(worlds)))
-            out.append(Candidate(one.name, one.kind, one.correlation, False, members, (-10.0, 12.0)))
+            out.append(_in_one(one, number, len(worlds), (-10.0, 12.0)))
         if len(scene.targets) > 1 or any(_side(p) for t in scene.targets for p in t.populations):
             out += [_sized(target, number, worlds) for target in scene.targets]
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
@@ -330,6 +336,55 @@ def exchanged_entries(worlds: Sequence[World]) -> list[Candidate]:
             truth = {f"scene.targets.[{name}].spectrum": entry for name, entry in both.items()}
             pairs[f"{a.name} and {b.name}"] = _alone(number, len(worlds), truth)
     return [_one_of("exchanged spectra in the file", "scene", pairs)] if pairs else []
+
+
+def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
+    """What is looked for where little else explains a change: field spectra at another level or one in the place of
+    another, shade, heights, the direction of view, another sun.
+    """
+    out, entries, every = list[Candidate](), dict[str, list[Truth]](), list[dict[str, Array]]()
+    for number, world in enumerate(worlds):
+        scene = world.stated.scenario.scene
+        of_kinds = [
+            {f"surfaces.[{s.name}].mean": s.name for s in kind if s.spectrum.measured is None}
+            for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets)
+        ]
+        every.append({path: np.asarray(value_at(world, path))[0] for paths in of_kinds for path in paths})
+        for path, name in chain.from_iterable(paths.items() for paths in of_kinds):
+            level = _part(world, f"level of the spectrum of {name}", "scene", path, 0.05)
+            out.append(_in_one(level, number, len(worlds), (-6.0, 8.0)))
+        for t in scene.targets:
+            light = _part(world, f"light of {t.name}", "scene", f"scene.targets.[{t.name}].illumination.beam", 0.1)
+            out.append(_in_one(light, number, len(worlds), (-9.0, -4.0)))
+        for (path, name), (other, by) in chain.from_iterable(permutations(p.items(), 2) for p in of_kinds):
+            entries[f"{by} in the place of {name}"] = _alone(number, len(worlds), {path: every[number][other]})
+    if sum(map(len, every)) > 1:
+
+        def levels(units: float) -> list[Truth]:
+            return [{path: (1.0 + 0.05 * units) * mean for path, mean in means.items()} for means in every]
+
+        out.append(
+            Candidate("level of all spectra of the ground", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=levels)
+        )
+    if entries:
+        out.append(_one_of("entry of a spectrum", "scene", entries))
+    if not all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds):
+        return out
+    for key, name, step, unit, sizes in _OF_STATE:
+        path = f"atmosphere.{key}"
+        there = [number_input(w, name, "scene", path, step, source="usual", words=f"{step:g} {unit}") for w in worlds]
+        if unit == "%":
+            there = [_part(w, name, "scene", path, step / 100.0) for w in worlds]
+        out.append(Candidate(name, "scene", there[0].correlation, False, tuple(there), sizes))
+    suns: dict[str, list[Truth]] = {sun: [{"atmosphere.solar_spectrum": sun} for _ in worlds] for sun in SOLAR_SPECTRA}
+    stated = {w.stated.scenario.atmosphere.solar_spectrum for w in worlds if w.stated.scenario.atmosphere}
+    return [*out, _one_of("solar spectrum", "atmosphere", {s: t for s, t in suns.items() if s not in stated})]
+
+
+def _in_one(one: UncertainInput, number: int, of: int, sizes: tuple[float, ...]) -> Candidate:
+    """An input of one scenario."""
+    members = tuple(one if i == number else None for i in range(of))
+    return Candidate(one.name, one.kind, one.correlation, False, members, sizes)
 
 
 def _alone(number: int, of: int, truth: Truth) -> list[Truth]:

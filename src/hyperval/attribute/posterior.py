@@ -174,6 +174,13 @@ class Directions:
             self.candidate, evidence, z, self.columns @ z, np.zeros_like(e), np.sqrt(t2) * self.columns, False, s2
         )
 
+    def drawn(self, rng: np.random.Generator, length: float) -> Array:
+        """What it makes, so long or nearly; short of its bounds."""
+        z = rng.normal(size=self.columns.shape[1])
+        made = self.columns @ z
+        far = min(length / max(float(np.linalg.norm(made)), 1e-300), 0.9 * self.most / float(np.max(np.abs(z))))
+        return np.asarray(far * made)
+
 
 class Family:
     """Sizes at which the model was asked, and what lies between (cubic; straight beyond the last).
@@ -226,6 +233,12 @@ class Family:
         made = self.columns @ self.weights(size)[0]
         return Fit(self.candidate, float(evidence), size, made, made, freed, limited)
 
+    def drawn(self, rng: np.random.Generator, length: float) -> Array:
+        """What it makes at a size of either sign at which that is so long, or nearly; short of its bounds."""
+        w = self.weights((self.low, self.high)[rng.integers(2)] * np.geomspace(1e-4, 0.9, 400))
+        far = np.sqrt(np.maximum(np.einsum("am,mn,an->a", w, self.gram, w), 0.0))
+        return np.asarray(self.columns @ w[np.argmin(np.abs(far - length))])
+
 
 class Alternatives:
     """One of several columns, each as likely as another before."""
@@ -241,6 +254,10 @@ class Alternatives:
         evidence = float(special.logsumexp(logs) - np.log(logs.size))
         made = self.columns[:, best]
         return Fit(self.candidate, evidence, np.array([float(best)]), made, made, np.zeros((e.size, 0)))
+
+    def drawn(self, rng: np.random.Generator, length: float) -> Array:
+        """What one of them makes, however long."""
+        return np.asarray(self.columns[:, rng.integers(self.columns.shape[1])])
 
 
 Effect = Directions | Family | Alternatives
@@ -460,19 +477,19 @@ class Reasoner:
         What was put in, a candidate's kind, and what is said of it.
         """
         n = len(self.wide)
+        of_kind: dict[str, list[Effect]] = {}
+        for candidate, effect in zip(self.columns, self._effects, strict=True):
+            of_kind.setdefault(kind_of(candidate.name), []).append(effect)
         for _ in range(times):
-            effects = {c: g[:, rng.integers(g.shape[1])] for c, g in self.columns.items()}
-            kinds = list(dict.fromkeys(kind_of(c.name) for c in self.columns))
-            for kind in (*kinds, NONE, NOTHING):
-                some = [made for c, made in effects.items() if kind_of(c.name) == kind and np.any(made)]
-                far = 0.1 * np.linalg.norm(self.wide)
-                made = self.wide @ rng.normal(size=self.wide.shape[1]) + far * rng.normal(size=n)
-                if kind not in (NONE, NOTHING):
-                    if not some:
-                        continue
-                    made = some[rng.integers(len(some))]
+            for kind in (*of_kind, NONE, NOTHING):
                 size = 0.0 if kind == NOTHING else SEEN * np.exp(rng.uniform(np.log(0.5), np.log(5.0)))
-                yield kind, self.posterior(ALL, made * size / np.linalg.norm(made) + rng.normal(size=n))
+                rough = 0.1 * np.linalg.norm(self.wide) * rng.normal(size=n)
+                made = self.wide @ rng.normal(size=self.wide.shape[1]) + rough
+                made *= size / np.linalg.norm(made)
+                if some := of_kind.get(kind):
+                    made = some[rng.integers(len(some))].drawn(rng, size)
+                if size == 0.0 or np.linalg.norm(made) >= 0.5 * SEEN:
+                    yield kind, self.posterior(ALL, made + rng.normal(size=n))
 
     def _order(self, fit: Fit) -> tuple[bool, float, str]:
         """Of inputs that explain the same, rounding shall not say which comes first."""
@@ -482,7 +499,7 @@ class Reasoner:
     def _with(self, before: Hypothesis | None, fit: Fit, e: Array, whole: float) -> Hypothesis:
         """One cause more, of residuals e that those before have been taken from; ``whole`` is the chi-square of all."""
         prior = np.log(NONE_PRIOR) if fit.candidate is None else self.prior[fit.candidate]
-        if fit.limited and before is None:  # at its bound it is no first reason
+        if fit.limited:  # at its bound it is no reason
             prior = prior - float(e @ e)
         rest, _ = _after(fit, e, {})
         causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())

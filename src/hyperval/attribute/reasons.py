@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from hyperval.attribute.candidates import (
     candidates,
     exchanged_entries,
     further_candidates,
+    rarer_candidates,
 )
 from hyperval.attribute.posterior import (
     ALL,
@@ -45,7 +46,7 @@ from hyperval.attribute.residuals import (
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import Array, named, row, scientific
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import EngineError, UsageError, refuse
 from hyperval.model import Truth, World, inputs_of
 from hyperval.products import Products, background_of
 from hyperval.progress import track
@@ -111,6 +112,7 @@ class Causes:
     predicted, values : both, with nothing moved
     of_spectra : errors that are linear in the spectra at a level (n,)
     of_files : entries of a scenario's file that stand in each other's place, where all that is made of them moves too
+    rarer : what is looked for where little else explains a change
     covariance : (n, n) of the vector, with everything that is budgeted
     columns : candidate -> (n, k) change of the prediction, as :class:`hyperval.attribute.posterior.Reasoner` has it
     ends : numbers with an input one unit up and down
@@ -126,6 +128,7 @@ class Causes:
     values: Array
     of_spectra: Callable[[Array], dict[Candidate, Array]]
     of_files: Callable[[], dict[Candidate, Array]]
+    rarer: Callable[[], dict[Candidate, Array]]
     covariance: Array
     columns: dict[Candidate, Array]
     ends: Ends
@@ -178,6 +181,8 @@ class Causes:
             # No field spectrum, which could make anything, has moved what was measured.
             columns = {c: g for c, g in columns.items() if c.kind == "sensor" or (simulated and not c.makes_anything)}
             columns |= self.of_spectra(level) | self.stack.exchanged(level)
+            if simulated and (by_setting := self.or_rarer(moved, of, level, columns)).enough:
+                return by_setting
             return self.or_displaced(moved, of, level, columns, regions=True)
         if np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]):
             # Of an entry that is wrong, filters and all that is made of it moved on both sides.
@@ -190,7 +195,19 @@ class Causes:
             by_data = self.or_displaced(moved, of, level, steps, regions=False)
             if by_data.first not in (NONE, NOTHING):
                 return by_data
-        return self.explained_change(moved + of_model, of, level, columns)
+        return self.or_rarer(moved + of_model, of, level, self.of_inputs)
+
+    @property
+    def of_inputs(self) -> dict[Candidate, Array]:
+        """What may have moved a prediction: no pixel has moved."""
+        return {c: g for c, g in self.columns.items() if c.kind != "region"}
+
+    def or_rarer(self, moved: Array, of: Indices, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
+        """What explains a change; where no single cause is enough, what is rarer too."""
+        found = self.explained_change(moved, of, level, columns)
+        if found.enough and len(found.best.causes) == 1:
+            return found
+        return self.explained_change(moved, of, level, {**columns, **self.rarer()})
 
     def or_displaced(
         self, moved: Array, of: Indices, level: Array, columns: Mapping[Candidate, Array], *, regions: bool
@@ -262,7 +279,7 @@ def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Ar
     """What the model says; None of what cannot be, such as a sun below the horizon."""
     try:
         return [*evaluate(truths, "attribution: larger errors")]
-    except UsageError:
+    except (UsageError, EngineError):
         half = len(truths) // 2
         return [*_asked(evaluate, truths[:half]), *_asked(evaluate, truths[half:])] if half else [None]
 
@@ -328,14 +345,18 @@ def causes_of(
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
     of_files = partial(_columns_at, exchanged_entries(worlds), {}, predicted, evaluate)
 
+    @cache
+    def rarer() -> dict[Candidate, Array]:
+        return _columns_at(rarer_candidates(worlds), {}, predicted, evaluate)
+
     def mistaken(mistake: Mapping[str, float]) -> Array:
         there = stacked(base, model.observe({}, mistake))
         same = [b.observed.shape for b in there.blocks] == [b.observed.shape for b in stack.blocks]
         return stack.observed - there.observed if same else np.zeros(predicted.size)
 
     return Causes(
-        stack, numbers, predicted, values, of_spectra, of_files, covariance, columns, ends, residual, wide, evaluate,
-        mistaken,
+        stack, numbers, predicted, values, of_spectra, of_files, rarer, covariance, columns, ends, residual, wide,
+        evaluate, mistaken,
     )  # fmt: skip
 
 
@@ -452,7 +473,7 @@ def _of_spectra(
         ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (shared - own)),
         ("stray light between wavelengths", "sensor", mean, (-5.0, 20.0), 0.01 * stack.levelled(level)),
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
-        *((name, "scene", area, (-5.0, 50.0), change) for name, change in mixed.items()),
+        *((name, "region", area, (-5.0, 50.0), change) for name, change in mixed.items()),
     ]
     out = {}
     for name, kind, step, sizes, change in parts:

@@ -178,7 +178,7 @@ def _reason(causes: Causes, truths: Sequence[Truth]) -> str:
     """What the attribution says of an error that came to what is measured."""
     ((with_it, _),) = causes.evaluate([truths], "injected error")
     level = causes.predicted
-    found = causes.explained_change(with_it - level, np.arange(level.size), level, causes.columns)
+    found = causes.or_rarer(with_it - level, np.arange(level.size), level, causes.of_inputs)
     return " or ".join((found.first, *found.alike[:3])) + (", enough" if found.enough else "")
 
 
