@@ -8,6 +8,7 @@ from stored_cubes import BANDS, LINES, SAMPLES, numbers, stored
 
 from hyperval import model, pixels
 from hyperval.errors import UsageError
+from hyperval.imagery import TargetObject
 from hyperval.products import ClassificationError
 
 # Detectors on spectra and on stored cubes: SPy, closed forms and brute force, and what is refused.
@@ -188,10 +189,9 @@ def test_an_object_in_its_window_scores_as_in_the_whole_image(halo):
         part = np.array(part, bool)
         mask = np.zeros(scores.shape, bool)
         mask[line : line + part.shape[0], sample : sample + part.shape[1]] = part
-        placed = ((line, sample), part)
+        placed = TargetObject("window", "", 1.0, 1.0, scores.shape, (line, sample), part)
         brute = scores[pixels.with_halo(mask, halo)]
-        assert sorted(pixels.values_on(scores, pixels.placed_with_halo(placed, halo, scores.shape))) == sorted(brute)
-        assert pixels.object_scores(scores, {"window": placed}, halo) == {"window": brute.max()}
+        assert pixels.object_scores(scores, [placed], halo) == {"window": brute.max()}
 
 
 def test_footprint_tiles_by_hand_and_without_the_excluded():

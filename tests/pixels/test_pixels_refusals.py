@@ -30,9 +30,6 @@ def curve(*pfa):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: pixels.with_halo(EYE > 0, -1), "halo of -1 pixels"),
-        (lambda: pixels.footprint(np.zeros((3, 3), bool), 2), "the object holds no pixel"),
-        (lambda: pixels.object_scores(EYE, {"none": ((0, 0), EYE < 0)}), "'none' holds no pixel"),
         (lambda: pixels.pixel_detector("sam", np.zeros(3), np.ones(3), None), "it has no direction"),
         (lambda: pixels.pixel_detector("cem-correlation", np.zeros(3), np.ones(3), EYE), "zero in every band"),
         (lambda: pixels.pixel_detector("cem", np.ones(3), np.zeros(3), None), "'cem' needs the covariance"),

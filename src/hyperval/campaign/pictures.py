@@ -15,7 +15,7 @@ import numpy.typing as npt
 from hyperval.collection import Detection
 from hyperval.figures.spec import ExpectedScores, Quicklook, ScoreMap
 from hyperval.imagery import Cube, all_pixels
-from hyperval.observe import Observed, Place, map_name, scored_pixels, target_groups
+from hyperval.observe import Observed, Place, map_name, scored_part, target_groups
 from hyperval.pixels import false_alarm_ratio
 from hyperval.products import PredictedProducts, background_of
 from hyperval.results import Result
@@ -73,11 +73,10 @@ def scene_content(
             continue
         if kinds[one.name] not in contents:
             contents.append(kinds[one.name])
-        (line, sample), part = scored_pixels(one, place)
-        window = slice(line, line + part.shape[0]), slice(sample, sample + part.shape[1])
-        shared = of_targets[window][part]
-        numbers[window][part] = np.where(shared, -1, contents.index(kinds[one.name]))
-        of_targets[window] |= part
+        own = scored_part(one, place)
+        shared = of_targets[own.window][own.part]
+        numbers[own.window][own.part] = np.where(shared, -1, contents.index(kinds[one.name]))
+        own.paint(of_targets)
     return numbers, contents
 
 

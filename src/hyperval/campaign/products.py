@@ -30,7 +30,7 @@ from hyperval.errors import UsageError, one_of, refusal, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
-from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_pixels, target_groups
+from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_part, target_groups
 from hyperval.observe import observe as observe_collection
 from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
 from hyperval.products import (
@@ -176,7 +176,7 @@ def _differences(place: Place, fill: Fill, geometry: Geometry, members: Sequence
     """How a scenario's objects differ from those of the truth, in pixels on average over their places on the grid."""
     is_touched = geometry.pixels == "touched"
     stated = float(np.mean(touched_counts(geometry)) if is_touched else pixels_of_object(fill))
-    counted = float(np.mean([np.count_nonzero(scored_pixels(o, place)[1]) for o in members]))
+    counted = float(np.mean([np.count_nonzero(scored_part(o, place).part) for o in members]))
     if max(counted / stated, stated / counted) > MAX_PIXEL_RATIO:
         yield f"the prediction counts {stated:.3g} pixels for each object, the truth {counted:.3g}"
     if place.pixel_area_m2 is not None:

@@ -38,23 +38,14 @@ from hyperval.results import Cause, Effect, Result
 ROUNDING = 1e-9  # of a score's standard deviation; chance leaves a mean as small in one of a million images at most
 
 
-def sd_ratio_interval(predicted_sd: float, observed_sd: float, n: int) -> Interval:
-    """95 % interval of predicted over observed standard deviation, the latter from n independent normal scores.
-
-    (n - 1) s^2/sigma^2 follows chi-square, so predicted/sigma lies between (predicted/s) sqrt(chi2_a/(n - 1)) and
-    the same with chi2_(1 - a).
-    """
-    low, high = np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
-    return predicted_sd / observed_sd * float(low), predicted_sd / observed_sd * float(high)
-
-
 def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) -> Iterator[Result]:
     """Rows ``score_mean_predicted``, ``score_mean_observed``, ``score_mean_difference``, ``score_sd_ratio``.
 
     The difference (predicted - observed) has the interval of the observed mean, s/sqrt(n) with Student's t, or its
     own error where the filter was made of the pixels it scores; their bias is taken off the observed mean there;
-    the ratio is predicted over observed.  Scores of one object's pixels are correlated, and then both
-    intervals are too narrow: give n as the number of independent pixels.  A mean that is 0 to rounding is that of
+    the ratio is predicted over observed, p/s: (n - 1) s^2/sigma^2 follows chi-square, so that p/sigma lies between
+    p/s sqrt(chi2_a/(n - 1)) and the same with chi2_(1 - a).  Scores of one object's pixels are correlated, and then
+    both intervals are too narrow: give n as the number of independent pixels.  A mean that is 0 to rounding is that of
     a matched filter on the pixels it was made of: it is 0 whatever they are, says nothing, and has no interval.
 
     Examples
@@ -73,8 +64,9 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
     yield row("score_mean_observed", observed.mean, half=half, n=n)
     yield row("score_mean_difference", predicted.mean - (observed.mean - bias), half=half, n=n)
     if observed.sd > 0 and n is not None and n >= 2:
-        interval = sd_ratio_interval(predicted.sd, observed.sd, n)
-        yield row("score_sd_ratio", predicted.sd / observed.sd, interval, n=n)
+        ratio = predicted.sd / observed.sd
+        ends = ratio * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
+        yield row("score_sd_ratio", ratio, ends.tolist(), n=n)
     else:
         why = "fewer than two observed scores, or no spread among them"
         yield from skipped(Cause.FEW_PIXELS, why, "score_sd_ratio")
@@ -200,14 +192,9 @@ def transforms_of_draws(draws: npt.ArrayLike) -> Array:
     The values of a set of objects drawn from the prediction are among these.
     """
     values = np.asarray(draws, dtype=float)
-    order = np.argsort(values, axis=None)
-    ordered = values.ravel()[order]
-    middle = np.median(ordered)
-    out = np.empty((1 + len(WIDTHS), ordered.size))
-    for values_of_width, factor in zip(out, (1.0, *WIDTHS), strict=True):
-        moved = ordered if factor == 1.0 else middle + factor * (ordered - middle)
-        values_of_width[order] = probability_integral_transform(moved, ordered)
-    return out.reshape(-1, *values.shape)
+    middle = np.median(values)
+    moved = (values, *(middle + factor * (values - middle) for factor in WIDTHS))
+    return np.stack([probability_integral_transform(each, values) for each in moved])
 
 
 def distance_from_uniform(values: npt.ArrayLike) -> Array:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from hyperval import pixels as px
@@ -22,8 +21,8 @@ from hyperval.collection import Detection, DetectionTarget, Unmixing
 from hyperval.data import Array, Index, Mask, statistics_of
 from hyperval.errors import InputError, UsageError, one_of, refusal
 from hyperval.executors import single_blas_thread
-from hyperval.imagery.regions import objects
-from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
+from hyperval.imagery.regions import objects, window_of
+from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, cut_out
 from hyperval.model import PositiveDefinite, Sources, UnmixedSubject, fully_constrained, labelled, own_mean_sampling
 from hyperval.model.filters import whitened
 from hyperval.observe.open import IMAGE, SCENE, Place, number_rows
@@ -48,19 +47,11 @@ def map_name(target: str, detector: str) -> str:
     return detector if detector in px.ANOMALY_DETECTORS else f"{target}-{detector}"
 
 
-def scored_pixels(target: TargetObject, place: Place) -> px.Placed:
-    """The pixels of an object that are scored, in their window."""
+def scored_part(target: TargetObject, place: Place) -> TargetObject:
+    """The object with the pixels of it that are scored."""
     if place.target_pixels == "touched" or target.centre_pixel is None:
-        return target.placed
-    return target.centre_pixel, np.ones((1, 1), bool)
-
-
-def painted(placed: Iterable[px.Placed], shape: tuple[int, ...]) -> Mask:
-    """(lines, samples) the pixels of objects."""
-    out = np.zeros(shape, bool)
-    for corner, part in placed:
-        _window(out, corner, part)[part] = True
-    return out
+        return target
+    return replace(target, corner=target.centre_pixel, part=np.ones((1, 1), bool), fills=None)
 
 
 def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form: str) -> Groups:
@@ -279,9 +270,8 @@ def _scene(place: Place, detection: Detection, target: DetectionTarget) -> px.Im
     """Background and objects of a target, for detectors that learn from them."""
     numbers = np.zeros(place.cube.shape, np.intp)
     groups = target_groups(place.targets, target, detection.group)
-    for number, item in enumerate((one for members in groups.values() for one in members), start=1):
-        corner, part = scored_pixels(item, place)
-        _window(numbers, corner, part)[part] = number
+    for number, item in enumerate((scored_part(o, place) for members in groups.values() for o in members), start=1):
+        numbers[item.window][item.part] = number
     return px.ImageTruth(place.background(detection.background), numbers)
 
 
@@ -361,8 +351,8 @@ class _Curves:
         one.
         """
         halo, area = self.detection.halo_pixels, self.place.pixel_area_m2
-        placed = {o.name: scored_pixels(o, self.place) for o in members}
-        pixels = np.concatenate([px.values_on(scores, own) for own in placed.values()])
+        placed = [scored_part(o, self.place) for o in members]
+        pixels = np.concatenate([scores[o.window][o.part] for o in placed])
         if not np.isfinite(pixels).any():
             raise InputError(f"no valid pixel on the targets of {subject!r}")
         self.products["scores"][subject, detector] = _moments(pixels[np.isfinite(pixels)])
@@ -370,7 +360,7 @@ class _Curves:
         found, looked_at = np.array(list(best.values())), int(np.count_nonzero(self.alarms))
         sides = {"pixel": (pixels, noise, looked_at), "object": (found, noise, looked_at)}
         if halo:
-            outside = self.alarms & ~px.with_halo(painted(placed.values(), scores.shape), halo)
+            outside = self.alarms & ~px.with_halo(all_pixels(placed, self.place.cube.shape), halo)
             every = px.AlarmBlocks.of_map(scores, outside, classes=self.place.classes)
             sides["object"] = found, *self._placements(scores, placed)
             sides[BY_PIXEL] = found, every, int(np.count_nonzero(outside))
@@ -386,22 +376,22 @@ class _Curves:
                 curve = replace(curve, alarms_before_first=px.alarms_before_first(pixels, noise.scores))
             self.products["roc"][subject, detector, name] = curve
 
-    def _placements(self, scores: Array, placed: Mapping[str, px.Placed]) -> tuple[px.AlarmBlocks, int]:
+    def _placements(self, scores: Array, objects: Sequence[TargetObject]) -> tuple[px.AlarmBlocks, int]:
         """Greatest score of every placement of the objects' footprints on the background, and the pixels looked at."""
         halo, where = self.detection.halo_pixels, "detection.halo_pixels"
         shapes = {}  # the placements of one shape count once, however many objects have it: they are the same pixels
-        for name, (_, part) in placed.items():
-            shape = px.footprint(part, halo)
+        for item in objects:
+            _, shape = cut_out(px.with_halo(np.pad(item.part, halo), halo))
             shapes[shape.shape, shape.tobytes()] = shape
             if any(np.greater(shape.shape, scores.shape)):
-                raise refusal("detection.halo", where, name=name, halo=halo, shape=scores.shape)
+                raise refusal("detection.halo", where, name=item.name, halo=halo, shape=scores.shape)
         parts = [px.footprint_tiles(scores, shape, ~self.alarms) for shape in shapes.values()]
         looked_at = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
         maxima = np.concatenate([under.max(axis=1) for under, _, _ in parts])
         lines, samples = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
         if maxima.size == 0:
             what = f"with a halo of {halo} pixels no footprint of the targets fits on the background"
-            raise UsageError(f"{what} ({', '.join(placed)})", where=where)
+            raise UsageError(f"{what} ({', '.join(o.name for o in objects)})", where=where)
         # Blocks as large on the ground as those of the pixels.
         side = px.block_side(int(np.count_nonzero(self.alarms)))
         return px.AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), looked_at
@@ -516,20 +506,16 @@ def _footprint_sums(
     spread: dict[tuple[tuple[int, ...], bytes], Array] = {}  # by shape of the footprint
 
     def of(item: TargetObject) -> ObjectSum:
-        corner, grown = px.placed_with_halo(item.placed, margin, scores.shape)
-        summed = grown & (~_window(targets, corner, grown) | _window(item.mask, corner, grown))  # not those of others
-        shape = px.footprint(summed)
+        near = window_of(item.mask, (margin, margin))
+        own = item.mask[near]
+        summed = px.with_halo(own, margin) & (~targets[near] | own)  # not those of others
+        _, shape = cut_out(summed)
         key = shape.shape, shape.tobytes()
         if key not in spread:
             spread[key] = px.footprint_tiles(scores, shape, taken)[0].sum(axis=1)
-        return ObjectSum(float(np.nansum(_window(scores, corner, grown)[summed])), int(summed.sum()), spread[key])
+        return ObjectSum(float(np.nansum(scores[near][summed])), int(summed.sum()), spread[key])
 
     return of
-
-
-def _window(image: npt.NDArray[Any], corner: tuple[int, int], like: Mask) -> npt.NDArray[Any]:
-    """The part of an image under a window of the size of ``like``."""
-    return image[corner[0] : corner[0] + like.shape[0], corner[1] : corner[1] + like.shape[1]]
 
 
 METHODS = {"equal": "fcls", "background": "fcls-weighted"}

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import combinations
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +22,10 @@ from hyperval import pixels as px
 from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
 from hyperval.data import Array, ClassStatistics, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal, refuse, told_of
-from hyperval.imagery import Cube
+from hyperval.imagery import Cube, all_pixels
 from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe import sites
-from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, painted, scored_pixels, target_groups, unmix
+from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, scored_part, target_groups, unmix
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
 from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels
@@ -171,7 +172,7 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> Itera
         first.setdefault(target.material, target)
     for target in first.values():
         for subject, members in target_groups(place.targets, target, detection.group).items():
-            union = painted((scored_pixels(item, place) for item in members), place.cube.shape)
+            union = all_pixels([scored_part(item, place) for item in members], place.cube.shape)
             if subject not in taken and np.count_nonzero(union) > 1:
                 yield subject, union
 
@@ -446,6 +447,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
 
 
 Key = tuple[str, int | Literal["auto"], bool]
+Mixture = tuple[px.ClassMixture, Components | None]
 
 
 class RegionPixels(NamedTuple):
@@ -468,41 +470,28 @@ class RegionLaws:
     """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
 
     def __init__(self, observed: Observed):
-        self._place, self._tails, self._statistics = (
-            observed.place,
-            observed.observation.distribution,
-            observed.statistics,
-        )
-        self._made: dict[Key, tuple[px.ClassMixture, Components | None] | None] = {}
-        self._without: dict[tuple[str, Key | None, bool], list[ClassStatistics]] = {}
-        self._numbers: dict[str, Index] = {}
-
-    @property
-    def place(self) -> Place:
-        """The image; raises UsageError without one."""
-        if self._place is None:
-            raise UsageError("the collection has no image whose pixels could be fitted")
-        return self._place
+        self._place = cast(Place, observed.place)  # without an image there are no statistics, and nothing is asked for
+        self._tails, self._statistics = observed.observation.distribution, observed.statistics
+        self.parts, self._fitted, self._without = cache(self._numbered), cache(self._fit), cache(self._left_out)
 
     def _pixels(self, region: str) -> RegionPixels:
         """The pixels of a region that its laws are fitted to."""
-        axis, rng = self.place.cube.axis, np.random.default_rng(_LAW_SEED)
+        axis, rng = self._place.cube.axis, np.random.default_rng(_LAW_SEED)
         most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
-        lines, samples = px.drawn_pixels(self.place.pixels_of(region), most, rng)
-        pixels, valid = self.place.pixels_at(lines, samples)
+        lines, samples = px.drawn_pixels(self._place.pixels_of(region), most, rng)
+        pixels, valid = self._place.pixels_at(lines, samples)
         known = np.isfinite(pixels[valid]).any(axis=0)
         pixels = np.where(known, pixels, 0.0)
         valid &= np.isfinite(pixels).all(axis=1)
-        lead = np.flatnonzero(self.place.clear_bands & known)
+        lead = np.flatnonzero(self._place.clear_bands & known)
         return RegionPixels(pixels[valid], lines[valid], samples[valid], lead)
 
-    def parts(self, region: str) -> Index:
+    def _numbered(self, region: str) -> Index:
         """(lines, samples) part of the image that a region's pixels are left out with; -1 of other pixels."""
-        if region not in self._numbers:
-            mask = self.place.pixels_of(region)
-            self._numbers[region] = np.full(mask.shape, -1)
-            self._numbers[region][mask] = px.compact_parts(*np.nonzero(mask))
-        return self._numbers[region]
+        mask = self._place.pixels_of(region)
+        number = np.full(mask.shape, -1)
+        number[mask] = px.compact_parts(*np.nonzero(mask))
+        return number
 
     def statistics(self, scenario: Scenario) -> Mapping[str, ClassStatistics]:
         """The collection's statistics with the components that the classes of a scenario ask for.
@@ -513,7 +502,8 @@ class RegionLaws:
         """
         out = dict(self._statistics)
         for region, (c, key) in self._keys(scenario).items():
-            mixture = self._mixture(c.name, key)
+            with told_of(f"mixture of class {c.name!r}, region {region!r}"):
+                mixture = key and self._fitted(*key)
             if mixture is not None:
                 out[region] = replace(out[region], components=mixture[1])
         return out
@@ -523,30 +513,25 @@ class RegionLaws:
 
         None of a region without pixels, or of fewer than two parts.
         """
-        for region, (c, key) in self._keys(scenario).items() if self._place is not None else ():
-            asked = region, key, c.tail_dof == "measured"
-            if asked not in self._without:
-                self._without[asked] = list(self._parts(region, self._mixture(c.name, key), tails=asked[2]))
-            if self._without[asked]:
-                yield region, self._without[asked]
+        for region, (c, key) in self._keys(scenario).items():
+            if without := self._without(region, key, c.tail_dof == "measured"):
+                yield region, without
 
-    def _parts(
-        self, region: str, mixture: tuple[px.ClassMixture, Components | None] | None, *, tails: bool
-    ) -> Iterator[ClassStatistics]:
+    def _left_out(self, region: str, key: Key | None, tails: bool) -> list[ClassStatistics]:
         """The statistics of a region without each of its parts; ``tails``: with a tail of their own."""
-        pixels, stated = self._pixels(region), self._statistics[region]
+        out, mixture = [], key and self._fitted(*key)
+        pixels, whole = self._pixels(region), self._statistics[region]
         part, lead = self.parts(region)[pixels.lines, pixels.samples], pixels.lead
         for number, (mean, covariance) in enumerate(px.moments_without_each(pixels.values, part)):
-            dof, scale = stated.tail_dof, stated.tail_scale
+            dof, scale = whole.tail_dof, whole.tail_scale
             if tails and dof is not None:  # what all pixels can tell of it bounds what the others make of it
                 rest, known = pixels.values[part != number][:, lead], self._tails[region]
                 within = known.leading_lower, known.leading_upper
                 fit = px.leading_tails(rest, mean[lead], covariance[np.ix_(lead, lead)], within)
                 dof, scale = fit.dof if np.isfinite(fit.dof) else None, fit.scale
             own = None if mixture is None else mixture[0].components_without(pixels.values, part, number)
-            yield replace(
-                stated, mean=mean, covariance=covariance, tail_dof=dof, tail_scale=scale, components=own
-            )  # fmt: skip
+            out.append(replace(whole, mean=mean, covariance=covariance, tail_dof=dof, tail_scale=scale, components=own))
+        return out
 
     def _keys(self, scenario: Scenario) -> dict[str, tuple[BackgroundClass, Key | None]]:
         """Region -> the first class that takes its law from there, and the mixture that the classes ask for."""
@@ -564,22 +549,13 @@ class RegionLaws:
                 raise UsageError(f"two classes ask for different components of region {region!r}")
         return out
 
-    def _mixture(self, name: str, key: Key | None) -> tuple[px.ClassMixture, Components | None] | None:
-        """The mixture that a region's pixels are and its components; None where one law is all that they show.
-
-        Blocks of the image for the choice of their number are those of false alarms: the region fills about 64.
-        """
-        if key is None:
-            return None
-        if key not in self._made:
-            region, count, tails = key
-            with told_of(f"mixture of class {name!r}, region {region!r}"):
-                pixels, place = self._pixels(region), self.place
-                side = px.block_side(int(np.count_nonzero(place.pixels_of(region))))
-                block = (pixels.lines // side) * (place.cube.samples // side + 1) + pixels.samples // side
-                made = px.class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
-                self._made[key] = None if made is None else (made, made.components(pixels.values))
-        return self._made[key]
+    def _fit(self, region: str, count: int | Literal["auto"], tails: bool) -> Mixture | None:
+        """The mixture of a region; blocks for the choice of its number are those of false alarms: about 64."""
+        pixels, place = self._pixels(region), self._place
+        side = px.block_side(int(np.count_nonzero(place.pixels_of(region))))
+        block = (pixels.lines // side) * (place.cube.samples // side + 1) + pixels.samples // side
+        made = px.class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
+        return None if made is None else (made, made.components(pixels.values))
 
 
 def classification_errors(place: Place, task: Classification) -> dict[tuple[str, str], ClassificationError]:

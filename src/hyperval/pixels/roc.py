@@ -24,7 +24,7 @@ Whole objects are scored with a halo, and the background then by the same footpr
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -50,8 +50,7 @@ from hyperval.products import AlarmsAtDetection, AreaEstimate, ExceedanceCurve, 
 if TYPE_CHECKING:
     from scipy import sparse
 
-# First line and sample of a window of the image, and the mask of an object within it.
-Placed = tuple[tuple[int, int], Mask]
+    from hyperval.imagery import TargetObject
 
 # A roof or a shadow is one piece of luck, not as many as it has pixels. Blocks are the pieces: so many of them that
 # their scatter is known, and so large that neighbours hardly share one.
@@ -88,40 +87,32 @@ class AlarmBlocks:
 
     @classmethod
     def of_map(
-        cls,
-        score_map: npt.ArrayLike,
-        counted: npt.ArrayLike,
-        side: int | None = None,
-        classes: npt.ArrayLike | None = None,
+        cls, score_map: Array, counted: Mask, side: int | None = None, classes: npt.NDArray[Any] | None = None
     ) -> AlarmBlocks:
         """Pixels of a score map (lines, samples) that count; NaN where invalid.
 
         ``side`` None: about 64 blocks.  ``classes`` (lines, samples): number of the class of each pixel, from 0 on;
         None where classes are not known, and their differences count as chance.
         """
-        scores = np.asarray(score_map, dtype=float)
-        lines, samples = np.nonzero(np.asarray(counted, dtype=bool) & np.isfinite(scores))
-        own = None if classes is None else np.asarray(classes)[lines, samples]
-        return cls.of_places(scores[lines, samples], lines, samples, side, own)
+        lines, samples = at = np.nonzero(counted & np.isfinite(score_map))
+        return cls.of_places(score_map[at], lines, samples, side, None if classes is None else classes[at])
 
     @classmethod
     def of_places(
         cls,
-        scores: npt.ArrayLike,
-        lines: npt.ArrayLike,
-        samples: npt.ArrayLike,
+        scores: Array,
+        lines: Index,
+        samples: Index,
         side: int | None = None,
-        classes: npt.ArrayLike | None = None,
+        classes: npt.NDArray[Any] | None = None,
     ) -> AlarmBlocks:
         """Scores (n,) at lines and samples (n,) [pixels], of ``classes`` (n,)."""
-        values = np.asarray(scores, dtype=float)
-        b = side or block_side(values.size)
-        own = np.zeros(values.size, np.int64) if classes is None else np.asarray(classes, np.int64)
-        line, sample = (np.asarray(at, np.int64) // b for at in (lines, samples))
-        width, many = int(sample.max(initial=0)) + 1, int(own.max(initial=0)) + 1
-        key, block = np.unique((line * width + sample) * many + own, return_inverse=True)
+        b = side or block_side(scores.size)
+        own = np.zeros(scores.size, np.int64) if classes is None else np.asarray(classes, np.int64)
+        width, many = int(samples.max(initial=0)) // b + 1, int(own.max(initial=0)) + 1
+        key, block = np.unique((lines // b * width + samples // b) * many + own, return_inverse=True)
         near = _bartlett(np.stack(np.divmod(key // many, width), axis=1))
-        return cls(values, block.astype(np.int64), near, _strata(np.bincount(block), key % many, near))
+        return cls(scores, block.astype(np.int64), near, _strata(np.bincount(block), key % many, near))
 
     @cached_property
     def pixels(self) -> Counts:
@@ -200,14 +191,10 @@ class AlarmBlocks:
         half = np.zeros((m, _HALVES))
         for column in half.T:
             column[np.lexsort((rng.random(m), self.stratum))[::2]] = 1.0
-        counts, rates = self.counts(threshold), []
-        for part in (half, 1.0 - half):
-            rate = np.zeros((threshold.size, _HALVES))
-            for own in (self.stratum == c for c in np.unique(self.stratum)):
-                pixels = self.pixels[own]
-                rate += pixels.sum() * (counts[:, own] @ part[own]) / (pixels @ part[own])
-            rates.append(rate)
+        counts, q = self.counts(threshold), _shares(self.pixels, self.stratum)
+        own = np.argmax(q > 0.0, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
+            rates = [counts @ (part / (q.T @ part)[own]) for part in (half, 1.0 - half)]
             factor = np.maximum(*rates) / np.minimum(*rates)
         return np.asarray(np.median(np.where(np.isnan(factor), 1.0, factor), axis=1))
 
@@ -481,13 +468,11 @@ class RankCounts:
 
     Attributes
     ----------
-    value : (K,) target scores, increasing
-    targets : (K,) targets with each of them
+    targets : (K,) targets with each of the scores, which increase
     ties : (K,) background scores equal to each
     between : (K + 1,) background scores below the first, between two, and above the last
     """
 
-    value: Array
     targets: Counts
     ties: Counts
     between: Counts
@@ -515,7 +500,7 @@ def counts_of(target_scores: npt.ArrayLike, background_scores: Scores) -> RankCo
     background = ascending(background_scores, "background")
     first, last = (np.searchsorted(background, value, side) for side in ("left", "right"))
     between = np.append(first, background.size) - np.insert(last, 0, 0)
-    return RankCounts(value, targets.astype(np.int64), (last - first).astype(np.int64), between.astype(np.int64))
+    return RankCounts(targets, last - first, between)
 
 
 def alarms_before_first(target_scores: npt.ArrayLike, background_scores: npt.ArrayLike) -> int:
@@ -906,67 +891,31 @@ def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
     return RocCurve(first.pfa, pd, low, high, np.full(first.pfa.shape, np.nan), first.unit)
 
 
-def with_halo(mask: npt.NDArray[Any], halo: int) -> Mask:
+def with_halo(mask: Mask, halo: int) -> Mask:
     """The mask grown by ``halo`` pixels in line and sample (a square neighbourhood)."""
-    grown = np.asarray(mask, dtype=bool)
-    if halo < 0:
-        raise UsageError(f"halo of {halo} pixels", expected="0 or more")
-    return np.asarray(ndimage.maximum_filter(grown, 2 * halo + 1, mode="constant"))
+    return np.asarray(ndimage.maximum_filter(mask, 2 * halo + 1, mode="constant"))
 
 
-def placed_with_halo(placed: Placed, halo: int, shape: tuple[int, ...]) -> Placed:
-    """The object grown by ``halo`` pixels, in a window that is cut at the edges of an image of ``shape``."""
-    (line, sample), part = placed
-    grown = with_halo(np.pad(np.asarray(part, dtype=bool), max(halo, 0)), halo)
-    line, sample = line - halo, sample - halo
-    rows = slice(max(-line, 0), min(grown.shape[0], shape[0] - line))
-    columns = slice(max(-sample, 0), min(grown.shape[1], shape[1] - sample))
-    return (max(line, 0), max(sample, 0)), grown[rows, columns]
-
-
-def values_on(image: npt.NDArray[Any], placed: Placed) -> npt.NDArray[Any]:
-    """(n, ...) values of an image (lines, samples, ...) on the pixels of an object."""
-    (line, sample), part = placed
-    return np.asarray(image[line : line + part.shape[0], sample : sample + part.shape[1]][part])
-
-
-def object_scores(score_map: npt.NDArray[Any], objects: Mapping[str, Placed], halo: int = 0) -> dict[str, float]:
+def object_scores(score_map: Array, objects: Iterable[TargetObject], halo: int = 0) -> dict[str, float]:
     """Greatest score over each object's pixels and ``halo`` pixels around them.
 
     Parameters
     ----------
     score_map : (lines, samples), NaN where invalid
-    objects : the pixels of each object: a window with its mask
 
     Returns
     -------
     score by object; NaN for an object without a valid pixel.  With a halo the background must be scored by
     :func:`footprint_tiles`, else noise alone looks like detection.
     """
-    scores = np.asarray(score_map, dtype=float)
-    greatest: dict[str, float] = {}
-    for name, placed in objects.items():
-        if not np.any(placed[1]):
-            raise UsageError(f"the object {name!r} holds no pixel")
-        pixels = values_on(scores, placed_with_halo(placed, halo, scores.shape))
-        pixels = pixels[~np.isnan(pixels)]
-        greatest[name] = float(pixels.max()) if pixels.size else float("nan")
-    return greatest
+    scores = np.where(np.isnan(score_map), -np.inf, score_map)
+    if halo:
+        scores = ndimage.maximum_filter(scores, 2 * halo + 1, mode="constant", cval=-np.inf)
+    greatest = {o.name: float(scores[o.window][o.part].max()) for o in objects}
+    return {name: math.nan if math.isinf(score) else score for name, score in greatest.items()}
 
 
-def footprint(mask: npt.NDArray[Any], halo: int = 0) -> Mask:
-    """The object's own shape with its halo, cut to its bounding box (halo not cut by the image's edge)."""
-    padded = np.pad(np.asarray(mask, dtype=bool), halo)
-    grown = with_halo(padded, halo)
-    if not grown.any():
-        raise UsageError("the object holds no pixel")
-    rows, columns = np.flatnonzero(grown.any(axis=1)), np.flatnonzero(grown.any(axis=0))
-    return grown[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-
-
-def footprint_tiles(
-    score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None
-) -> tuple[Array, Index, Index]:
+def footprint_tiles(score_map: Array, shape: Mask, exclude: Mask | None = None) -> tuple[Array, Index, Index]:
     """Scores under each placement of an object's footprint on the background.
 
     The image is tiled by the footprint's bounding box, without overlap, so that the placements are separate
@@ -977,16 +926,14 @@ def footprint_tiles(
     Parameters
     ----------
     score_map : (lines, samples), NaN where invalid
-    shape : (h, w) from :func:`footprint`
+    shape : (h, w) the object's own with its halo, cut to its bounding box
     exclude : (lines, samples) True on targets and their guard ring
 
     Returns
     -------
     scores (n, pixels of the footprint); and the first lines and samples (n,) of the placements
     """
-    scores = np.array(score_map, dtype=float)
-    if exclude is not None:
-        scores[np.asarray(exclude, dtype=bool)] = np.nan
+    scores = score_map if exclude is None else np.where(exclude, np.nan, score_map)
     h, w = shape.shape
     rows, columns = scores.shape[0] // h, scores.shape[1] // w
     if rows * columns == 0:

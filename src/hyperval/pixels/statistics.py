@@ -85,16 +85,6 @@ def _memory(size: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     return np.empty(max(size, HUGE_PAGES_FROM // np.dtype(dtype).itemsize), dtype)
 
 
-def _runs(bands: Mask) -> list[tuple[slice, slice]]:
-    """Stretches of True as slices of the mask and of what is left when only they are kept."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], bands, [False]]).astype(np.int8)))
-    ends = np.cumsum(edges[1::2] - edges[::2]).tolist()
-    return [
-        (slice(start, stop), slice(end - (stop - start), end))
-        for (start, stop), end in zip(edges.reshape(-1, 2).tolist(), ends, strict=True)
-    ]
-
-
 def _segments(lines: int, block_lines: int) -> list[range]:
     """First lines of the blocks of each segment; as many segments for each thread, so that threads end together."""
     blocks = -(-lines // block_lines)
@@ -143,24 +133,25 @@ def stream(
     watch : wraps the iterator over the parts of the pass, for a progress bar
     """
     step = min(max(1, round(BLOCK_PIXELS / cube.samples)), cube.lines)
-    stretches = _runs(np.ones(cube.bands, bool) if bands is None else bands)
-    count, most = stretches[-1][1].stop if stretches else 0, step * cube.samples
+    chosen = None if bands is None or bands.all() else np.flatnonzero(bands)
+    count, most = cube.bands if chosen is None else chosen.size, step * cube.samples
 
     def blocks(firsts: range) -> Iterator[StoredBlock]:
         buffer, memory = _memory(cube.bands * most, cube.dtype), _memory(count * most, np.float64)
         for first in firsts:
-            shape = (min(step, cube.lines - first), cube.samples)
-            pixels = shape[0] * shape[1]
-            stored, usable = cube.read_stored(first, shape[0], needed, buffer[: cube.bands * pixels])
-            flat = memory[: count * pixels]
+            lines = min(step, cube.lines - first)
+            pixels = lines * cube.samples
+            stored, usable = cube.read_stored(first, lines, needed, buffer[: cube.bands * pixels])
             # In the order of the file: by pixel where the bands of a pixel lie side by side.
             by_pixel = stored.strides[0] < stored.strides[2]
+            ordered = stored.transpose(1, 2, 0) if by_pixel else stored
+            if chosen is not None:
+                ordered = np.take(ordered, chosen, axis=-1 if by_pixel else 0)
+            flat = memory[: count * pixels]
+            flat.reshape(ordered.shape)[...] = ordered
+            del stored, ordered  # views of lines that a raster may hold: they would stay while it reads the next
             numbers = flat.reshape(pixels, count).T if by_pixel else flat.reshape(count, pixels)
-            image = flat.reshape(*shape, count).transpose(2, 0, 1) if by_pixel else flat.reshape(count, *shape)
-            for source, target in stretches:
-                np.copyto(image[target], stored[source], casting="same_kind")
-            del stored  # a view of lines that a raster may hold: they would stay while it reads the next
-            yield StoredBlock(slice(first, first + shape[0]), numbers, usable)
+            yield StoredBlock(slice(first, first + lines), numbers, usable)
 
     return by_segments(cube, step, lambda firsts: work(blocks(firsts)), watch)
 
@@ -276,14 +267,12 @@ class Sums:
     def mean_and_covariance(self) -> tuple[Array, Array]:
         """Mean (B,) and unbiased covariance (B, B) of the pixels; 0 of a single one, as nothing is known of it."""
         assert self.reference is not None  # noqa: S101 - it has pixels
-        if self.n == 1:
-            return self.reference + self.first, np.zeros_like(self.second)
         # First to a whole number c beside the mean, which is exact for whole numbers, then the rest of the way.
         c = np.rint(self.first / self.n)
         mixed = np.outer(c, self.first - 0.5 * self.n * c)
         e = (self.first - self.n * c) / self.n
         central = self.second - (mixed + mixed.T) - self.n * np.outer(e, e)
-        covariance = central / (self.n - 1)
+        covariance = central / max(self.n - 1, 1)  # a single pixel lies at the reference
         return self.reference + c + e, (covariance + covariance.T) / 2.0
 
 

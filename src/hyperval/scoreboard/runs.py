@@ -33,22 +33,20 @@ from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, measured_mark, row_names
-from hyperval.imagery.cube import raster_of_size
+from hyperval.imagery import TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
-from hyperval.observe import Observed, Place, map_name, open_place, scored_pixels, target_groups
+from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
 from hyperval.pixels import (
     LEAST_EXPECTED_ALARMS,
     LOCAL_DETECTORS,
     AddedDetectorError,
     AlarmBlocks,
     PixelDetector,
-    Placed,
     detect,
     detector_names,
     interval_of_mean,
     object_scores,
     register_detector,
-    values_on,
 )
 from hyperval.products import PredictedProducts
 from hyperval.progress import step, track
@@ -415,11 +413,11 @@ def classes_with_regions(scenarios: Sequence[Scenario], regions: Iterable[str]) 
     return list(dict.fromkeys(n for n in named if n is not None and n in there))
 
 
-def _subjects(place: Place, detection: Detection) -> Iterator[tuple[str, dict[str, dict[str, Placed]]]]:
-    """Each target with the pixels of its objects that are scored: subject -> object -> pixels."""
+def _subjects(place: Place, detection: Detection) -> Iterator[tuple[str, dict[str, list[TargetObject]]]]:
+    """Each target with the pixels of its objects that are scored: subject -> objects."""
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
-        yield target.name, {s: {o.name: scored_pixels(o, place) for o in own} for s, own in groups.items()}
+        yield target.name, {s: [scored_part(o, place) for o in own] for s, own in groups.items()}
 
 
 def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) -> BlockCounts:
@@ -439,15 +437,15 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
         counted = counted & np.isfinite(scores)
     looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
     for target, subjects in _subjects(place, detection):
-        objects = {name: pixels for own in subjects.values() for name, pixels in own.items()}
-        greatest = np.array([list(object_scores(one, objects).values()) for one in used[target]])
+        objects = {o.name: o for own in subjects.values() for o in own}
+        greatest = np.array([list(object_scores(one, objects.values()).values()) for one in used[target]])
         valid = np.isfinite(greatest).all(axis=0)
         at = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
         blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
         pairs = [counts_by_block(own[valid], each) for own, each in zip(greatest, blocks, strict=True)]
         looks.append(np.array(pairs).transpose(1, 2, 0, 3))
         item += [number.setdefault(name, len(number)) for name in at]
-        group |= {subject: [at[name] for name in own if name in at] for subject, own in subjects.items()}
+        group |= {subject: [at[o.name] for o in own if o.name in at] for subject, own in subjects.items()}
     group |= {pool.name: [i for s in pool.subjects for i in group.get(s, [])] for pool in detection.pools}
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
@@ -496,7 +494,7 @@ def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection
     counted, rows = place.background(detection.false_alarms), list[Result]()
     for (target, subjects), name in product(_subjects(place, detection), detection.detectors):
         scores = maps[map_name(target, name)]
-        own = {s: [values_on(scores, pixels) for pixels in objects.values()] for s, objects in subjects.items()}
+        own = {s: [scores[o.window][o.part] for o in objects] for s, objects in subjects.items()}
         noise = AlarmBlocks.of_map(scores, counted)
         every = np.concatenate([noise.scores, *(values for each in own.values() for values in each)])
         low, high = np.nanmin(every), np.nanmax(every)
@@ -593,7 +591,7 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
         scores[~valid] = np.nan
         noise = scores[alarms]
         for subject, objects in subjects.items():
-            pixels = np.concatenate([values_on(scores, placed) for placed in objects.values()])
+            pixels = np.concatenate([scores[o.window][o.part] for o in objects])
             pixels = pixels[np.isfinite(pixels)]
             found = skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
             if pixels.size and noise.size:
