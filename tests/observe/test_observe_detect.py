@@ -85,7 +85,7 @@ def test_a_local_window_moves_the_mean_with_the_pixel(world):
     world.detection |= {"detectors": ["cem", "ace", "rx"], "local_window": {"outer_pixels": 11, "inner_pixels": 3}}
     seen = world.observe()
     assert any("windows of 11 less 3 pixels; 0 pixels without" in note for note in seen.observation.notes)
-    keep, target = seen.place.background(["scene"]), world.on_bands()
+    keep, target = seen.place.pixels_of("scene"), world.on_bands()
     detectors = {"paint-cem": ("cem", target), "paint-ace": ("ace", target), "rx": ("rx", None)}
     whitener = pixels.whitener_of(*moments(world.values[keep]))
     expected, _ = pixels.score_cube_locally(seen.place.cube, detectors, whitener, (11, 3), keep)
@@ -182,7 +182,7 @@ def test_pools_count_the_targets_of_their_subjects(world):
 def test_a_halo_scores_background_and_objects_alike(world):
     world.detection["halo_pixels"] = 1
     seen = world.observe()
-    scores, guarded = seen.detected.score_maps["paint-cem"], seen.place.background(["scene"])
+    scores, guarded = seen.detected.score_maps["paint-cem"], seen.place.pixels_of("scene")
     curve = seen.observation.roc["fill 0.8", "cem", "object"]
     tiles = pixels.footprint_tiles(scores, np.ones((3, 3), bool), ~guarded)[0].max(axis=1)
     # Two objects of one shape share their placements.
@@ -213,7 +213,7 @@ def test_alarms_before_the_first_detection(world):
     world.values[45, 35] = TARGET
     world.write()
     seen = world.observe()
-    scores, guarded = seen.detected.score_maps["paint-cem"], seen.place.background(["scene"])
+    scores, guarded = seen.detected.score_maps["paint-cem"], seen.place.pixels_of("scene")
     order = np.argsort(-scores, axis=None, kind="stable")
     for subject, fill in FILLS.items():
         own = shown(*(at for at, f in PLANTED.items() if f == fill)).ravel()[order]

@@ -121,7 +121,7 @@ def test_regions_that_are_left_out_are_left_out_of_every_population(world, backg
     world.detection |= {"background": background, "false_alarms": background}
     world.values[40:43, 30:33] = 0.9
     world.write()
-    seen, scene = world.observe(), world.place().background(["scene"])
+    seen, scene = world.observe(), world.place().pixels_of("scene")
     assert scene.sum() == seen.statistics["ground"].n == next(iter(seen.observation.exceedance.values())).n
     assert seen.statistics["ground"].mean.max() < 0.5
     assert seen.statistics["bright roof"].n == 9  # what is left out has statistics of its own

@@ -39,8 +39,8 @@ def test_targets_and_their_guard_are_left_out_of_the_scene(world, radius, pixels
     place = world.place()
     assert near_targets(radius).sum() == pixels * len(PLANTED)
     assert np.array_equal(place.near_targets, near_targets(radius))
-    assert np.array_equal(place.background(["scene"]), ~near_targets(radius))
-    assert place.background(["image"]).all()
+    assert np.array_equal(place.pixels_of("scene"), ~near_targets(radius))
+    assert place.pixels_of("image").all()
 
 
 def test_a_mistake_moves_values_bands_targets_and_regions(world):
@@ -63,12 +63,12 @@ def test_regions_are_left_out_where_named_and_keep_clear_of_targets(world):
     corner = np.zeros((LINES, SAMPLES), bool)
     corner[35:45, 5:25] = True
     assert np.array_equal(place.region("corner"), corner)
-    assert [place.background(names).sum() for names in (["around"], ["around", "corner"])] == [16 - 5, 11 + 200]
+    assert [place.pixels_of(*names).sum() for names in (["around"], ["around", "corner"])] == [16 - 5, 11 + 200]
     world.collection["leave_out"] = ["corner"]
-    assert np.array_equal(world.place().background(["scene"]), ~near_targets() & ~corner)
+    assert np.array_equal(world.place().pixels_of("scene"), ~near_targets() & ~corner)
     world.collection["leave_out_guard_pixels"] = 1
     place, grown = world.place(), ndimage.binary_dilation(corner)
-    assert np.array_equal(place.background(["scene"]), ~near_targets() & ~grown)
+    assert np.array_equal(place.pixels_of("scene"), ~near_targets() & ~grown)
     assert np.array_equal(place.pixels_of("corner"), corner)  # has statistics of its own
 
 
@@ -200,7 +200,7 @@ def test_a_mask_alone_finds_what_a_list_of_the_same_pixels_finds(world):
     assert [o.name for o in found.place.targets] == [f"mask {i}" for i in range(1, len(PLANTED) + 1)]
     for key in (("paint", "cem", "pixel"), ("paint", "cem", "object")):
         assert np.array_equal(found.observation.roc[key].pd, listed.observation.roc[key].pd)
-    assert np.array_equal(found.place.background(["scene"]), listed.place.background(["scene"]))
+    assert np.array_equal(found.place.pixels_of("scene"), listed.place.pixels_of("scene"))
 
 
 def test_touching_pixels_are_one_object_unless_each_region_is_one(world):

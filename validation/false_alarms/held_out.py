@@ -42,7 +42,7 @@ class Image:
         detection = job.campaign.detection.model_copy(update={"unmixing": None})
         observed = observe(job.campaign.collection, detection, InputLog.of_file(job.path).resolve, show_progress=False)
         place, detected = observed.place, observed.detected
-        counted = place.background(detection.false_alarms)
+        counted = place.pixels_of(*detection.false_alarms)
         self.lines, self.samples = np.nonzero(counted)
         self.spectra = place.cube.spectra((self.lines, self.samples))[:, detected.bank.bands]
         self.kind = sum(i * place.pixels_of(name)[counted] for i, name in enumerate(place.regions))

@@ -222,7 +222,7 @@ class Collected:
         if not law.left_out or detected is None or place is None or detection is None:
             return law
         scores = detected.score_maps[map_name(*key)]
-        counted = place.background(detection.false_alarms) & np.isfinite(scores)
+        counted = place.pixels_of(*detection.false_alarms) & np.isfinite(scores)
         number, first = np.full(scores.shape, -1), 0
         for region, without in law.left_out.items():
             own = self._laws.parts(region)

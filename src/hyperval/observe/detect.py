@@ -205,7 +205,7 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
     bands, notes = _usable_bands(place, detection, list(spectra.values()))
     if background.n < FEW_PIXELS_PER_BAND * int(bands.sum()):
         # Few, so they fit in memory; the pass has not summed the fourth moment.
-        pixels = place.cube.pixels(place.background(detection.background))
+        pixels = place.cube.pixels(place.pixels_of(*detection.background))
         few = statistics_of(pixels[np.isfinite(pixels).all(axis=1)])
         background, shrinkage = replace(background, covariance=few.shrunk_covariance), few.shrinkage
         notes.append(f"{background.n} background pixels are few: covariance shrunk by {shrinkage:.3g}")
@@ -272,7 +272,7 @@ def _scene(place: Place, detection: Detection, target: DetectionTarget) -> px.Im
     groups = target_groups(place.targets, target, detection.group)
     for number, item in enumerate((scored_part(o, place) for members in groups.values() for o in members), start=1):
         numbers[item.window][item.part] = number
-    return px.ImageTruth(place.background(detection.background), numbers)
+    return px.ImageTruth(place.pixels_of(*detection.background), numbers)
 
 
 def _score_maps(
@@ -287,7 +287,7 @@ def _score_maps(
         maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=bank.whitener, scenes=scenes, **common)
         return maps, []
     window = local.outer_pixels, local.inner_pixels
-    around = place.background([IMAGE] if IMAGE in detection.background else [SCENE])
+    around = place.pixels_of(IMAGE if IMAGE in detection.background else SCENE)
     maps, lonely = px.score_cube_locally(cube, bank.forms, bank.whitener, window, around, line, bank.bands, **common)
     return maps, [
         f"background means from windows of {window[0]} less {window[1]} pixels; "
@@ -301,7 +301,7 @@ class _Curves:
 
     def __init__(self, place: Place, detection: Detection, bank: FilterBank):
         self.place, self.detection, self.bank = place, detection, bank
-        self.alarms = place.background(detection.false_alarms)
+        self.alarms = place.pixels_of(*detection.false_alarms)
         self.products: dict[str, dict[Any, Any]] = {k: {} for k in ("scores", "roc", "object_scores", "exceedance")}
 
     def background(self, scores: Array, looked_for: str, detector: str) -> px.AlarmBlocks:
@@ -327,7 +327,7 @@ class _Curves:
         place, bank, detection = self.place, self.bank, self.detection
         if detector != "cem-correlation" or bank.background is None or bank.shrinkage or detection.local_window:
             return np.nan, np.nan
-        if not np.array_equal(place.background(detection.background), self.alarms):
+        if not np.array_equal(place.pixels_of(*detection.background), self.alarms):
             return np.nan, np.nan
         lines, samples = px.drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
         order = np.lexsort((samples, lines))
@@ -406,10 +406,7 @@ def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
             for unit in ("pixel", "object"):
                 if lacking := [s for s in pool.subjects if (s, detector, unit) not in roc]:
                     raise UsageError(f"pool {pool.name!r}: no curve of {', '.join(lacking)}")
-                curves = [roc[s, detector, unit] for s in pool.subjects]
-                first = [c.alarms_before_first for c in curves if c.alarms_before_first is not None]
-                pooled = replace(px.pooled_roc(curves), alarms_before_first=min(first, default=None))
-                roc[pool.name, detector, unit] = pooled
+                roc[pool.name, detector, unit] = px.pooled_roc([roc[s, detector, unit] for s in pool.subjects])
 
 
 def _moments(values: Array) -> ScoreDistribution:
@@ -502,7 +499,7 @@ def _footprint_sums(
     """What sums a score map over an object with its margin, and over the same footprint on the background."""
     targets = all_pixels(place.targets, place.cube.shape)
     # A background of "image" holds the targets too; their sums say nothing of the error.
-    taken = ~(place.background(detection.background) & ~place.near_targets)
+    taken = ~(place.pixels_of(*detection.background) & ~place.near_targets)
     spread: dict[tuple[tuple[int, ...], bytes], Array] = {}  # by shape of the footprint
 
     def of(item: TargetObject) -> ObjectSum:

@@ -197,7 +197,7 @@ def _notes(
         notes += sites.wavelength_notes(means, axis, reflectance=place.cube.quantity == "reflectance")
     if detection is not None:
         # How the pixels behind filter, false alarms and classes differ, where they do.
-        filters, alarms = masks[BACKGROUND], place.background(detection.false_alarms)
+        filters, alarms = masks[BACKGROUND], place.pixels_of(*detection.false_alarms)
         if not np.array_equal(filters, alarms):
             notes.append(
                 f"the filters have their statistics from {int(filters.sum())} pixels "

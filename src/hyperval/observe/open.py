@@ -162,13 +162,9 @@ class Place:
             parts.append(own if name == IMAGE else own & ~lost)
         return np.asarray(np.any(parts, axis=0))
 
-    def background(self, names: Sequence[str]) -> Mask:
+    def pixels_of(self, *names: str) -> Mask:
         """(lines, samples) pixels of :meth:`counted`."""
         return self.labels.mask(self.counted(*names))
-
-    def pixels_of(self, name: str) -> Mask:
-        """(lines, samples) pixels of a region that count."""
-        return self.background([name])
 
     def in_reflectance(self, sample: SampleStatistics) -> tuple[Array, Array]:
         """Mean (B,) and covariance (B, B) after the empirical line; as they stand without one."""
@@ -217,7 +213,11 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
     if collection.cube is None:
         raise UsageError("the collection has no cube")
     cube = open_source(collection.cube, resolve, collection.bands)
-    table, notes = _lookup_table(cube, collection.cube, resolve)
+    table, found = _lookup_table(cube, collection.cube, resolve)
+    notes = [*cube.notes, *found, *imagery.acquisition_notes(cube.extras, cube.axis, cube.quantity)]
+    if table is not None:
+        size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
+        notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
     truth, area_m2 = collection.targets, table.pixel_area_m2 if table is not None else cube.pixel_area_m2
     if truth is not None and truth.pixel_size_m is not None:
         if table is not None or cube.pixel_area_m2 is not None:
@@ -243,18 +243,12 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
         around = imagery.guard(left_out, collection.leave_out_guard_pixels) & ~left_out
         remarks = [*remarks, f"{int((around & ~near).sum())} pixels around what is left out do not count either"]
         near = near | around
-    told = imagery.acquisition_notes(cube.extras, cube.axis, cube.quantity)
-    notes = (*cube.notes, *notes, *told)
-    if table is not None:
-        size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
-        notes = (*notes, f"places on the map are found by the lookup table {table.raster.path.name}{size}")
     by_rule = frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None)
-    notes = (*notes, *_region_notes(regions.values(), by_rule), *remarks)
+    notes += [*_region_notes(regions.values(), by_rule), *remarks, *_target_notes(regions.values(), targets, near)]
     labels = Labels.of(cube.shape, {name: region.mask for name, region in regions.items()} | {_NEAR: near})
     return Place(
-        cube, labels, targets, area_m2, truth.pixels if truth else "touched", by_rule,
-        (*notes, *_target_notes(regions.values(), targets, near)), table, frozenset(collection.leave_out),
-        collection.cube.by_number,
+        cube, labels, targets, area_m2, truth.pixels if truth else "touched", by_rule, tuple(notes), table,
+        frozenset(collection.leave_out), collection.cube.by_number,
     )  # fmt: skip
 
 

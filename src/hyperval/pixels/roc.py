@@ -865,9 +865,11 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
     lower, upper = _widened(pd, mid_p_limits(detected, total), below, above)
     n_background = min((c.n_background for c in curves if c.n_background is not None), default=None)
     areas = pooled_areas([c.areas for c in curves], n_background or 0)
+    first = min((c.alarms_before_first for c in curves if c.alarms_before_first is not None), default=None)
     every = np.full(grid.shape, np.nan)  # threshold: each curve has its own
-    area_km2 = curves[0].background_area_km2
-    return RocCurve(grid, pd, lower, upper, every, curves[0].unit, total, n_background, area_km2, areas=areas)
+    ground = curves[0].background_area_km2
+    counted = RocCurve(grid, pd, lower, upper, every, curves[0].unit, total, n_background, ground, areas=areas)
+    return replace(counted, alarms_before_first=first)
 
 
 def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:

@@ -432,7 +432,7 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     """
     names = tuple(detection.detectors)
     used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
-    counted = place.background(detection.false_alarms)
+    counted = place.pixels_of(*detection.false_alarms)
     for scores in (one for own in used.values() for one in own):
         counted = counted & np.isfinite(scores)
     looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
@@ -491,7 +491,7 @@ def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection
     the mean.  Intervals are of the means of objects and of blocks of the image.
     Source: Chang, IEEE Trans. Geosci. Remote Sens. 59, 5131-5153, 2021.
     """
-    counted, rows = place.background(detection.false_alarms), list[Result]()
+    counted, rows = place.pixels_of(*detection.false_alarms), list[Result]()
     for (target, subjects), name in product(_subjects(place, detection), detection.detectors):
         scores = maps[map_name(target, name)]
         own = {s: [scores[o.window][o.part] for o in objects] for s, objects in subjects.items()}
@@ -580,9 +580,9 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     if observed.elm is not None:
         image = (image - observed.elm.offset[bands]) / observed.elm.gain[bands]
     valid = np.isfinite(image).all(axis=-1)
-    background = spectral.calc_stats(image, mask=(place.background(detection.background) & valid).astype(np.int8))
+    background = spectral.calc_stats(image, mask=(place.pixels_of(*detection.background) & valid).astype(np.int8))
     image[~valid] = background.mean
-    alarms = place.background(detection.false_alarms) & valid
+    alarms = place.pixels_of(*detection.false_alarms) & valid
     spectra = {key.removesuffix(f"-{name}"): own for key, (name, own) in detected.bank.forms.items() if own is not None}
     rows: list[Result] = []
     version = f"a peer: SPy {spectral.__version__}, same bands, spectra and background"
