@@ -26,7 +26,8 @@ from hyperval.model import Sources
 from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe_radcalnet, open_place, target_groups
 from hyperval.paths import matching
 from hyperval.products import SPECTRA
-from hyperval.results import row_name
+from hyperval.results import Outcome, Result, row_name
+from hyperval.run import is_run, read_rows
 from hyperval.scenario import Scenario, SpectrumSource, builtin_scenarios
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import load_scene
@@ -75,10 +76,14 @@ class Item:
         return self.state in (MISSING, TO_FILL_IN, WRONG)
 
 
-def dry_run(paths: Sequence[Path]) -> list[Item]:
+def dry_run(paths: Sequence[Path], finished: Path | None = None) -> list[Item]:
     """List what every campaign names, every name that does not fit, and criteria that can never be met.
 
     Headers are opened, and no pixel is read; intervals are worked out where the collection is spectra, and no cube.
+
+    Parameters
+    ----------
+    finished : folder of an earlier run, whose inconclusive criteria of campaigns with a cube are listed
 
     Raises
     ------
@@ -86,7 +91,8 @@ def dry_run(paths: Sequence[Path]) -> list[Item]:
     UsageError : mistakes in a campaign or scenario in which every value is filled in.
     """
     jobs = [job for path in paths for job in read_jobs(path)]
-    return [replace(item, campaign=job.outline.name, words=job.words) for job in jobs for item in _items(job)]
+    items = [(job, item) for job in jobs for item in _items(job, finished)]
+    return [replace(item, campaign=job.outline.name, words=job.words) for job, item in items]
 
 
 def overview(items: Sequence[Item]) -> list[Item]:
@@ -138,7 +144,7 @@ def summary(items: Sequence[Item]) -> list[str]:
     return out
 
 
-def _items(job: Job) -> list[Item]:
+def _items(job: Job, finished: Path | None) -> list[Item]:
     """Without the name and the words of the campaign."""
     items = [row for one in job.files for row in _file(one, job)]
     items += [Item("", VALUE, TO_FILL_IN, p.key, f"{p.what} ({p.where})") for p in job.to_fill_in]
@@ -146,19 +152,23 @@ def _items(job: Job) -> list[Item]:
     scenarios = [] if job.to_fill_in else _scenarios(job)
     if not any(item.lacking for item in items):
         items += _mistakes(job, scenarios)
-    return items if any(item.lacking for item in items) else [*items, *_undecided(job)]
+    return items if any(item.lacking for item in items) else [*items, *_undecided(job, finished)]
 
 
-def _undecided(job: Job) -> list[Item]:
-    """Criteria that what is known beforehand does not decide, those wider than their ranges among them."""
+def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
+    """Criteria that what is known beforehand, or of a cube what an earlier run found, does not decide."""
     campaign = job.campaign
-    if campaign.collection.cube is not None or not campaign.scenarios or not any(g.gate for g in campaign.comparisons):
-        return []
-    from hyperval.campaign.run import undecided_by
+    found: list[tuple[Result, str]] = []
+    if campaign.collection.cube is not None and finished is not None and is_run(finished):
+        rows = (row for row in read_rows(finished, every=False) if row.campaign == campaign.name and row.gates)
+        found = [(row, f"in {finished}: {row.reason}") for row in rows if row.outcome is Outcome.UNDECIDED]
+    elif campaign.collection.cube is None and campaign.scenarios and any(g.gate for g in campaign.comparisons):
+        from hyperval.campaign.run import undecided_by
 
-    states = {True: NEVER_MET, False: INCONCLUSIVE}
-    found = [(states[row.never_met], f"{row.product} {row_name(row)}", words) for row, words in undecided_by(job)]
-    return [Item("", COMPARISON, state, name, f"to decide it: {words}") for state, name, words in found]
+        found = [(row, f"to decide it: {words}") for row, words in undecided_by(job)]
+    for row, words in found:
+        state = NEVER_MET if row.never_met else INCONCLUSIVE
+        yield Item("", COMPARISON, state, f"{row.product} {row_name(row)}", words)
 
 
 def _file(reference: Reference, job: Job) -> list[Item]:
@@ -193,6 +203,7 @@ class Lookup:
 
     file: str
     lines: Mapping[Location, int]
+    find: Find  # what its references lead to
     at: Location = ()
     mistakes: list[Item] = field(default_factory=list)
 
@@ -229,6 +240,23 @@ class Lookup:
                 yield from self.named(item, rest, (*at, i))
         elif content is not None:
             yield from self.named(getattr(content, part), rest, (*at, part))
+
+    def measured(self, at: Location, region: str, regions: Sequence[str]) -> None:
+        """A region that gives its statistics; without any, none does."""
+        if regions:
+            self.one(at, region, regions, "region ")
+        else:
+            self.add(at, "no reflectance is measured: a cube in radiance needs collection.empirical_line")
+
+    def spectrum(
+        self, at: Location, source: SpectrumSource, name: str, axis: SpectralAxis | None, regions: Sequence[str] = ()
+    ) -> None:
+        """Read a spectrum on the bands; one that a simulation writes, or a region gives, by its name alone."""
+        if source.measured is not None:
+            self.measured((*at, "measured"), source.measured, regions)
+        elif axis is not None and not (source.file or "").startswith(SIMULATED):
+            with self.within(*at):
+                Sources(axis, {}, self.find).spectrum(source, name)
 
 
 @dataclass(frozen=True)
@@ -277,36 +305,35 @@ def _scenarios(job: Job) -> list[tuple[Scenario, Lookup]]:
         if isinstance(named, str) and named not in builtin_scenarios():
             file, at = find(named), ()
             lines = load_yaml(file)[1]
-        out += [(one, Lookup(str(file), lines, at)) for one in scenarios_of(source, find, job.folder, job.words)]
+        for one in scenarios_of(source, find, job.folder, job.words):
+            out.append((one, Lookup(str(file), lines, partial(resolve, base=one.folder or job.folder), at)))
     return out
 
 
 def _mistakes(job: Job, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[Item]:
     """Every name of a campaign and its scenarios that does not fit."""
-    campaign, own = job.campaign, Lookup(str(job.path), job.lines)
-    offered = _offered(campaign, own, partial(resolve, base=job.folder))
-    cube = campaign.collection.cube
+    campaign, own = job.campaign, Lookup(str(job.path), job.lines, partial(resolve, base=job.folder))
+    offered, cube = _offered(campaign, own), campaign.collection.cube
     measured = cube is not None and (cube.quantity != "radiance" or campaign.collection.empirical_line is not None)
     predicted: list[str] = []
     for scenario, lookup in scenarios:
-        find = partial(resolve, base=scenario.folder or job.folder)
-        predicted += _scenario_mistakes(scenario, lookup, offered, measured, find)
+        predicted += _scenario_mistakes(scenario, lookup, offered.axis, offered.regions if measured else ())
     _comparison_mistakes(campaign, own, offered, predicted)
     return [item for lookup in (own, *(lookup for _, lookup in scenarios)) for item in lookup.mistakes]
 
 
-def _offered(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
+def _offered(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     """What the collection offers, once everything that the campaign names of it was looked up."""
-    collection, detection = campaign.collection, campaign.detection
+    collection, detection, cube = campaign.collection, campaign.detection, campaign.collection.cube
     if collection.radcalnet is not None:
         with lookup.within("collection", "radcalnet"):
-            seen = observe_radcalnet(collection.radcalnet, find)
+            seen = observe_radcalnet(collection.radcalnet, lookup.find)
             return CollectionNames(seen.axis, tuple(seen.toa_reflectance))
         return CollectionNames()
     if collection.spectra:
         offered = CollectionNames(regions=tuple(s.subject for s in collection.spectra))
     else:
-        offered = (_simulated if collection.simulate else _opened)(campaign, lookup, find)
+        offered = (_simulated if collection.simulate else _opened)(campaign, lookup)
         if offered.axis is None:
             return offered
     known: dict[str, Sequence[str]] = {"region": offered.regions, "set of pixels": (SCENE, IMAGE, *offered.regions)}
@@ -317,13 +344,12 @@ def _offered(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
     for pattern, noun in NAMES:
         for at, name in lookup.named(campaign, pattern) if noun in known else ():
             lookup.one(at, str(name), known[noun], "region " if noun == "set of pixels" else f"{noun} ")
-    if collection.spectra:
+    if cube is None:
         return offered
-    for at, panel in lookup.named(collection, "empirical_line.panels.*", ("collection",)):
-        _spectrum(lookup, (*at, "spectrum"), panel.spectrum, panel.region, offered.axis, find)
-    by_number = collection.cube is not None and collection.cube.by_number
-    for at, target in lookup.named(campaign, "detection.targets.*") if not by_number else ():  # those are read by bands
-        _spectrum(lookup, (*at, "spectrum"), target.spectrum, target.name, offered.axis, find)
+    for at, panel in lookup.named(campaign, "collection.empirical_line.panels.*"):
+        lookup.spectrum((*at, "spectrum"), panel.spectrum, panel.region, offered.axis)
+    for at, target in lookup.named(campaign, "detection.targets.*") if not cube.by_number else ():  # read by bands
+        lookup.spectrum((*at, "spectrum"), target.spectrum, target.name, offered.axis)
     if detection and (detection.areas or detection.unmixing) and not offered.pixel_size:
         lookup.add(
             ("detection", "areas" if detection.areas else "unmixing"),
@@ -332,16 +358,16 @@ def _offered(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
     return offered
 
 
-def _opened(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
+def _opened(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     """The collection as it lies on the disk; rules on spectra are not run."""
     collection, detection = campaign.collection, campaign.detection
     if collection.bands is not None:
         with lookup.within("collection", "bands"):
-            find(collection.bands.path)
+            lookup.find(collection.bands.path)
     plain = collection.model_copy(update={"regions": [], "targets": None, "leave_out": []})
 
     def opened(**parts: Any) -> Place | None:
-        return open_place(plain.model_copy(update=parts), find, show_progress=False)
+        return open_place(plain.model_copy(update=parts), lookup.find, show_progress=False)
 
     place: Place | None = None
     with lookup.within("collection", "cube"):
@@ -368,17 +394,17 @@ def _opened(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
     if detection is not None and detection.targets:
         with lookup.within("detection"):
             check_line_for_detection(place, collection)
-    for i, target in enumerate(detection.targets if detection else ()):
-        with lookup.within("detection", "targets", i, "material"):
-            groups |= dict.fromkeys(target_groups(place.targets, target, detection.group if detection else ""))
+        for i, target in enumerate(detection.targets):
+            with lookup.within("detection", "targets", i, "material"):
+                groups |= dict.fromkeys(target_groups(place.targets, target, detection.group))
     return CollectionNames(place.cube.axis, (*names, *rules), tuple(groups), place.pixel_area_m2 is not None)
 
 
-def _simulated(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionNames:
+def _simulated(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     """The collection as its scene file says that it will be."""
     collection, detection = campaign.collection, campaign.detection
     with lookup.within("collection", "simulate"):
-        file = find(str(collection.simulate))
+        file = lookup.find(str(collection.simulate))
         scene = load_scene(file)
         own = file.parent / scene.sensor
         axis = load_sensor(str(own) if own.is_file() else scene.sensor).axis
@@ -396,33 +422,31 @@ def _simulated(campaign: Campaign, lookup: Lookup, find: Find) -> CollectionName
 
 
 def _scenario_mistakes(
-    scenario: Scenario, lookup: Lookup, offered: CollectionNames, measured: bool, find: Find
+    scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, regions: Sequence[str]
 ) -> list[str]:
     """Look up everything that a scenario names; returns the names of its subjects.
 
     Parameters
     ----------
-    measured : whether the collection gives statistics of its regions
-    find : references of the scenario
+    regions : that the collection gives statistics of
     """
-    axis, scene = offered.axis, scenario.scene
+    scene = scenario.scene
     if scenario.sensor is not None:
         with lookup.within("sensor"):
             name = scenario.sensor
-            sensor = load_sensor(find(name) if name.endswith((".yaml", ".yml")) else name)
+            sensor = load_sensor(lookup.find(name) if name.endswith((".yaml", ".yml")) else name)
             axis = axis or sensor.axis
-    regions = offered.regions if measured else None
     for kind in ("classes", "panels", "sites", "targets"):
         for at, surface in lookup.named(scenario, f"scene.{kind}.*"):
-            _spectrum(lookup, (*at, "spectrum"), surface.spectrum, surface.name, axis, find, regions)
+            lookup.spectrum((*at, "spectrum"), surface.spectrum, surface.name, axis, regions)
             spread = surface.covariance
             if spread is not None and spread.measured is not None:
-                _measured(lookup, (*at, "covariance", "measured"), spread.measured, regions)
+                lookup.measured((*at, "covariance", "measured"), spread.measured, regions)
             if spread is not None and spread.builtin is not None and axis is not None:
                 with lookup.within(*at, "covariance", "builtin"):
                     builtin_class(spread.builtin, axis)
     for at, source in lookup.named(scenario, "scene.adjacency.spectrum"):
-        _spectrum(lookup, at, source, "surroundings", axis, find, regions)
+        lookup.spectrum(at, source, "surroundings", axis, regions)
     surfaces = (*scene.classes, *scene.panels, *scene.sites)
     return [*(s.name for s in surfaces), *(p.name for t in scene.targets for p in t.populations)]
 
@@ -442,28 +466,3 @@ def _comparison_mistakes(
                 lookup.one(("comparisons", i, "subjects", k), pattern, known, "", "the collection has no")
             elif gate.product != "roc" and not any(fnmatchcase(name, pattern) for name in (*predicted, *TOGETHER)):
                 lookup.one(("comparisons", i, "subjects", k), pattern, predicted, "subject ", "no scenario has a")
-
-
-def _spectrum(
-    lookup: Lookup,
-    at: Location,
-    source: SpectrumSource,
-    name: str,
-    axis: SpectralAxis | None,
-    find: Find,
-    regions: Sequence[str] | None = None,
-) -> None:
-    """Read a spectrum on the bands; one that a simulation writes, or a region gives, by its name alone."""
-    if source.measured is not None:
-        _measured(lookup, (*at, "measured"), source.measured, regions)
-    elif axis is not None and not (source.file or "").startswith(SIMULATED):
-        with lookup.within(*at):
-            Sources(axis, {}, find).spectrum(source, name)
-
-
-def _measured(lookup: Lookup, at: Location, region: str, regions: Sequence[str] | None) -> None:
-    """A region that gives its statistics; None: no region does."""
-    if regions:
-        lookup.one(at, region, regions, "region ")
-    else:
-        lookup.add(at, "no reflectance is measured: a cube in radiance needs collection.empirical_line")

@@ -592,7 +592,8 @@ def validate(
     dry_run: Annotated[
         bool,
         typer.Option(
-            "--dry-run", help="List files, values to fill in, comparisons, and criteria that can never be met."
+            "--dry-run",
+            help="List files, values to fill in, comparisons, criteria that no data, or those in OUTPUT, decide.",
         ),
     ] = False,
     junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
@@ -604,7 +605,7 @@ def validate(
 ) -> int:
     """Predict, observe, compare: the main job."""
     if dry_run:
-        return _dry_run(campaigns)
+        return _dry_run(campaigns, output)
     if output is None:
         raise UsageError("no folder for the results", mend="name one with --output (-o)")
 
@@ -631,8 +632,8 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
     return finished(simulate_to_folder(scene, output, show_progress=settings.show_progress), output)
 
 
-def _dry_run(campaigns: list[Path]) -> int:
-    items = campaign.dry_run(campaigns)
+def _dry_run(campaigns: list[Path], finished: Path | None) -> int:
+    items = campaign.dry_run(campaigns, finished)
     header = ("campaign", "kind", "state", "what", "detail")
     print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in campaign.overview(items)])
     for line in campaign.summary(items):
