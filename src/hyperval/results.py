@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
@@ -347,12 +348,10 @@ def paired(a: ResultTable, b: ResultTable) -> list[Pair]:
 
 
 def _keyed(table: ResultTable, single: bool) -> dict[tuple[Any, ...], Result]:
-    out: dict[tuple[Any, ...], Result] = {}
+    out, seen = dict[tuple[Any, ...], Result](), Counter[tuple[Any, ...]]()
     for row in table:
         band = None if math.isnan(row.band_nm) else round(row.band_nm, 3)
         key = ("" if single else row.campaign, row.product, row.subject, row.method, row.metric, band)
-        count = 0
-        while (*key, count) in out:
-            count += 1
-        out[(*key, count)] = row
+        out[*key, seen[key]] = row
+        seen[key] += 1
     return out

@@ -116,7 +116,7 @@ class Run:
     @property
     def pair(self) -> tuple[PredictedProducts | None, ObservedProducts | None]:
         """The prediction and the observation; None for one that was not made."""
-        return _pair(self.sides)
+        return self.sides.get("predicted"), self.sides.get("observed")  # type: ignore[return-value]
 
     @property
     def figures(self) -> dict[str, Path]:
@@ -706,18 +706,10 @@ def _write_group(group: Any, data: Arrays) -> None:
         for axis, size in zip(axes, array.shape, strict=True):
             if axis not in group.dimensions:
                 group.dimensions[axis] = size
-        options: dict[str, Any] = {"dtype": array.dtype}
-        if array.dtype.kind == "O":
-            options["dtype"] = h5py.string_dtype()
-        elif array.dtype.kind == "f" and name not in labels:
-            options["fillvalue"] = np.nan
-            if _is_packed(name):
-                options |= {
-                    "fillvalue": np.float32(np.nan),
-                    "compression": "gzip",
-                    "compression_opts": 4,
-                    "shuffle": True,
-                }
+        options: dict[str, Any] = {"dtype": h5py.string_dtype() if array.dtype.kind == "O" else array.dtype}
+        if array.dtype.kind == "f" and name not in labels:
+            options["fillvalue"] = array.dtype.type(np.nan)
+            options |= {"compression": "gzip", "compression_opts": 4, "shuffle": True} if _is_packed(name) else {}
         variable = group.create_variable(name, axes, data=array, **options)
         variable.attrs.update(attributes)
         beside = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
@@ -755,11 +747,7 @@ def read_products(folder: Path) -> dict[str, Products]:
 
 def read_pair(folder: Path) -> tuple[PredictedProducts | None, ObservedProducts | None]:
     """The prediction and the observation of a run, None for one that was not made; errors of read_products."""
-    return _pair(read_products(folder))
-
-
-def _pair(sides: Mapping[str, Any]) -> tuple[PredictedProducts | None, ObservedProducts | None]:
-    return sides.get("predicted"), sides.get("observed")
+    return Run(ResultTable(), given=read_products(folder)).pair
 
 
 @reader

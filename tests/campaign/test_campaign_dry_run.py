@@ -13,11 +13,11 @@ from hyperval import cli
 from hyperval.campaign import WRONG, dry_run, job_of, jobs_of, overview, read_jobs, summary
 from hyperval.errors import UsageError
 from hyperval.imagery import write_cube
+from hyperval.results import Outcome, Result, ResultTable, Role
 from hyperval.run import Run
 from hyperval.spectra import SpectralAxis
 from small_campaign import data_of, scene_data, write_yaml
 
-ROOT = Path(__file__).parents[2]
 CAMPAIGN, SCENARIO = data_of("lines"), data_of("lines_scenario")
 
 
@@ -102,11 +102,18 @@ def test_what_is_complete_is_ready_and_nothing_is_written(places, tmp_path, caps
     assert cli.run(["validate", "--dry-run", str(path)]) == 0
     assert "line-{line} (2 campaigns): ready" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.rglob("*")) == before
-    first, second = [job.campaign for job in read_jobs(path)]
-    assert (first.name, second.name) == ("line-0920-1631", "line-0920-1638")
     assert read_jobs(path)[1].words == {"line": "0920-1638"}
     with pytest.raises(UsageError, match="holds 2 runs"):
         job_of(path)
+
+
+def test_what_a_finished_run_left_inconclusive_is_told(small, tmp_path, capsys):
+    decides = {"role": Role.GATE, "outcome": Outcome.UNDECIDED, "reason": "it takes sunlight to 1 %"}
+    rows = [Result(name, "radiance", "field", "sixs", "bias_ratio", **decides) for name in ("small", "another")]
+    Run(ResultTable(rows)).write(tmp_path, "")
+    assert cli.run(["validate", "--dry-run", str(small.write()), "-o", str(tmp_path)]) == 0
+    told = f"inconclusive\tradiance field sixs bias_ratio\tin {tmp_path}: it takes sunlight to 1 %"
+    assert capsys.readouterr().out.count(told) == 1
 
 
 @pytest.mark.parametrize(

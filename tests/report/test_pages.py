@@ -213,22 +213,16 @@ def test_pages_of_one_side_do_not_call_themselves_validations():
 def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix():
     """With many subjects the matrix is longer than a screen.  A choice after the data stands after what it was."""
     detected = [("sunlight x 1.05", "undetected", ""), ("fill fraction x 0.8", "1 criterion", "scores | all | cem | p")]
-    table = report.PowerWords(
-        "The criteria detect 1 of 2 injected model errors. Undetected: sunlight x 1.05.", detected, "1"
-    )
+    told = "The criteria detect 1 of 2 injected model errors. Undetected: sunlight x 1.05."
     notes = ["warning: the panels do not lie on one line", "a note", *(f"warning: number {i}" for i in range(3))]
     choices = [("radiance: at most 0.06", "at most 0.05"), ("snr: at most 0.1", "none")]
-    text = page_of(change={"chosen_after": choices, "power": table, "notes": notes}).text
+    power = report.PowerWords(told, detected, "1")
+    text = page_of(change={"chosen_after": choices, "power": power, "notes": notes}).text
     before = text[: text.index("Subject")]
-    for words in (
-        "SIMULATED",
-        "Warning: the panels do not lie on one line",
-        "1 more warning stands",
-        "First: at most 0.05. Now: radiance: at most 0.06.",
-        "First: none. Now: snr: at most 0.1.",
-        "detect 1 of 2 injected model errors. Undetected: sunlight x 1.05.",
-    ):
+    for words in ("SIMULATED", "Warning: the panels do not lie on one line", "1 more warning stands", told):
         assert words in before
+    assert "First: at most 0.05. Now: radiance: at most 0.06." in before
+    assert "First: none. Now: snr: at most 0.1." in before
 
 
 def test_nothing_at_all_is_undecided(tmp_path):

@@ -357,8 +357,9 @@ def without_circles(
         for s in surfaces
         if s.covariance is not None
         and s.covariance.measured is not None
-        and _shares_pixels(place, s.name, s.covariance.measured)
-    }
+        and (place is None or not {s.name, s.covariance.measured} <= place.regions.keys()
+             or np.any(place.regions[s.name] & place.regions[s.covariance.measured]))
+    }  # fmt: skip
     radiance, reflectance = (
         {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in spectra.items() if k not in taken}
         for spectra in (prediction.radiance, prediction.reflectance)
@@ -370,13 +371,6 @@ def without_circles(
         return prediction
     note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
     return replace(prediction, notes=(*prediction.notes, note))
-
-
-def _shares_pixels(place: Place | None, subject: str, region: str) -> bool:
-    """Whether a subject's region has pixels of another one; taken to be so where it is not known."""
-    if place is None or subject not in place.regions or region not in place.regions:
-        return True
-    return bool(np.any(place.regions[subject] & place.regions[region]))
 
 
 def with_pools(

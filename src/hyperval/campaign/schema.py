@@ -267,25 +267,24 @@ class Reference:
     base: Path
 
     @property
-    def error(self) -> HypervalError | None:
-        """Why the file is not at hand, None where it is."""
+    def found(self) -> Path | HypervalError:
+        """Where the file is, or why it is not at hand."""
         try:
-            resolve(self.text, self.base)
+            return resolve(self.text, self.base)
         except HypervalError as error:
             return error
-        return None
 
     @property
     def path(self) -> Path | None:
         """Where the file is, None when it is not at hand."""
-        return None if self.error else resolve(self.text, self.base)
+        return found if isinstance(found := self.found, Path) else None
 
     @property
     def problem(self) -> str:
         """What to do about a file that is not at hand."""
-        if isinstance(error := self.error, UsageError):
-            return "; ".join(x for x in (error.what, error.expected) if x)
-        return (error.mend or error.what) if error else ""
+        if isinstance(found := self.found, UsageError):
+            return "; ".join(x for x in (found.what, found.expected) if x)
+        return (found.mend or found.what) if isinstance(found, HypervalError) else ""
 
 
 @dataclass(frozen=True)
@@ -348,7 +347,7 @@ class Job:
     def check(self, *, compares: bool) -> None:
         """Raise UsageError for what cannot run: a file that nobody knows, values to fill in, a side that lacks."""
         for one in self.files:
-            if one.text.startswith(PREFIX) and isinstance(error := one.error, UsageError):
+            if one.text.startswith(PREFIX) and isinstance(error := one.found, UsageError):
                 where = f"{self.path}: {one.key}: {error.where or one.text}"
                 raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend)
         lacking = [key for key in ("scenarios", "comparisons") if not (self.content or {}).get(key)]

@@ -678,20 +678,17 @@ def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> tuple[Panels, 
     if None in sides or len(score_map.outlines) <= MANY_OBJECTS:
         return None
     predicted: Mapping[Any, ObjectScores] = of_side(sides[0], "object_scores")
-    names, measured, median = [], [], []
-    laws: list[tuple[int, Array]] = []
-    for (subject, detector), scores in of_side(sides[1], "object_scores").items():
-        law = predicted.get((subject, detector))
-        if law is None or not name.endswith(f"-{detector}"):
+    found, laws = list[tuple[str, float, float]](), list[tuple[int, Array]]()
+    for key, scores in of_side(sides[1], "object_scores").items():
+        if key not in predicted or not name.endswith(f"-{key[1]}"):
             continue
-        own = [i for i, one in enumerate(scores.names) if one in score_map.outlines and np.isfinite(scores.values[i])]
-        if own:
-            laws.append((len(own), np.ravel(law.values)))
-            names += [scores.names[i] for i in own]
-            measured += [float(scores.values[i]) for i in own]
-            median += [float(np.median(laws[-1][1]))] * len(own)
-    if len(names) <= MANY_OBJECTS:
+        law, each = np.ravel(predicted[key].values), zip(scores.names, scores.values, strict=True)
+        own = [(one, float(m)) for one, m in each if one in score_map.outlines and np.isfinite(m)]
+        found += [(*one, float(np.median(law))) for one in own]
+        laws += [(len(own), law)] if own else []
+    if len(found) <= MANY_OBJECTS:
         return None
+    names, measured, median = zip(*found, strict=True)
     line, sample = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]).T + 0.5
     value = np.array(measured) - np.array(median)
     reach = float(np.max(np.abs(value))) or 1.0

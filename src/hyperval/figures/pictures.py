@@ -52,7 +52,6 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
         _OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
     )
     canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
-    canvas.finish(_segments(quicklook.regions), quicklook.pixel_size_m)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
     bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"
     title = "Scene with its regions of interest" + (f" (red, green, blue: {bands})" if quicklook.band_nm else "")
@@ -60,7 +59,8 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     title += f"; {cut}" if cut else ""
     size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f", {cut} of them shown" if cut else "")
     alt = f"Image of the scene, {size}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
-    return canvas.drawing("scene", "scene", title, alt, _numbered_names(quicklook.regions))
+    segments = _segments(quicklook.regions)
+    return canvas.drawing("scene", "scene", title, alt, quicklook.regions, segments, quicklook.pixel_size_m)
 
 
 def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
@@ -68,10 +68,9 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
     colours = [int(tone[at : at + 2], 16) for tone in tones(VIRIDIS, _TONES) for at in (1, 3, 5)]
     drawings = []
     for number, (name, score_map) in enumerate(list(maps.items())[:_MOST_MAPS], start=1):
-        scores = np.asarray(score_map.values)
-        view = shown_window(scores.shape, score_map.outlines)
-        limits, segments = _score_limits(score_map), _segments(score_map.outlines)
-        outlines = score_map.outlines
+        scores, outlines = np.asarray(score_map.values), score_map.outlines
+        view = shown_window(scores.shape, outlines)
+        limits, segments = _score_limits(score_map), _segments(outlines)
         named = f"{len(outlines)} objects" if len(outlines) > _MOST_NUMBERED else ", ".join(outlines)
         outlined = f"; outlined: {named or 'nothing'}."
         values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
@@ -81,8 +80,8 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
         size = f"{scores.shape[0]} lines by {scores.shape[1]} samples"
         shown = [(
             f"score-map-{number}", f"Score map {name}",
-            f"Score map {name}{', targets outlined' if score_map.outlines else ''}{note}",
-            f"Map of the detector score {name}, {size}{note}{outlined}", values,
+            f"Score map {name}{', targets outlined' if outlines else ''}{note}",
+            f"Map of the detector score {name}, {size}{note}{outlined}", _toned(values, limits), limits, "score",
         )]  # fmt: skip
         if score_map.expected is not None:
             expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MOST_PIXELS)
@@ -90,22 +89,22 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
                 f"score-map-{number}-expected", f"Expected score {name}",
                 f"Model expectation of {name}, in the colours of the measured map: the mean score of each "
                 "class of ground and kind of target; blank where the campaign does not state the ground",
-                f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}", expected,
+                f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}",
+                _toned(expected, limits), limits, "score",
             ))  # fmt: skip
-        for file, heading, title, alt, own in shown:
-            canvas = _Canvas(heading, _toned(own, limits), colours, view, block, limits, simulated=simulated)
-            canvas.finish(segments, score_map.pixel_size_m)
-            drawings.append(canvas.drawing(file, "scores", title, alt, _numbered_names(score_map.outlines)))
         if score_map.influence is not None:
             ratio, threshold, words = score_map.influence
             ends = float(np.nanmin(ratio)), float(np.nanmax(ratio)) + 1e-9
             toned = _toned(ratio[view][::block, ::block], ends)
             toned[(values > threshold) & (toned != _WHITE)] = _BLACK
-            canvas = _Canvas(f"False alarms {name}", toned, colours, view, block, ends, "ratio", simulated=simulated)
-            canvas.finish([], score_map.pixel_size_m)
             title = f"False alarms of {name}, predicted over measured, without the part of the image that a pixel "
             title += f"lies in; black: pixels above the threshold{note}. {words[0].upper()}{words[1:]}"
-            drawings.append(canvas.drawing(f"score-map-{number}-influence", "scores", title, f"Map: {title}.", ""))
+            file, heading = f"score-map-{number}-influence", f"False alarms {name}"
+            shown.append((file, heading, title, f"Map: {title}.", toned, ends, "ratio"))
+        for file, heading, title, alt, picture, ends, what in shown:
+            canvas = _Canvas(heading, picture, colours, view, block, ends, what, simulated=simulated)
+            outlined_here = (outlines, segments) if what == "score" else ({}, [])
+            drawings.append(canvas.drawing(file, "scores", title, alt, *outlined_here, score_map.pixel_size_m))
     return drawings
 
 
@@ -144,8 +143,11 @@ class _Canvas:
         if limits:
             self._scale_of_colours(limits, what)
 
-    def finish(self, segments: Segments, pixel_size_m: float | None) -> None:
-        """Draw outlines, their numbers, and a scale."""
+    def drawing(
+        self, name: str, section: str, title: str, alt: str, regions: Mapping[str, Any], segments: Segments,
+        pixel_size_m: float | None,
+    ) -> Drawing:  # fmt: skip
+        """The finished picture with the outlines of regions, their numbers, and a scale."""
         for number, own in segments:
             ends = [(*self._at(*a), *self._at(*b)) for a, b in own]
             for colour, width in ((_BLACK, 5), (_OUTLINES[number % len(_OUTLINES)], 3)):
@@ -161,13 +163,10 @@ class _Canvas:
             for colour, width, more in ((_BLACK, 12, 2), (_WHITE, 7, 0)):
                 self._pen.line((left - more, y, right + more, y), colour, width)
             self._label((left + right) / 2, y - 12, f"{length_m:g} m", _WHITE, "mb")
-
-    def drawing(self, name: str, section: str, title: str, alt: str, legend: str) -> Drawing:
-        """The finished picture."""
         out = io.BytesIO()
         self._image.save(out, format="png")
-        css = round(self._image.width / _PER_CSS)
-        return Drawing(name, section, title, alt, out.getvalue(), "png", width_px=css, legend=legend)
+        css, named = round(self._image.width / _PER_CSS), _numbered_names(regions)
+        return Drawing(name, section, title, alt, out.getvalue(), "png", width_px=css, legend=named)
 
     def _at(self, sample: float, line: float) -> tuple[float, float]:
         return (

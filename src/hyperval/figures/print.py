@@ -135,7 +135,12 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
             if not last and not part.x:
                 axes.tick_params(labelbottom=False)
             above = axes
-    _legend(canvas, figure, views)
+    handles, labels = legend_of(*views)
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": 4}
+    if figure.legend_title:
+        place = {"loc": "outside right center", "title": plain(figure.legend_title)}
+    if labels:
+        canvas.legend(handles, labels, **place)
     return canvas
 
 
@@ -145,15 +150,6 @@ def _height_in(view: Panels) -> float:
     if not rows:
         return 1.3 + 1.2 * len(view.parts)
     return 0.5 + _ROW_IN * (rows + 1.5 * (len(view.parts) - 1)) + (1.0 if view.x.scale == "names" else 0.0)
-
-
-def _legend(canvas: Canvas, figure: Figure, views: Sequence[Panels]) -> None:
-    beside: dict[str, Any] = {"loc": "outside right center", "title": plain(figure.legend_title)}
-    handles, labels = legend_of(*views)
-    if labels:
-        canvas.legend(
-            handles, labels, **(beside if figure.legend_title else {"loc": "outside lower center", "ncols": 4})
-        )
 
 
 def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:

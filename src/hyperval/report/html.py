@@ -47,12 +47,14 @@ def library(name: str) -> str:
     return installed_file("bokeh", "server", "static", "js", name).read_text("utf-8")
 
 
+def _text_of(content: bytes) -> str:
+    return base64.b64encode(content).decode("ascii")
+
+
 @functools.cache
 def packed_library() -> tuple[str, ...]:
     """The library's scripts as base64 of gzip: 0.6 MB in place of 1.4 leave the figures room."""
-    return tuple(
-        base64.b64encode(gzip.compress(library(name).encode("utf-8"), mtime=0)).decode("ascii") for name in LIBRARY
-    )
+    return tuple(_text_of(gzip.compress(library(name).encode("utf-8"), mtime=0)) for name in LIBRARY)
 
 
 @functools.cache
@@ -71,9 +73,7 @@ def page_script() -> str:
 def page_hashes(figures: bool = True) -> str:
     """The scripts of a page, with figures or without, as sources of its policy: these texts, and no other, may run."""
     texts = (*map(library, LIBRARY), script(), page_script()) if figures else (page_script(),)
-    return " ".join(
-        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'" for text in texts
-    )
+    return " ".join(f"'sha256-{_text_of(hashlib.sha256(text.encode('utf-8')).digest())}'" for text in texts)
 
 
 def anchor(row: Result) -> str:
@@ -139,19 +139,13 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
 
     They are the same but for the subject; the first stands for all, and says how many are alike.
     """
-    kinds: dict[str, list[Result]] = {}
-    order: list[list[Result]] = []
-    for row in rows:
-        if not row.subject.endswith(background_of("")):
-            order.append([row])
-            continue
-        alike = repr(replace(row, subject=""))
-        if alike not in kinds:
-            order.append(kinds.setdefault(alike, []))
-        kinds[alike].append(row)
+    alike: dict[str | int, list[Result]] = {}
+    for number, row in enumerate(rows):
+        is_background = row.subject.endswith(background_of(""))
+        alike.setdefault(repr(replace(row, subject="")) if is_background else number, []).append(row)
     return [
-        one[0] if len(one) == 1 else replace(one[0], subject=f"{one[0].subject} and {len(one) - 1} alike")
-        for one in order
+        first if not more else replace(first, subject=f"{first.subject} and {len(more)} alike")
+        for first, *more in alike.values()
     ]
 
 

@@ -63,7 +63,8 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     )
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
-    charts = [] if len(moved) + len(changed) == 0 else _charts(a, b)
+    charts = _charts(a, b) if moved or changed else []
+    alike = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
     labels = zip("AB", (a, b), _names(a.folder or Path(), b.folder or Path()), strict=True)
     return page(
         "pair.html.j2", charts,
@@ -78,8 +79,8 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         identical=not moved and all(p.a and p.b and not p.verdict_changed for p in pairs),
         inputs=provenance_differences(a, b),
         charts=charts,
-        figures=_figures(a, b),
-        alike=_alike(a, b),
+        figures=_figures(a, b, alike),
+        alike=alike,
         number=v.number_text,
     )  # fmt: skip
 
@@ -121,18 +122,10 @@ def _same_curves(one: Products, other: Products) -> bool:
     )
 
 
-def _alike(a: Run, b: Run) -> list[str]:
-    """File names of the figures that are the same in both runs."""
-    both = [name for name in a.figures if name in b.figures]
-    return [name for name in both if a.figures[name].read_bytes() == b.figures[name].read_bytes()]
-
-
-def _figures(a: Run, b: Run) -> list[dict[str, Any]]:
+def _figures(a: Run, b: Run, alike: Sequence[str]) -> list[dict[str, Any]]:
     """Figures that are not the same in both runs, as data; beyond the size of the page they are named only."""
-    room, out, alike = _FIGURE_BYTES, [], _alike(a, b)
-    for name in dict.fromkeys([*a.figures, *b.figures]):
-        if name in alike:
-            continue
+    room, out = _FIGURE_BYTES, []
+    for name in (name for name in dict.fromkeys([*a.figures, *b.figures]) if name not in alike):
         sources = []
         for run in (a, b):
             path = run.figures.get(name)
