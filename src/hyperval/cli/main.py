@@ -591,10 +591,7 @@ def validate(
     output: AnyOutput = None,
     dry_run: Annotated[
         bool,
-        typer.Option(
-            "--dry-run",
-            help="List files, values to fill in, comparisons, criteria that no data, or those in OUTPUT, decide.",
-        ),
+        typer.Option("--dry-run", help="List files, values to fill in, comparisons, and criteria that stay undecided."),
     ] = False,
     junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
     scheduler: Scheduler = None,
