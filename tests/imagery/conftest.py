@@ -28,7 +28,7 @@ def values() -> np.ndarray:
 def cube_file(tmp_path, axis, values) -> Path:
     """A valid int16 BIL reflectance cube."""
     return write_cube(
-        tmp_path / "cube.img", values, data_type=2, interleave="bil", axis=axis, reflectance_scale_factor=10000.0
+        tmp_path / "cube.img", values * 10000.0, data_type=2, axis=axis, extra={"reflectance scale factor": "10000.0"}
     )
 
 

@@ -53,8 +53,8 @@ def test_own_reader_equals_spy_and_rasterio(tmp_path, axis, interleave, order, c
     stored = np.random.default_rng(code).integers(1, high, (6, 5, 4)).astype(dtype)
     stored = stored + (dtype.type(0.25) if dtype.kind == "f" else dtype.type(0))
     path = write_cube(
-        tmp_path / "c.img", stored, data_type=code, interleave=interleave, byte_order=order, axis=axis,
-        header_offset=0 if order else 17,
+        tmp_path / "c.img", stored, data_type=code, interleave=interleave, axis=axis,
+        extra={"byte order": str(order), "header offset": "0" if order else "17"},
     )  # fmt: skip
     cube = open_cube(path, quantity="other")
     assert np.array_equal(np.concatenate([b.values for b in cube.blocks(4)]), stored)
@@ -81,7 +81,8 @@ def test_round_trip(tmp_path_factory, data, interleave, order, offset, step):
     lines, samples, bands = data.shape
     path = tmp_path_factory.mktemp("trip") / "c.dat"
     axis = SpectralAxis(400.0 + 10.0 * np.arange(bands), np.full(bands, 8.0))
-    options = {"interleave": interleave, "byte_order": order, "header_offset": offset, "axis": axis, "data_type": 5}
+    stated = {"byte order": str(order), "header offset": str(offset)}
+    options = {"interleave": interleave, "axis": axis, "data_type": 5, "extra": stated}
     with envi_writer(path, lines=lines, samples=samples, bands=bands, **options) as writer:
         for first in range(0, lines, step):
             writer.write(data[first : first + step])
@@ -206,10 +207,10 @@ def test_a_scale_is_applied_once_and_a_stated_one_replaces_that_of_the_header(cu
 
 
 def test_ignore_value_never_enters_a_mean(tmp_path, axis, values):
-    marked = values.copy()
+    marked = values * 10000.0
     marked[2, 3] = np.nan
     marked[4, 1, 2] = np.nan  # one band is enough
-    options = {"data_type": 2, "axis": axis, "reflectance_scale_factor": 10000.0, "ignore_value": -9999}
+    options = {"data_type": 2, "axis": axis, "extra": {"reflectance scale factor": "10000.0"}, "ignore_value": -9999}
     cube = open_cube(write_cube(tmp_path / "i.img", marked, **options), quantity="reflectance")
     assert cube.ignore_value == -9999
     block = cube.read(0, 6)
@@ -542,7 +543,7 @@ OVERLAPPING = SpectralAxis([400.0, 500.0, 590.0, 600.0, 700.0], 9.0)
 
 def aviris(folder: Path, stored: np.ndarray, name: str) -> Path:
     """A big-endian cube of five bands of two detectors that overlap."""
-    path = write_cube(folder / name, stored, data_type=2, interleave="bip", byte_order=1, axis=OVERLAPPING)
+    path = write_cube(folder / name, stored, data_type=2, interleave="bip", axis=OVERLAPPING, extra={"byte order": "1"})
     header = path.with_suffix(".hdr")
     header.write_text(header.read_text().replace("590.0, 600.0", "600.0, 590.0"))
     return path

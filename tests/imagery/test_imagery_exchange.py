@@ -185,8 +185,9 @@ def test_more_bands_than_an_imager_has_are_refused(tmp_path):
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
 @pytest.mark.parametrize("order", [0, 1])
 def test_an_envi_cube_becomes_a_mapped_image_of_spy(tmp_path, axis, values, interleave, order):
-    options = {"data_type": 2, "axis": axis, "reflectance_scale_factor": 10000.0, "header_offset": 13}
-    path = write_cube(tmp_path / "c.img", values, interleave=interleave, byte_order=order, **options)
+    stated = {"reflectance scale factor": "10000.0", "header offset": "13", "byte order": str(order)}
+    options = {"data_type": 2, "axis": axis, "interleave": interleave, "extra": stated}
+    path = write_cube(tmp_path / "c.img", values * 10000.0, **options)
     image = open_cube(path, quantity="reflectance").to_spy()
     assert isinstance(image, spectral.io.spyfile.SpyFile)
     assert np.allclose(image.load(), values, atol=1e-7)

@@ -236,5 +236,6 @@ def test_metres_of_a_degree_are_those_of_a_map(latitude):
 def test_the_angle_of_the_sun_in_an_observation_file(tmp_path, bent, second, want):
     angles = np.stack([np.full(BENT, 4000.0), np.full(BENT, 41.5)], axis=-1)
     angles[:, :3] = -9999.0
-    path = imagery.write_cube(tmp_path / "f01_rdn_obs", angles, data_type=5, band_names=("Path length (m)", second))
+    names = {"band names": f"{{Path length (m), {second}}}"}
+    path = imagery.write_cube(tmp_path / "f01_rdn_obs", angles, data_type=5, extra=names)
     assert imagery.sun_zenith_deg(imagery.open_raster(bent)) == (None if want is None else (want, path.name))

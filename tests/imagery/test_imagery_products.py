@@ -467,8 +467,8 @@ def test_a_table_beside_an_image_of_the_same_name_is_no_image(tmp_path, axis):
 
 def test_more_names_than_bands_name_no_band(tmp_path, axis):
     image = write_cube(tmp_path / "f01_rdn_img", np.full((6, 5, len(axis)), 2.0), data_type=4, axis=axis)
-    names = ("Path length", "To-sensor", "To-sun zenith")
-    path = write_cube(tmp_path / "f01_rdn_obs", np.full((6, 5, 2), 0.5), data_type=5, band_names=names)
+    names = {"band names": "{Path length, To-sensor, To-sun zenith}"}
+    path = write_cube(tmp_path / "f01_rdn_obs", np.full((6, 5, 2), 0.5), data_type=5, extra=names)
     assert sun_zenith_deg(open_raster(image)) is None
     truth = AbundanceTruth(image=path.name, materials={"panel": "To-sun zenith"})
     with pytest.raises(InputError, match="a number, 1 to 2: its header has no name for each band"):

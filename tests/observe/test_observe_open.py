@@ -262,7 +262,7 @@ def test_where_no_size_is_known_no_area_is_compared(world):
 def test_rasters_of_materials_and_sizes_are_truth_and_areas_need_a_ground_size(world):
     write_cube(world.folder / "cube.img", world.values, data_type=5, axis=AXIS)
     for name in ("sizes.img", "paint.img"):
-        write_cube(world.folder / name, planted()[..., None], data_type=1, file_type="ENVI Standard")
+        write_cube(world.folder / name, planted()[..., None], data_type=1)
     world.collection["targets"] = {
         "rasters": {"materials": {"paint": "paint.img"}, "size_classes": "sizes.img", "side_m": {1: 0.5}}
     }

@@ -26,7 +26,7 @@ import numpy.typing as npt
 import shapely
 from affine import Affine
 from rasterio.crs import CRS
-from rasterio.errors import CRSError, NotGeoreferencedWarning
+from rasterio.errors import CRSError
 from rasterio.features import rasterize
 from rasterio.warp import transform as reproject
 from scipy import ndimage
@@ -113,10 +113,7 @@ def _burned(polygons: Sequence[BaseGeometry], shape: tuple[int, int], *, touched
     """(lines, samples) mask of polygons."""
     if not polygons:
         return np.zeros(shape, bool)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        mask = rasterize(polygons, out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
-    return np.asarray(mask.astype(bool))
+    return np.asarray(rasterize(polygons, out_shape=shape, fill=0, dtype="uint8", all_touched=touched), bool)
 
 
 def point_mask(points: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
@@ -230,38 +227,40 @@ class RegionDrawing:
     Attributes
     ----------
     shape : (lines, samples) of the image
-    marked : mask of pixels that are named by their numbers, None without
     polygons, points : in pixel coordinates
+    pixels : those that are named one by one, by their place among all of the image
     stated_pixels : number of pixels as the file states it, None when it does not
     """
 
     shape: tuple[int, int]
-    marked: Mask | None = None
     polygons: list[BaseGeometry] = field(default_factory=list)
     points: list[BaseGeometry] = field(default_factory=list)
+    pixels: list[npt.NDArray[np.int64]] = field(default_factory=list)
     stated_pixels: int | None = None
 
-    def add(self, geometry: BaseGeometry, where: str) -> None:
-        """Add a polygon or points in pixel coordinates; of what leaves the image only the numbers are looked at.
+    def add(self, part: Part, where: str) -> None:
+        """Add a part; of a geometry that leaves the image only the numbers are looked at.
 
         Raises
         ------
-        InputError : coordinates that are none.
+        InputError : coordinates that are none, or pixels that the image does not have.
         """
-        xy = shapely.get_coordinates(geometry)
-        if not np.abs(xy).max() <= FARTHEST:
-            raise outside_error(xy, self.shape, where)
-        (self.points if geometry.geom_type in _POINTS else self.polygons).append(geometry)
-
-    def add_pixels(self, rows: npt.ArrayLike, cols: npt.ArrayLike, where: str) -> None:
-        """Add pixels named by 0-based whole numbers, which must be in the image."""
-        r, c = np.asarray(rows, dtype=np.int64), np.asarray(cols, dtype=np.int64)
-        out = np.flatnonzero((r < 0) | (r >= self.shape[0]) | (c < 0) | (c >= self.shape[1]))
-        if out.size:
-            counts = {"outside": out.size, "count": r.size, "line": r[out[0]], "sample": c[out[0]]}
-            raise refusal("region.pixels", where, last=(self.shape[0] - 1, self.shape[1] - 1), **counts)
-        self.marked = np.zeros(self.shape, bool) if self.marked is None else self.marked
-        self.marked[r, c] = True
+        if isinstance(part, int):
+            self.stated_pixels = part
+        elif isinstance(part, BaseGeometry):
+            xy = shapely.get_coordinates(part)
+            if not np.abs(xy).max() <= FARTHEST:
+                raise outside_error(xy, self.shape, where)
+            (self.points if part.geom_type in _POINTS else self.polygons).append(part)
+        elif part.dtype == bool:
+            self.pixels.append(np.flatnonzero(part))
+        else:
+            lines, samples = part.reshape(-1, 2).T
+            out = np.flatnonzero((lines < 0) | (lines >= self.shape[0]) | (samples < 0) | (samples >= self.shape[1]))
+            if out.size:
+                counts = {"outside": out.size, "count": lines.size, "line": lines[out[0]], "sample": samples[out[0]]}
+                raise refusal("region.pixels", where, last=(self.shape[0] - 1, self.shape[1] - 1), **counts)
+            self.pixels.append(lines * self.shape[1] + samples)
 
     def drawn(self, where: str, *, touched: bool = False) -> tuple[Mask, tuple[str, ...]]:
         """(lines, samples) mask of the pixels whose centres the region holds, and what is to be said of it.
@@ -275,8 +274,7 @@ class RegionDrawing:
         points = shapely.get_coordinates(self.points)
         inside = np.array([inside_image(p, self.shape) for p in points], dtype=bool)
         mask = _burned(self.polygons, self.shape) | point_mask(points[inside], self.shape, where=where)
-        if self.marked is not None:
-            mask |= self.marked
+        mask.flat[np.concatenate([*self.pixels, np.zeros(0, np.int64)])] = True
         left = [p for p in self.polygons if not inside_image(shapely.get_coordinates(p), self.shape)]
         if (left or not inside.all()) and not mask.any():
             raise outside_error(np.vstack([shapely.get_coordinates(left), points]), self.shape, where)
@@ -305,7 +303,10 @@ def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> 
     return 1.0 - float(np.sum(shapely.area(inside))) / area if area > 0.0 else 0.0
 
 
-Drawings = dict[str, RegionDrawing]
+# A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, a mask of the image, or how many
+# pixels the region has as its file says.
+Part = BaseGeometry | npt.NDArray[Any] | int
+Drawn = Iterator[tuple[str, str, Iterable[Part]]]  # what a file draws: a name, its place for messages, and the parts
 Feature = tuple[Any, Mapping[str, Any], str]  # geometry of GeoJSON or WKB, attributes, name where none of them gives it
 MAX_XML_BYTES = 8 << 20
 MAX_BINARY_BYTES = 64 << 20
@@ -318,8 +319,8 @@ REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what E
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
 
 
-def xml_drawings(path: Path, grid: ImageGrid) -> Drawings:
-    """Drawings by name of an ENVI 5 ROI file.
+def xml_regions(path: Path, grid: ImageGrid) -> Drawn:
+    """Regions of an ENVI 5 ROI file.
 
     ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
     are projected to the cube's system where it differs.
@@ -330,48 +331,46 @@ def xml_drawings(path: Path, grid: ImageGrid) -> Drawings:
     """
     root = read_xml(path, MAX_XML_BYTES)
     refuse(root.tag != "RegionsOfInterest", "roi.root", path, tag=root.tag)
-    drawings: Drawings = {}
     for number, region in enumerate(root.iter("Region"), start=1):
         name = region.get("name") or str(number)
-        where = f"{path}: region {name!r}"
-        drawing = _new(drawings, name, grid.shape, where)
-        definitions = list(region.iter("GeometryDef"))
+        where, definitions = f"{path}: region {name!r}", list(region.iter("GeometryDef"))
         refuse(not definitions, "roi.no_geometry", where)
-        for definition in definitions:
-            system = " ".join((definition.findtext("CoordSysStr") or "none").split())
-            source = None if system.lower() == "none" else crs_of_wkt(system)
-            if source is None and system.lower() != "none":
-                raise refusal("region.system", where, name=system[:60])
-            place = replace(grid, coordinates="pixel" if source is None else None).placing(source, where)
-            for child in definition:
-                for geometry in _xml_geometries(child, where):
-                    drawing.add(place(geometry_of(geometry, where), where), where)
-    return drawings
+        yield name, where, [part for definition in definitions for part in _xml_parts(definition, grid, where)]
 
 
-def _xml_geometries(element: ElementTree.Element, where: str) -> Iterator[dict[str, Any]]:
-    """The polygons or points of an element of ENVI's, as GeoJSON has them."""
-    if element.tag in ("Point", "MultiPoint"):
-        yield {"type": "MultiPoint", "coordinates": _xml_pairs(element, where)}
-    elif element.tag in ("Polygon", "MultiPolygon"):
-        for polygon in element.iter("Polygon"):
-            outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
-            refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
-            yield {"type": "Polygon", "coordinates": [_xml_pairs(ring, where).tolist() for ring in (*outer, *inner)]}
-    elif element.tag != "CoordSysStr":
-        yield {"type": element.tag}
+def _xml_parts(definition: ElementTree.Element, grid: ImageGrid, where: str) -> Iterator[BaseGeometry]:
+    """The polygons and points of a definition, which states their coordinate system, in pixel coordinates."""
+    system = " ".join((definition.findtext("CoordSysStr") or "none").split())
+    in_pixels = system.lower() == "none"
+    source = None if in_pixels else crs_of_wkt(system)
+    refuse(source is None and not in_pixels, "region.system", where, name=system[:60])
+    place = replace(grid, coordinates="pixel" if in_pixels else None).placing(source, where)
+    for child in (child for child in definition if child.tag != "CoordSysStr"):
+        made: list[dict[str, Any]] = [{"type": child.tag}]
+        if child.tag in _POINTS:
+            made = [{"type": "MultiPoint", "coordinates": _xml_pairs(child, where)}]
+        elif child.tag in _AREAS:
+            made = [_xml_polygon(polygon, where) for polygon in child.iter("Polygon")]
+        yield from (place(geometry_of(one, where), where) for one in made)
 
 
-def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
+def _xml_polygon(polygon: ElementTree.Element, where: str) -> dict[str, Any]:
+    outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
+    refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
+    return {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
+
+
+def _xml_pairs(element: ElementTree.Element, where: str) -> list[list[float]]:
     text = " ".join(part.text or "" for part in element.iter("Coordinates"))
     values = np.array([number_of(v) for v in text.split()])
     refuse(np.isnan(values).any(), "roi.coordinates", where)
     refuse(values.size == 0 or values.size % 2, "roi.pairs", where, count=values.size)
-    return values.reshape(-1, 2)
+    pairs: list[list[float]] = values.reshape(-1, 2).tolist()
+    return pairs
 
 
-def ascii_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
-    """Drawings by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
+def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
+    """Regions of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
 
     Raises
     ------
@@ -399,43 +398,26 @@ def ascii_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
         if made_for is None:
             raise refusal("roi.dimension", where, value=value)
         size = int(made_for[2]), int(made_for[1])
-        refuse(size != shape, "roi.size", where, size=size, shape=shape)
+        refuse(size != grid.shape, "roi.size", where, size=size, shape=grid.shape)
     names = [name for name, _ in told.get("roi name", [])]
     counts = [_whole(*count) for count in told.get("roi npts", [])]
     announced = [_whole(*count) for count in told.get("number of rois", [(str(len(names)), "")])][-1]
     if len(names) != len(counts) or announced != len(names) or sum(counts) != len(rows):
         found = {"announced": announced, "names": len(names), "points": sum(counts), "rows": len(rows)}
         raise refusal("roi.counts", path, **found)
-    refuse(len(set(names)) < len(names), "roi.names", path)
-    starts = np.cumsum([0, *counts])
-    return _pixel_drawings({name: rows[starts[i] : starts[i + 1]] for i, name in enumerate(names)}, shape, path)
+    parts = np.split(np.array(rows, np.int64).reshape(-1, 2), np.cumsum(counts[:-1], dtype=int))
+    for name, part in zip(names, parts, strict=False):
+        yield name, f"{path}: region {name!r}", [part]
 
 
-def _pixel_drawings(pixels: Mapping[str, Sequence[tuple[int, int]]], shape: tuple[int, int], path: Path) -> Drawings:
-    """Drawings of pixels (line, sample) from 0 by name."""
-    drawings: Drawings = {}
-    for name, listed in pixels.items():
-        lines, samples = np.array(listed, dtype=np.int64).reshape(-1, 2).T
-        where = f"{path}: region {name!r}"
-        _new(drawings, name, shape, where).add_pixels(lines, samples, where)
-    return drawings
-
-
-def _new(drawings: Drawings, name: str, shape: tuple[int, int], where: str) -> RegionDrawing:
-    """A drawing under a name that none has yet."""
-    refuse(name in drawings, "roi.twice", where)
-    drawings[name] = RegionDrawing(shape)
-    return drawings[name]
-
-
-def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
-    """Drawings by name of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
+def binary_regions(path: Path, grid: ImageGrid) -> Drawn:
+    """Regions of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
 
     Raises
     ------
     InputError : larger than 64 MiB, cut short, made for an image of another size, or with polylines.
     """
-    raw, at = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4
+    raw, at, shape = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4, grid.shape
 
     def words(count: int, kind: str = "i") -> tuple[int, ...]:
         nonlocal at
@@ -443,7 +425,6 @@ def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
         at += 4 * count
         return struct.unpack_from(f">{count}{kind}", raw, at - 4 * count)
 
-    drawings: Drawings = {}
     for _ in range(words(1)[0]):
         length = words(2)[1]
         refuse(not 0 <= length <= 4096 or at + length > len(raw), "roi.name", path)
@@ -452,18 +433,17 @@ def binary_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
         table, where = words(45), f"{path}: region {name!r}"
         refuse(table[1::-1] != shape, "roi.size", where, size=table[1::-1], shape=shape)
         refuse(table[43], "roi.polylines", where)
-        drawing = _new(drawings, name, shape, where)
+        parts: list[Part] = []
         if table[44]:
             words(1)
-            addresses = np.array(words(table[3]), dtype=np.int64)
-            drawing.add_pixels(addresses // shape[1], addresses % shape[1], where)
+            parts.append(np.column_stack(np.divmod(np.array(words(table[3]), np.int64), shape[1])))
         elif table[3] > 0:
-            drawing.stated_pixels = table[3]
+            parts.append(table[3])
         for _ in range(table[42]):
             vertices = words(2)[0]
             ring = list(zip(words(vertices, "f"), words(vertices, "f"), strict=True))
-            drawing.add(geometry_of({"type": "Polygon", "coordinates": [ring]}, where), where)
-    return drawings
+            parts.append(geometry_of({"type": "Polygon", "coordinates": [ring]}, where))
+        yield name, where, parts
 
 
 def _whole(text: str, where: str) -> int:
@@ -471,8 +451,8 @@ def _whole(text: str, where: str) -> int:
     return int(text)
 
 
-def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
-    """Drawings by name of a CSV pixel list.
+def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
+    """Regions of a CSV pixel list.
 
     Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
     ``name`` or ``class`` where the file holds more than one region.
@@ -482,50 +462,48 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> Drawings:
     if pair is None:
         raise refusal("region.columns", f"{path}:1", columns=", ".join(fields) or "none")
     column = next((c for c in REGION_COLUMNS if c in fields), None)
-    pixels: dict[str, list[tuple[int, int]]] = {}
+    pixels: dict[str, list[list[int]]] = {}
     for number, row in rows:
         if not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair):
             numbers = {"first": row[pair[0]], "second": row[pair[1]]}
             raise refusal("region.row", f"{path}:{number}", pair=pair, **numbers)
         name = row[column] if column else path.stem
         refuse(not name, "region.no_name", f"{path}:{number}", column=column)
-        pixels.setdefault(name, []).append((int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]))
-    return _pixel_drawings(pixels, shape, path)
+        pixels.setdefault(name, []).append([int(row[key]) - _COLUMNS[pair] for key in pair])
+    for name, listed in pixels.items():
+        yield name, f"{path}: region {name!r}", [np.array(listed, np.int64)]
 
 
-def raster_drawings(path: Path, shape: tuple[int, int], variable: str | None = None) -> Drawings:
-    """Drawings of the classes of a raster of one band, or of the bands of a raster of several.
+def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
+    """The classes of a raster of one band, or the bands of a raster of several; of the array ``grid.name_field``.
 
     One band: a class for every whole number but 0 and the ignore value, under the class name of the header, else under
     the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
     under the band name.
     """
-    raster = raster_of_size(path, shape, variable)
-    stored, about = raster.read_bands(0, raster.lines), raster.description
+    raster = raster_of_size(path, grid.shape, grid.name_field)
+    stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
         names = about.band_names
         if len(set(names)) != raster.bands:
             names = tuple(f"band-{i + 1}" for i in range(raster.bands))
-        return {name: RegionDrawing(shape, (stored[i] != 0) & valid[i]) for i, name in enumerate(names)}
+        yield from ((name, where, [(stored[i] != 0) & valid[i]]) for i, name in enumerate(names))
+        return
     values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
     numbers = [int(v) for v in values if v != 0]
     listed = [name.strip() for name in about.entries.get("class names", "").split(",")]
-    out: Drawings = {}
     for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
         name = listed[value] if 0 < value < len(listed) else ""
         name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
-        name = name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}")
-        refuse(name in out, "region.two_classes", path, name=name)
-        out[name] = RegionDrawing(shape, stored[0] == value)
-    return out
+        yield name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}"), where, [stored[0] == value]
 
 
-def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
-    """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united.
+def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
+    """The polygons and points of a GeoJSON file.
 
     Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
     has it.
@@ -541,8 +519,7 @@ def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
     name = _within(data, "crs", "properties", "name")
     stated = named_crs(name, str(path)) if isinstance(name, str) else None
     assumed = grid.coordinates is None and stated is None
-    if assumed and grid.transform is None:
-        raise refusal("geojson.no_position", path)
+    refuse(assumed and grid.transform is None, "geojson.no_position", path)
     placed = grid.placing(stated, str(path))
 
     def place(geometry: BaseGeometry, where: str) -> BaseGeometry:
@@ -556,7 +533,7 @@ def geojson_drawings(path: Path, grid: ImageGrid) -> Drawings:
         own, known = _within(feature, "id"), _within(feature, "properties")
         fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
         features.append((geometry, known if isinstance(known, dict) else {}, fallback))
-    return _united({}, features, place, grid, f"{path}: ")
+    return _named(features, place, grid, f"{path}: ")
 
 
 def _whole_number(text: str) -> int:
@@ -572,8 +549,8 @@ def _within(data: Any, *keys: str) -> Any:
     return data
 
 
-def _united(drawings: Drawings, features: Iterable[Feature], place: Placing, grid: ImageGrid, where: str) -> Drawings:
-    """Drawings with features added to those of their names: of the attribute that names them, else their own.
+def _named(features: Iterable[Feature], place: Placing, grid: ImageGrid, where: str) -> Drawn:
+    """Features under the names that an attribute gives them, else their own.
 
     Raises
     ------
@@ -588,8 +565,7 @@ def _united(drawings: Drawings, features: Iterable[Feature], place: Placing, gri
         named = next((lower[c] for c in columns if lower.get(c) is not None), None)
         name = ("" if named is None or named != named else str(named).strip()) or fallback
         at = f"{at} ({name})"
-        drawings.setdefault(name, RegionDrawing(grid.shape)).add(place(geometry_of(geometry, at), at), at)
-    return drawings
+        yield name, at, [place(geometry_of(geometry, at), at)]
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -604,8 +580,8 @@ def is_kml(head: bytes) -> bool:
     return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
 
 
-def vector_drawings(path: Path, grid: ImageGrid) -> Drawings:
-    """Drawings by name of the polygons and points of every layer; features of one name are united.
+def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
+    """The polygons and points of every layer of a file that GDAL reads.
 
     A name comes from the attribute ``name_field``, or else from ``region``, ``name``, ``class`` or ``class_name``;
     a layer without attributes of text gives its own.  The file's coordinate system places them; where it has none,
@@ -623,48 +599,31 @@ def vector_drawings(path: Path, grid: ImageGrid) -> Drawings:
     except ImportError:
         raise refusal("vector.package", path) from None
     _check_files(path)
-    drawings: Drawings = {}
+    wanted = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
-            for layer in layers:
+            for layer in [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]:
+                where = f"{path}: layer {layer!r}"
                 count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
                 refuse(count > MAX_FEATURES, "vector.features", path, count=count, most=MAX_FEATURES)
                 meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
-                fields = dict(zip((str(f) for f in meta["fields"]), columns, strict=True))
-                _layer_drawings(drawings, f"{path}: layer {layer!r}", layer, meta["crs"], shapes, fields, grid)
+                own = named_crs(meta["crs"], where) if meta["crs"] else None
+                refuse(own is None and grid.coordinates is None, "vector.no_system", where)
+                if own is not None and grid.coordinates == "pixel":
+                    raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
+                fields = [str(f) for f in meta["fields"]]
+                texts = any(np.asarray(values).dtype.kind == "O" for values in columns)
+                if not {f.lower() for f in fields} & {*wanted} and (grid.name_field or (len(shapes) > 1 and texts)):
+                    lacking = repr(grid.name_field) if grid.name_field else "that names the regions"
+                    known = ", ".join(fields) or "none"
+                    raise refusal("vector.attribute", where, what=f"no attribute {lacking}", known=known)
+                rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
+                names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
+                features = zip(shapes, rows, names, strict=True)
+                yield from _named(features, grid.placing(own, where), grid, f"{where}, ")
     except (DataLayerError, DataSourceError) as error:
         raise refusal("vector.unreadable", path, why=error) from error
-    return drawings
-
-
-def _layer_drawings(
-    drawings: Drawings,
-    where: str,
-    layer: str,
-    stated: str | None,
-    shapes: Sequence[bytes | None],
-    fields: Mapping[str, Any],
-    grid: ImageGrid,
-) -> None:
-    """Add the features of a layer, whose attributes stand in columns."""
-    own = named_crs(stated, where) if stated else None
-    if own is None and grid.coordinates is None:
-        raise refusal("vector.no_system", where)
-    if own is not None and grid.coordinates == "pixel":
-        raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
-    wanted = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
-    texts = any(np.asarray(values).dtype.kind == "O" for values in fields.values())
-    if not {f.lower() for f in fields} & set(wanted) and (grid.name_field or (len(shapes) > 1 and texts)):
-        what = f"no attribute {grid.name_field!r}" if grid.name_field else "no attribute that names the regions"
-        raise refusal("vector.attribute", where, what=what, known=", ".join(fields) or "none")
-    features = []
-    for i, wkb in enumerate(shapes):
-        known = {name: values[i] for name, values in fields.items()}
-        own_name = layer if len(shapes) == 1 else f"{layer}-{i + 1}"
-        features.append((wkb, known, own_name))
-    _united(drawings, features, grid.placing(own, where), grid, f"{where}, ")
 
 
 def _check_files(path: Path) -> None:
@@ -679,32 +638,36 @@ def _check_files(path: Path) -> None:
     refuse(sum(f.stat().st_size for f in files) > MAX_BYTES, "vector.large", path, mib=MAX_BYTES >> 20)
 
 
-def drawings_of(path: Path, grid: ImageGrid) -> Drawings:
-    """What a file of regions draws, by name; the format is known from its content.
-
-    Raises
-    ------
-    UsageError : a format that is not known.
-    """
-    head, shape = head_of(path), grid.shape
-    stripped, ending = head.lstrip(b"\xef\xbb\xbf \t\r\n"), path.suffix.lower()
-    if ending in TIFF_SUFFIXES or head[:4] in TIFF_MARKS:
-        return raster_drawings(path, shape)
-    if stripped.startswith(b"<") and not is_kml(head):
-        return xml_drawings(path, grid)
-    if b"ENVI Output of ROIs" in head[:200]:
-        return ascii_drawings(path, shape)
-    if head.startswith(b"JoeB"):
-        return binary_drawings(path, shape)
-    if head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a" or is_kml(head):
-        return vector_drawings(path, grid)
-    if stripped.startswith(b"{"):
-        return geojson_drawings(path, grid)
+def _reader_of(path: Path) -> Callable[[Path, ImageGrid], Drawn]:
+    """What reads a file of regions, whose format is known from its content; UsageError for one that is not known."""
+    head, ending = head_of(path), path.suffix.lower()
+    stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    for fits, regions in (
+        (ending in TIFF_SUFFIXES or head[:4] in TIFF_MARKS, raster_regions),
+        (stripped.startswith(b"<") and not is_kml(head), xml_regions),
+        (b"ENVI Output of ROIs" in head[:200], ascii_regions),
+        (head.startswith(b"JoeB"), binary_regions),
+        (head.startswith((b"SQLite format 3\0", b"\x00\x00\x27\x0a")) or is_kml(head), vector_regions),
+        (stripped.startswith(b"{"), geojson_regions),
+    ):
+        if fits:
+            return regions
     if ending == ".hdr" or kind_of(path) in MATRICES or header_beside(path) is not None:
-        return raster_drawings(path, shape, grid.name_field)
-    if ending in (".csv", ".txt"):
-        return csv_drawings(path, shape)
-    raise refusal("region.format", path)
+        return raster_regions
+    refuse(ending not in (".csv", ".txt"), "region.format", path)
+    return csv_regions
+
+
+def drawings_of(path: Path, grid: ImageGrid) -> dict[str, RegionDrawing]:
+    """What a file of regions draws, by name; features of one name are one region, other regions of one name refused."""
+    drawings: dict[str, RegionDrawing] = {}
+    regions = _reader_of(path)
+    for name, where, parts in regions(path, grid):
+        refuse(name in drawings and regions not in (geojson_regions, vector_regions), "roi.twice", where, name=name)
+        drawing = drawings.setdefault(name, RegionDrawing(grid.shape))
+        for part in parts:
+            drawing.add(part, where)
+    return drawings
 
 
 @dataclass(frozen=True, eq=False)

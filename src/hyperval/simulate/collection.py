@@ -439,8 +439,8 @@ def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: Gro
         data_type=1,
         interleave="bsq",
         description="SIMULATED truth: surface class",
-        file_type="ENVI Classification",
-        extra={"classes": str(len(names)), "class names": "{" + ", ".join(names) + "}"},
+        extra={"file type": "ENVI Classification"}
+        | {"classes": str(len(names)), "class names": "{" + ", ".join(names) + "}"},
         **_place(scene),
     )
     words = "SIMULATED truth: share of planks in the pixel's signal"
