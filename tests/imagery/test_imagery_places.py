@@ -53,7 +53,8 @@ def test_places_come_back_to_a_part_of_a_pixel_in_every_layout(tmp_path, line, t
     assert np.abs(found - places).max() < 0.5
     assert np.abs((found - places).mean(axis=0)).max() < 0.02  # no half-pixel shift
     stored, transform = line.table()
-    layout = {"band_names": ("GLT Line", "GLT Sample"), "interleave": "bsq", "data_type": 2, "byte_order": 1}
+    stated = {"band names": "{GLT Line, GLT Sample}", "byte order": "1"}
+    layout = {"extra": stated, "interleave": "bsq", "data_type": 2}
     swapped = imagery.open_lookup_table(write_table(tmp_path / "s.dat", stored[..., ::-1], transform, **layout), SHAPE)
     assert swapped.swapped
     assert np.array_equal(swapped.to_pixel(line.on_map(*places.T), where="t"), found)
@@ -135,8 +136,8 @@ def test_places_off_the_line_and_units_that_are_none(tmp_path, line, table):
 def test_what_is_no_table_of_this_line(tmp_path, line, change, shape, options, message):
     stored, transform = line.table()
     made = change(stored)
-    names = tuple(f"b{i}" for i in range(made.shape[2]))
-    options = {"transform": transform, "band_names": names} | options
+    names = ", ".join(f"b{i}" for i in range(made.shape[2]))
+    options = {"transform": transform, "extra": {"band names": f"{{{names}}}"}} | options
     path = write_table(tmp_path / "glt.dat", made, **options)
     with pytest.raises(InputError, match=message):
         imagery.open_lookup_table(path, shape)

@@ -70,5 +70,5 @@ class ScannedLine:
 def write_table(path: Path, stored: np.ndarray, transform: Affine | None, **options) -> Path:
     """Write a lookup table as ENVI."""
     given = {"data_type": 3, "transform": transform, "crs": UTM18 if transform else None,
-             "band_names": ("GLT Sample Look-up", "GLT Line Look-up")}  # fmt: skip
+             "extra": {"band names": "{GLT Sample Look-up, GLT Line Look-up}"}}  # fmt: skip
     return write_cube(path, stored, **(given | options))
