@@ -520,10 +520,8 @@ def read_modtran_json(path: Path) -> list[dict[str, Any]]:
     """
     try:
         document = json.loads(read_text(path, _MAX_BYTES))
-    except json.JSONDecodeError as error:
-        raise refusal("modtran.json", f"{path}:{error.lineno}", why=error.msg) from error
-    except RecursionError as error:
-        raise refusal("modtran.json", path, why="nested too deeply") from error
+    except (ValueError, RecursionError) as error:  # the text of the first says where
+        raise refusal("modtran.json", path, why=error) from error
     cases: Any = document.get("MODTRAN") if isinstance(document, dict) else None
     refuse(not isinstance(cases, list) or not cases, "modtran.no_list", path)
     for number, case in enumerate(cases):

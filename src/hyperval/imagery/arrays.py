@@ -100,11 +100,9 @@ class Store:
     def chunks(self, name: str) -> tuple[int, ...] | None:
         """Size of the blocks that an array is stored in, None when it is stored as one."""
         with self.kept_open() as opened:
-            array = opened[name]
-            size: tuple[int, ...] | None = getattr(array, "encoding", {}).get("chunksizes") or getattr(
-                array if isinstance(array, h5py.Dataset) else None, "chunks", None
-            )
-            return size
+            array: Any = opened[name]
+            own = array.chunks if isinstance(array, h5py.Dataset) else getattr(array, "encoding", {}).get("chunksizes")
+            return own or None
 
 
 def hdf5(path: Path) -> h5py.File:

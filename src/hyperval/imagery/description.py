@@ -8,10 +8,10 @@ wavelengths, which unit and which scale an image has, and which of its pixels ho
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, time
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -318,8 +318,6 @@ def _spacing_by_detector(centre: Array) -> Array:
 
     Once sorted, the bands of two detectors that overlap lie closer to each other than either's own.
     """
-    if np.all(np.diff(centre) < 0):
-        return fwhm_from_spacing(centre[::-1])[::-1]
     detectors = np.split(centre, np.flatnonzero(np.diff(centre) <= 0) + 1)
     if min(d.size for d in detectors) >= 2:
         return np.concatenate([fwhm_from_spacing(d) for d in detectors])
@@ -642,33 +640,25 @@ def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[s
     """
     utc, notes = when.astimezone(UTC), []
     for key, text in _matching(entries, _TIMES):
-        day, seconds, told = _day(text), _clock(text), {"key": key, "name": name, "utc": utc}
+        # Days in the form 2012-09-20 or 2012/09/20: other orders are not clear.
+        day = _first(date, r"(?<![0-9])([0-9]{4})[-/]([0-9]{1,2})[-/]([0-9]{1,2})(?![0-9])", text)
+        clock = _first(time, r"(?<![0-9:])([0-9]{1,2}):([0-9]{2})(?::([0-9]{2}))?", text)
+        told = {"key": key, "name": name, "utc": utc}
         if day is not None and day != utc.date():
             notes.append(_said("day", text, **told))
-        elif seconds is not None:
-            of_day = utc.hour * 3600.0 + utc.minute * 60.0 + utc.second
-            apart = (seconds - of_day + 43200.0) % 86400.0 - 43200.0
-            if abs(apart) > 60.0 * MINUTES_APART:
-                notes.append(
-                    _said("time", text, minutes=abs(apart) / 60, side="after" if apart > 0 else "before", **told)
-                )
+        elif clock is not None:
+            apart = (datetime.combine(utc, clock, UTC) - utc).total_seconds() / 60.0
+            apart = (apart + 720.0) % 1440.0 - 720.0
+            if abs(apart) > MINUTES_APART:
+                notes.append(_said("time", text, minutes=abs(apart), side="after" if apart > 0 else "before", **told))
     return tuple(notes)
 
 
-def _clock(text: str) -> float | None:
-    """Seconds since midnight of the first hh:mm or hh:mm:ss in a text."""
-    match = re.search(r"(?<![0-9:])([0-9]{1,2}):([0-9]{2})(?::([0-9]{2}(?:\.[0-9]+)?))?", text)
-    if match is None:
-        return None
-    hour, minute, second = int(match.group(1)), int(match.group(2)), float(match.group(3) or 0.0)
-    return hour * 3600.0 + minute * 60.0 + second if hour < 24 and minute < 60 and second < 61 else None
-
-
-def _day(text: str) -> date | None:
-    """The first date in the form 2012-09-20 or 2012/09/20; other orders are not clear."""
-    match = re.search(r"(?<![0-9])([0-9]{4})[-/]([0-9]{1,2})[-/]([0-9]{1,2})(?![0-9])", text)
+def _first(kind: Callable[..., Any], pattern: str, text: str) -> Any:
+    """What the first numbers of a form are, None without or where they are none."""
+    match = re.search(pattern, text)
     try:
-        return date(*(int(g) for g in match.groups())) if match is not None else None
+        return kind(*(int(group or 0) for group in match.groups())) if match is not None else None
     except ValueError:
         return None
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
@@ -305,7 +305,7 @@ def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> 
 
 # A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, a mask of the image, or how many
 # pixels the region has as its file says.
-Part = BaseGeometry | npt.NDArray[Any] | int
+Part: TypeAlias = BaseGeometry | npt.NDArray[Any] | int
 Drawn = Iterator[tuple[str, str, Iterable[Part]]]  # what a file draws: a name, its place for messages, and the parts
 Feature = tuple[Any, Mapping[str, Any], str]  # geometry of GeoJSON or WKB, attributes, name where none of them gives it
 MAX_XML_BYTES = 8 << 20
@@ -313,7 +313,6 @@ MAX_BINARY_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
 MAX_CLASSES = 1000
-_MAX_DIGITS = 300  # more are no float
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
 REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
@@ -509,7 +508,7 @@ def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
     has it.
     """
     try:
-        data = json.loads(read_text(path), object_pairs_hook=_once, parse_int=_whole_number)
+        data = json.loads(read_text(path), object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
         raise refusal("geojson.text", path, why=error) from error
     kind = data.get("type") if isinstance(data, dict) else None
@@ -534,12 +533,6 @@ def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
         fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
         features.append((geometry, known if isinstance(known, dict) else {}, fallback))
     return _named(features, place, grid, f"{path}: ")
-
-
-def _whole_number(text: str) -> int:
-    if len(text) > _MAX_DIGITS:
-        raise ValueError(f"a number of {len(text)} digits")
-    return int(text)
 
 
 def _within(data: Any, *keys: str) -> Any:
