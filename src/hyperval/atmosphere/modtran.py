@@ -520,8 +520,9 @@ def read_modtran_json(path: Path) -> list[dict[str, Any]]:
     """
     try:
         document = json.loads(read_text(path, _MAX_BYTES))
-    except (ValueError, RecursionError) as error:  # the text of the first says where
-        raise refusal("modtran.json", path, why=error) from error
+    except (json.JSONDecodeError, RecursionError) as error:
+        why, line = getattr(error, "msg", "nested too deeply"), getattr(error, "lineno", 1)
+        raise refusal("modtran.json", f"{path}:{line}", why=why) from error
     cases: Any = document.get("MODTRAN") if isinstance(document, dict) else None
     refuse(not isinstance(cases, list) or not cases, "modtran.no_list", path)
     for number, case in enumerate(cases):
