@@ -52,10 +52,8 @@ def test_own_reader_equals_spy_and_rasterio(tmp_path, axis, interleave, order, c
     high = 200 if code == 1 else 30000
     stored = np.random.default_rng(code).integers(1, high, (6, 5, 4)).astype(dtype)
     stored = stored + (dtype.type(0.25) if dtype.kind == "f" else dtype.type(0))
-    path = write_cube(
-        tmp_path / "c.img", stored, data_type=code, interleave=interleave, axis=axis,
-        extra={"byte order": str(order), "header offset": "0" if order else "17"},
-    )  # fmt: skip
+    layout = {"byte order": str(order), "header offset": "0" if order else "17"}
+    path = write_cube(tmp_path / "c.img", stored, data_type=code, interleave=interleave, axis=axis, extra=layout)
     cube = open_cube(path, quantity="other")
     assert np.array_equal(np.concatenate([b.values for b in cube.blocks(4)]), stored)
     theirs = spectral.open_image(str(path.with_suffix(".hdr"))).open_memmap(interleave="bip")
@@ -81,8 +79,8 @@ def test_round_trip(tmp_path_factory, data, interleave, order, offset, step):
     lines, samples, bands = data.shape
     path = tmp_path_factory.mktemp("trip") / "c.dat"
     axis = SpectralAxis(400.0 + 10.0 * np.arange(bands), np.full(bands, 8.0))
-    stated = {"byte order": str(order), "header offset": str(offset)}
-    options = {"interleave": interleave, "axis": axis, "data_type": 5, "extra": stated}
+    options = {"interleave": interleave, "axis": axis, "data_type": 5}
+    options["extra"] = {"byte order": str(order), "header offset": str(offset)}
     with envi_writer(path, lines=lines, samples=samples, bands=bands, **options) as writer:
         for first in range(0, lines, step):
             writer.write(data[first : first + step])

@@ -53,8 +53,7 @@ def test_places_come_back_to_a_part_of_a_pixel_in_every_layout(tmp_path, line, t
     assert np.abs(found - places).max() < 0.5
     assert np.abs((found - places).mean(axis=0)).max() < 0.02  # no half-pixel shift
     stored, transform = line.table()
-    stated = {"band names": "{GLT Line, GLT Sample}", "byte order": "1"}
-    layout = {"extra": stated, "interleave": "bsq", "data_type": 2}
+    layout = {"extra": {"band names": "{GLT Line, GLT Sample}", "byte order": "1"}, "interleave": "bsq"}
     swapped = imagery.open_lookup_table(write_table(tmp_path / "s.dat", stored[..., ::-1], transform, **layout), SHAPE)
     assert swapped.swapped
     assert np.array_equal(swapped.to_pixel(line.on_map(*places.T), where="t"), found)
@@ -237,6 +236,5 @@ def test_metres_of_a_degree_are_those_of_a_map(latitude):
 def test_the_angle_of_the_sun_in_an_observation_file(tmp_path, bent, second, want):
     angles = np.stack([np.full(BENT, 4000.0), np.full(BENT, 41.5)], axis=-1)
     angles[:, :3] = -9999.0
-    names = {"band names": f"{{Path length (m), {second}}}"}
-    path = imagery.write_cube(tmp_path / "f01_rdn_obs", angles, data_type=5, extra=names)
+    path = write_table(tmp_path / "f01_rdn_obs", angles, None, data_type=5, extra={"band names": f"{{Path, {second}}}"})
     assert imagery.sun_zenith_deg(imagery.open_raster(bent)) == (None if want is None else (want, path.name))

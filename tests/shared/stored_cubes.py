@@ -25,9 +25,9 @@ def stored(folder: Path, x, interleave="bil", dtype="<i2", extra="", **options):
     """The cube of values (lines, samples, bands) that were written as they are."""
     folder.mkdir(exist_ok=True, parents=True)
     axis = SpectralAxis(400.0 + 10.0 * np.arange(x.shape[2]), 10.0)
-    written = {"interleave": interleave, "data_type": TYPES[dtype[1:]]}
     order = {"byte order": str(int(dtype[0] == ">"))}
-    path = write_cube(folder / "cube.img", np.asarray(x).astype(dtype), axis=axis, extra=order, **written)
+    written = {"interleave": interleave, "data_type": TYPES[dtype[1:]], "extra": order}
+    path = write_cube(folder / "cube.img", np.asarray(x).astype(dtype), axis=axis, **written)
     with path.with_suffix(".hdr").open("a") as header:
         header.write(extra)
     return open_cube(path, check_values=False, **{"quantity": "other", **options})

@@ -80,21 +80,13 @@ def geometry_of(stated: Any, where: str) -> BaseGeometry:
     return shapely.force_2d(made)
 
 
-def polygon_mask(
-    exterior: npt.ArrayLike,
-    shape: tuple[int, int],
-    holes: Sequence[npt.ArrayLike] = (),
-    *,
-    where: str,
-    touched: bool = False,
-) -> Mask:
+def polygon_mask(exterior: npt.ArrayLike, shape: tuple[int, int], *, where: str, touched: bool = False) -> Mask:
     """(lines, samples) mask of the pixels whose centre lies in a polygon.
 
     Parameters
     ----------
     exterior : (n, 2) vertices (sample, line) in continuous pixel coordinates, n >= 3
     shape : (lines, samples) of the image
-    holes : rings that are left out
     where : what stands in messages
     touched : take every pixel that the polygon touches, for targets smaller than a pixel
 
@@ -102,8 +94,7 @@ def polygon_mask(
     ------
     InputError : fewer than three vertices, not finite, or a vertex outside the image.
     """
-    rings = [np.asarray(ring, float).tolist() for ring in (exterior, *holes)]
-    polygon = geometry_of({"type": "Polygon", "coordinates": rings}, where)
+    polygon = geometry_of({"type": "Polygon", "coordinates": [np.asarray(exterior, float).tolist()]}, where)
     if not inside_image(vertices := shapely.get_coordinates(polygon), shape):
         raise outside_error(vertices, shape, where)
     return _burned([polygon], shape, touched=touched)
