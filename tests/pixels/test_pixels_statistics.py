@@ -26,7 +26,8 @@ def masks():
 
 def test_statistics_are_the_same_to_the_bit_however_the_cube_is_stored_cut_or_shared_out(tmp_path, monkeypatch):
     x, regions = numbers(), masks()
-    reference = region_statistics(stored(tmp_path, x), regions)
+    labels = Labels.of((LINES, SAMPLES), regions)
+    reference = region_statistics(stored(tmp_path, x), labels)
     for name, mask in regions.items():
         assert reference[name].mean == pytest.approx(x[mask].mean(axis=0), rel=1e-13)
         assert relative(reference[name].covariance, np.cov(x[mask].T)) < 1e-13
@@ -36,7 +37,7 @@ def test_statistics_are_the_same_to_the_bit_however_the_cube_is_stored_cut_or_sh
             for step, threads in ((10**3, 1), (1, 2), (5, 1), (LINES, 3)):
                 monkeypatch.setattr("hyperval.pixels.statistics.BLOCK_PIXELS", step * SAMPLES)
                 monkeypatch.setattr(type(cube), "threads", threads)
-                found = region_statistics(cube, regions)
+                found = region_statistics(cube, labels)
                 for name, value in reference.items():
                     if dtype[1] == "f":  # means of batches are not whole numbers
                         assert relative(found[name].covariance, value.covariance) < 1e-12
@@ -71,16 +72,10 @@ def test_the_darkest_values_are_the_least_of_the_values_and_not_of_the_numbers(t
     assert np.array_equal(darkest_values(cube), values.min(axis=0))
 
 
-def test_masks_that_do_not_fit_and_empty_regions_are_refused(tmp_path):
+def test_empty_regions_are_refused(tmp_path):
     cube = stored(tmp_path, numbers())
-    with pytest.raises(UsageError, match="'a' has shape"):
-        region_statistics(cube, {"a": np.ones((LINES + 1, SAMPLES), bool)})
-    with pytest.raises(UsageError, match="of int64"):
-        region_statistics(cube, {"a": np.ones((LINES, SAMPLES), np.int64)})
     with pytest.raises(UsageError, match="'a' has no valid pixel"):
-        region_statistics(cube, {"a": np.zeros((LINES, SAMPLES), bool)})
-    with pytest.raises(UsageError, match="kept for the whole"):
-        region_statistics(cube, {"scene": np.ones((LINES, SAMPLES), bool)})
+        region_statistics(cube, Labels.of((LINES, SAMPLES), {"a": np.zeros((LINES, SAMPLES), bool)}))
     found = region_statistics(cube)["scene"]
     with pytest.raises(UsageError, match="fourth moment"):
         _ = found.shrinkage

@@ -13,7 +13,6 @@ import scipy
 
 from hyperval.compare.rows import Array, Interval, difference_row, named, row, scientific, skipped
 from hyperval.compare.spectra import noncentrality
-from hyperval.errors import refuse
 from hyperval.metrics import Evidence
 from hyperval.model.intervals import (
     Z95,
@@ -201,7 +200,6 @@ def distance_from_uniform(values: npt.ArrayLike) -> Array:
     """(...) Kolmogorov-Smirnov distance of values (..., n) from the uniform distribution on (0, 1)."""
     u = np.sort(np.asarray(values, dtype=float), axis=-1)
     n = u.shape[-1]
-    refuse(n == 0 or not np.all((u >= 0) & (u <= 1)), "compare.uniform")
     step = np.arange(n + 1) / n
     return np.asarray(np.maximum((step[1:] - u).max(axis=-1), (u - step[:-1]).max(axis=-1)))
 
@@ -243,9 +241,7 @@ def judged_together(
     [0.54, 0.29, 0.85]
     """
     rng = np.random.default_rng(_SEED)
-    counts = {predicted[s].values.shape[0] for s in measured}
-    refuse(len(counts) > 1, "compare.draws")
-    shared = rng.integers(counts.pop(), size=REPLICATES)[:, None]
+    shared = rng.integers(len(predicted[next(iter(measured))].values), size=REPLICATES)[:, None]
     values, drawn, wider, strength = [], [], [], []
     for subject, scores in measured.items():
         draws = predicted[subject].values
@@ -677,7 +673,6 @@ def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
     lies wholly beyond 0: with many targets a difference may be certain and yet within the margin, which is then
     equivalent for the purpose, and the word says both.
     """
-    refuse(not 0.0 < margin < 1.0, "compare.margin", margin=margin)
     apart = interval[0] > 0.0 or interval[1] < 0.0
     if -margin < interval[0] and interval[1] < margin:
         return 1.0, "equivalent, though significantly different" if apart else "equivalent"
@@ -720,7 +715,6 @@ def compare_roc(
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
-    refuse(predicted.unit != observed.unit, "compare.units", predicted=predicted.unit, observed=observed.unit)
     background = observed.n_background
     rare = [x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS]
     for level in pfa or (*ALWAYS, *rare):

@@ -253,8 +253,6 @@ def osp_filter(target: npt.ArrayLike, undesired: npt.ArrayLike | None) -> Linear
     if undesired is None or np.size(undesired) == 0:
         raise UsageError("osp needs the spectra that it projects away", mend="name regions in detection.undesired")
     u = np.atleast_2d(np.asarray(undesired, dtype=float))
-    if u.shape[1] != t.size:
-        raise UsageError(f"undesired spectra of {u.shape[1]} bands for a target of {t.size}")
     left, singular, _ = np.linalg.svd(u.T, full_matrices=False)
     left = left[:, singular > _RANK * singular[0]]
     rest = t - left @ (left.T @ t)
@@ -291,12 +289,10 @@ def score_cube(
 
     Raises
     ------
-    UsageError : no detector, one that does not fit the bands, or detectors that see an image at once which is too
-        large for that (:data:`MOST_VALUES`).
+    UsageError : a detector that does not fit the bands, or detectors that see an image at once which is too large for
+        that (:data:`MOST_VALUES`).
     """
     used, must, slope, level = _spectra_of(cube, elm, bands, needed)
-    if not detectors:
-        raise UsageError("no detector to score with")
     weights = [np.atleast_2d(d.weights) for d in detectors.values()]
     constants = [np.atleast_1d(d.constants) for d in detectors.values()]
     for name, w in zip(detectors, weights, strict=True):
@@ -377,8 +373,6 @@ def _spectra_of(
     if elm is None:
         return used, must, gain, offset
     k, b = elm.gain, elm.offset
-    if k.shape != used.shape:
-        raise UsageError(f"an empirical line of {k.size} bands for a cube of {used.size}")
     if not np.all(np.isfinite(k[used])):
         raise refusal("detector.no_gain", count=int(np.sum(~np.isfinite(k[used]))))
     return used, must, gain / k[used], (offset - b[used]) / k[used]
@@ -386,7 +380,7 @@ def _spectra_of(
 
 def score_cube_locally(
     cube: Cube,
-    detectors: Mapping[str, tuple[str, npt.ArrayLike | None]],
+    detectors: Mapping[str, tuple[str, Array | None]],
     whitener: Whitener,
     window: tuple[int, int],
     counted: Mask,
@@ -407,22 +401,12 @@ def score_cube_locally(
     window : sides of the outer and the inner square [pixels], odd
     counted : (lines, samples) pixels that may count for a mean; those without data never do
     elm, bands, needed, watch : as for :func:`score_cube`
-
-    Raises
-    ------
-    UsageError : a detector that has no local form, a target that does not fit, a mask of another shape.
     """
     used, must, slope, level = _spectra_of(cube, elm, bands, needed)
-    if counted.shape != (cube.lines, cube.samples):
-        raise UsageError(f"the mask of the surroundings has shape {counted.shape}, the cube {cube.lines, cube.samples}")
-    targets = {}
-    for key, (name, target) in detectors.items():
-        if name not in LOCAL_DETECTORS:
-            raise UsageError(f"{name!r} has no local form", expected="one of " + ", ".join(LOCAL_DETECTORS))
-        spectrum = whitener.mean if target is None else np.asarray(target, dtype=float)
-        if spectrum.shape != slope.shape:
-            raise UsageError(f"a target does not have the {slope.size} bands that are selected")
-        targets[key] = name, whitener.whitened(spectrum)[:, None]
+    targets = {
+        key: (name, whitener.whitened(whitener.mean if target is None else target)[:, None])
+        for key, (name, target) in detectors.items()
+    }
     origin = (whitener.matrix @ whitener.mean)[:, None]
     # y of a stored pixel, and below it a 1 that counts the pixels of a sum
     rows = np.vstack([whitener.matrix * slope, np.zeros(slope.size)])

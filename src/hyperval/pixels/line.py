@@ -121,14 +121,6 @@ class MeasuredPanel:
     n: int = 1
     sampled: EstimatedPart | None = None
 
-    def __post_init__(self) -> None:
-        bands = np.shape(self.reflectance)
-        for name in ("reflectance", "reflectance_error", "radiance", "radiance_error"):
-            value = np.asarray(getattr(self, name), dtype=float)
-            if len(bands) != 1 or value.shape not in ((bands, 2 * bands) if name.endswith("error") else (bands,)):
-                raise UsageError(f"panel {self.name!r}: {name} has shape {value.shape}, reflectance {bands}")
-            object.__setattr__(self, name, value)
-
 
 def variance_of(error: Array) -> Array:
     """(B,) variances of errors given by those, or by their covariance (B, B)."""
@@ -320,17 +312,13 @@ def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
     """Raise UsageError for fewer panels than ``least`` and reflectances that are none."""
     if len(panels) < least:
         raise UsageError(f"{len(panels)} panel for an empirical line", expected=f"{least} or more")
-    if len({p.reflectance.size for p in panels}) > 1:
-        raise UsageError("the panels have different numbers of bands")
     for p in panels:
-        errors = np.stack([variance_of(p.reflectance_error), variance_of(p.radiance_error)])
+        values = np.stack([p.radiance, variance_of(p.reflectance_error), variance_of(p.radiance_error)])
         known = np.isfinite(p.reflectance)  # a field spectrum may not reach all bands
         rho = p.reflectance[known]
         for wrong, words, mend in (
             (~known.any(), " has no reflectance in any band", None),
-            (~np.isfinite([p.radiance, *errors])[:, known], " holds NaN or infinity", "leave those bands out"),
-            (errors < 0, ": a variance is negative", None),
-            (p.n < 1, " has no pixels", None),
+            (~np.isfinite(values[:, known]), " holds NaN or infinity", "leave those bands out"),
             (rho > PERCENT_LIMIT, f" has a reflectance of {rho.max():.4g}, not 0 to 1", "divide percent by 100"),
             (rho < -0.05, f" has a reflectance of {rho.min():.3g}", None),
         ):

@@ -840,12 +840,8 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
 
     Raises
     ------
-    UsageError : no curve, curves that count different things, or that have no false-alarm probability in common.
+    UsageError : curves that have no false-alarm probability in common.
     """
-    if not curves:
-        raise UsageError("no curve to pool")
-    if len({c.unit for c in curves}) > 1 or any(not c.n_target for c in curves):
-        raise UsageError("only measured curves that count the same thing can be pooled")
     grid = curves[0].pfa
     for curve in curves[1:]:
         grid = grid[np.any(np.abs(grid[:, None] / curve.pfa[None, :] - 1.0) < 1e-9, axis=1)]
@@ -880,15 +876,11 @@ def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
 
     Raises
     ------
-    UsageError : no curve, or curves on different false-alarm probabilities.
+    UsageError : curves on different false-alarm probabilities.
     """
-    share = np.asarray(weights, dtype=float)
-    if not curves or share.shape != (len(curves),) or not share.sum() > 0:
-        raise UsageError("no curve to average, or weights that do not fit")
-    first = curves[0]
+    first, share = curves[0], np.asarray(weights, dtype=float) / np.sum(weights)
     if any(c.pfa.shape != first.pfa.shape or not np.allclose(c.pfa, first.pfa, rtol=1e-9) for c in curves):
         raise UsageError("predicted curves on different false-alarm probabilities cannot be averaged")
-    share = share / share.sum()
     pd, low, high = (share @ np.stack([getattr(c, k) for c in curves]) for k in ("pd", "pd_lower", "pd_upper"))
     return RocCurve(first.pfa, pd, low, high, np.full(first.pfa.shape, np.nan), first.unit)
 

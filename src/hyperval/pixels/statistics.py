@@ -43,7 +43,7 @@ import numpy.typing as npt
 from scipy import fft, special
 
 from hyperval.data import Array, Counts, Index, Mask, SampleStatistics
-from hyperval.errors import UsageError, refusal
+from hyperval.errors import UsageError
 from hyperval.executors import available_cores, single_blas_thread
 from hyperval.model.intervals import Z95
 
@@ -182,12 +182,7 @@ class Labels(Mapping[str, Mask]):
 
     @classmethod
     def of(cls, shape: tuple[int, int], masks: Mapping[str, Mask] | None = None) -> Labels:
-        """Of masks (lines, samples) by name.
-
-        Raises
-        ------
-        UsageError : a mask that does not fit the shape.
-        """
+        """Of masks (lines, samples) by name."""
         return cls(np.zeros(shape, np.uint8), {}).with_masks((masks or {}).items())
 
     def with_masks(self, masks: Iterable[tuple[str, Mask]]) -> Labels:
@@ -195,9 +190,6 @@ class Labels(Mapping[str, Mask]):
         number, members = self.number, dict(self.members)
         count = len(next(iter(members.values()))) if members else int(number.max(initial=0)) + 1
         for name, mask in masks:
-            if np.shape(mask) != number.shape or np.asarray(mask).dtype != bool:
-                kind = np.asarray(mask).dtype
-                raise refusal("mask.shape", name=name, shape=np.shape(mask), kind=kind, expected=number.shape)
             some = [slice(i, i + _LINES_LABELLED) for i in range(0, len(number), _LINES_LABELLED)]
             used = np.zeros(2 * count, bool)
             for rows in some:
@@ -276,10 +268,8 @@ class Sums:
         return self.reference + c + e, (covariance + covariance.T) / 2.0
 
 
-def region_statistics(
-    cube: Cube, regions: Mapping[str, Mask] | None = None, *, watch: Watch = iter
-) -> dict[str, SampleStatistics]:
-    """Mean and covariance of every region and of the whole scene.
+def region_statistics(cube: Cube, labels: Labels | None = None, *, watch: Watch = iter) -> dict[str, SampleStatistics]:
+    """Mean and covariance of every region, of the whole scene alone by default.
 
     Pixels of one label, which lie in the same regions, are summed once and the sums added, so that regions which
     overlap cost little more than the scene alone.  All sums are float64: those of numbers stored as 16-bit integers
@@ -288,22 +278,17 @@ def region_statistics(
 
     Parameters
     ----------
-    regions : masks (lines, samples) by name, of which "scene" is kept for the whole; or labels, the scene among them
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
     Raises
     ------
-    UsageError : a mask that does not fit the cube, or a region without a valid pixel.
+    UsageError : a region without a valid pixel.
     """
-    labels = regions
-    if not isinstance(labels, Labels):
-        if SCENE in (regions or {}):
-            raise UsageError(f"the region name {SCENE!r} is kept for the whole image")
-        scene = np.broadcast_to(np.True_, (cube.lines, cube.samples))
-        labels = Labels.of(scene.shape, {SCENE: scene} | dict(regions or {}))
+    if labels is None:
+        labels = Labels.of(cube.shape, {SCENE: np.broadcast_to(np.True_, cube.shape)})
     members, number = labels.members, labels.number
-    count = len(members[SCENE])
     wanted = np.asarray(np.any(list(members.values()), axis=0))
+    count = wanted.size
 
     whole = cube.dtype.kind in "iu"
 
