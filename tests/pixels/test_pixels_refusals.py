@@ -70,7 +70,6 @@ def curve(*pfa):
         (lambda: pixels.average_roc([curve(), curve(1e-2)], [1.0, 1.0]), "on different false-alarm probabilities"),
         (lambda: pixels.osp_filter(np.array([0.3, 0.7, 0.0]), EYE[:2]), "mixture of the undesired"),
         (lambda: pixels.osp_filter(np.ones(3), None), "needs the spectra"),
-        (lambda: pixels.osp_filter(np.ones(3), EYE[:, :2]), "2 bands"),
         (lambda: model.mid_p_limits(3, 2), "between 0 and the number of trials"),
         (lambda: model.bounded_mean_limits([1.2]), "between 0 and 1"),
         (lambda: model.clopper_pearson(1, 2, 95.0), "expected: a number between 0 and 1"),
