@@ -594,7 +594,6 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
         else:
             # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
             ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
-            ends = (p, p) if np.isnan(predicted.pd_lower).any() else ends
             left = row(names[0], p * density, (ends[0] * density, ends[1] * density))
         yield from (left, measured, difference_row(names[2], left, measured))
 
@@ -637,7 +636,7 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
         names, sides = [f"{name}_{side}{at}{span}" for side in _SIDES], []
         if predicted is not None:
             value, *limits = (curve_area(predicted, area, y) for y in (None, predicted.pd_lower, predicted.pd_upper))
-            ends = (value, value) if any(map(math.isnan, limits)) else (min(*limits, value), max(*limits, value))
+            ends = min(value, *limits), max(value, *limits)
             why = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
             sides += skipped(Cause.BEYOND_CURVE, why, names[0]) if math.isnan(value) else [row(names[0], value, ends)]
         if observed is not None:
@@ -757,8 +756,7 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
         side = "predicted" if math.isnan(p) else "measured"
         yield from skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
         return
-    # A curve without a band is a curve without width.
-    left = row(names[0], p, (p, p) if any(map(math.isnan, band)) else band)
+    left = row(names[0], p, band)
     right = row(names[1], o, (low, high), n=n)
     difference = difference_row(names[2], left, right)
     yield from (left, right, difference)

@@ -340,15 +340,8 @@ def darkest_values(cube: Cube) -> Array:
     ------
     UsageError : no pixel holds data.
     """
-
-    def segment(blocks: Iterator[StoredBlock]) -> Array:
-        # A negative gain would turn the order round; values are compared, not numbers.
-        parts = (stored[:, usable.ravel()] for _, stored, usable in blocks)
-        ends = [[part.min(axis=1), part.max(axis=1)] for part in parts if part.size]
-        return np.asarray(np.min(cube.gain * np.array(ends) + cube.offset, axis=(0, 1)) if ends else np.inf)
-
-    none = np.full(cube.bands, np.inf)
-    lowest = np.min(np.broadcast_arrays(none, *stream(cube, segment)), axis=0)
+    parts = (block.values[block.valid] for block in cube.blocks())
+    lowest = np.min([part.min(axis=0, initial=np.inf) for part in parts], axis=0)
     if not np.all(np.isfinite(lowest)):
         raise UsageError("no pixel of the cube holds data in every band")
     return np.asarray(lowest)
@@ -404,14 +397,8 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> LagCor
 
 def neighbour_shares(mask: Mask, reach: int, rng: np.random.Generator, most: int = 2000) -> Array:
     """(2R + 1, 2R + 1) share of the pixels of a region whose neighbour at each lag belongs to it as well."""
-    lines, samples = drawn_pixels(mask, most, rng)
-    counted = np.zeros((2 * reach + 1, 2 * reach + 1))
-    for line, sample in zip(lines.tolist(), samples.tolist(), strict=True):
-        top, left = max(line - reach, 0), max(sample - reach, 0)
-        near = mask[top : line + reach + 1, left : sample + reach + 1]
-        at = top - line + reach, left - sample + reach
-        counted[at[0] : at[0] + near.shape[0], at[1] : at[1] + near.shape[1]] += near
-    return counted / max(lines.size, 1)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(mask, reach), (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(around[drawn_pixels(mask, most, rng)].mean(axis=0))
 
 
 def drawn_pixels(mask: Mask, most: int, rng: np.random.Generator) -> tuple[Index, Index]:
@@ -504,27 +491,22 @@ def independent_pixels(windows: Iterable[tuple[Array, Mask]], shares: Array, n: 
     """
     correlation = lag_correlation(windows, reach)
     steps = np.arange(-reach, reach + 1)
-    ring = np.rint(np.hypot(steps[:, None], steps[None, :])).astype(int).ravel()
-    pairs, share = correlation.pairs.ravel(), shares.ravel()
-    for_mean, for_variance = [], []
-    for rho in correlation.value.reshape(correlation.value.shape[0], -1):
-        total = squares = summed = 0.0
-        for r in range(reach + 1):
-            here = ring == r
-            behind = max(float(pairs[here].sum()), 1e-12)
-            mean = float(pairs[here] @ rho[here]) / behind
-            if r > 0 and mean <= _RING_NOISE / np.sqrt(0.5 * behind):  # every pair of pixels stands there twice
-                break
-            total += mean * float(share[here].sum())
-            squares += mean**2 * float(share[here].sum())
-            summed += float(share[here].sum())
-        total = max(total, 1.0)
-        total /= 1.0 - min(max(summed - total, 0.0) / n, MOST_TAKEN)
-        total = min(max(total, 1.0), 0.5 * n)
-        # E[s^2] = sigma^2 (1 - total/n) n/(n - 1) of s^2 with divisor n - 1, var(mean) = sigma^2 total/n.
-        for_mean.append(max((n / total - 1.0) * n / (n - 1.0), 1.0))
-        for_variance.append(n / min(max(squares, 1.0), 0.5 * n))
-    return np.array(for_mean), np.array(for_variance)
+    ring = np.rint(np.hypot(steps[:, None], steps)).astype(int).ravel()
+
+    def by_ring(values: Array) -> Array:
+        return np.asarray(np.bincount(ring, values.ravel()), dtype=float)[: reach + 1]
+
+    pairs, near = np.maximum(by_ring(correlation.pairs), 1e-12), by_ring(shares)
+    mean = np.array([by_ring(correlation.pairs * rho) for rho in correlation.value]) / pairs
+    noise = mean <= _RING_NOISE / np.sqrt(0.5 * pairs)  # every pair of pixels stands there twice
+    noise[:, 0] = False
+    share = np.where(np.logical_or.accumulate(noise, axis=1), 0.0, near)
+    total, squares, summed = (np.sum(share * part, axis=1) for part in (mean, mean**2, 1.0))
+    total = np.maximum(total, 1.0)
+    total /= 1.0 - np.minimum(np.maximum(summed - total, 0.0) / n, MOST_TAKEN)
+    total, squares = (np.clip(part, 1.0, 0.5 * n) for part in (total, squares))
+    # E[s^2] = sigma^2 (1 - total/n) n/(n - 1) of s^2 with divisor n - 1, var(mean) = sigma^2 total/n.
+    return np.maximum((n / total - 1.0) * n / (n - 1.0), 1.0), n / squares
 
 
 def small_sample_factor(independent: npt.ArrayLike) -> Array:
