@@ -61,11 +61,6 @@ class TargetObject:
         return replace(self, corner=corner, centre_pixel=centre)
 
     @property
-    def placed(self) -> Placed:
-        """Window and mask: what a list of many targets can afford to hold."""
-        return self.corner, self.part
-
-    @property
     def mask(self) -> Mask:
         """(lines, samples) the pixels that may hold a part of it, made anew each time."""
         out = np.zeros(self.shape, bool)

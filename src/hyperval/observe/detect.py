@@ -280,9 +280,8 @@ def _score_maps(
 ) -> tuple[dict[str, Array], list[str]]:
     """Score (lines, samples) by the keys of the bank, and what is to be said of it."""
     cube, local, line = place.cube, detection.local_window, place.line
-    common: dict[str, Any] = {
-        "needed": cube.axis.good, "watch": watch_lines("scores", cube.bytes_per_line, cube.lines, show=show),
-    }  # fmt: skip
+    watch = watch_lines("scores", cube.bytes_per_line, cube.lines, show=show)
+    common: dict[str, Any] = {"needed": cube.axis.good, "watch": watch}
     if local is None or bank.whitener is None:
         maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=bank.whitener, scenes=scenes, **common)
         return maps, []

@@ -36,7 +36,11 @@ def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
     ----------
     pixels : (n, B) of one region, n >= 5, B >= 3, finite
     """
-    x = _checked(pixels, 5)
+    x = np.asarray(pixels, dtype=float)
+    if x.ndim != 2 or len(x) < 5:
+        raise UsageError(f"pixels of shape {x.shape} for an SNR", expected="(n, B) with n at least 5")
+    if not np.all(np.isfinite(x)):
+        raise UsageError("the region holds NaN or infinity", mend="leave invalid pixels out")
     n, bands = x.shape
     if bands < 3:
         raise UsageError(f"{bands} bands: a band needs two neighbours to be told from noise", expected="3 or more")
@@ -126,12 +130,3 @@ def _estimate(mean: Array, noise: tuple[Array, Array, Array], n: int) -> Spectra
     budget = {"mean": np.full(snr.shape, n**-0.5), "noise estimate": of_noise}
     covariance = np.outer(np.nan_to_num(of_noise), np.nan_to_num(of_noise)) * correlation
     return SpectralEstimate(snr, covariance + np.diag(budget["mean"] ** 2), None, n, budget)
-
-
-def _checked(pixels: npt.ArrayLike, least: int) -> Array:
-    x = np.asarray(pixels, dtype=float)
-    if x.ndim != 2 or len(x) < least:
-        raise UsageError(f"pixels of shape {x.shape} for an SNR", expected=f"(n, B) with n at least {least}")
-    if not np.all(np.isfinite(x)):
-        raise UsageError("the region holds NaN or infinity", mend="leave invalid pixels out")
-    return x
