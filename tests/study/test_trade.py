@@ -58,7 +58,7 @@ def test_a_target_with_a_side_has_a_gsd_and_overlays_are_curves():
     trade, now = whole(PLANKS, **asked, wanted=0.5)
     assert (trade.x.rpartition(".")[2], now.values.shape) == ("gsd_m", (4, 33, 1))
     assert [round(words.count("hyspex")) for _, words in now.needed] == [0, 1, 0, 1]
-    assert len(live(PLANKS, trade).values) == 4
+    assert len(live(PLANKS, trade)["values"]) == 4
 
 
 def test_the_second_input_stands_where_its_slider_does():

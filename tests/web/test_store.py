@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("fastapi", reason="needs the extra web")
-from hyperval.web import Limits, RunStore
+from hyperval.web import RunStore, ServerSettings
 
 
 @pytest.fixture
 def store(tmp_path):
-    return RunStore(tmp_path, Limits())
+    return RunStore(ServerSettings(tmp_path))
 
 
 def again(store, **limits):
-    return RunStore(store.folder, Limits(**limits))
+    return RunStore(ServerSettings(store.folder, **limits))
 
 
 def finished(store, owner="a", name="x"):

@@ -91,7 +91,7 @@ class Server:
 
 def serve(folder: Path, campaigns: Path | None = None, data: Path | None = None, **limits: Any) -> Iterator[Server]:
     quick, long = Crew(limits.get("queue", 64)), Crew(limits.get("queue", 64))
-    app = web.make_app(web.ServerSettings(folder, campaigns, limits=web.Limits(**limits), data=data), (quick, long))
+    app = web.make_app(web.ServerSettings(folder, campaigns, data, **limits), (quick, long))
     config = uvicorn.Config(
         app, host="127.0.0.1", port=0, log_level="error", server_header=False, ws="none", http=web.connections_of(256)
     )

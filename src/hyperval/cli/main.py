@@ -710,9 +710,6 @@ def sensor_new(
     return 0
 
 
-_MB = 1_000_000
-
-
 @command("serve", "serve --campaigns campaigns --data data --port 8080")
 def serve(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8000,
@@ -755,18 +752,16 @@ def serve(
         from hyperval.web.guard import connections_of
     except ModuleNotFoundError as error:
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
-    from hyperval.web.store import LOOPBACK, Limits, ServerSettings
+    from hyperval.web.store import LOOPBACK, MEGABYTE, ServerSettings
 
-    limits = Limits(
-        upload_bytes=upload_mb * _MB, long_seconds=seconds, memory_bytes=memory_mb * _MB, quick_workers=workers,
-        long_workers=long_workers, queue=queue, kept_bytes=kept_mb * _MB, kept_days=kept_days,
-    )  # fmt: skip
     for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
         if given is not None and not given.is_dir():
             raise UsageError("is no folder", where=str(given), expected=words)
-    names = tuple(n.lower() for n in name or ())
-    settings = ServerSettings(place, campaigns, (*LOOPBACK, *names), https, limits, data, scheduler)
-    application = make_app(settings)
+    application = make_app(ServerSettings(
+        place, campaigns, data, (*LOOPBACK, *(n.lower() for n in name or ())), https, scheduler,
+        upload_bytes=upload_mb * MEGABYTE, long_seconds=seconds, memory_bytes=memory_mb * MEGABYTE, queue=queue,
+        quick_workers=workers, long_workers=long_workers, kept_bytes=kept_mb * MEGABYTE, kept_days=kept_days,
+    ))  # fmt: skip
     for words in application.state.store.notices:
         note(words)
     note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C stops it")

@@ -404,15 +404,12 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
     steps: list[tuple[str, int]] = [("points", stride) for stride in _STRIDES]
     steps += [("required", 0)] if trade.wanted is not None else []
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
-    shape = families, _known(trade, 1).size, subjects
-    values, limits, needed = np.full(shape, np.nan), np.full((*shape, 2), np.nan), tuple[tuple[float, str], ...]()
-    if before is not None:
-        values, limits, needed = before.values.copy(), before.limits.copy(), before.needed
+    blank = np.full((families, _known(trade, 1).size, subjects), np.nan)
+    before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", 0)
+    values, limits, needed = before.values.copy(), before.limits.copy(), before.needed
     what, step = steps[number]
     if what == "points":
-        new = _known(trade, step)
-        if number:
-            new &= ~_known(trade, steps[number - 1][1])
+        new = _known(trade, step) & ~(_known(trade, steps[number - 1][1]) if number else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
         values.reshape(-1, subjects)[rows] = values_at(p, trade, study, rows)
     elif what == "required":
@@ -543,16 +540,13 @@ def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int
     return Figure("trade", "study", title, "", (Panels(x_axis, (part,)),), legend_title=title)
 
 
-class Live(NamedTuple):
-    """Where the sliders stand: a figure, the output of each curve, and what the atmosphere's error is."""
+def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]:
+    """Where the sliders stand, the ROC of every curve, or the spectrum of a spectral output.
 
-    figure: str
-    values: tuple[tuple[str, float | None], ...]
-    error: str
-
-
-def live(source: str, trade: Trade, with_limits: bool = False) -> Live:
-    """The ROC, or the spectrum of a spectral output, of every curve where the sliders stand."""
+    Returns
+    -------
+    ``figure`` of them; ``values``, the output of each curve by its name; ``error``: of the atmosphere, in words
+    """
     p = prepared(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
     columns, labels = _families(p, trade)
@@ -580,7 +574,7 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> Live:
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
     figure = Figure("live", "roc", "", "", (Panels(x, (Part(y, marks, rules),)),))
-    return Live(statement(figure), known, _error(p, trade))
+    return {"figure": statement(figure), "values": known, "error": _error(p, trade)}
 
 
 def _error(p: Prepared, trade: Trade) -> str:

@@ -10,7 +10,6 @@ from .store import (
     LOOPBACK,
     Cancelled,
     Full,
-    Limits,
     RunStore,
     ServerSettings,
     TaskFailed,
@@ -20,7 +19,7 @@ from .store import (
 )
 
 __all__ = [
-    "LOOPBACK", "POLICY", "Cancelled", "Full", "Limits", "RunStore", "ServerSettings", "TaskFailed",
+    "LOOPBACK", "POLICY", "Cancelled", "Full", "RunStore", "ServerSettings", "TaskFailed",
     "WorkerPool", "WorkerTask", "campaigns_of", "connections_of", "make_app", "needs", "plain", "predefined", "said",
     "scenario_form", "view_name", "walk",
 ]  # fmt: skip

@@ -52,7 +52,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
         lifespan=life, dependencies=[Depends(closing_files)],
     )  # fmt: skip
     app.state.settings = settings
-    app.state.store = RunStore(settings.folder, settings.limits)
+    app.state.store = RunStore(settings)
     app.state.desk = Desk(settings, app.state.store, pools)
     for router in (pages, api):
         app.include_router(router)

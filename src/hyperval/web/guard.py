@@ -78,9 +78,9 @@ class Guard:
             if scope["type"] == "lifespan":
                 await self.app(scope, receive, send)
             return  # there are no web sockets
-        headers, limits = Headers(scope=scope), self.settings.limits
+        headers, settings = Headers(scope=scope), self.settings
         is_upload = scope["path"].removeprefix("/api/v1").startswith(UPLOADS)
-        bound = limits.upload_bytes if is_upload else limits.body_bytes
+        bound = settings.upload_bytes if is_upload else settings.body_bytes
         name, is_new = _session(headers)
         # What its runs are stored under, from which the name does not follow.
         scope["owner"] = hashlib.sha256(b"owner" + name.encode()).hexdigest()[:32]

@@ -29,7 +29,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, StudyFile
-from hyperval.study.trade import KINDS, Live, Prepared, Progress, Trade, completed, notebook, prepared, study_of
+from hyperval.study.trade import KINDS, Prepared, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.forms import (
     MOST_ROWS,
     SURFACES,
@@ -47,7 +47,7 @@ from hyperval.web.forms import (
 from hyperval.web.pages import api, form_parts, owner_of, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, answer_of, run, run_of
-from hyperval.web.store import Desk, Files, Limits, WebRun
+from hyperval.web.store import Desk, Files, WebRun
 from hyperval.web.uploads import Uploads
 
 _WAIT_S = 5.0
@@ -344,10 +344,10 @@ def desk(request: Request) -> Response:
 def live(request: Request) -> Response:
     """The ROC where the sliders stand, with its interval where that is asked for."""
     source, trade, _ = _asked(request, request.query_params)
-    told: Live = request.app.state.desk.ask(
+    told = request.app.state.desk.ask(
         "trade_live", source=source, trade=trade, with_limits="limits" in request.query_params
     )
-    return JSONResponse(told._asdict())
+    return JSONResponse(told)
 
 
 @pages.get("/trade/curve")
@@ -415,7 +415,7 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
     scenario = load_scenario(_source(request, study.scenario))
-    if mistakes := [*_of_size(study, state.settings.limits), *_of_paths(study, scenario, own.names())]:
+    if mistakes := [*_of_size(study, state.settings.points), *_of_paths(study, scenario, own.names())]:
         raise Refused(422, mistakes)
     text = yaml_text("scenario", plain(scenario))
     asked = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
@@ -438,14 +438,14 @@ def studies(request: Request, order: StudyOrder) -> RunAnswer:
     return answer_of(request, order_study(request, data))
 
 
-def _of_size(study: StudyFile, limits: Limits) -> Iterator[FieldMistake]:
+def _of_size(study: StudyFile, most: int) -> Iterator[FieldMistake]:
     sky = [i for i in study.inputs if any(m.path.startswith("atmosphere.") for m in i.targets)]
     states = math.prod(i.size for i in sky)
     if any(i.random for i in sky) or states > study.atmosphere.above:
         states = math.prod(study.atmosphere.nodes if i.random else min(i.size, study.atmosphere.nodes) for i in sky)
     points = study.count * (1 + sum(q.scan + 40 for q in study.required) // 4)
-    if points > limits.points:
-        yield FieldMistake("inputs", f"{points:,} evaluations; this server allows at most {limits.points:,}")
+    if points > most:
+        yield FieldMistake("inputs", f"{points:,} evaluations; this server allows at most {most:,}")
     if states > _MOST_STATES and study.settings.get("atmosphere.engine") != "emulator":
         yield FieldMistake("inputs", f"{states} states of the atmosphere; this server allows at most {_MOST_STATES}")
 

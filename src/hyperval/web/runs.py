@@ -280,8 +280,7 @@ def validations(request: Request, order: ValidationOrder) -> RunAnswer:
 
 def maps_of(place: Path) -> list[str]:
     """Names of the score maps of a run."""
-    folder = place / "results" / "scores"
-    return sorted(p.stem for p in folder.glob("*.tif")) if folder.is_dir() else []
+    return sorted(path.stem for path in (place / "results" / "scores").glob("*.tif"))
 
 
 @pages.get("/runs/{run_id}/map")

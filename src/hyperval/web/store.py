@@ -24,7 +24,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib import resources
 from multiprocessing import set_forkserver_preload
@@ -49,20 +49,31 @@ LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 
 @dataclass(frozen=True)
-class Limits:
-    """Bounds of one server.
+class ServerSettings:
+    """How one server is run, and its bounds.
 
     Attributes
     ----------
+    folder : runs and uploads;  campaigns : folder of campaigns that may be run, None: none
+    data : folder whose cubes and regions may be named, None: none
+    hosts : names under which browsers reach it
+    secure : whether it is reached by HTTPS alone, through a proxy
+    scheduler : address of a Dask scheduler whose workers carry the tasks out, None: processes of this machine
     body_bytes, upload_bytes : of one request; of one that brings a file
     quick_seconds, long_seconds : of a prediction or chart; of a study, campaign or pipeline
     memory_bytes : of one worker
     quick_workers, long_workers : processes of either kind
     queue : runs that wait, of either kind; per_session : runs of one session that wait or run
     kept_bytes, kept_days : finished runs and uploads; the oldest go first
-    points : of a study;  pixels : of an uploaded cube, times its bands
+    points : of a study;  samples : pixels of an uploaded cube, times its bands
     """
 
+    folder: Path
+    campaigns: Path | None = None
+    data: Path | None = None
+    hosts: tuple[str, ...] = LOOPBACK
+    secure: bool = False
+    scheduler: str | None = None
     body_bytes: int = 300_000
     upload_bytes: int = 64 * MEGABYTE
     quick_seconds: float = 60.0
@@ -76,28 +87,6 @@ class Limits:
     kept_days: float = 30.0
     points: int = 20_000
     samples: int = 100_000_000
-
-
-@dataclass(frozen=True)
-class ServerSettings:
-    """How one server is run.
-
-    Attributes
-    ----------
-    folder : runs and uploads;  campaigns : folder of campaigns that may be run, None: none
-    data : folder whose cubes and regions may be named, None: none
-    hosts : names under which browsers reach it
-    secure : whether it is reached by HTTPS alone, through a proxy
-    scheduler : address of a Dask scheduler whose workers carry the tasks out, None: processes of this machine
-    """
-
-    folder: Path
-    campaigns: Path | None = None
-    hosts: tuple[str, ...] = LOOPBACK
-    secure: bool = False
-    limits: Limits = field(default_factory=Limits)
-    data: Path | None = None
-    scheduler: str | None = None
 
 
 ENDED = ("finished", "failed", "cancelled", "lost")
@@ -143,13 +132,13 @@ class RunStore:
     Results that commands wrote elsewhere below the server's folder are runs too, which every session sees.
     """
 
-    def __init__(self, folder: Path, limits: Limits):
-        self.folder, self.limits = folder, limits
+    def __init__(self, settings: ServerSettings):
+        self.folder, self._settings = settings.folder, settings
         self.notices: list[str] = []
         self._lock = threading.RLock()
         self._unwritten: dict[str, WebRun] = {}  # what stands in no file: that a run has begun, or met a full disk
         self._cleared = 0.0
-        (folder / "runs").mkdir(parents=True, exist_ok=True)
+        (self.folder / "runs").mkdir(parents=True, exist_ok=True)
         self._settle()
         self.clear()
 
@@ -267,7 +256,7 @@ class RunStore:
             sizes = [size_of(path) for _, path in kept]
             total = sum(sizes)
             for (created, path), size in sorted(zip(kept, sizes, strict=True)):
-                if now - created > self.limits.kept_days * _DAY_S or total > self.limits.kept_bytes:
+                if now - created > self._settings.kept_days * _DAY_S or total > self._settings.kept_bytes:
                     total -= size
                     shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
 
@@ -337,12 +326,12 @@ class Desk:
     """
 
     def __init__(self, settings: ServerSettings, store: RunStore, pools: tuple[TaskPool, TaskPool] | None = None):
-        limits = self.limits = settings.limits
-        self.store = store
-        of = partial(WorkerPool, most=limits.queue, memory_bytes=limits.memory_bytes, scheduler=settings.scheduler)
+        self._settings, self.store = settings, store
+        of = partial(WorkerPool, most=settings.queue, memory_bytes=settings.memory_bytes, scheduler=settings.scheduler)
         self.quick, self.long = pools or (
-            of(limits.quick_workers, seconds=limits.quick_seconds), of(limits.long_workers, seconds=limits.long_seconds)
-        )  # fmt: skip
+            of(settings.quick_workers, seconds=settings.quick_seconds),
+            of(settings.long_workers, seconds=settings.long_seconds),
+        )
         self._tasks: dict[tuple[str, object], WorkerTask] = {}  # by owner and run, or by run and file
         self._changed = threading.Condition()
 
@@ -378,7 +367,7 @@ class Desk:
         """
         with self._changed:
             own = sum(of == owner for of, _ in list(self._tasks))
-            if own >= self.limits.per_session:
+            if own >= self._settings.per_session:
                 raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
             try:
                 run = self.store.new(owner, kind, name, title, hyperval.__version__, files)
@@ -453,7 +442,7 @@ class Desk:
             own = self._tasks.get((run.id, name)) or WorkerTask(task, {"folder": str(place), **arguments})
             if (run.id, name) not in self._tasks:
                 self._hand((run.id, name), self.long if task == COLLECTION else self.quick, own)
-        self._result(own, self.limits.quick_seconds * 2)
+        self._result(own, self._settings.quick_seconds * 2)
         return place / name
 
     def ask(self, task: str, **arguments: Any) -> Any:
@@ -465,7 +454,7 @@ class Desk:
         """
         own = WorkerTask(task, arguments)
         self._hand(("", own), self.quick, own)
-        return self._result(own, self.limits.quick_seconds)
+        return self._result(own, self._settings.quick_seconds)
 
     def _result(self, task: WorkerTask, seconds: float) -> Any:
         try:

@@ -113,7 +113,7 @@ class Uploads:
         with path.open("rb") as file:
             head = file.read(8)
         packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
-        largest = self._state.settings.limits.samples * 8 if field == "cube" else _LARGEST_TEXT
+        largest = self._state.settings.samples * 8 if field == "cube" else _LARGEST_TEXT
         wrong = {
             f"ends with none of {', '.join(filter(None, _ENDINGS[field]))}":
                 Path(name).suffix.lower() not in _ENDINGS[field],
@@ -188,7 +188,7 @@ def _page(
     settings, own = request.app.state.settings, Uploads(request)
     errors = marked(mistakes, [mistake.field for mistake in mistakes])
     return page(
-        request, "uploads.html.j2", status=status, errors=errors, given=given, most=settings.limits.upload_bytes,
+        request, "uploads.html.j2", status=status, errors=errors, given=given, most=settings.upload_bytes,
         has_data=settings.data is not None, sensors=library_names(),
         kept={field: own.names(field) for field in _ENDINGS},
     )  # fmt: skip
@@ -235,7 +235,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     run: WebRun = state.desk.order(
         own.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
         {f"collection/{name}": path for name, (_, path) in files.items()},
-        parts=parts, stated=stated.model_dump(exclude_none=True), most=state.settings.limits.samples,
+        parts=parts, stated=stated.model_dump(exclude_none=True), most=state.settings.samples,
     )  # fmt: skip
     for field in PARTS.keys() - {*_OF_SCENARIOS}:
         shutil.rmtree(own.folder / field, ignore_errors=True)
