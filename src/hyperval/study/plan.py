@@ -50,7 +50,7 @@ Array = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read
-_MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
+MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
 GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
 LEAST_GAS = 0.1  # and the two-way gas transmittance above which
 
@@ -312,7 +312,7 @@ def try_values(study: StudyFile, world: World) -> None:
     speak for what lies between.
     """
     for item in study.moving:
-        for value in _values_to_try(item):
+        for value in values_to_try(item):
             point = moved([item], {item.name: column_of([value])})
             changes = {path: plain(column[0]) for path, column in point.items()}
             try:
@@ -329,13 +329,14 @@ def try_values(study: StudyFile, world: World) -> None:
                 raise UsageError(f"input {item.name!r} at {value!r}: {error}") from error
 
 
-def _values_to_try(item: Input | Required) -> list[Any]:
+def values_to_try(item: Input | Required) -> list[Any]:
+    """Values of an input that speak for all: every one that is listed, or the ends where these are many numbers."""
     if isinstance(item, Required):
         return list(item.between)
     if item.listed is None:
         return list(item.random.ends) if item.random is not None else []
     tries = item.listed.tolist()
-    return tries if len(tries) <= _MOST_TRIED or item.listed.dtype == object else [min(tries), max(tries)]
+    return tries if len(tries) <= MOST_TRIED or item.listed.dtype == object else [min(tries), max(tries)]
 
 
 def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
@@ -360,7 +361,7 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
     for item, move, key in moving:
         own = item.listed if isinstance(item, Input) else None
         if own is None or own.dtype != object:  # words are read again for each
-            ends = np.unique([move.of(float(v)) for v in _values_to_try(item)])
+            ends = np.unique([move.of(float(v)) for v in values_to_try(item)])
             few = own is not None and ends.size <= study.atmosphere.nodes
             between = ends if few else spaced(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
             nodes[key] = tuple(between.tolist())

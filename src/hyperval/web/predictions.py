@@ -24,10 +24,12 @@ from starlette.responses import JSONResponse, RedirectResponse, Response, Stream
 
 from hyperval.config import load_yaml
 from hyperval.errors import UsageError
-from hyperval.model import in_file
+from hyperval.model import column_of, in_file
+from hyperval.model import plain as own_value
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
+from hyperval.study.plan import MOST_TRIED, moved, values_to_try
 from hyperval.study.schema import Input, Required, StudyFile
 from hyperval.study.trade import KINDS, Prepared, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.forms import (
@@ -259,7 +261,6 @@ def _scenario_of(order: PredictionOrder) -> dict[str, Any]:
 
 
 _MOST_STATES = 40
-_MOST_WORDS = 100  # values of an input that are no numbers: each is tried in the scenario
 _SETTABLE = ("atmosphere", "sensor_changes", "sensor_operation", "scene", "processing")
 _FIRST = "yellow-planks-asphalt"
 _LISTS = ("subject", "background", "sensor")
@@ -455,20 +456,18 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
     if wrong := [path for path in study.settings if path.partition(".")[0] not in _SETTABLE]:
         yield FieldMistake("settings", f"{wrong[0]!r} cannot be set from here")
         return
-    asked: list[tuple[str, Input | Required, list[Any]]] = [
-        (f"inputs.{i}", one, one.values or ([one.grid.start] if one.grid else [])) for i, one in enumerate(study.inputs)
-    ]
-    asked += [(f"required.{i}", one, [one.between[0]]) for i, one in enumerate(study.required)]
     tries = [("settings", study.settings)]
-    for at, item, values in asked:
-        words = list({repr(value): value for value in values if not isinstance(value, int | float)}.values())
-        if len(words) > _MOST_WORDS:
-            yield FieldMistake(f"{at}.values", f"{len(words)} that are no numbers; at most {_MOST_WORDS} are taken")
-        for value in (words or values)[:_MOST_WORDS]:
-            for k, move in enumerate(item.targets):
-                own = move.of(value[k] if isinstance(value, list) and len(item.moves) > 1 else value)
-                if in_file(move.path) and move.path.partition(".")[0] in Scenario.model_fields and own is not None:
-                    tries.append((f"{at}.path", {move.path: own}))
+    asked: list[tuple[str, Input | Required]] = [(f"inputs.{i}", one) for i, one in enumerate(study.inputs)]
+    asked += [(f"required.{i}", one) for i, one in enumerate(study.required)]
+    for at, item in asked:
+        values = list({repr(value): value for value in values_to_try(item)}.values())
+        if len(values) > MOST_TRIED:
+            yield FieldMistake(f"{at}.values", f"{len(values)} that are no numbers; at most {MOST_TRIED} are taken")
+        for value in values[:MOST_TRIED]:
+            point = {path: column[0] for path, column in moved([item], {item.name: column_of([value])}).items()}
+            file = {path for path in point if in_file(path) and path.partition(".")[0] in Scenario.model_fields}
+            own = {path: own_value(point[path]) for path in sorted(file) if point[path] is not None}
+            tries.append((f"{at}.path", own))
     for field, settings in tries:
         try:
             checked_scenario(plain(with_settings(scenario, settings)), uploads)
