@@ -23,10 +23,6 @@ def line(white=None, *, sd=0.01, rho=0.05, change=None, **options):
     return pixels.fit_elm((replace(white or panel(sd=sd), **(change or {})), panel("black", rho, 0.01)), **options)
 
 
-def curve(*pfa):
-    return pixels.empirical_roc(np.linspace(1.0, 3.0, 30), np.linspace(-2.0, 2.0, 2000), pfa or (1e-2, 1e-1))
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -35,10 +31,6 @@ def curve(*pfa):
         (lambda: pixels.pixel_detector("cem", np.ones(3), np.zeros(3), None), "'cem' needs the covariance"),
         (lambda: pixels.pixel_detector("ace", None, np.zeros(3), EYE), "'ace' needs a target spectrum"),
         (lambda: pixels.whitener_of(np.zeros(3), np.diag([1.0, 1.0, 0.0])), "1 of 3 bands have no variance"),
-        (
-            lambda: pixels.exceedance_curve(pixels.AlarmBlocks.of_map(np.zeros((4, 4)), np.ones((4, 4), bool))),
-            "too few",
-        ),
         (lambda: pixels.pixel_detector("CEM", np.ones(3), np.zeros(3), EYE), "unknown detector 'CEM'"),
         (lambda: pixels.pixel_detector("rx", None, np.zeros(3), EYE).score(EYE), "whitener"),
         (lambda: pixels.register_detector("My detector", lambda *a: None), "detector name 'My detector'"),
@@ -47,7 +39,6 @@ def curve(*pfa):
         (lambda: model.principal_components(EYE, 0), "0 principal components of 3 bands"),
         (lambda: model.principal_components(EYE, 4), "4 principal components of 3 bands"),
         (lambda: model.minimum_noise_fraction(EYE, np.array([1.0, 0.0, 1.0]), 1), "need noise in every band"),
-        (lambda: pixels.EigenDirections.of(np.zeros((3, 3))), "a covariance without variance has no eigenvalues"),
         (lambda: model.with_distances(None, [model.ClassLaw(np.zeros(3), EYE)]), "classification needs two classes"),
         (lambda: line(change={"radiance": np.full(3, np.nan)}), "panel 'white' holds NaN or infinity"),
         (lambda: line(panel(rho=60.0)), "divide percent by 100"),
@@ -65,11 +56,7 @@ def curve(*pfa):
         (lambda: pixels.empirical_roc([1.0], []), "no background scores"),
         (lambda: pixels.empirical_roc([1.0], [0.0], 0.0), "must lie in"),
         (lambda: model.RocArea(0.2, 0.1), "no range of false-alarm probabilities"),
-        (lambda: pixels.alarms_at_detection([1.0], [0.0], [0.0]), "detection probability of 0"),
-        (lambda: pixels.pooled_roc([curve(1e-2), curve(1e-1)]), "no false-alarm probability in common"),
-        (lambda: pixels.average_roc([curve(), curve(1e-2)], [1.0, 1.0]), "on different false-alarm probabilities"),
         (lambda: pixels.osp_filter(np.array([0.3, 0.7, 0.0]), EYE[:2]), "mixture of the undesired"),
-        (lambda: pixels.osp_filter(np.ones(3), None), "needs the spectra"),
         (lambda: model.mid_p_limits(3, 2), "between 0 and the number of trials"),
         (lambda: model.bounded_mean_limits([1.2]), "between 0 and 1"),
         (lambda: model.clopper_pearson(1, 2, 95.0), "expected: a number between 0 and 1"),
@@ -77,8 +64,6 @@ def curve(*pfa):
         (lambda: pixels.fit_tail_dof(np.ones(20), 20, estimated_on=20), "20 pixels for distances in 20 bands"),
         (lambda: pixels.fit_mixture(np.ones((30, 2)), 40, RNG), "40 components of 30 pixels"),
         (lambda: pixels.chosen_count(np.ones((30, 2)), np.zeros(30), (1, 2), RNG), "one block of the image"),
-        (lambda: pixels.factor_covariance(EYE, 1), "no factors"),
-        (lambda: pixels.factor_covariance(np.diag([1.0, 0.0, 1.0]), 5), "no factors"),
         (lambda: pixels.snr_decorrelated(np.ones((4, 5))), "at least 5"),
         (lambda: pixels.snr_decorrelated(np.ones((10, 2))), "two neighbours"),
         (lambda: pixels.snr_decorrelated(np.full((5, 3), np.nan)), "NaN"),

@@ -247,11 +247,9 @@ def osp_filter(target: npt.ArrayLike, undesired: npt.ArrayLike | None) -> Linear
 
     Raises
     ------
-    UsageError : no undesired spectra, or a target that is a mixture of them.
+    UsageError : a target that is a mixture of them.
     """
     t = np.asarray(target, dtype=float)
-    if undesired is None or np.size(undesired) == 0:
-        raise UsageError("osp needs the spectra that it projects away", mend="name regions in detection.undesired")
     u = np.atleast_2d(np.asarray(undesired, dtype=float))
     left, singular, _ = np.linalg.svd(u.T, full_matrices=False)
     left = left[:, singular > _RANK * singular[0]]

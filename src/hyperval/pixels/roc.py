@@ -34,7 +34,7 @@ import numpy.typing as npt
 from scipy import ndimage, special
 
 from hyperval.data import Array, Counts, Index, Mask
-from hyperval.errors import UsageError, refusal
+from hyperval.errors import UsageError
 from hyperval.model.intervals import (
     Z95,
     beyond_jeffreys_limits,
@@ -308,7 +308,7 @@ class FalseAlarmRatio:
 
 
 def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
-    """P(score > threshold) of background pixels, at ten thresholds for each decade of it, down to 5 alarms.
+    """P(score > threshold) of 20 background pixels or more, at ten thresholds for each decade of it, down to 5 alarms.
 
     The interval is :meth:`~hyperval.pixels.AlarmBlocks.pfa_limits`; there is none where all alarms
     lie in one block.
@@ -319,14 +319,8 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     >>> curve = exceedance_curve(AlarmBlocks.of_map(scores, np.ones((100, 100), dtype=bool)))
     >>> bool(curve.half_image[np.argmin(np.abs(curve.probability - 1e-2))] < 1.5)
     True
-
-    Raises
-    ------
-    UsageError : fewer than 20 pixels count.
     """
     n = background.scores.size
-    if n < FEWEST_FOR_A_CURVE:
-        raise refusal("alarms.few", n=n, least=FEWEST_FOR_A_CURVE)
     decades = np.log10(n / _LEAST_ALARMS)
     level = 10.0 ** -(np.arange(int(decades * _PER_DECADE), -1, -1) / _PER_DECADE)
     level = level[level <= 0.5]
@@ -531,10 +525,6 @@ def alarms_at_detection(
     both statements at level sqrt(0.95), so that together they hold at 0.95 or more whatever the
     distributions.  Of a background whose places are known, alarms that come in clusters count as fewer: they and the
     pixels are divided by the design effect (:meth:`~hyperval.pixels.AlarmBlocks.design_effect`).
-
-    Raises
-    ------
-    UsageError : a ``pd`` outside (0, 1].
     """
     t, b = ascending(target_scores, "target"), ascending(background_scores, "background")
     m, n, each = t.size, b.size, float(np.sqrt(LEVEL))
@@ -549,8 +539,6 @@ def alarms_at_detection(
 
     out = []
     for q in pd:
-        if not 0.0 < q <= 1.0:
-            raise UsageError(f"a detection probability of {q:g}", expected="above 0, at most 1")
         rank = int(np.ceil(q * m / _ROUNDING))
         fixed = limits(alarms(rank), LEVEL)
         r, s = (int(x) for x in _ranks(m, q, each))
@@ -836,22 +824,16 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
 
     P_D is the share of all targets detected; its interval is the mid-P one of the pooled count and, in
     quadrature, what the sampling of the thresholds brings to each curve, added by the shares of the targets: the
-    detectors share their background, and its errors may go together.
-
-    Raises
-    ------
-    UsageError : curves that have no false-alarm probability in common.
+    detectors share their background, and its errors may go together.  All grids are the one of
+    :func:`empirical_roc`, from where each background begins.
     """
-    grid = curves[0].pfa
-    for curve in curves[1:]:
-        grid = grid[np.any(np.abs(grid[:, None] / curve.pfa[None, :] - 1.0) < 1e-9, axis=1)]
-    if grid.size == 0:
-        raise UsageError("the curves have no false-alarm probability in common")
+    size = min(curve.pfa.size for curve in curves)
+    grid = curves[0].pfa[-size:]
     total = sum(int(c.n_target or 0) for c in curves)
     detected, below, above = np.zeros((3, grid.size))
     for curve in curves:
-        n, at = int(curve.n_target or 0), np.abs(curve.pfa / grid[:, None] - 1.0).argmin(axis=1)
-        pd, low, high = (values[at] for values in (curve.pd, curve.pd_lower, curve.pd_upper))
+        n = int(curve.n_target or 0)
+        pd, low, high = (values[-size:] for values in (curve.pd, curve.pd_lower, curve.pd_upper))
         own = mid_p_limits(np.rint(pd * n), n)
         detected += np.rint(pd * n)
         # What was added in quadrature to the binomial limits.
@@ -873,14 +855,8 @@ def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
 
     P_D is the average of the groups by ``weights`` (how many targets each has); the bands are averaged as if
     the errors of all groups went together, which is the widest they can be.
-
-    Raises
-    ------
-    UsageError : curves on different false-alarm probabilities.
     """
     first, share = curves[0], np.asarray(weights, dtype=float) / np.sum(weights)
-    if any(c.pfa.shape != first.pfa.shape or not np.allclose(c.pfa, first.pfa, rtol=1e-9) for c in curves):
-        raise UsageError("predicted curves on different false-alarm probabilities cannot be averaged")
     pd, low, high = (share @ np.stack([getattr(c, k) for c in curves]) for k in ("pd", "pd_lower", "pd_upper"))
     return RocCurve(first.pfa, pd, low, high, np.full(first.pfa.shape, np.nan), first.unit)
 

@@ -555,16 +555,9 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, float]:
     ----------
     covariance : (B, B) unbiased sample covariance with positive diagonal
     n : pixels behind it, two or more
-
-    Raises
-    ------
-    UsageError : fewer than two pixels, or a band without variance.
     """
     s = np.asarray(covariance, dtype=float)
-    variance = np.diag(s)
-    if n < 2 or not np.all(variance > 0):
-        raise UsageError(f"a covariance of {n} pixels or with a band without variance has no factors")
-    sd, m, bands = np.sqrt(variance), n - 1, s.shape[0]
+    sd, m, bands = np.sqrt(np.diag(s)), n - 1, s.shape[0]
     values, vectors = np.linalg.eigh(s / np.outer(sd, sd))
     values, vectors = np.clip(values[::-1], 0.0, None), vectors[:, ::-1]
     count = 0
@@ -662,12 +655,10 @@ class EigenDirections:
 
     @classmethod
     def of(cls, covariance: npt.ArrayLike) -> EigenDirections:
-        """Of a symmetric (B, B); UsageError where it has no variance."""
+        """Of a symmetric (B, B) that has some variance."""
         values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=float))
         values, vectors = values[::-1], vectors[:, ::-1]
         keep = values > SMALLEST_PART * max(float(values[0]), 0.0)
-        if not keep.any():
-            raise UsageError("a covariance without variance has no eigenvalues to compare")
         return cls(np.ascontiguousarray(vectors[:, keep]), values[keep])
 
     def of_other(self, covariance: npt.ArrayLike) -> Array:
