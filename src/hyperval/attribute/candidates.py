@@ -46,7 +46,9 @@ Family = Callable[[World], Truth]  # what stands where with an error, for what a
 # Directions of an input that move all that is compared at once: of a smooth error nearly all of its variance, of a
 # rough one little.  The rest counts for each spectrum by itself (``stated_beyond``), and not for scores.
 MOST_DIRECTIONS = 8
-MOST_UNITS, MOST_STEPS = 10.0, 200.0  # a direction that would have to move farther is no reason; of usual steps
+# A direction that would have to move farther is no reason: stated uncertainties, usual steps, steps of a smooth gain
+# or offset (half of the radiance).
+MOST_UNITS, MOST_STEPS, MOST_SMOOTH = 10.0, 200.0, 16.0
 SHIFT_NM = 0.2
 SPREAD = 0.10
 FRACTION = 0.10
@@ -80,11 +82,11 @@ _SIZES = {
 _OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
 SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
-# Of the state of atmosphere and view: step, its unit, where the model is asked.
-_OF_STATE: tuple[tuple[str, str, float, str, tuple[float, ...]], ...] = (
-    ("sensor_altitude_km", "sensor altitude", 10.0, "%", (-5.0, 20.0)),
-    ("ground_altitude_km", "ground height", 0.1, "km", (-5.0, 8.0)),
-    ("view_zenith_deg", "view zenith angle", 1.0, "deg", (-20.0, 20.0)),
+# Of the state of atmosphere and view: step, and where the model is asked.
+_OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
+    ("sensor_altitude_km", "sensor altitude", "10 %", (-5.0, 20.0)),
+    ("ground_altitude_km", "ground height", "0.1 km", (-5.0, 8.0)),
+    ("view_zenith_deg", "view zenith angle", "1 deg", (-20.0, 20.0)),
 )
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
 
@@ -177,7 +179,9 @@ class Candidate:
 
     @property
     def most(self) -> float:
-        """Units that a direction may go: ten stated uncertainties, or 200 usual steps."""
+        """Units that a direction may go: ten stated uncertainties, 200 usual steps, or half of the radiance."""
+        if self.knots_nm:
+            return MOST_SMOOTH
         return MOST_UNITS if self.budgeted and not self.unbounded else MOST_STEPS
 
     @property
@@ -273,13 +277,8 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
             return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
 
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
-    if any(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
-
-        def lower(degrees: float) -> list[Truth]:
-            zeniths = [None if s is None or s.time_utc else s.solar_zenith_deg for s in states]
-            return [{} if z is None else {"atmosphere.solar_zenith_deg": z + degrees} for z in zeniths]
-
-        out.append(Candidate("solar zenith angle", "scene", "1 deg", False, sizes=(1.0, -1.0, -5.0, 5.0), moved=lower))
+    if all(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
+        out.append(_of_state(worlds, "solar_zenith_deg", "solar zenith angle", "1 deg", (1.0, -1.0, -5.0, 5.0)))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
         kinds: dict[str, list[Truth]] = {
             h: [{"atmosphere.aerosol": h} if s is not None else {} for s in states] for h in HAZES if h not in hazes
@@ -370,15 +369,19 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
         out.append(_one_of("entry of a spectrum", "scene", entries))
     if not all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds):
         return out
-    for key, name, step, unit, sizes in _OF_STATE:
-        path = f"atmosphere.{key}"
-        there = [number_input(w, name, "scene", path, step, source="usual", words=f"{step:g} {unit}") for w in worlds]
-        if unit == "%":
-            there = [_part(w, name, "scene", path, step / 100.0) for w in worlds]
-        out.append(Candidate(name, "scene", there[0].correlation, False, tuple(there), sizes))
+    out += [_of_state(worlds, *row) for row in _OF_STATE]
     suns: dict[str, list[Truth]] = {sun: [{"atmosphere.solar_spectrum": sun} for _ in worlds] for sun in SOLAR_SPECTRA}
     stated = {w.stated.scenario.atmosphere.solar_spectrum for w in worlds if w.stated.scenario.atmosphere}
     return [*out, _one_of("solar spectrum", "atmosphere", {s: t for s, t in suns.items() if s not in stated})]
+
+
+def _of_state(worlds: Sequence[World], key: str, name: str, step: str, sizes: tuple[float, ...]) -> Candidate:
+    """A number of the state of atmosphere, sun and view, in all scenarios."""
+    size, path = float(step.split()[0]), f"atmosphere.{key}"
+    there = [number_input(w, name, "scene", path, size, source="usual", words=step) for w in worlds]
+    if step.endswith("%"):
+        there = [_part(w, name, "scene", path, size / 100.0) for w in worlds]
+    return Candidate(name, "scene", step, False, tuple(there), sizes)
 
 
 def _in_one(one: UncertainInput, number: int, of: int, sizes: tuple[float, ...]) -> Candidate:
