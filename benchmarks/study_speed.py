@@ -27,7 +27,7 @@ from predict_speed import TEXT
 
 from hyperval.atmosphere.between import spaced
 from hyperval.config import parse_yaml, validate
-from hyperval.executors import Parcel, in_order, parcel, workers
+from hyperval.executors import Parcel, in_order, opened, parcel, workers
 from hyperval.model import Origins, World, evaluations, false_alarm_grid, predict, read, with_values
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
@@ -56,7 +56,7 @@ def designs(count: int) -> dict[str, Columns]:
 def full(piece: tuple[Parcel, Columns]) -> tuple[float, float]:
     """Evaluate some points in full; a number that follows from all of them, and the processor time [s]."""
     start = time.process_time()
-    world, columns = piece[0].open(), piece[1]
+    world, columns = opened(piece[0]), piece[1]
     total, names = 0.0, world.stated.classes
     for _, e in evaluations(with_values(world, columns)):
         total += sum(float(e.radiance(s).sum()) for s in (*names, "plank"))

@@ -10,7 +10,6 @@ of a solve depend on the number of threads.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import multiprocessing
 import os
@@ -349,29 +348,15 @@ class Workers:
         return self.executor.submit(_single_threaded, function, piece)
 
 
-@dataclass(frozen=True)
-class Parcel:
-    """What all pieces need, opened once in each process.
-
-    Attributes
-    ----------
-    digest : by which parcels are told apart
-    content : of the parcel itself, or None where processes of this machine read it from ``path``
-    """
-
-    digest: str
-    content: bytes | None = field(default=None, compare=False, repr=False)
-    path: Path | None = field(default=None, compare=False)
-
-    def open(self) -> Any:
-        """What was packed; the latest two stay open."""
-        return _opened(self)
+# What all pieces need, packed: itself, or the file that processes of this machine read it from.
+Parcel = bytes | Path
 
 
 @lru_cache(maxsize=2)
-def _opened(parcel: Parcel) -> Any:
-    content = parcel.path.read_bytes() if parcel.path else parcel.content
-    return pickle.loads(content or b"")  # noqa: S301 - made by this program a moment ago
+def opened(packed: Parcel) -> Any:
+    """What was packed, once in each process; the latest two stay open."""
+    content = packed.read_bytes() if isinstance(packed, Path) else packed
+    return pickle.loads(content)  # noqa: S301 - made by this program a moment ago
 
 
 @contextmanager
@@ -382,14 +367,12 @@ def parcel(where: Workers | Executor, value: Any) -> Iterator[Parcel]:
     handing it to them piece by piece takes longer than the work does where the work is quick.
     """
     content = pickle.dumps(value, protocol=5)
-    digest = hashlib.sha256(content).hexdigest()
     if not isinstance(where, Workers) or not isinstance(where.executor, TaskPool):
-        yield Parcel(digest, content)
+        yield content
         return
     with scratch_folder("parcel") as folder:
-        path = folder / "parcel"
-        path.write_bytes(content)
-        yield Parcel(digest, path=path)
+        (folder / "parcel").write_bytes(content)
+        yield folder / "parcel"
 
 
 def available_cores() -> int:

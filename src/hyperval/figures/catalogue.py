@@ -371,7 +371,11 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     kinds = dict.fromkeys(key[1:] for key in drawn)
     views, words = [], []
     for kind in kinds:
-        keys = _best_counted([key for key in drawn if key[1:] == kind], measured, MOST_CURVES // len(kinds) or 1)
+        # Of too many those with the most targets, pools of targets among them.
+        own = [key for key in drawn if key[1:] == kind]
+        counts = {key: (measured[key].n_target or 0) if key in measured else -1 for key in own}
+        chosen = sorted(own, key=lambda key: -counts[key])[: MOST_CURVES // len(kinds) or 1]
+        keys = [key for key in own if key in chosen]
         # Two decades past what the background can resolve are enough.
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
         seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
@@ -389,13 +393,6 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
         f"{names[1]}, with 95 % intervals. {' '.join(words)}",
         tuple(views), head=head, together="first",
     )  # fmt: skip
-
-
-def _best_counted(keys: list[Key], measured: Mapping[Key, RocCurve], most: int) -> list[Key]:
-    """``keys``, of too many those ``most`` with the most targets (pools of targets among them)."""
-    count = {key: (measured[key].n_target or 0) if key in measured else -1 for key in keys}
-    chosen = set(sorted(keys, key=lambda key: -count[key])[:most])
-    return [key for key in keys if key in chosen]
 
 
 def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tuple[str, str]) -> Panels:

@@ -311,13 +311,12 @@ def reason_figures(table: ResultTable) -> list[Figure]:
 
 
 def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
-    stated, names = _stated(table), [r.method for r in rows]
+    needed = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
+    stated, names = {r.method for r in needed if "none is stated" not in r.reason}, [r.method for r in rows]
+    looks = {True: (_STATED, "uncertainty stated"), False: (_UNSTATED, "none stated: standard step")}
     marks = []
-    for colour, label, own in (
-        (_STATED, "uncertainty stated", [i for i, name in enumerate(names) if name in stated]),
-        (_UNSTATED, "none stated: standard step", [i for i, name in enumerate(names) if name not in stated]),
-    ):
-        if own:
+    for is_stated, (colour, label) in looks.items():
+        if own := [i for i, name in enumerate(names) if (name in stated) is is_stated]:
             at, ends = np.array(own, float), np.array([max(rows[i].value, 0.1) for i in own])
             columns = {"left": np.full(at.size, 0.1), "right": ends, "bottom": at - 0.35, "top": at + 0.35}
             # An input that explains nothing has nothing to say, however far it moves.
@@ -339,27 +338,23 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
 def _gain(table: ResultTable) -> Figure | None:
     """The gain of the sensor that would explain the radiance of all subjects, over wavelength."""
     marks: dict[str, Mark] = {}
-    labels = {
-        "": "gain without an offset",
-        "_beside_offset": "gain beside the offset below",
-        "o": "offset beside that gain",
-    }
-    for kind, label in labels.items():
-        name = "sensor_offset@" if kind == "o" else f"sensor_gain{kind}@"
-        every = [r for r in table.where(product="radiance") if r.metric.startswith(name)]
+    for name, label, colour in (
+        ("sensor_gain", "gain without an offset", DIFFERENCE), ("sensor_offset", "offset beside that gain", GREY),
+        ("sensor_gain_beside_offset", "gain beside the offset below", GREY),
+    ):  # fmt: skip
+        every = [r for r in table.where(product="radiance") if r.metric.startswith(f"{name}@")]
         if every:
             numbers = np.array([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in every])
-            columns = dict(zip(("x", "y", "low", "high"), numbers.T, strict=True))
-            colour, hollow = (GREY, True) if kind else (DIFFERENCE, False)
-            marks[kind] = Mark("dots", columns, f"{label}, 95 % interval", colour, marker="circle", hollow=hollow)
+            columns, hollow = dict(zip(("x", "y", "low", "high"), numbers.T, strict=True)), colour == GREY
+            marks[name] = Mark("dots", columns, f"{label}, 95 % interval", colour, marker="circle", hollow=hollow)
     if not marks:
         return None
-    nm, gain, low, high = (marks[""].columns[name] for name in ("x", "y", "low", "high"))
+    nm, gain, low, high = marks["sensor_gain"].columns.values()
     far = int(np.argmax(np.abs(gain - 1.0)))
     title = "Gain and offset [uW cm-2 sr-1 nm-1] of the sensor that would explain the radiance of all subjects"
     alt = f"{title}; gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at "
     alt += f"{nm[far]:.0f} nm."
-    offset = [marks.pop("o")] if "o" in marks else []
+    offset = [marks.pop("sensor_offset")] if "sensor_offset" in marks else []
     parts = [Part(Axis("measured / predicted radiance"), tuple(marks.values()), (("y", 1.0),))]
     parts += [Part(Axis("offset"), (mark,), (("y", 0.0),)) for mark in offset]
     return Figure("sensor-gain", "attribution", title, alt, (Panels(Axis(WAVELENGTH), tuple(parts)),))
@@ -453,11 +448,6 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
     alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
     return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
-
-
-def _stated(table: ResultTable) -> set[str]:
-    rows = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
-    return {r.method for r in rows if "none is stated" not in r.reason}
 
 
 def _leading_number(text: str) -> float:

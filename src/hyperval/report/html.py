@@ -183,6 +183,7 @@ _GROUPS = (
     ("Simulated collections", (True, False)),
 )
 _REASONS = ("attribution", "what-if", "sensitivity")
+_INPUT = ("reference", "sha256", "licence", "citation")
 _COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 
 
@@ -234,7 +235,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         reasons=[section for section in sections if section["name"] in _REASONS],
         undone=_undone(rows),
         notes=run.notes,
-        inputs=[_input(item) for item in run.provenance.get("inputs", ())],
+        inputs=[{key: str(item.get(key) or "") for key in _INPUT} for item in run.provenance.get("inputs", ())],
         facts=list(flat({k: v for k, v in run.provenance.items() if k != "inputs"}).items()),
         maps=len(run.score_maps),
         metrics=explained(row.metric for row in planned),
@@ -440,10 +441,6 @@ def _rank(drawing: Drawing) -> int:
     if drawing.name in PICTURES:
         return PICTURES.index(drawing.name)
     return len(PICTURES) + drawing.name.startswith("score-map")
-
-
-def _input(item: Mapping[str, Any]) -> dict[str, str]:
-    return {key: str(item.get(key) or "") for key in ("reference", "sha256", "licence", "citation")}
 
 
 def flat(value: Any, at: str = "") -> dict[str, str]:

@@ -217,18 +217,13 @@ def tests_the_uncertainty(row: Result) -> bool:
 
 def _most_reduced(tests: Sequence[Result], rows: Sequence[Result]) -> float:
     """The greatest reduced chi-square behind tests of the stated uncertainty; NaN where none has one."""
-    behind = {
-        (row.campaign, row.product, row.subject, row.method, row.metric.replace("p_value", "chi2_reduced"))
-        for row in tests
-    }
-    values = [row.value for row in tests if row.metric == "reduced_chi_square"]
-    values += [
-        row.value
-        for row in rows
-        if row.metric.startswith("chi2_reduced")
-        and (row.campaign, row.product, row.subject, row.method, row.metric) in behind
-    ]
-    return max((value for value in values if math.isfinite(value)), default=math.nan)
+
+    def key(row: Result) -> tuple[str, ...]:
+        return row.campaign, row.product, row.subject, row.method, row.metric.replace("p_value", "chi2_reduced")
+
+    behind = set(map(key, tests))
+    reduced = [row for row in rows if row.metric.startswith(("chi2_reduced", "reduced_chi_square"))]
+    return max((r.value for r in reduced if key(r) in behind and math.isfinite(r.value)), default=math.nan)
 
 
 def _counted(gates: Sequence[Result], kind: Evidence, *, named: bool = True) -> str:

@@ -21,7 +21,7 @@ import hyperval
 from hyperval.campaign.provenance import package_versions, record_of
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
-from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
+from hyperval.executors import Parcel, Workers, in_order, opened, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
 from hyperval.model import Origins, predict
 from hyperval.progress import track
@@ -114,7 +114,7 @@ def evaluate_into(
 def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
     packed, start, stop = piece
-    plan: Plan = packed.open()
+    plan: Plan = opened(packed)
     study, parts, reasons, values_of = plan.study, [], dict[int, str](), partial(output_values, plan.world)
     for low in range(start, stop, _BATCH):
         columns = moved(study.inputs, input_values(study, low, min(low + _BATCH, stop)))
