@@ -11,7 +11,7 @@ import tempfile
 import threading
 import warnings
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -373,23 +373,15 @@ def array_raster(
 
 
 class LabelledArray(NamedTuple):
-    """An array of three axes in a group of a file, and the coordinate that may tell its wavelengths."""
+    """An array of three axes in a file: its name with that of its groups, and the data beside it.
 
-    group: str
+    ``bands`` : the data with wavelengths along one of its axes, and these; None without
+    """
+
+    path: str
     array: xr.DataArray
     data: xr.Dataset
-    wave: xr.DataArray | None
-
-    @property
-    def path(self) -> str:
-        """Its name with that of its groups."""
-        return f"{self.group.strip('/')}/{self.array.name}".strip("/")
-
-    @property
-    def label(self) -> str:
-        """Its path, axes and type, for messages."""
-        axes = ", ".join(f"{axis} {size}" for axis, size in self.array.sizes.items())
-        return f"{self.path} ({axes}; {self.array.dtype})"
+    bands: tuple[xr.Dataset, xr.DataArray] | None
 
 
 @reader
@@ -442,51 +434,54 @@ def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
 
 
 def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: Path) -> LabelledArray:
-    """The array that is named, else the only one with wavelengths."""
-    candidates = [
-        LabelledArray(group, array, data, _wavelengths(array, data))
-        for group, data in groups
-        for array in data.data_vars.values()
-        if array.ndim == 3 and array.dtype.kind in "iuf" and 0 not in array.shape
-    ]
-    listed = "; ".join(c.label for c in candidates)
-    if all(c.wave is None for c in candidates):
-        candidates = [_with_bands(c, groups) for c in candidates]
+    """The array that is named, else the only one with wavelengths: in its group, or where none has any in another."""
+
+    def candidates(others: Sequence[xr.Dataset]) -> list[LabelledArray]:
+        return [
+            LabelledArray(f"{group}/{array.name}".strip("/"), array, data, _bands(array, (data, *others)))
+            for group, data in groups
+            for array in data.data_vars.values()
+            if array.ndim == 3 and array.dtype.kind in "iuf" and 0 not in array.shape
+        ]
+
+    def labels(arrays: list[LabelledArray]) -> str:
+        axes = [", ".join(f"{axis} {size}" for axis, size in one.array.sizes.items()) for one in arrays]
+        return "; ".join(f"{o.path} ({a}; {o.array.dtype})" for o, a in zip(arrays, axes, strict=True))
+
+    found = candidates(())
+    if all(one.bands is None for one in found):
+        found = candidates([data for _, data in groups])
+    listed = labels(found)
     if variable is not None:
-        named = [c for c in candidates if variable.strip("/") in (c.array.name, c.path)]
+        named = [one for one in found if variable.strip("/") in (one.array.name, one.path)]
         refuse(len(named) != 1, "array.unknown", where, count=len(named), variable=variable, listed=listed or "none")
-        if named[0].wave is None:
-            raise refusal("array.no_coordinate", where, label=named[0].label)
+        refuse(named[0].bands is None, "array.no_coordinate", where, label=labels(named))
         return named[0]
-    cubes = [c for c in candidates if c.wave is not None]
+    cubes = [one for one in found if one.bands is not None]
     refuse(not cubes, "array.no_coordinates", where, listed=listed or "none of three axes")
-    refuse(len(cubes) > 1, "array.several", where, count=len(cubes), labels="; ".join(c.label for c in cubes))
+    refuse(len(cubes) > 1, "array.several", where, count=len(cubes), labels=labels(cubes))
     return cubes[0]
 
 
-def _with_bands(candidate: LabelledArray, groups: list[tuple[str, xr.Dataset]]) -> LabelledArray:
-    """An array with the bands of another group that has wavelengths along one of its axes, where there is one."""
-    for _, other in groups:
-        wave = _wavelengths(candidate.array, other)
-        if wave is not None and wave.size == candidate.array.sizes[wave.dims[0]]:
-            beside = {str(n): (v.dims, v.values, v.attrs) for n, v in other.variables.items() if v.dims == wave.dims}
-            data = candidate.data.assign(beside)
-            return candidate._replace(data=data, wave=data[wave.name])
-    return candidate
+def _bands(array: xr.DataArray, sources: Iterable[xr.Dataset]) -> tuple[xr.Dataset, xr.DataArray] | None:
+    """The first data that have wavelengths along an axis of an array, and these; None without."""
+    pairs = ((data, _wavelengths(array, data)) for data in sources)
+    return next(((d, w) for d, w in pairs if w is not None and w.size == array.sizes[w.dims[0]]), None)
 
 
 def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
-    array, data, wave = chosen.array, chosen.data, chosen.wave
-    assert wave is not None  # noqa: S101 - chosen by it
+    array, data = chosen.array, chosen.data
+    assert chosen.bands is not None  # noqa: S101 - chosen by them
+    beside, wave = chosen.bands
     axes = _axes(array, str(wave.dims[0]))
     piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = _quantity(_stated_unit(array), str(array.name))
-    good, centre = _beside(data, wave, _GOOD), np.asarray(wave.values, float)
+    good, centre = _beside(beside, wave, _GOOD), np.asarray(wave.values, float)
     about = Description(
         product=f"array {str(array.name)!r}",
         bands=ListedBands(
             np.where(centre > 0, centre, np.nan),
-            _beside(data, wave, _WIDTH),
+            _beside(beside, wave, _WIDTH),
             _stated_unit(wave),
             None if good is None else good != 0,
         ),
