@@ -51,7 +51,7 @@ def solver_reflectance(st, nm, rho, folder, depth=None):
 def as_the_solver(st, folder):
     """Terms without what the solver does not have: absorption by colliding oxygen, the ratio of MODTRAN to it."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sixs, "_with_oxygen_continuum", lambda gas, *_: gas)
+        patch.setattr(sixs, "continuum_depth", lambda nm, *_: 0.0 * nm)
         return sixs.sixs_terms(st, folder, False, ratio=None)
 
 

@@ -387,10 +387,8 @@ def assembled(
 ) -> AtmosphericTerms:
     """The terms of a state from scattering at the nodes and gas on the grid; see :func:`sixs_terms`."""
     factors = engine_ratio() if ratio == "shipped" else ratio
-    gas = _with_oxygen_continuum(gas, state, setting)
-    if factors is not None:
-        factors = factors.at(GRID_NM)
-        gas = _with_ratio(gas, state, factors)
+    factors = None if factors is None else factors.at(GRID_NM)
+    gas = _corrected(gas, state, setting, factors)
     mu0, mu_v = setting.cosines
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
     value = {name: _log_log(values, GRID_NM) for name, values in node.items()}
@@ -607,27 +605,24 @@ def _gas(state: AtmosphericState, setting: Setting, folder: Path, show: bool | N
     return cached(folder, "gas", inputs, compute)
 
 
-def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: Setting) -> Arrays:
-    """Gas transmittances times that of the collision-induced bands, over the same slanted paths (Beer's law).
+def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: EngineRatio | None) -> Arrays:
+    """Gas transmittances times that of the collision-induced bands (Beer's law), and what MODTRAN has over 6S.
 
-    Like 6S's other dry gases it dims what the air scatters by the whole way down and up.  It is not in the cache,
-    which holds what 6S printed.
+    Both over the same slanted ways: like 6S's other dry gases they dim what the air scatters by the whole way down and
+    up.  They are not in the cache, which holds what 6S printed.
     """
     profile, ground = standard_profile(state.model), setting.ground_km
     sensor = None if setting.height_km is None else ground + setting.height_km
     mu0, mu_v = setting.cosines
     down = np.exp(-continuum_depth(GRID_NM, profile, ground) / mu0)
     both = down * np.exp(-continuum_depth(GRID_NM, profile, ground, sensor) / mu_v)
-    way = {"full": both, "half": both, "dry": both, "ground": down}
-    return {name: values * way[name] for name, values in gas.items()}
-
-
-def _with_ratio(gas: Arrays, state: AtmosphericState, ratio: EngineRatio) -> Arrays:
-    """Gas transmittances times what MODTRAN has over 6S on the same ways."""
-    down, both = (way[:2, 0] for way in amounts(state))  # air and water
-    here = ratio.within(both, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
-    way = {"full": (both, 1.0), "half": (both, 0.5), "dry": (both, 0.0), "ground": (down, 1.0)}
-    return {name: gas[name] * here.gas(air, water * share) for name, ((air, water), share) in way.items()}
+    gas = {name: values * (down if name == "ground" else both) for name, values in gas.items()}
+    if ratio is None:
+        return gas
+    to_ground, whole = (way[:2, 0] for way in amounts(state))  # air and water
+    here = ratio.within(whole, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
+    way = {"full": whole, "half": whole * (1.0, 0.5), "dry": whole * (1.0, 0.0), "ground": to_ground}
+    return {name: gas[name] * here.gas(*way[name]) for name in way}
 
 
 def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:

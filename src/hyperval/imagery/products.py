@@ -244,16 +244,15 @@ def _columns(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, bands
 
 def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tuple[float, float]:
     """Gain and offset of an array by its layout, else by the attributes that the CF conventions have for them."""
-    if not {"scale", "divisor", "offset", "subtract", "range", "plus"} & array.keys():
-        gain, offset = (_stated(image.attrs, name) for name in ("scale_factor", "add_offset"))
-        return 1.0 if gain is None else gain, offset or 0.0
     if array.range is not None:
         low, high = (tree.number(r) for r in array.range)
         return (high - low) / _HIGHEST, low
-    neutral = {"divisor": 1.0, "scale": 1.0, "offset": 0.0, "subtract": 0.0}
-    divisor, scale, offset, subtract = (tree.number(array.get(key, value)) for key, value in neutral.items())
-    refuse(divisor == 0, "product.divisor", tree.path, name=array.divisor)
-    return scale / divisor, offset - subtract
+    if array.divisor is not None:
+        divisor = tree.number(array.divisor)
+        refuse(divisor == 0, "product.divisor", tree.path, name=array.divisor)
+        return 1.0 / divisor, -tree.number(array.subtract or 0.0)
+    gain, offset = (_stated(image.attrs, name) for name in ("scale_factor", "add_offset"))
+    return 1.0 if gain is None else gain, offset or 0.0
 
 
 def _unit(layout: ProductLayout, images: list[h5py.Dataset]) -> tuple[str, tuple[str, ...]]:
