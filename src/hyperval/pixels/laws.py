@@ -273,11 +273,9 @@ def chosen_count(
         if i >= 2 and score[i] < score[i - 1] < score[i - 2]:
             break  # past its top
     best = int(np.argmax(score))
-    for i in range(best):
-        behind = each[best] - each[i]
-        if behind.sum() <= np.sqrt(behind.size) * behind.std(ddof=1):
-            return int(counts[i]), score
-    return int(counts[best]), score
+    behind = (each[best] - one for one in each[:best])
+    like = (i for i, by in enumerate(behind) if by.sum() <= np.sqrt(by.size) * by.std(ddof=1))
+    return int(counts[next(like, best)]), score
 
 
 def chosen_dof(values: npt.ArrayLike, block: npt.ArrayLike, count: int, rng: np.random.Generator) -> float | None:

@@ -9,6 +9,7 @@ A band that is labelled at w and lies at w - s was divided by the transmittance 
 
 with the absorption k of the oxygen seen through the band (of area 1) and its equivalent widths, W' in the light and
 W in the compensation.  Too much or too little absorption taken out leaves a bump; a shift leaves a slope across it.
+Labels that are changed afterwards move the bump itself.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def oxygen_residual(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike, fw
     Least squares in the logarithm over 742 to 787 nm: the surface as a cubic, both equivalent widths and the shift.
     Its uncertainty is by scatter and shape; what the light went through is known to a quarter, and so is a shift.
     Nothing is left, or was taken out by interpolation, where no shift improves on the cubic by more than chance (F
-    test with two free numbers).
+    test with two free numbers).  Where no shift of the light does, the compensation is tried at the same place as the
+    light: labels that were changed after it.
 
     Parameters
     ----------
@@ -70,27 +72,33 @@ def oxygen_residual(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike, fw
     w, z, fwhm = w[use], np.log(y[use]), fwhm[use]
     centre = 0.5 * (RANGE_NM[0] + RANGE_NM[1])
     powers = np.vander((w - centre) / (RANGE_NM[1] - centre), _DEGREE + 1)
-    compensated = oxygen_absorption(w, fwhm)
+    return next(filter(None, (_oxygen_fit(z, powers, w, fwhm, follows) for follows in (0.0, 1.0))), None)
 
-    def light(shift: float, width: float) -> Array:
-        return _log_transmitted(width * oxygen_absorption(w - shift, fwhm))
+
+def _oxygen_fit(z: Array, powers: Array, w: Array, fwhm: Array, follows: float) -> Shift | None:
+    """The same of log reflectance (B,), where the compensation lies ``follows`` times the shift from its place."""
+
+    def absorbed(shift: float) -> Array:
+        return oxygen_absorption(w - shift, fwhm)
 
     # First with the usual width, linear in what the compensation departs from it.
-    start = _log_transmitted(_WIDTH * compensated)
-    columns = np.column_stack([powers, compensated / np.exp(start)])
-    shifts = np.arange(-MOST_SHIFT, MOST_SHIFT + _STEP, _STEP)
-    rests = [_rest(columns, z - light(s, _WIDTH) + start) for s in shifts]
-    at = float(shifts[int(np.argmin(rests))])
-    surface = np.linalg.lstsq(powers, z - light(at, _WIDTH) + start)[0]
-    free = w.size - columns.shape[1] - 1  # what the light went through is all but given
+    def start(shift: float) -> tuple[Array, Array]:
+        taken = absorbed(follows * shift)
+        out = _log_transmitted(_WIDTH * taken)
+        return np.column_stack([powers, taken / np.exp(out)]), z - _log_transmitted(_WIDTH * absorbed(shift)) + out
+
+    at = float(min(np.arange(-MOST_SHIFT, MOST_SHIFT + _STEP, _STEP), key=lambda shift: _rest(*start(shift))))
+    free = w.size - powers.shape[1] - 2  # what the light went through is all but given
 
     def rest(p: Array) -> Array:
-        return np.asarray(z - light(p[0], p[1]) + _log_transmitted(p[2] * compensated) - powers @ p[3:])
+        taken = _log_transmitted(p[2] * absorbed(follows * p[0]))
+        return np.asarray(z - _log_transmitted(p[1] * absorbed(p[0])) + taken - powers @ p[3:])
 
     def weighted(p: Array, scatter: float) -> Array:
         return np.append(rest(p) / scatter, (p[1] / _WIDTH - 1.0) / _WIDTH_SPREAD)
 
-    p = np.array([at, _WIDTH, _WIDTH, *surface])
+    *surface, more = np.linalg.lstsq(*start(at))[0]
+    p = np.array([at, _WIDTH, _WIDTH + more, *surface])
     for _ in range(2):
         scatter = max(float(np.sqrt(np.sum(rest(p) ** 2) / free)), _LEAST_FIGURE)
         best = scipy.optimize.least_squares(weighted, p, method="lm", args=(scatter,))

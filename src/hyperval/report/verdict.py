@@ -179,12 +179,12 @@ def _unseen(gates: Sequence[Result]) -> str:
 
 def _never_met(gates: Sequence[Result]) -> str:
     """ "15 of the inconclusive criteria can never be met: what is known is 1.1 to 4.2 times too uncertain." """
-    never = [row for row in gates if row.never_met]
-    if not never:
+    if not (never := [row for row in gates if row.never_met]):
         return ""
     words = f"{len(never)} of the inconclusive {'criteria' if len(never) > 1 else 'ones'} can never be met"
     times = sorted(x for row in never if math.isfinite(x := row.shortfall))
-    return f"{words}: what is known is {times[0]:.2g} to {times[-1]:.2g} times too uncertain." if times else f"{words}."
+    ends = " to ".join(dict.fromkeys(f"{x:.2g}" for x in times[:1] + times[-1:]))
+    return f"{words}: what is known is {ends} times too uncertain." if ends else f"{words}."
 
 
 def _which_to_believe(rows: Sequence[Result]) -> str:
