@@ -35,7 +35,6 @@ from hyperval.model.radiance import (
     seen_classes,
     target_light,
     target_pixel_covariance,
-    target_pixel_reflectance,
     toa_reflectance,
 )
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm
@@ -102,19 +101,14 @@ def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes
 def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], samples: int) -> list[str]:
     """Words for intervals that shifts of the mean make rough, and for those that are drawn for it."""
     named = {key: f"{' '.join(key)} ({shift:.2g})" for key, shift in shifts.items() if shift > _SHIFT}
-    rough = [name for key, name in named.items() if key not in drawn]
-    notes = []
-    if drawn:
-        notes.append(
-            f"P_D intervals from {samples} draws of the budget, as errors shift the mean by more than its standard "
-            f"deviation, or would if each acted alone: {', '.join(named[key] for key in drawn)}"
-        )
-    if rough:
-        notes.append(
-            "the errors shift the mean of P_D (in standard deviations of its probit, at most), which its interval "
-            f"holds roughly: {', '.join(rough)}; draw the budget for more: uncertainty: {{method: both}}"
-        )
-    return notes
+    by_draws, rough = (", ".join(named[key] for key in named if (key in drawn) is own) for own in (True, False))
+    said = {
+        f"P_D intervals from {samples} draws of the budget, as errors shift the mean by more than its standard "
+        f"deviation, or would if each acted alone: {by_draws}": by_draws,
+        "the errors shift the mean of P_D (in standard deviations of its probit, at most), which its interval "
+        f"holds roughly: {rough}; draw the budget for more: uncertainty: {{method: both}}": rough,
+    }
+    return [words for words, curves in said.items() if curves]
 
 
 def drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
@@ -304,16 +298,13 @@ def agreement(key: Key, stated: Array, linear: Array, drawn: Array, samples: int
     """
     live = np.isfinite(linear[0]) & np.isfinite(drawn[0])
     live &= np.maximum(linear[0], drawn[0]) > 1e-12 * np.abs(stated) + 1e-14
-    one, other = linear[:, live], drawn[:, live]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gap = np.abs(one[1:] - other[1:]).max(axis=0) / tolerance(np.maximum(one[0], other[0]), samples)
-        ratio, widths = other[0] / one[0], (other[2] - other[1]) / (one[2] - one[1])
-    names = ("linear_sd", "drawn_sd", "sd_ratio", "interval_ratio", "gap")
-    numbers = (
-        [float(np.median(x)) for x in (one[0], other[0], ratio, widths, gap)]
-        if live.any()
-        else [0.0, 0.0, 1.0, 1.0, 0.0]
-    )
+    names, numbers = ("linear_sd", "drawn_sd", "sd_ratio", "interval_ratio", "gap"), [0.0, 0.0, 1.0, 1.0, 0.0]
+    if live.any():
+        (u, *one), (v, *other) = linear[:, live], drawn[:, live]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gap = np.abs(np.subtract(one, other)).max(axis=0) / tolerance(np.maximum(u, v), samples)
+            each = [u, v, v / u, np.subtract(*other) / np.subtract(*one), gap]
+        numbers = np.median(each, axis=1).tolist()
     return {"key": key, "at": at, **dict(zip(names, numbers, strict=True)), "agrees": numbers[-1] <= 1.0}
 
 
@@ -464,10 +455,7 @@ def combined(
     """Error covariance (B, B) and budget from independent sources, some of them as covariances (B, B)."""
     every = {source: known(c) for source, c in covariances.items()}
     budget = {s: e.budget for s, e in errors.items()} | {s: np.sqrt(np.diag(c)) for s, c in every.items()}
-    total = np.zeros((bands, bands))
-    for part in (*(e.covariance for e in errors.values()), *every.values()):
-        total += part
-    return total, budget
+    return sum((*(e.covariance for e in errors.values()), *every.values()), np.zeros((bands, bands))), budget
 
 
 def known(covariance: Array) -> Array:
@@ -479,28 +467,19 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     """Subject -> (U or 1, 1, B) what it reflects, as a surface in the open would have to, and what meets light of the
     surroundings (3.10).
     """
-    world, scene, mean = e.world, e.scenario.scene, e.world.mean
-
-    def of(name: str) -> Array:
-        number = world.surface(name)
-        return mean[:, number : number + 1]
-
-    out = {s.name: 2 * (of(s.name),) for s in (*scene.classes, *scene.panels, *scene.sites)}
-    placed = [shares_at(world, number) for number in range(len(e.stated.populations))]
-    light = e.light.rows(e.which)
+    world, scene, light = e.world, e.scenario.scene, e.light.rows(e.which)
+    own = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
+    out = {s.name: 2 * (own[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
     full = {t.name: target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
-    for (t, _, population), fills, shares in zip(e.stated.populations, world.pixel_fills, placed, strict=True):
-        host, name = of(scene.targets[t].host), scene.targets[t].name
-        if shares is None:
-            mean_fill = (fills.weights * fills.values).sum(axis=1)[:, None]
-            one, under = (target_pixel_reflectance(mean_fill, x, host) for x in full[name])
-        else:
-            each = [[sum(s.mean[j] for j, n in enumerate(s.names) if n == name) for name in full] for s in shares[0]]
-            fractions = np.array(each, dtype=float)[shares[1]]
-            one, under = (
-                host + sum(fractions[:, j, None, None] * (x[k] - host) for j, x in enumerate(full.values()))
-                for k in (0, 1)
-            )
+    for number, (t, _, population) in enumerate(e.stated.populations):
+        host, fills, placed = own[scene.targets[t].host], world.pixel_fills[number], shares_at(world, number)
+        parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
+        if placed is not None:
+            parts = {name: np.array([s.of(name) for s in placed[0]])[placed[1]] for name in full}
+        one, under = (
+            host + sum(part[:, None, None] * (full[name][k] - host) for name, part in parts.items() if part.any())
+            for k in (0, 1)
+        )
         out[population.name] = one, under
     return out
 
@@ -515,12 +494,11 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
         return None
     models, which = world.fill_models(number)
     position, populations = scenario.uncertainty.position_m, world.populations_at(0)
-    each: list[Any] = []
+    each: list[Shares] = []
     for fill in models:
         key = "shares", number, repr((fill, [p.fill for _, p in populations]))
         moved, seed = population.model_copy(update={"fill": fill}), scenario.processing.seed
-        make = partial(shares_of, stated.targets[t].name, moved, populations, position, seed)
-        each.append(stated.once(key, make))
+        each.append(stated.once(key, partial(shares_of, stated.targets[t].name, moved, populations, position, seed)))
     return each, which
 
 
@@ -672,16 +650,11 @@ def _mixed(world: World, light: Light, number: int) -> tuple[Array, float, Mappi
 
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:
     """One note for each subject whose mean radiance passes full scale."""
-    notes = []
-    for subject, part in full_scale.items():
-        over = part > 1.0
-        if over.any():
-            at = int(np.nanargmax(part))
-            notes.append(
-                f"SATURATION: {subject} passes full scale in {int(over.sum())} bands, "
-                f"at most {part[at]:.2f} of it at {axis.centre_nm[at]:g} nm"
-            )
-    return notes
+    return [
+        f"SATURATION: {subject} passes full scale in {np.sum(part > 1.0)} bands, at most {np.nanmax(part):.2f} of it "
+        f"at {axis.centre_nm[np.nanargmax(part)]:g} nm"
+        for subject, part in full_scale.items() if np.any(part > 1.0)
+    ]  # fmt: skip
 
 
 def provenance_of(stated: Stated, terms: AtmosphericTerms | None) -> dict[str, object]:
@@ -696,10 +669,8 @@ def provenance_of(stated: Stated, terms: AtmosphericTerms | None) -> dict[str, o
     }
     if scenario.atmosphere is not None and scenario.atmosphere.time_utc is not None:
         record["time_utc"] = scenario.atmosphere.time_utc
-    for name in ("sensor_operation", "sensor_changes"):
-        if (there := getattr(scenario, name)) is not None:
-            record[name] = there.model_dump(mode="json")
-    return record
+    stated_run = {"sensor_operation": scenario.sensor_operation, "sensor_changes": scenario.sensor_changes}
+    return record | {name: said.model_dump(mode="json") for name, said in stated_run.items() if said is not None}
 
 
 _TOGETHER = 16  # truths evaluated at once: their matrices and products are in memory together

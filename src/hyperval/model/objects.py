@@ -409,6 +409,10 @@ class Shares:
     mean: Array
     covariance: Array
 
+    def of(self, target: str) -> float:
+        """Expected share of the surface of a target."""
+        return float(sum(self.mean[j] for j, name in enumerate(self.names) if name == target))
+
     def errors(self, full: Mapping[str, Array], host: Array, spread: Array) -> dict[str, Array]:
         """(B, B) errors of the mean spectrum of the pixels, by source.
 

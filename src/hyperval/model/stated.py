@@ -111,12 +111,10 @@ def replicate_statistics(
             where=where,
             expected=f"samples between {axis.centre_nm[0]:g} and {axis.centre_nm[-1]:g} nm",
         )
-    sample = statistics_of(values[:, known])
-    few = sample.n < FEW_PER_BAND * int(known.sum())
-    at = np.ix_(known, known)
-    mean, deviation = np.full(len(axis), np.nan), np.full(len(axis), np.nan)
-    covariance, error = np.zeros((len(axis), len(axis))), np.zeros((len(axis), len(axis)))
+    sample, mean, deviation = statistics_of(values[:, known]), *np.full((2, len(axis)), np.nan)
     mean[known], deviation[known] = sample.mean, np.sqrt(np.diag(sample.covariance))
+    covariance, error, at = *np.zeros((2, len(axis), len(axis))), np.ix_(known, known)
+    few = sample.n < FEW_PER_BAND * int(known.sum())
     covariance[at] = sample.shrunk_covariance if few else sample.covariance
     error[at] = mean_error_covariance(sample.covariance, sample.n)
     words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
@@ -233,12 +231,12 @@ class Sources:
         """
         name, source = surface.name, surface.covariance
         base = self.spectrum(surface.spectrum, name)
-        pixels = base if source is None else self._of_pixels(source, name)
-        if pixels is None and source is not None:
-            sd = (source.relative_sd or 0.0) * np.nan_to_num(base.mean)
+        if source is not None and source.relative_sd is not None:
+            sd = source.relative_sd * np.nan_to_num(base.mean)
             stated = np.outer(sd, sd) * correlation(self.axis, source.correlation_nm)
             base = replace(base, covariance=stated + source.band_sd**2 * np.eye(sd.size))
-        elif pixels is not None:
+        else:
+            pixels = base if source is None else self.spectrum(source, name)
             region = (source or surface.spectrum).measured
             if region is not None and pixels.n is not None and pixels.n < 2:
                 raise UsageError(
@@ -255,65 +253,53 @@ class Sources:
             )  # fmt: skip
         return replace(base, components=_components(surface, base.components))
 
-    def spectrum(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
-        """The statistics that a spectrum source brings along."""
-        if (found := self._of_pixels(source, name)) is not None:
-            return found
-        if source.constant is not None:
-            flat, nothing = np.full(len(self.axis), source.constant), np.zeros((len(self.axis), len(self.axis)))
-            return SurfaceStatistics(name, self.axis, flat, nothing, source="constant reflectance")
-        return self._from_file(source, name)
-
-    def _of_pixels(self, source: SpectrumSource | CovarianceSource, name: str) -> SurfaceStatistics | None:
-        """Statistics of several spectra or pixels, where the source names such."""
+    def spectrum(self, source: SpectrumSource | CovarianceSource, name: str) -> SurfaceStatistics:
+        """The statistics that a source brings along."""
+        axis, kind = self.axis, "covariance" if isinstance(source, CovarianceSource) else "spectrum"
         if source.replicates is not None:
             with told_of(f"replicates of {name!r}", ", ".join(source.replicates.references)):
-                return replace(
-                    replicate_statistics(source.replicates, self.axis, self.resolve, self.nominal), name=name
-                )
+                return replace(replicate_statistics(source.replicates, axis, self.resolve, self.nominal), name=name)
         if source.builtin is not None:
-            known = builtin_class(source.builtin, self.axis)
+            known = builtin_class(source.builtin, axis)
         elif source.library is not None:
-            key = "spectrum" if isinstance(source, SpectrumSource) else "covariance"
-            with told_of(f"{key}.library of {name!r}", source.library):
-                known = self._library(source.library, source.record)
+            with told_of(f"{kind}.library of {name!r}", source.library):
+                record = None if source.record is None else str(source.record)
+                known = on_bands(self._once(read_statistics_library, source.library, record=record), axis)
         elif source.measured is not None:
             known = self._measured(source.measured, name)
         else:
-            return None
+            assert isinstance(source, SpectrumSource)  # noqa: S101 - a stated spread is the surface's to take
+            return self._from_file(source, name)
         named = {"name": name, "source": known.source or source.library or "measured"}
         return SurfaceStatistics(**vars(known) | named)
 
-    def _library(self, file: str, record: str | int | None) -> ClassStatistics:
-        asked = (self.resolve(file), record)
-        if asked not in self.read:
-            self.read[asked] = read_statistics_library(asked[0], None if record is None else str(record))
-        return on_bands(self.read[asked], self.axis)
+    def _once(self, reader: Callable[..., Made], reference: str, **how: Any) -> Made:
+        """What a file says, read the first time that it is asked for."""
+        key = (path := self.resolve(reference), *how.values())
+        if key not in self.read:
+            self.read[key] = reader(path, **how)
+        made: Made = self.read[key]
+        return made
 
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
-        path, axis = self.resolve(str(source.file)), self.axis
+        axis, zero, more = self.axis, np.zeros((len(self.axis), len(self.axis))), dict[str, Any]()
+        if source.constant is not None:
+            flat = np.full(len(axis), source.constant)
+            return SurfaceStatistics(name, axis, flat, zero, source="constant reflectance")
         how = {k: getattr(source, k) for k in ("record", "wavelength_unit", "reflectance_unit")}
-        key = (path, *how.values())
-        if key not in self.read:
-            self.read[key] = read_spectrum(path, **how)
-        read = self.read[key]
-        mean = in_bands(read.wavelength_nm, read.values, axis, self.nominal)
+        read = self._once(read_spectrum, str(source.file), **how)
+        w, sd = read.wavelength_nm, read.standard_deviation
+        mean = in_bands(w, read.values, axis, self.nominal)
         if not np.any(np.isfinite(mean)):
             raise UsageError(
                 f"the spectrum of {name!r} ({source.file}) covers none of the bands",
                 expected=f"samples between {axis.centre_nm[0]:g} and {axis.centre_nm[-1]:g} nm",
             )
-        spread, sampled, errors = None, None, None
-        if read.standard_deviation is not None:
-            spread = in_bands(read.wavelength_nm, read.standard_deviation, axis, self.nominal)
-            sampled = read.wavelength_nm, read.standard_deviation
+        if sd is not None:
+            more = {"standard_deviation": in_bands(w, sd, axis, self.nominal), "sampled_deviation": (w, sd)}
         if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
-            errors = covariance_in_bands(read.wavelength_nm, read.errors.covariance(), axis)
-        zero = np.zeros((len(axis), len(axis)))
-        return SurfaceStatistics(
-            name, axis, mean, zero, read.n, str(source.file), standard_deviation=spread, sampled_deviation=sampled,
-            mean_error=errors,
-        )  # fmt: skip
+            more["mean_error"] = covariance_in_bands(w, read.errors.covariance(), axis)
+        return SurfaceStatistics(name, axis, mean, zero, read.n, str(source.file), **more)
 
     def _measured(self, region: str, name: str) -> ClassStatistics:
         if region not in self.measured:

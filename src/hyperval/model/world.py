@@ -397,11 +397,10 @@ class World:
             named[:, item] = np.clip(_numbers(values), 0.0, 1.0)
         moved = np.isfinite(named)
         if moved.any():
-            out = np.array(np.broadcast_to(stated, named.shape))
-            rest, total = np.where(moved, 0.0, out).sum(axis=1), np.nansum(named, axis=1)
+            rest, total = np.where(moved, 0.0, stated).sum(axis=1), np.nansum(named, axis=1)
             gives_way = (rest > 0.0) & (total < 1.0)
             scale = np.where(gives_way, (1.0 - total) / np.where(rest > 0.0, rest, 1.0), 1.0)
-            out = np.where(moved, named, out * scale[:, None])
+            out = np.where(moved, named, stated * scale[:, None])
             if np.any(out.sum(axis=1) <= 0.0):
                 raise UsageError("fraction: no class is left with an area")
             return np.asarray(np.where(moved.any(axis=1)[:, None], out / out.sum(axis=1, keepdims=True), stated))
@@ -498,36 +497,31 @@ class World:
 
     # ---- fills ---------------------------------------------------------------------------------------------
 
-    def of_fill(self, number: int) -> dict[str, tuple[str, slice, Values]]:
-        """Path -> field, part that is of a population, and values, of what moves its fill."""
-        every = {p: (find(self.stated, p), v) for p, v in self.moved.items()}
-        return {
-            p: (found.field, found.populations[number], v)
-            for p, (found, v) in every.items() if number in found.populations
-        }  # fmt: skip
+    def of_fill(self, number: int) -> dict[str, Values]:
+        """Path -> values of what moves the fill of a population."""
+        return {p: v for p, v in self.moved.items() if number in find(self.stated, p).populations}
 
     def fill_models(self, number: int) -> tuple[list[Fill], Index]:
         """The different fills of a population, and which (U,) of them each truth has."""
         moved = self.of_fill(number)
-        first, which = distinct((np.broadcast_to(v, (self.size, *v.shape[1:])) for *_, v in moved.values()), self.size)
-        return [
-            self._fill(number, [(p, *x, v[u if len(v) > 1 else 0]) for p, (*x, v) in moved.items()]) for u in first
-        ], which
+        first, which = distinct((np.broadcast_to(v, (self.size, *v.shape[1:])) for v in moved.values()), self.size)
+        return [self._fill(number, {p: v[u if len(v) > 1 else 0] for p, v in moved.items()}) for u in first], which
 
-    def _fill(self, number: int, moved: Sequence[tuple[Any, ...]]) -> Fill:
-        """The fill of a population where path, field, part of the values and values of one truth say so."""
+    def _fill(self, number: int, moved: Truth) -> Fill:
+        """The fill of a population where what moves it in one truth stands at its paths."""
         fill, before = (s.populations[number][2].fill for s in (self.stated, self.stated.nominal))
         entries, change = {}, 0.0
-        for path, field_, part, value in moved:
-            each = np.atleast_1d(value)
-            each = each[part] if each.size > 1 and field_ != "fill entry" else each
-            if field_ == "fill":
-                change += float(each[0]) - fill_distribution(before).mean
-            elif field_ == "blur":
-                entries["geometry.psf_fwhm_pixels"] = float(each[0]) if each.size == 1 else each.tolist()
-            elif value is not None:
-                parts = path_parts(path)
-                entries[".".join(parts[6 if parts[3] == "subjects" else 4 :])] = plain(value)
+        for path, value in moved.items():
+            found, parts, each = find(self.stated, path), path_parts(path), np.atleast_1d(value)
+            if found.field == "fill entry":
+                if value is not None:
+                    entries[".".join(parts[6 if parts[3] == "subjects" else 4 :])] = plain(value)
+                continue
+            own = (each[found.populations[number]] if each.size > 1 else each).tolist()
+            if found.field == "fill":
+                change += own[0] - fill_distribution(before).mean
+            else:
+                entries["geometry.psf_fwhm_pixels"] = own[0] if len(own) == 1 else own
         return with_mean(with_settings(fill, entries) if entries else fill, change)
 
     def populations_at(self, u: int) -> list[tuple[str, TargetSubject]]:
@@ -554,7 +548,7 @@ class World:
         thesis, moved = self.stated.scenario.formulation == "thesis", self.of_fill(number)
         stated = self.stated.populations[number][2].fill
         if len(moved) == 1 and next(iter(moved)).endswith("fill.fixed") and stated.fixed is not None:
-            ((*_, column),) = moved.values()
+            (column,) = moved.values()
             values = np.nan_to_num(_numbers(column), nan=stated.fixed)[:, None]
             if not np.all((values >= 0.0) & (values <= 1.0)):
                 raise UsageError(f"fill {values.min():g} to {values.max():g}", expected="0 to 1")
