@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -101,8 +102,7 @@ class Components:
         _check_covariances(covariances, "the covariance of a component")
         if not self.dof > 2:
             raise UsageError(f"degrees of freedom of components must exceed 2, got {self.dof:g}")
-        for name, value in (("weights", weights), ("offsets", offsets), ("covariances", covariances)):
-            object.__setattr__(self, name, value)
+        vars(self).update(weights=weights, offsets=offsets, covariances=covariances)
 
     def __len__(self) -> int:
         return self.weights.size
@@ -127,11 +127,8 @@ class Components:
 
     def _with(self, offsets: Array, covariances: Array) -> Components:
         """Others of the same number, without the checks that these have passed."""
-        out = object.__new__(Components)
-        for name, value in (
-            ("weights", self.weights), ("offsets", offsets), ("covariances", covariances), ("dof", self.dof)
-        ):  # fmt: skip
-            object.__setattr__(out, name, value)
+        out = copy(self)
+        vars(out).update(offsets=offsets, covariances=covariances)
         return out
 
     @property
@@ -184,8 +181,7 @@ class ClassStatistics:
             raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")
         if self.components is not None and self.components.offsets.shape[1] != bands:
             raise UsageError(f"class {self.name!r}: its components do not fit {bands} bands")
-        object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "covariance", cov)
+        vars(self).update(mean=mean, covariance=cov)
 
 
 @dataclass(frozen=True)

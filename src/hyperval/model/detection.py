@@ -568,9 +568,9 @@ def detect(
     ------
     UsageError : no filter, as the background can not be inverted.
     """
-    processing, units = e.scenario.processing, ("pixel", "object") if object_curves else ("pixel",)
-    out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": ()} for _ in points]
-    pfa = e.pfa
+    processing, units, pfa = e.scenario.processing, ("pixel", "object") if object_curves else ("pixel",), e.pfa
+    used = [f"detectors use {e.bands.size} of {len(e.axis)} bands"] if e.targets and processing.detectors else []
+    out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": [*used]} for _ in points]
     for number, target in enumerate(e.targets):
         for name in processing.detectors:
             linear = name in LINEAR_DETECTORS
@@ -591,18 +591,12 @@ def detect(
                     }
                     if linear:
                         products["exceedance"][target.name, name] = ExceedanceCurve(x[::-1], *(pfa[::-1],) * 3)
-            if not linear:
-                errors = next(iter(made.values())).errors
-                for products, u in zip(out, points, strict=True):
-                    note = (
-                        f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
-                        f"{errors[u][0]:.2g}, of P_FA at {pfa[0]:.1g} {100 * errors[u][1]:.2g} %"
-                    )
-                    products["notes"] += (note,)
-    if e.targets and processing.detectors:
-        used = f"detectors use {e.bands.size} of {len(e.axis)} bands"
-        for products in out:
-            products["notes"] = (used, *products["notes"])
+            errors = next(iter(made.values())).errors  # of what is drawn alone
+            for products, (pd_error, pfa_error) in zip(out, (errors[u] for u in points if errors), strict=False):
+                products["notes"].append(
+                    f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
+                    f"{pd_error:.2g}, of P_FA at {pfa[0]:.1g} {100 * pfa_error:.2g} %"
+                )
     alone = spectra or [PredictedProducts(e.axis) for _ in points]
     return [replace(p, **{**new, "notes": (*p.notes, *new["notes"])}) for p, new in zip(alone, out, strict=True)]
 

@@ -65,12 +65,8 @@ def form_in_words(form: SpectralForm) -> str:
     """The correlation form for people."""
     if form.correlation_nm is not None:
         return f"correlation length {form.correlation_nm:.4g} nm"
-    return {
-        None: "systematic: one error for all bands",
-        "systematic": "systematic: one error for all bands",
-        "random": "random by band",
-        "arms": "one error for each arm of the sensor",
-    }[form.correlation]
+    words = {"random": "random by band", "arms": "one error for each arm of the sensor"}
+    return words.get(form.correlation or "", "systematic: one error for all bands")
 
 
 def _arms(axis: SpectralAxis, sensor: Sensor | None) -> list[Mask]:

@@ -357,6 +357,12 @@ def at_rows(values: Array, index: Index) -> Array:
     return np.asarray(values[index]) if len(values) > 1 else values
 
 
+def rows_of(value: T, arrays: Sequence[str], index: Index) -> T:
+    """A dataclass whose ``arrays`` (U or 1, ...) are those of some truths."""
+    changes: dict[str, Any] = {name: at_rows(getattr(value, name), index) for name in arrays}
+    return replace(value, **changes)  # type: ignore[type-var]
+
+
 def of_truth(values: Array, u: int) -> Array:
     """The row of one truth, of values (U or 1, ...)."""
     return np.asarray(values[u if len(values) > 1 else 0])
@@ -674,9 +680,7 @@ class Background:
 
     def rows(self, index: Index) -> Background:
         """Of some truths."""
-        of_truths = ("fraction", "gain", "means", "between", "stretch", "law_fraction")
-        changes: dict[str, Any] = {n: at_rows(getattr(self, n), index) for n in of_truths}
-        return replace(self, **changes)
+        return rows_of(self, ("fraction", "gain", "means", "between", "stretch", "law_fraction"), index)
 
     def mixed(self, weights: Array, u: int = 0) -> Array:
         """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
@@ -748,9 +752,9 @@ class Seen:
 
     def rows(self, index: Index) -> Seen:
         """Of some truths."""
-        arrays = {n: at_rows(getattr(self, n), index) for n in ("gain", "offset", "slope", "around", "means", "noise")}
+        some = rows_of(self, ("gain", "offset", "slope", "around", "means", "noise"), index)
         signatures = {name: at_rows(x, index) for name, x in self.looked_for.items()}
-        return Seen(self.light.rows(index), self.of.rows(index), **arrays, looked_for=signatures)
+        return replace(some, light=self.light.rows(index), of=self.of.rows(index), looked_for=signatures)
 
 
 def seen_classes(whole: Light, world: World, bands: Index) -> Seen:

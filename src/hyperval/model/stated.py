@@ -628,14 +628,13 @@ def unstated_notes(state: AtmosphericState) -> list[str]:
 
 def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
     """A stated sun that a table replaces, bands beyond its spectrum, amounts beyond those of the engine's gases."""
-    notes, sun = [], terms.provenance.get("solar_spectrum")
+    notes, sun, w = [], terms.provenance.get("solar_spectrum"), terms.wavelength_nm
     if sun in SPECTRA:
         first, last = source_samples(sun)[0][[0, -1]]
-        beyond = terms.wavelength_nm[(terms.wavelength_nm < first) | (terms.wavelength_nm > last)]
-        if beyond.size:
+        if beyond := np.count_nonzero((w < first) | (w > last)):
             notes.append(
-                f"the solar spectrum {sun} covers {first:g}-{last:g} nm: in {beyond.size} of "
-                f"{terms.wavelength_nm.size} bands, beyond it, the sunlight has the shape of astm-g173"
+                f"the solar spectrum {sun} covers {first:g}-{last:g} nm: in {beyond} of {w.size} bands, beyond it, the "
+                "sunlight has the shape of astm-g173"
             )
     if sun == "of the table" and "solar_spectrum" in state.model_fields_set:
         notes.append(
@@ -643,16 +642,12 @@ def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
             "which the scenario states, is not used"
         )
     if terms.provenance.get("engine_ratio"):
-        air, water, _ = amounts(state)[1][:, 0]
-        for amount, greatest, words in (
-            (air, GREATEST_AIR_ATM, "atm of air"),
-            (water, GREATEST_WATER_G_CM2, "g cm-2 of water vapour"),
-        ):
-            if amount > greatest:
-                notes.append(
-                    f"the light path crosses {amount:.2g} {words}: the engine's gases were compared with MODTRAN 6 "
-                    f"up to {greatest:g}"
-                )
+        limits = (GREATEST_AIR_ATM, "atm of air"), (GREATEST_WATER_G_CM2, "g cm-2 of water vapour")
+        notes += [
+            f"the light path crosses {amount:.2g} {unit}: the engine's gases were compared with MODTRAN 6 up to "
+            f"{greatest:g}"
+            for amount, (greatest, unit) in zip(amounts(state)[1][:, 0], limits, strict=False) if amount > greatest
+        ]  # fmt: skip
     return notes
 
 
