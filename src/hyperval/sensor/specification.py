@@ -145,7 +145,7 @@ class Throughput(Model):
         first, *rest = (float(getattr(self, name)) for name in _NEEDS[self.convention])
         if not rest:
             return first
-        if rest and self.convention in ("f-number", "slit"):
+        if self.convention in ("f-number", "slit"):
             return f_number_throughput(first, rest[0] * rest[-1])  # a pixel is square
         return aperture_throughput(first, 1e-3 * rest[0], obscuration=self.obscuration, convention=self.convention)
 
@@ -506,9 +506,13 @@ class Sensor:
 
     def notes(self, shift_nm: Array) -> list[str]:
         """Assumptions of the sensor file, MTF at Nyquist, shift of the bands."""
-        notes = self._assumptions()
-        if self.specification.psf is not None:
-            along, across = mtf_at_nyquist(np.array(self.specification.psf.fwhm))
+        spec = self.specification
+        named = [(f"{arm.name}: {key}", getattr(arm, key)) for arm in spec.arms for key in type(arm).model_fields]
+        named.append(("calibration_error_percent", spec.calibration_error_percent))
+        sources = [(name, getattr(value, "source", "")) for name, value in named]
+        notes = [f"{name} ({source})" for name, source in sources if source.lower().startswith("assumed")]
+        if spec.psf is not None:
+            along, across = mtf_at_nyquist(np.array(spec.psf.fwhm))
             notes.append(f"MTF at Nyquist {along:.3f} along, {across:.3f} across the track")
         if np.any(shift_nm):
             notes.append(f"bands stand {shift_nm.min():+.3g} to {shift_nm.max():+.3g} nm off their labels")
@@ -576,13 +580,6 @@ class Sensor:
                 + ", ".join(f"{a.range_nm[0]:g}-{a.range_nm[1]:g} nm" for a in self.specification.arms),
             )
         return np.asarray(gap.argmin(axis=0))
-
-    def _assumptions(self) -> list[str]:
-        spec = self.specification
-        named = [(f"{arm.name}: {key}", getattr(arm, key)) for arm in spec.arms for key in type(arm).model_fields]
-        named.append(("calibration_error_percent", spec.calibration_error_percent))
-        sources = [(name, getattr(value, "source", "")) for name, value in named]
-        return [f"{name} ({source})" for name, source in sources if source.lower().startswith("assumed")]
 
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")

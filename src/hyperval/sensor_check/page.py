@@ -122,11 +122,9 @@ def _noise(check: SensorCheck) -> Iterator[Figure]:
     views: list[Panels] = []
     shown: dict[str, str] = {}
     for level in (LEVELS[0], LEVELS[-1]):
-        parts = check.noise.breakdown(sunlit_radiance(axis, level))
-        rows = {words: np.abs(getattr(parts, name)) for name, words in _SOURCES.items()}
-        total, base, marks = sum(rows.values()), np.zeros(len(axis)), []
-        for (words, value), colour in zip(rows.items(), SOURCES, strict=False):
-            share = 100.0 * value / total
+        parts, base, marks = check.noise.breakdown(sunlit_radiance(axis, level)), np.zeros(len(axis)), []
+        shares = np.abs([getattr(parts, name) for name in _SOURCES])
+        for words, share, colour in zip(_SOURCES.values(), 100.0 * shares / shares.sum(axis=0), SOURCES, strict=False):
             if np.max(share) > 0.01:
                 bars = {"left": left, "right": right, "bottom": base, "top": base + share}
                 columns = bars if few else {"x": axis.centre_nm, "low": base, "high": base + share}
@@ -147,7 +145,7 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     parts = [check.noise.full_scale_fraction(sunlit_radiance(check.axis, level)) for level in levels]
     named = zip(levels, parts, SOURCES, strict=False)
     marks = [_curve(check.axis, part, f"reflectance {level:g}", colour) for level, part, colour in named]
-    highest = max(1.0, *(float(np.max(part)) for part in parts))
+    highest = max(1.0, float(np.max(parts)))
     yield Figure(
         "saturation", "saturation", "Signal as a part of full scale, sun at 45° and no atmosphere (dotted: full scale)",
         f"Signal as a part of full scale against wavelength; the highest, at reflectance 1, is {highest:.2f}.",
@@ -156,10 +154,9 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
 
 
 def _few_bands(axis: SpectralAxis) -> Index:
-    if len(axis) <= _MOST_RESPONSES:
-        return np.arange(len(axis))
-    first = int(np.clip(np.argmin(np.abs(axis.centre_nm - 550.0)) - 5, 0, len(axis) - _MOST_RESPONSES))
-    return np.arange(first, first + _MOST_RESPONSES)
+    most = max(len(axis) - _MOST_RESPONSES, 0)
+    first = int(np.clip(np.argmin(np.abs(axis.centre_nm - 550.0)) - 5, 0, most))
+    return np.arange(len(axis))[first : first + _MOST_RESPONSES]
 
 
 def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, dash: Dash = "solid") -> Mark:

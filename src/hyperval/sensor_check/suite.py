@@ -343,26 +343,21 @@ class SensorCheck:
         ]
         swings = []
         for name, source in track(assumed, "assumed numbers", show=self.show_progress):
-            sides = []
-            for factor in (1.0 - self.vary, 1.0 + self.vary):
-                other = Sensor(self.sensor.specification, {name: factor})
-                sides.append((self._snr_change(other), self._detection_change(other)))
-            snr, detection = zip(*sides, strict=True)
-            swings.append(Swing(name, source, snr, detection))
+            factors = 1.0 - self.vary, 1.0 + self.vary
+            swings.append(Swing(name, source, *zip(*(self._changes({name: f}) for f in factors), strict=True)))
         return sorted(swings, key=lambda s: -max(abs(v) for v in s.snr))
 
-    def _snr_change(self, other: Sensor) -> float:
-        """Relative change of the SNR with C_R at ground of 0.25, in the good band of the windows it moves most."""
-        level = sunlit_radiance(self.axis, MIDDLE)
+    def _changes(self, factors: Mapping[str, float]) -> tuple[float, float]:
+        """Relative change of the SNR with C_R at ground of 0.25, in the good band of the windows it moves most; change
+        of P_D.
+        """
+        other, level, detected = Sensor(self.sensor.specification, factors), sunlit_radiance(self.axis, MIDDLE), 0.0
         change = (other.noise().snr(level) / self.noise.snr(level) - 1.0)[self.good]
-        return float(change[int(np.argmax(np.abs(change)))])
-
-    def _detection_change(self, other: Sensor) -> float:
-        if self.probe is None:
-            return 0.0
-        origins = Origins(sensor=other, engine=self.engine, show_progress=False)
-        prediction = predict(standard_scenario(self.probe.scenario), origins)
-        return float(detection_at(prediction.roc[self.probe.key], FALSE_ALARM)) - self.probe.value
+        if self.probe is not None:
+            origins = Origins(sensor=other, engine=self.engine, show_progress=False)
+            curve = predict(standard_scenario(self.probe.scenario), origins).roc[self.probe.key]
+            detected = float(detection_at(curve, FALSE_ALARM)) - self.probe.value
+        return float(change[np.argmax(np.abs(change))]), detected
 
 
 class Found(NamedTuple):
@@ -521,7 +516,7 @@ def without_width(check: SensorCheck) -> Values:
 
 def band_count(check: SensorCheck) -> Values:
     """Number of bands."""
-    yield Found(len(check.axis), words=f"{int(check.axis.good.sum())} of them good")
+    yield Found(len(check.axis), words=f"{check.axis.good.sum()} of them good")
 
 
 def end(check: SensorCheck, of: str) -> Values:
@@ -700,12 +695,11 @@ def published(check: SensorCheck, of: str) -> Values:
             f"computed {point.computed:.0f} at {point.radiance:.3g} uW cm-2 sr-1 nm-1, "
             f"published {bound}{point.published:g}: {point.item.source}"
         )
-        outcome = None
+        outcome = None if point.judged else Outcome.NONE
         if math.isnan(point.computed):
             words, outcome = f"no band within a width of {subject}", Outcome.DISAGREES
         elif not point.judged:
             words += "; it does not say at which radiance, so ground of 0.25 under the sun at 45 deg is taken"
-            outcome = Outcome.NONE
         yield Found(point.computed / point.published, subject, words, outcome)
 
 
@@ -735,13 +729,13 @@ def snr_over_cap(check: SensorCheck) -> Values:
 def panel_error(check: SensorCheck) -> Values:
     """Reflectance of the scenarios' panels after the empirical line against their own."""
     for name, products in check.predictions.items():
-        worst, good = 0.0, products.axis.good & in_window(products.axis.centre_nm)
-        for panel in standard_scenario(name).scene.panels:
-            if panel.spectrum.builtin is not None and panel.name in products.reflectance:
-                truth = builtin_mean(panel.spectrum.builtin, products.axis)
-                off = np.abs(products.reflectance[panel.name].mean - truth)[good]
-                worst = max(worst, float(np.max(off, initial=0.0)))
-        yield Found(worst, name)
+        good = products.axis.good & in_window(products.axis.centre_nm)
+        off = [
+            (products.reflectance[panel.name].mean - builtin_mean(panel.spectrum.builtin, products.axis))[good]
+            for panel in standard_scenario(name).scene.panels
+            if panel.spectrum.builtin is not None and panel.name in products.reflectance
+        ]
+        yield Found(float(np.max(np.abs(off), initial=0.0)), name)
 
 
 def scene_saturation(check: SensorCheck) -> Values:
@@ -768,13 +762,12 @@ def detection(check: SensorCheck) -> Values:
 
 def swings(check: SensorCheck, of: str) -> Values:
     """The change of the SNR or of P_D with every assumed number, lowered and raised."""
-    probe = check.probe
-    for swing in check.swings if of == "snr" or probe is not None else ():
-        words = swing.source
-        if of == "detection" and probe is not None:
-            words = f"{probe.key[0]} by {probe.key[1]} at P_FA 0.001, where P_D is {probe.value:.3f}"
+    probe, words = check.probe if of == "detection" else None, ""
+    if probe is not None:
+        words = f"{probe.key[0]} by {probe.key[1]} at P_FA 0.001, where P_D is {probe.value:.3f}"
+    for swing in check.swings if words or of == "snr" else ():
         for sign, change in zip("-+", getattr(swing, of), strict=True):
-            yield Found(change, f"{swing.name} {sign}{100 * check.vary:g} %", words)
+            yield Found(change, f"{swing.name} {sign}{100 * check.vary:g} %", words or swing.source)
 
 
 def stale(check: SensorCheck) -> Values:

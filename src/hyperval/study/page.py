@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from hyperval.data import Index
+from hyperval.data import Array, Index
 from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, row_names, tones
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
@@ -21,7 +21,6 @@ from hyperval.results import Cause, Outcome, Result, ResultTable
 from hyperval.study.plan import Plan, fields_of, plain_value
 from hyperval.study.schema import Input, Knee, Output, Plot, Required, StudyFile
 
-Array = npt.NDArray[np.float64]
 LEAST_POINTS = 5
 MOST_LISTED = 500  # points that stand in results.csv one by one
 _FINE = 2001
@@ -38,9 +37,9 @@ _MOST_KNEES = 24
 class KneePoint(NamedTuple):
     """The knee of one curve: its place, the curve and its curvature there; NaN with a reason where none is."""
 
-    x: float
-    y: float
-    curvature: float
+    x: float = np.nan
+    y: float = np.nan
+    curvature: float = np.nan
     reason: str = ""
 
 
@@ -73,26 +72,23 @@ def knee(
     at, value = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     finite = np.isfinite(value)
     at, value = at[finite], value[finite]
-    nothing = np.nan, np.nan, np.nan
     if at.size < LEAST_POINTS:
-        return KneePoint(*nothing, f"{at.size} points; a knee needs {LEAST_POINTS}")
+        return KneePoint(reason=f"{at.size} points; a knee needs {LEAST_POINTS}")
     span = float(np.ptp(value))
     if span <= _FLAT * max(1.0, float(np.abs(value).max())):
-        return KneePoint(*nothing, "the curve is flat")
+        return KneePoint(reason="the curve is flat")
     scaled = np.log(at) if logarithmic else at
     u = (scaled - scaled[0]) / (scaled[-1] - scaled[0])
     spline = CubicSpline(u, (value - value.min()) / span)
     fine = np.linspace(0.0, 1.0, _FINE)
-    sign = {"any": 0.0, "concave": -1.0, "convex": 1.0}[bend]
-    second = spline(fine, 2)
-    second = np.abs(second) if sign == 0.0 else np.maximum(sign * second, 0.0)
+    second = {"any": np.abs, "concave": np.negative, "convex": np.positive}[bend](spline(fine, 2)).clip(0.0)
     curvature = second / (1.0 + spline(fine, 1) ** 2) ** 1.5
     if not curvature.any():
-        return KneePoint(*nothing, f"no part of the curve is {bend}")
+        return KneePoint(reason=f"no part of the curve is {bend}")
     # A parabola through the three values around the greatest: between the points of the fine grid.
     k = int(np.argmax(curvature))
     if k in (0, _FINE - 1):
-        return KneePoint(*nothing, "the curve bends most at an end of the range")
+        return KneePoint(reason="the curve bends most at an end of the range")
     a, b, c = curvature[k - 1 : k + 2]
     shift = 0.5 * (a - c) / (a - 2.0 * b + c) if a - 2.0 * b + c < 0 else 0.0
     best = fine[k] + shift * (fine[1] - fine[0])
@@ -154,13 +150,12 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
         output, (n, values) = asked.get(f.name), extremes(table[f.name])
         product = "study" if output is None else output.kind if output.kind in ("snr", "radiance") else "roc"
         names = product, f.name if output is None else output.subject, f.name
-        said = f"{count - n} of {count} points have no value; reasons stand in table.csv" if n < count else ""
-        if n:
-            for metric, value in values.items():
-                add(*names, metric, value, f.unit, n=n, reason=said)
-        else:
-            first = next(filter(None, table["reason"]), "no point has a value")
-            add(*names, "median", np.nan, f.unit, reason=first, n=0, **_NO_VALUE)
+        said, more = f"{count - n} of {count} points have no value; reasons stand in table.csv" if n < count else "", {}
+        if not n:
+            values, more = {"median": np.nan}, _NO_VALUE
+            said = next(filter(None, table["reason"]), "no point has a value")
+        for metric, value in values.items():
+            add(*names, metric, value, f.unit, n=n, reason=said, **more)
     for wanted, others, point in knees:
         reason = "; ".join(x for x in (words_of(others), point.reason) if x)
         add("study", wanted.output, f"knee along {wanted.along}", "knee", point.x, units[wanted.along],
@@ -416,8 +411,8 @@ def _values(item: Input) -> str:
         entries = stated.model_dump(exclude_none=True).items()
         return ", ".join(f"{key.replace('_', ' ')} {_text(value)}" for key, value in entries)
     shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in np.asarray(item.listed).tolist()]
-    more = f" and {len(shown) - _MOST_VALUES} more" if len(shown) > _MOST_VALUES else ""
-    return ", ".join(shown[:_MOST_VALUES]) + more
+    more = len(shown) - _MOST_VALUES
+    return ", ".join(shown[:_MOST_VALUES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _meaning(plan: Plan, o: Output) -> str:

@@ -21,7 +21,7 @@ from scipy.optimize.elementwise import find_root
 from scipy.stats import qmc
 
 from hyperval.atmosphere.between import spaced
-from hyperval.data import NUMERICAL_DETECTORS
+from hyperval.data import NUMERICAL_DETECTORS, Array
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.model import (
@@ -46,7 +46,6 @@ from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
 from hyperval.study.schema import Input, Moving, Output, Random, Required, StudyFile
 
-Array = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read

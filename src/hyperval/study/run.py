@@ -13,13 +13,12 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import xarray as xr
 
 import hyperval
 from hyperval.campaign.provenance import package_versions, record_of
-from hyperval.data import LINEAR_DETECTORS
+from hyperval.data import LINEAR_DETECTORS, Array
 from hyperval.errors import UsageError
 from hyperval.executors import Parcel, Workers, in_order, opened, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
@@ -31,7 +30,6 @@ from hyperval.study.page import knees_of, result_rows, stated_figures, study_pag
 from hyperval.study.plan import Plan, answers, fields_of, input_values, moved, output_values, plain_value, plan_study
 from hyperval.study.schema import StudyFile, load_study
 
-Array = npt.NDArray[np.float64]
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
 _HERE = 4096  # points that are evaluated in this process
 _BATCH = 512  # points that are evaluated at once
