@@ -72,7 +72,7 @@ def test_regions_as_written_have_the_radiance_of_their_mean_reflectance(found):
 
 def test_the_average_is_that_of_the_rendered_scene(found):
     renderer = simulate.SurfaceRenderer(SCENE, simulate.lay_out(SCENE), CLASSES)
-    every = np.stack([renderer.lit_reflectance(line) for line in range(60)]).astype(float)
+    every = np.stack([renderer.reflectance(line) for line in range(60)]).astype(float)
     facts = json.loads(found["truth"].read_text())
     assert np.allclose(facts["average_reflectance"], every.mean(axis=(0, 1)), rtol=1e-9)
     assert facts["negative_reflectance_fraction"] == np.mean(every < 0)
@@ -105,13 +105,9 @@ def test_a_scene_too_large_is_refused_before_anything_is_made(tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_inputs_on_other_bands_and_averaged_readings_are_refused():
-    g = CLASSES["grass"]
-    few = replace(g, axis=g.axis.select(np.arange(3)), mean=g.mean[:3], covariance=g.covariance[:3, :3])
+def test_averaged_readings_are_refused():
     with pytest.raises(UsageError, match="averaged readings"):
         replace(INPUTS, noise=replace(INPUTS.noise, readings=2.0))
-    with pytest.raises(UsageError, match="bands"):
-        replace(INPUTS, classes={"grass": few})
 
 
 def test_a_scene_file_becomes_a_folder_and_an_older_simulation_is_replaced(found, tmp_path, monkeypatch):

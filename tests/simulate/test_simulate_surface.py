@@ -6,7 +6,7 @@ from scipy.stats import chi2, kurtosis
 from small_scene import CLASSES, SCENE, area, planks, small_scene
 
 from hyperval.data import ClassStatistics
-from hyperval.simulate import SurfaceRenderer, admixture_share, correlated_field, lay_out, pixel_weights, sampler
+from hyperval.simulate import Sampler, SurfaceRenderer, admixture_share, correlated_field, lay_out, pixel_weights
 
 # Each statistical test of whitened values fails by chance with this probability per assertion.
 ALPHA = 1e-5
@@ -50,14 +50,14 @@ def test_pixels_and_planks_have_the_statistics_of_their_class():
 def test_a_covariance_of_rank_one_is_drawn():
     mode = np.linspace(0.01, 0.03, 12)
     line = ClassStatistics("line", GRASS.axis, np.full(12, 0.3), np.outer(mode, mode))
-    values = sampler(line).draw(2000, np.random.default_rng(2)).astype(float) - 0.3
+    values = Sampler(line).draw(2000, np.random.default_rng(2)).astype(float) - 0.3
     score = values @ mode / (mode @ mode)
     assert np.max(np.abs(values - score[:, None] * mode)) < 2e-6
     assert np.sum(score**2) == pytest.approx(2000, abs=5 * np.sqrt(2 * 2000))  # 5 sigma of chi-square
 
 
 def test_a_multivariate_t_keeps_the_covariance_and_gains_tails():
-    z = whitened(sampler(GRASS, dof=12.0).draw(200_000, np.random.default_rng(5)), GRASS)
+    z = whitened(Sampler(GRASS, dof=12.0).draw(200_000, np.random.default_rng(5)), GRASS)
     # The kurtosis of a t with 12 degrees of freedom is 3 + 6/8; standard errors at n = 2e5 and 12 bands,
     # from the eighth moment: 0.04 per band; 6 of them.
     assert np.var(z, axis=0).mean() == pytest.approx(1.0, abs=0.02)
@@ -102,7 +102,7 @@ def broken_scene(**broken):
 
 def rendered(**broken) -> np.ndarray:
     renderer = renderer_of(broken_scene(**broken))
-    return np.stack([renderer.lit_reflectance(line) for line in range(SIZE)]).astype(float)
+    return np.stack([renderer.reflectance(line) for line in range(SIZE)]).astype(float)
 
 
 PLAIN = rendered()

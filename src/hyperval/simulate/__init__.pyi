@@ -2,6 +2,7 @@
 
 from .collection import Detector, SimulationInputs, detector, field_axis, load_inputs, simulate, simulate_to_folder
 from .ground import (
+    Sampler,
     SurfaceRenderer,
     admixture_share,
     centred_fill,
@@ -9,7 +10,6 @@ from .ground import (
     lay_out,
     pixel_weights,
     regions,
-    sampler,
     side_for_fill,
     square_footprint,
 )
@@ -18,6 +18,7 @@ from .schema import PaintedArea, SceneFile, load_scene
 __all__ = [
     "Detector",
     "PaintedArea",
+    "Sampler",
     "SceneFile",
     "SimulationInputs",
     "SurfaceRenderer",
@@ -31,7 +32,6 @@ __all__ = [
     "load_scene",
     "pixel_weights",
     "regions",
-    "sampler",
     "side_for_fill",
     "simulate",
     "simulate_to_folder",

@@ -46,11 +46,11 @@ Engine = Callable[[AtmosphericState], AtmosphericTerms]
 
 @dataclass(frozen=True)
 class SimulationInputs:
-    """Everything a scene needs besides its own file; ``terms`` are averaged over the sensor's bands.
+    """Everything a scene needs besides its own file; ``terms`` and ``classes`` stand on the sensor's bands.
 
     Raises
     ------
-    UsageError : terms or classes on other bands, or a sensor whose noise is not drawn here.
+    UsageError : a sensor whose noise is not drawn here.
     """
 
     sensor: str
@@ -60,11 +60,6 @@ class SimulationInputs:
     classes: Mapping[str, ClassStatistics]
 
     def __post_init__(self) -> None:
-        if not np.allclose(self.terms.wavelength_nm, self.axis.centre_nm, atol=1e-6):
-            raise UsageError("the atmospheric terms do not stand on the sensor's bands")
-        for name, statistics in self.classes.items():
-            if not statistics.axis.matches(self.axis):
-                raise UsageError(f"the class {name!r} does not stand on the sensor's bands")
         n = self.noise
         if np.ndim(n.bits) or np.ndim(n.bit_error_rate):
             raise UsageError(f"sensor {self.sensor!r}: arms that differ in bits or bit error rate cannot be simulated")
@@ -137,8 +132,7 @@ class Detector:
         out = self._detected(radiance, rng)
         out *= np.float32(self.noise.detector_gain)  # (3.16)
         out += radiance
-        if np.any(self.lsb > 0.0):
-            out = self._digitised(out, rng)
+        out = self._digitised(out, rng)
         relative = self.noise.calibration_percent / 100.0
         if np.any(relative > 0.0):
             error = rng.standard_normal(out.shape, dtype=np.float32)
@@ -367,7 +361,7 @@ def average_reflectance(renderer: SurfaceRenderer, *, show: bool | None = None) 
     """
 
     def totals(line: int) -> tuple[Array, int]:
-        rho = renderer.lit_reflectance(line)
+        rho = renderer.reflectance(line)
         return rho.sum(axis=0, dtype=np.float64), int(np.count_nonzero(rho < 0.0))
 
     lines = renderer.scene.lines
@@ -391,7 +385,7 @@ def _write_cube(
 
     def stored(line: int) -> tuple[npt.NDArray[np.int16], int]:
         rng = schema.generator(scene.seed, schema.NOISE, line)
-        radiance = chain.radiance(renderer.lit_reflectance(line))
+        radiance = chain.radiance(renderer.reflectance(line))
         values, clipped = chain.stored(chain.measured(radiance, rng))
         if clipped:
             raise refusal("scene.radiance", scene.name, clipped=clipped, line=line)

@@ -21,17 +21,17 @@ from hyperval.errors import UsageError, refusal
 from hyperval.simulate import schema
 from hyperval.simulate.schema import Admixture, SceneFile, TargetGroup
 
-SUPERSAMPLING = 32  # fine cells per pixel side
+_CELLS = 32  # fine cells per pixel side
 _CUT_SIGMA = 5.0  # the Gaussian beyond holds 6e-7 of its area
 
 
-def _line_spread(psf_fwhm_pixels: float, cells: int) -> tuple[Array, int]:
+def _line_spread(psf_fwhm_pixels: float) -> tuple[Array, int]:
     """One-dimensional system response on fine cells, unit sum, and the reach in cells from its centre."""
-    sigma = psf_fwhm_pixels * cells / (2.0 * math.sqrt(2.0 * math.log(2.0)))  # in fine cells
+    sigma = psf_fwhm_pixels * _CELLS / (2.0 * math.sqrt(2.0 * math.log(2.0)))  # in fine cells
     reach = math.ceil(_CUT_SIGMA * sigma)
     offsets = np.arange(-reach, reach + 1)
     gaussian = np.exp(-0.5 * (offsets / sigma) ** 2) if sigma > 0 else np.ones(1)
-    response = np.convolve(gaussian / gaussian.sum(), np.full(cells, 1.0 / cells))
+    response = np.convolve(gaussian / gaussian.sum(), np.full(_CELLS, 1.0 / _CELLS))
     return response, (response.size - 1) // 2
 
 
@@ -40,20 +40,20 @@ def pixel_weights(psf_fwhm_pixels: float) -> Array:
 
     Returns (2 k + 1,) weights of unit sum, symmetric, the pixel itself in the middle.
     """
-    size = _line_spread(psf_fwhm_pixels, SUPERSAMPLING)[0].size
-    k = math.ceil((size / SUPERSAMPLING - 1.0) / 2.0)
-    middle = _fine_response(2 * k + 1, psf_fwhm_pixels, SUPERSAMPLING)[k]
-    weights = middle.reshape(-1, SUPERSAMPLING).sum(axis=1)
+    size = _line_spread(psf_fwhm_pixels)[0].size
+    k = math.ceil((size / _CELLS - 1.0) / 2.0)
+    middle = _fine_response(2 * k + 1, psf_fwhm_pixels)[k]
+    weights = middle.reshape(-1, _CELLS).sum(axis=1)
     return np.asarray(0.5 * (weights + weights[::-1]))
 
 
-def _fine_response(count: int, psf_fwhm_pixels: float, cells: int) -> Array:
+def _fine_response(count: int, psf_fwhm_pixels: float) -> Array:
     """(count, count * cells) response of each pixel of a run to the fine cells of the same run."""
-    response, _ = _line_spread(psf_fwhm_pixels, cells)
-    matrix = np.zeros((count, count * cells))
+    response, _ = _line_spread(psf_fwhm_pixels)
+    matrix = np.zeros((count, count * _CELLS))
     for pixel in range(count):
-        start = pixel * cells + cells // 2 - response.size // 2
-        low, high = max(start, 0), min(start + response.size, count * cells)
+        start = pixel * _CELLS + _CELLS // 2 - response.size // 2
+        low, high = max(start, 0), min(start + response.size, count * _CELLS)
         matrix[pixel, low:high] = response[low - start : high - start]
     return matrix
 
@@ -71,7 +71,6 @@ def square_footprint(
     side_pixels: float,
     heading_deg: float,
     psf_fwhm_pixels: float,
-    cells: int = SUPERSAMPLING,
 ) -> tuple[int, int, Array]:
     """Line and sample of the first pixel that sees a square plank, and the fills of those from there on (n, m).
 
@@ -81,40 +80,39 @@ def square_footprint(
     side_pixels : side of the square [pixels]
     heading_deg : turn of the square about its centre [deg]
     psf_fwhm_pixels : full width at half maximum of the Gaussian point spread function [pixels]
-    cells : fine cells per pixel side
     """
-    _, reach = _line_spread(psf_fwhm_pixels, cells)
-    margin = side_pixels / math.sqrt(2.0) + (reach + 1) / cells
+    _, reach = _line_spread(psf_fwhm_pixels)
+    margin = side_pixels / math.sqrt(2.0) + (reach + 1) / _CELLS
     first_line, first_sample = math.floor(centre_line - margin), math.floor(centre_sample - margin)
     lines = math.ceil(centre_line + margin) - first_line
     samples = math.ceil(centre_sample + margin) - first_sample
-    y = first_line + (np.arange(lines * cells) + 0.5) / cells - centre_line
-    x = first_sample + (np.arange(samples * cells) + 0.5) / cells - centre_sample
+    y = first_line + (np.arange(lines * _CELLS) + 0.5) / _CELLS - centre_line
+    x = first_sample + (np.arange(samples * _CELLS) + 0.5) / _CELLS - centre_sample
     angle = math.radians(heading_deg)
-    half, cell = 0.5 * side_pixels, 1.0 / cells
+    half, cell = 0.5 * side_pixels, 1.0 / _CELLS
     # In the square's own frame a cell is taken as unturned: exact but for cells on an edge of a turned square,
     # where the errors nearly average out; what is left (1e-3 of the area) is taken out as a whole.
     u = math.cos(angle) * x[None, :] + math.sin(angle) * y[:, None]
     v = -math.sin(angle) * x[None, :] + math.cos(angle) * y[:, None]
     cover = _coverage(u, half, cell) * _coverage(v, half, cell)
-    cover *= (side_pixels * cells) ** 2 / max(float(cover.sum()), 1e-300)
-    vertical, across = (_fine_response(count, psf_fwhm_pixels, cells) for count in (lines, samples))
+    cover *= (side_pixels * _CELLS) ** 2 / max(float(cover.sum()), 1e-300)
+    vertical, across = (_fine_response(count, psf_fwhm_pixels) for count in (lines, samples))
     return first_line, first_sample, vertical @ cover @ across.T
 
 
-def centred_fill(side_pixels: float, psf_fwhm_pixels: float, cells: int = SUPERSAMPLING) -> float:
+def centred_fill(side_pixels: float, psf_fwhm_pixels: float) -> float:
     """Largest fill of an unturned square plank whose centre is a pixel's centre."""
-    return float(square_footprint(0.5, 0.5, side_pixels, 0.0, psf_fwhm_pixels, cells)[2].max())
+    return float(square_footprint(0.5, 0.5, side_pixels, 0.0, psf_fwhm_pixels)[2].max())
 
 
-def side_for_fill(fill: float, psf_fwhm_pixels: float, cells: int = SUPERSAMPLING) -> float:
+def side_for_fill(fill: float, psf_fwhm_pixels: float) -> float:
     """Side [pixels] of the square plank that gives ``fill`` when centred on a pixel, by bisection."""
     high = 1.0
-    while centred_fill(high, psf_fwhm_pixels, cells) < fill:
+    while centred_fill(high, psf_fwhm_pixels) < fill:
         high *= 2.0
         if high > 64.0:
             raise ValueError(f"no square reaches a fill of {fill:g}")
-    return float(optimize.bisect(lambda side: centred_fill(side, psf_fwhm_pixels, cells) - fill, 0.0, high, xtol=1e-15))
+    return float(optimize.bisect(lambda side: centred_fill(side, psf_fwhm_pixels) - fill, 0.0, high, xtol=1e-15))
 
 
 SMALLEST_FILL = 1e-4  # a plank that gives less of a pixel's signal is left out of it
@@ -261,24 +259,25 @@ def correlated_field(shape: tuple[int, int], correlation_pixels: float, rng: np.
     return field / np.float32(spread) if spread > 0.0 else field
 
 
-def texture_factor(scene: SceneFile) -> Field | None:
-    """(lines, samples) factor on the ground reflectance, None without texture; never below 0.1."""
+def texture_factor(scene: SceneFile, on_panel: Mask) -> Field:
+    """(lines, samples) factor on the ground reflectance, never below 0.1; 1 on panels and without texture."""
     texture = scene.broken.texture
     if texture is None:
-        return None
+        return np.broadcast_to(np.float32(1.0), on_panel.shape)
     rng = schema.generator(scene.seed, schema.FIELDS, _TEXTURE)
     field = correlated_field((scene.lines, scene.samples), texture.correlation_pixels, rng)
-    return np.asarray(np.maximum(1.0 + np.float32(texture.relative_sd) * field, np.float32(0.1)))
+    factor = np.maximum(1.0 + np.float32(texture.relative_sd) * field, np.float32(0.1))
+    return np.where(on_panel, np.float32(1.0), factor)
 
 
-def illumination(scene: SceneFile, open_sky: Mask) -> Field | None:
-    """(lines, samples) share of the ground signal left by shade, None without; 1 where ``open_sky``.
+def illumination(scene: SceneFile, open_sky: Mask) -> Field:
+    """(lines, samples) share of the ground signal left by shade; 1 without, and where ``open_sky``.
 
     The patches are where a smooth field falls under its own quantile, blurred by the point spread function.
     """
     shade = scene.broken.shade
     if shade is None:
-        return None
+        return np.broadcast_to(np.float32(1.0), open_sky.shape)
     rng = schema.generator(scene.seed, schema.FIELDS, _SHADE)
     field = correlated_field((scene.lines, scene.samples), shade.correlation_pixels, rng)
     dark = (field < np.quantile(field, shade.area_fraction)) & ~open_sky
@@ -307,19 +306,21 @@ def blur(image: Field, psf_fwhm_pixels: float) -> Field:
 _SMALLEST_VARIANCE = 1e-10  # of the mean variance of a band
 
 
-@dataclass(frozen=True)
 class Sampler:
-    """Draws spectra of a class: mean + z factor, z standard normal.
+    """Draws spectra of a class of one law: mean + z factor, z standard normal.
 
-    Attributes
-    ----------
-    mean : (B,); factor : (B, B) with factor^T factor = covariance
-    dof : None, or draws are from a multivariate t law of the same mean and covariance
+    The factor (B, B) is Cholesky's: it is unique, so that the draws do not depend on the linear algebra library as
+    eigenvectors of near-equal eigenvalues would.
+
+    ``dof`` : of a multivariate t law of the same mean and covariance; None: the class's own
     """
 
-    mean: Field
-    factor: Field
-    dof: float | None = None
+    def __init__(self, statistics: ClassStatistics, dof: float | None = None):
+        covariance, self.dof = statistics.covariance, statistics.tail_dof if dof is None else dof
+        # A covariance of less than full rank gains a spread that float32 draws hardly resolve.
+        least = _SMALLEST_VARIANCE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
+        self.mean: Field = statistics.mean.astype(np.float32)
+        self.factor: Field = np.linalg.cholesky(covariance + least).T.astype(np.float32)
 
     def draw(self, count: int, rng: np.random.Generator) -> Field:
         """(count, B) spectra."""
@@ -330,19 +331,6 @@ class Sampler:
         spectra: Field = z @ self.factor
         spectra += self.mean
         return spectra
-
-
-def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler:
-    """Sampler of a class of one law, from the Cholesky factor of its covariance.
-
-    The factor is unique, so that the draws do not depend on the linear algebra library as eigenvectors of
-    near-equal eigenvalues would.
-    """
-    covariance = statistics.covariance
-    # A covariance of less than full rank gains a spread that float32 draws hardly resolve.
-    least = _SMALLEST_VARIANCE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
-    factor = np.linalg.cholesky(covariance + least).T.astype(np.float32)
-    return Sampler(statistics.mean.astype(np.float32), factor, statistics.tail_dof if dof is None else dof)
 
 
 class SurfaceRenderer:
@@ -362,16 +350,16 @@ class SurfaceRenderer:
         self._names = covering
         open_ground = {a.surface for a in scene.layout}
         self._samplers = [
-            sampler(classes[name], tails.dof if tails and name in open_ground else None) for name in covering
+            Sampler(classes[name], tails.dof if tails and name in open_ground else None) for name in covering
         ]
         self.bands = int(self._samplers[0].mean.size)
-        self._texture = texture_factor(scene)
+        self._texture = texture_factor(scene, ground.on_panel)
         self._light = illumination(scene, ndimage.binary_dilation(ground.on_panel, iterations=3))
         self._shares = [admixture_share(scene, a, i) for i, a in enumerate(scene.broken.admixtures)]
         drawn = [np.zeros((0, self.bands), np.float32)]
         for number, group in enumerate(scene.targets):
             rng = schema.generator(scene.seed, schema.TARGET_SPECTRA, number)
-            drawn.append(sampler(classes[group.material]).draw(group.count, rng))
+            drawn.append(Sampler(classes[group.material]).draw(group.count, rng))
         self.target_spectra = np.concatenate(drawn)
         # Of every pixel that sees a plank its line, sample, number of the plank and fill.
         planks, none = ground.planks, np.zeros(0, np.intp)
@@ -401,35 +389,20 @@ class SurfaceRenderer:
         return share
 
     def reflectance(self, line: int) -> Field:
-        """(samples, B) reflectance of one line: surfaces as drawn, planks blended in by their fill."""
+        """(samples, B) of one line: surfaces as drawn, planks blended in by their fill, times the share of light."""
         rng = schema.generator(self.scene.seed, schema.SURFACE, line)
         rho = np.zeros((self.scene.samples, self.bands), np.float32)
         for share, draws in zip(self.shares(line), self._samplers, strict=True):
             at = np.flatnonzero(share > SMALLEST_FILL)
-            if at.size == 0:
-                continue
-            spectra = draws.draw(at.size, rng)
-            if not np.all(share[at] == 1.0):
-                spectra *= share[at, None]
-            rho[at] += spectra
-        if self._texture is not None:
-            factor = np.where(self.ground.on_panel[line], np.float32(1.0), self._texture[line])
-            rho *= factor[:, None]
+            rho[at] += draws.draw(at.size, rng) * share[at, None]
+        rho *= self._texture[line][:, None]
         at = np.flatnonzero(self._lines == line)
-        if at.size:
-            samples, fills = self._samples[at], self._fills[at]
-            total = np.zeros(self.scene.samples, np.float32)
-            np.add.at(total, samples, fills)
-            rho *= (1.0 - total)[:, None]
-            np.add.at(rho, samples, fills[:, None] * self.target_spectra[self._numbers[at]])
+        samples, fills, total = self._samples[at], self._fills[at], np.zeros(self.scene.samples, np.float32)
+        np.add.at(total, samples, fills)
+        rho *= (1.0 - total)[:, None]
+        np.add.at(rho, samples, fills[:, None] * self.target_spectra[self._numbers[at]])
         if self.scene.mode == "broken":
             # Heavy tails reach where no surface can; in closure the model's own law is kept whole.
             np.clip(rho, 0.0, 1.0, out=rho)
-        return rho
-
-    def lit_reflectance(self, line: int) -> Field:
-        """(samples, B) reflectance times the share of light that reaches the pixel."""
-        rho = self.reflectance(line)
-        if self._light is not None:
-            rho *= self._light[line][:, None]
+        rho *= self._light[line][:, None]
         return rho
