@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -68,10 +68,20 @@ def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
             field["description"] = _BRACKETS.sub("", words).strip()
 
 
+Refused = Mapping[str, Callable[[Any], object]]  # words -> whether the entries of a model contradict each other so
+
+
 class Model(BaseModel):
-    """Base of every configuration model: unknown keys, NaN and infinity are refused."""
+    """Base of every configuration model: unknown keys, NaN and infinity are refused, and what contradicts itself."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_told)
+    refused: ClassVar[Refused] = {}
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> Self:
+        for words in (words for words, contradicts in self.refused.items() if contradicts(self)):
+            raise ValueError(words)
+        return self
 
 
 class OneOf(Model):
@@ -82,7 +92,7 @@ class OneOf(Model):
     together: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="after")
-    def _of_what_is_given(self) -> Self:
+    def _is_consistent(self) -> Self:
         one, most, together = (
             [name for name in names if (value := getattr(self, name)) not in (None, [], ()) and value is not False]
             for names in (self.one_of, self.at_most_one_of, self.together)
@@ -93,7 +103,7 @@ class OneOf(Model):
             raise ValueError(f"give {' or '.join(self.at_most_one_of)}, not both")
         if together and len(together) < len(self.together):
             raise ValueError(f"{' and '.join(self.together)} go together")
-        return self
+        return super()._is_consistent()  # type: ignore[operator, no-any-return]
 
 
 def _unit_known_to(factor: Callable[[str], float]) -> AfterValidator:

@@ -77,14 +77,12 @@ class SpectrumSource(OneOf):
     wavelength_unit: str | None = Field(None, description="stated when the file does not say")
     reflectance_unit: str | None = Field(None, description="stated when the file does not say: fraction, percent")
 
-    @model_validator(mode="after")
-    def _check(self) -> SpectrumSource:
-        units, alone = self.wavelength_unit or self.reflectance_unit, self.library is None and self.record is not None
-        if self.file is None and (units or alone):
-            raise ValueError("record and units belong to a file")
-        if self.library is not None and not isinstance(self.record, str | None):
-            raise ValueError("a record of a statistics library goes by name")
-        return self
+    refused: ClassVar = {
+        "record and units belong to a file": lambda s: s.file is None and (
+            s.wavelength_unit or s.reflectance_unit or (s.library is None and s.record is not None)
+        ),
+        "a record of a statistics library goes by name": lambda s: s.library and not isinstance(s.record, str | None),
+    }  # fmt: skip
 
 
 class CovarianceSource(OneOf):
@@ -102,11 +100,7 @@ class CovarianceSource(OneOf):
     correlation_nm: float | None = Field(None, gt=0, description="with relative_sd; None: fully correlated")
     band_sd: float = Field(0.0, ge=0, description="with relative_sd: independent part of each band [1]")
 
-    @model_validator(mode="after")
-    def _check(self) -> CovarianceSource:
-        if self.record is not None and self.library is None:
-            raise ValueError("record belongs to a library")
-        return self
+    refused: ClassVar = {"record belongs to a library": lambda s: s.record is not None and s.library is None}
 
 
 Spread = Annotated[float, Field(gt=0)]
@@ -251,13 +245,10 @@ class Uncertainty(OneOf):
         default_factory=list, description="area fractions of classes; the others give way in proportion"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Uncertainty:
-        for name in ("fills", "fractions"):  # field_spectra: entries of a subject add up
-            subjects = [item.subject for item in getattr(self, name)]
-            if len(set(subjects)) < len(subjects):
-                raise ValueError(f"{name}: a subject occurs twice")
-        return self
+    refused: ClassVar = {  # field_spectra: entries of a subject add up
+        "fills: a subject occurs twice": lambda u: len({i.subject for i in u.fills}) < len(u.fills),
+        "fractions: a subject occurs twice": lambda u: len({i.subject for i in u.fractions}) < len(u.fractions),
+    }
 
 
 MODEL_DETECTORS = (*LINEAR_DETECTORS, *NUMERICAL_DETECTORS)
@@ -318,14 +309,14 @@ class Geometry(Model):
     )
     n: int | None = Field(None, ge=1, le=400, description="pixels of an object, with ranked")
 
-    @model_validator(mode="after")
-    def _check(self) -> Geometry:
-        square = self.shape == "square"
-        if square != (self.side_m is not None) or square == (self.length_m is not None and self.width_m is not None):
-            raise ValueError("a square has side_m; a rectangle has length_m and width_m")
-        if (self.pixels == "ranked") != (self.n is not None):
-            raise ValueError("ranked pixels need n, the number of pixels of an object; best takes none")
-        return self
+    refused: ClassVar = {
+        "a square has side_m; a rectangle has length_m and width_m": lambda g: (
+            (g.side_m is None) == (g.shape == "square") or (None in (g.length_m, g.width_m)) == (g.shape != "square")
+        ),
+        "ranked pixels need n, the number of pixels of an object; best takes none": lambda g: (
+            (g.pixels == "ranked") == (g.n is None)
+        ),
+    }
 
     @property
     def sides_pixels(self) -> tuple[float, float]:
@@ -436,12 +427,7 @@ class ElmPanels(Model):
     """Two panels of the empirical line, by reflectance."""
 
     reflectances: tuple[Fraction, Fraction] = (0.1, 0.6)
-
-    @model_validator(mode="after")
-    def _check(self) -> ElmPanels:
-        if not self.reflectances[0] < self.reflectances[1]:
-            raise ValueError("the first panel is the darker one")
-        return self
+    refused: ClassVar = {"the first panel is the darker one": lambda e: not e.reflectances[0] < e.reflectances[1]}
 
 
 class DarkestPixel(Model):
@@ -522,14 +508,16 @@ class Scenario(Model):
     uncertainty: Uncertainty = Uncertainty()
 
     _folder: Path | None = PrivateAttr(None)
+    refused: ClassVar = {
+        "a scenario with an atmosphere needs a sensor, save for mean spectra above it": lambda s: (
+            s.atmosphere and not s.sensor and (s.scene.targets or not s.is_of_space)
+        ),
+        "sensor_operation needs a sensor": lambda s: s.sensor_operation and not s.sensor,
+        "sensor_changes needs a sensor": lambda s: s.sensor_changes and not s.sensor,
+    }
 
     @model_validator(mode="after")
     def _check(self) -> Scenario:
-        if self.atmosphere is not None and self.sensor is None and (self.scene.targets or not self.is_of_space):
-            raise ValueError("a scenario with an atmosphere needs a sensor, save for mean spectra above it")
-        for name in ("sensor_operation", "sensor_changes"):
-            if getattr(self, name) is not None and self.sensor is None:
-                raise ValueError(f"{name} needs a sensor")
         classes = {c.name for c in self.scene.classes}
         for name in self.processing.filter_classes:
             if name not in classes:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -45,12 +45,11 @@ class Quantity(OneOf):
     value: float | None = None
     table: list[tuple[float, float]] | None = Field(None, description="[nm, value] pairs, wavelength increasing")
     source: Source
-
-    @model_validator(mode="after")
-    def _rising(self) -> Self:
-        if self.table is not None and (len(self.table) < 2 or np.any(np.diff([w for w, _ in self.table]) <= 0)):
-            raise ValueError("a table needs at least two rows in rising wavelength")
-        return self
+    refused: ClassVar = {
+        "a table needs at least two rows in rising wavelength": lambda q: (
+            q.table is not None and (len(q.table) < 2 or np.any(np.diff([w for w, _ in q.table]) <= 0))
+        )
+    }
 
     def at(self, wavelength_nm: Array) -> Array:
         """(B,) values: linear in wavelength, the end values beyond the table."""
@@ -157,14 +156,12 @@ class Blur(OneOf):
     fwhm_pixels: tuple[float, float] | None = Field(None, description="Gaussian besides the aperture [pixels]")
     mtf_at_nyquist: tuple[float, float] | None = Field(None, description="of the pixel, aperture included [1]")
     source: Source
-
-    @model_validator(mode="after")
-    def _in_range(self) -> Self:
-        if self.fwhm_pixels is not None and not all(0 <= w <= 5 for w in self.fwhm_pixels):
-            raise ValueError("fwhm_pixels lies between 0 and 5")
-        if self.mtf_at_nyquist is not None and not all(0.01 <= m <= 2 / np.pi for m in self.mtf_at_nyquist):
-            raise ValueError("mtf_at_nyquist lies between 0.01 and 0.6366, which the aperture alone passes")
-        return self
+    refused: ClassVar = {
+        "fwhm_pixels lies between 0 and 5": lambda b: not all(0 <= w <= 5 for w in b.fwhm_pixels or ()),
+        "mtf_at_nyquist lies between 0.01 and 0.6366, which the aperture alone passes": lambda b: (
+            not all(0.01 <= m <= 2 / np.pi for m in b.mtf_at_nyquist or ())
+        ),
+    }
 
     @property
     def fwhm(self) -> tuple[float, float]:
@@ -397,12 +394,9 @@ class MeasuredNoise(Model):
     table: list[tuple[float, float, float, float]] = Field(min_length=2)
     saturation_radiance: Quantity | None = Field(None, description="radiance at full scale [uW cm-2 sr-1 nm-1]")
     source: Source
-
-    @model_validator(mode="after")
-    def _positive(self) -> Self:
-        if any(a <= 0 or b < 0 for _, a, b, _ in self.table):
-            raise ValueError("a must be positive and b not negative")
-        return self
+    refused: ClassVar = {
+        "a must be positive and b not negative": lambda m: any(a <= 0 or b < 0 for _, a, b, _ in m.table)
+    }
 
 
 class SensorSpecification(OneOf):

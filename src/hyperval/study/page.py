@@ -148,7 +148,7 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
 
     for f in fields:
         output, (n, values) = asked.get(f.name), extremes(table[f.name])
-        product = "study" if output is None else output.kind if output.kind in ("snr", "radiance") else "roc"
+        product = "study" if output is None else output.kind if output.is_spectral else "roc"
         names = product, f.name if output is None else output.subject, f.name
         said, more = f"{count - n} of {count} points have no value; reasons stand in table.csv" if n < count else "", {}
         if not n:
@@ -427,4 +427,4 @@ def _meaning(plan: Plan, o: Output) -> str:
         "snr": f"SNR of {o.subject} {where}" + ("" if o.calibration_error else ", without calibration error"),
         "radiance": f"radiance of {o.subject} {where} [{o.unit}]",
     }[o.kind]
-    return words if o.kind in ("snr", "radiance") else f"{words}, {o.detector or plan.scenario.processing.detectors[0]}"
+    return words if o.is_spectral else f"{words}, {o.detector or plan.scenario.processing.detectors[0]}"

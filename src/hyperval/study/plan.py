@@ -152,8 +152,7 @@ def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis)
     populations = [p.name for t in scene.targets for p in t.populations]
     for o in outputs:
         where = f"output {o.name!r}"
-        spectral = o.kind in ("snr", "radiance")
-        among = pure if spectral else populations
+        spectral, among = o.is_spectral, pure if o.is_spectral else populations
         if spectral and scenario.atmosphere is None:
             raise UsageError(f"{where}: the scenario has no atmosphere, so no {o.kind}")
         if not spectral and not detectors:
@@ -191,7 +190,7 @@ def bands_of(output: Output, axis: SpectralAxis) -> npt.NDArray[np.intp]:
 
 def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     """An output in every truth of an evaluation (n,); ``pfa`` (n,) where an input moves it."""
-    if output.kind in ("snr", "radiance"):
+    if output.is_spectral:
         bands = bands_of(output, e.axis)
         snr = output.kind == "snr"
         values = e.snr(output.subject, output.calibration_error) if snr else e.radiance(output.subject)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +29,10 @@ class Grid(Model):
     count: int = Field(ge=2, le=1_000_000)
     spacing: Literal["linear", "log"] = "linear"
 
-    @model_validator(mode="after")
-    def _check(self) -> Grid:
-        if not self.start < self.stop:
-            raise ValueError("start lies below stop")
-        if self.spacing == "log" and self.start <= 0:
-            raise ValueError("a logarithmic grid starts above 0")
-        return self
+    refused: ClassVar = {
+        "start lies below stop": lambda g: not g.start < g.stop,
+        "a logarithmic grid starts above 0": lambda g: g.spacing == "log" and g.start <= 0,
+    }
 
 
 class Random(OneOf):
@@ -47,18 +44,14 @@ class Random(OneOf):
     normal: tuple[float, float] | None = Field(None, description="mean and standard deviation")
     within: tuple[float, float] | None = Field(None, description="with normal: cut at these ends")
 
-    @model_validator(mode="after")
-    def _check(self) -> Random:
-        if (self.within is not None) != (self.normal is not None):
-            raise ValueError("within and normal go together: a normal distribution is cut at stated ends")
-        low, high = self.ends
-        if not low < high:
-            raise ValueError("the lower end lies below the upper one")
-        if self.log_uniform is not None and low <= 0:
-            raise ValueError("log_uniform starts above 0")
-        if self.normal is not None and self.normal[1] <= 0:
-            raise ValueError("a standard deviation is above 0")
-        return self
+    refused: ClassVar = {
+        "within and normal go together: a normal distribution is cut at stated ends": lambda r: (
+            (r.within is None) != (r.normal is None)
+        ),
+        "the lower end lies below the upper one": lambda r: not r.ends[0] < r.ends[1],
+        "log_uniform starts above 0": lambda r: r.log_uniform and r.ends[0] <= 0,
+        "a standard deviation is above 0": lambda r: r.normal and r.normal[1] <= 0,
+    }
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -92,11 +85,7 @@ class Moving(Model):
     )
     moves: list[Move] = Field(default_factory=list, description="in place of path: several entries together")
 
-    @model_validator(mode="after")
-    def _entries(self) -> Self:
-        if (self.path is None) == (not self.moves):
-            raise ValueError("give either path or moves")
-        return self
+    refused: ClassVar = {"give either path or moves": lambda m: (m.path is None) == (not m.moves)}
 
     @property
     def targets(self) -> list[Move]:
@@ -119,12 +108,12 @@ class Input(Moving, OneOf):
     grid: Grid | None = None
     random: Random | None = None
 
-    @model_validator(mode="after")
-    def _check(self) -> Input:
-        plain = all(m.factor == 1.0 and m.offset == 0.0 for m in self.moves)
-        if self.values is not None and not plain and not all(isinstance(v, int | float) for v in self.values):
-            raise ValueError("factor and offset go with numbers")
-        return self
+    refused: ClassVar = Moving.refused | {
+        "factor and offset go with numbers": lambda i: (
+            any(m.factor != 1.0 or m.offset != 0.0 for m in i.moves)
+            and not all(isinstance(v, int | float) for v in i.values or ())
+        )
+    }
 
     @property
     def size(self) -> int:
@@ -172,20 +161,22 @@ class Output(Model):
     range_nm: tuple[float, float] | None = Field(None, description="mean over the bands outside absorption bands")
     calibration_error: bool = Field(True, description="for snr: with C_R in the noise")
 
-    @model_validator(mode="after")
-    def _check(self) -> Output:
-        spectral = self.kind in ("snr", "radiance")
-        if spectral and (self.band_nm is None) == (self.range_nm is None):
-            raise ValueError("give exactly one of band_nm, range_nm")
-        if not spectral and (self.band_nm is not None or self.range_nm is not None):
-            raise ValueError("snr and radiance are asked at a band_nm or over a range_nm, and nothing else is")
-        if self.kind in ("log10-pfa", "auc", "log-auc") and self.by == "object":
-            raise ValueError(f"{self.kind} is of pixels")
-        if self.kind != "pd" and self.pfa is not None:
-            raise ValueError("pfa belongs to kind: pd")
-        if not self.pfa_range[0] < self.pfa_range[1]:
-            raise ValueError("pfa_range rises")
-        return self
+    refused: ClassVar = {
+        "give exactly one of band_nm, range_nm": lambda o: (
+            o.is_spectral and (o.band_nm is None) == (o.range_nm is None)
+        ),
+        "snr and radiance are asked at a band_nm or over a range_nm, and nothing else is": lambda o: (
+            not o.is_spectral and (o.band_nm or o.range_nm)
+        ),
+        "only pd counts objects": lambda o: o.kind in ("log10-pfa", "auc", "log-auc") and o.by == "object",
+        "pfa belongs to kind: pd": lambda o: o.kind != "pd" and o.pfa is not None,
+        "pfa_range rises": lambda o: not o.pfa_range[0] < o.pfa_range[1],
+    }
+
+    @property
+    def is_spectral(self) -> bool:
+        """Whether it is of spectra, and not of detection."""
+        return self.kind in ("snr", "radiance")
 
     @property
     def unit(self) -> str:
@@ -209,11 +200,11 @@ class Required(Moving):
     equals: float = Field(description="what the output is to be")
     report: list[str] = Field(default_factory=list, description="outputs reported at the solution")
 
-    @model_validator(mode="after")
-    def _check(self) -> Required:
-        if not self.between[0] < self.between[1] or (self.spacing == "log" and self.between[0] <= 0):
-            raise ValueError("between rises, and starts above 0 with spacing: log")
-        return self
+    refused: ClassVar = Moving.refused | {
+        "between rises, and starts above 0 with spacing: log": lambda q: (
+            not q.between[0] < q.between[1] or (q.spacing == "log" and q.between[0] <= 0)
+        )
+    }
 
 
 class Knee(Model):
@@ -240,15 +231,11 @@ class Plot(Model):
     scale: Literal["linear", "log"] = Field("linear", description="of x")
     title: str = ""
 
-    @model_validator(mode="after")
-    def _check(self) -> Plot:
-        if (self.kind == "tornado") != (self.x is None):
-            raise ValueError("lines and heat need x, a tornado takes none")
-        if (self.kind == "heat") != (self.y is not None):
-            raise ValueError("a heat map needs y, nothing else takes it")
-        if self.family is not None and self.kind != "lines":
-            raise ValueError("family belongs to lines")
-        return self
+    refused: ClassVar = {
+        "lines and heat need x, a tornado takes none": lambda p: (p.kind == "tornado") != (p.x is None),
+        "a heat map needs y, nothing else takes it": lambda p: (p.kind == "heat") != (p.y is not None),
+        "family belongs to lines": lambda p: p.family is not None and p.kind != "lines",
+    }
 
 
 class AtmosphereTable(Model):
