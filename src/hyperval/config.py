@@ -181,6 +181,19 @@ for _kind, (_pattern, _first, _) in _SCALARS.items():
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(_pattern), _letters)
 
 
+def shipped(package: str, folder: str) -> dict[str, Path]:
+    """Name -> YAML file of all that ship in a folder of a package."""
+    return {path.stem: path for path in sorted(installed_file(package, folder).glob("*.yaml"))}
+
+
+def file_of(name_or_path: str | Path, known: Mapping[str, Path], kind: str) -> Path:
+    """The file of what goes by its name or by its path; UsageError where it is neither."""
+    path = known.get(str(name_or_path), Path(name_or_path))
+    if path.suffix not in (".yaml", ".yml") and not path.exists():
+        raise UsageError(f"unknown {kind} {str(path)!r}", expected="a YAML file or one of " + ", ".join(known))
+    return path
+
+
 @reader
 def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
     """Read a YAML file strictly.

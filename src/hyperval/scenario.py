@@ -10,7 +10,6 @@ What a scenario says of the uncertainty of its inputs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -23,7 +22,7 @@ from pydantic import (
 )
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.config import Model, OneOf, load_model, load_yaml
+from hyperval.config import Model, OneOf, file_of, load_model, load_yaml, shipped
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
 from hyperval.errors import UsageError, as_typed, reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
@@ -575,8 +574,7 @@ class Scenario(Model):
 
 def builtin_scenarios() -> tuple[str, ...]:
     """Names of the scenarios that ship with the project."""
-    folder = resources.files("hyperval") / "scenarios"
-    return tuple(sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml")))
+    return tuple(shipped("hyperval", "scenarios"))
 
 
 @reader
@@ -591,19 +589,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     UsageError : no such name, or every mistake of the file with its line.
     InputError : no such file.
     """
-    text = str(name_or_path)
-    if text in builtin_scenarios():
-        with resources.as_file(resources.files("hyperval") / "scenarios" / f"{text}.yaml") as path:
-            return _load(path)
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml") and not path.exists():
-        raise UsageError(
-            f"unknown scenario {text!r}", expected="a YAML file or one of " + ", ".join(builtin_scenarios())
-        )
-    return _load(path)
-
-
-def _load(path: Path) -> Scenario:
+    path = file_of(name_or_path, shipped("hyperval", "scenarios"), "scenario")
     data, _ = load_yaml(path)
     if "collection" in data and "scene" not in data:
         raise UsageError(

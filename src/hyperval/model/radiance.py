@@ -357,7 +357,7 @@ def at_rows(values: Array, index: Index) -> Array:
     return np.asarray(values[index]) if len(values) > 1 else values
 
 
-def rows_of(value: T, arrays: Sequence[str], index: Index) -> T:
+def _rows_of(value: T, arrays: Sequence[str], index: Index) -> T:
     """A dataclass whose ``arrays`` (U or 1, ...) are those of some truths."""
     changes: dict[str, Any] = {name: at_rows(getattr(value, name), index) for name in arrays}
     return replace(value, **changes)  # type: ignore[type-var]
@@ -680,7 +680,7 @@ class Background:
 
     def rows(self, index: Index) -> Background:
         """Of some truths."""
-        return rows_of(self, ("fraction", "gain", "means", "between", "stretch", "law_fraction"), index)
+        return _rows_of(self, ("fraction", "gain", "means", "between", "stretch", "law_fraction"), index)
 
     def mixed(self, weights: Array, u: int = 0) -> Array:
         """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
@@ -752,7 +752,7 @@ class Seen:
 
     def rows(self, index: Index) -> Seen:
         """Of some truths."""
-        some = rows_of(self, ("gain", "offset", "slope", "around", "means", "noise"), index)
+        some = _rows_of(self, ("gain", "offset", "slope", "around", "means", "noise"), index)
         signatures = {name: at_rows(x, index) for name, x in self.looked_for.items()}
         return replace(some, light=self.light.rows(index), of=self.of.rows(index), looked_for=signatures)
 

@@ -43,7 +43,7 @@ from hyperval.scenario import (
     TargetSubject,
 )
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.specification import Sensor, binned_axis, library_names, library_sensor, load_sensor
+from hyperval.sensor.specification import Sensor, binned_axis, load_sensor
 from hyperval.settings import with_settings
 from hyperval.spectra import FieldSpectrum, read_records, read_spectrum
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
@@ -777,9 +777,7 @@ def read_files(
     find, measured, operation = source.find(scenario), source.measured or {}, scenario.sensor_operation
     name, sensor = scenario.sensor or "", source.sensor
     if sensor is None and name:
-        of_library = name in library_names()
-        meant_as_file = not of_library and (PurePath(name).suffix or ":" in name)
-        sensor = library_sensor(name) if of_library else load_sensor(find(name) if meant_as_file else name)
+        sensor = load_sensor(find(name) if PurePath(name).suffix or ":" in name else name)
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = next((a for a in axes if a is not None), None)
     if axis is None:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from hyperval.config import Model, OneOf, load_model
+from hyperval.config import Model, OneOf, file_of, load_model, shipped
 from hyperval.data import Array, Index
 from hyperval.errors import UsageError, reader
 from hyperval.sensor.noise import (
@@ -604,8 +604,7 @@ def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",)) -> str:
 
 def library_names() -> tuple[str, ...]:
     """Names of the sensors that ship with the project."""
-    folder = resources.files("hyperval.sensor") / "library"
-    return tuple(sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml")))
+    return tuple(shipped("hyperval.sensor", "library"))
 
 
 @reader
@@ -617,17 +616,12 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     UsageError : no such name, or an invalid file (every mistake with its line).
     InputError : no such file.
     """
-    text = str(name_or_path)
-    if text in library_names():
-        return library_sensor(text)
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml") and not path.exists():
-        raise UsageError(f"unknown sensor {text!r}", expected="a YAML file or one of " + ", ".join(library_names()))
-    return Sensor(load_model(SensorSpecification, path))
+    known = shipped("hyperval.sensor", "library")
+    path = file_of(name_or_path, known, "sensor")
+    return _of_library(path) if path in known.values() else Sensor(load_model(SensorSpecification, path))
 
 
 @lru_cache(maxsize=16)
-def library_sensor(name: str) -> Sensor:
+def _of_library(path: Path) -> Sensor:
     """A sensor of the library, read once."""
-    with resources.as_file(resources.files("hyperval.sensor") / "library" / f"{name}.yaml") as path:
-        return Sensor(load_model(SensorSpecification, path))
+    return Sensor(load_model(SensorSpecification, path))

@@ -298,9 +298,8 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     try_values(study, world)
     world.stated.atmosphere.prepare(states, show_progress)
     check_outputs(study.outputs, scenario, world.stated.axis)
-    plan = Plan(study, scenario, world, (), {}, log)
-    plan = replace(plan, sky_error=_sky_error(plan) if nodes else {})
-    return replace(plan, notes=tuple(_notes(plan)))
+    sky_error = _sky_error(study, world) if nodes else {}
+    return Plan(study, scenario, world, tuple(_notes(study, world, sky_error)), sky_error, log)
 
 
 def try_values(study: StudyFile, world: World) -> None:
@@ -366,33 +365,30 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
     return [], nodes
 
 
-def _notes(plan: Plan) -> list[str]:
-    notes = []
-    paths = [m.path for i in plan.study.moving for m in i.targets]
-    stated = plan.world.stated
+def _notes(study: StudyFile, world: World, sky_error: Mapping[str, float]) -> list[str]:
+    notes, paths, stated = [], [m.path for i in study.moving for m in i.targets], world.stated
     anew = [p for p in paths if p != PFA and reads_again(stated, p)]
     if anew:
         notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
     for key, nodes in stated.atmosphere.nodes.items():
         notes.append(f"atmosphere.{key} is interpolated between engine runs at " + ", ".join(f"{x:.4g}" for x in nodes))
     notes += [
-        f"interpolated atmosphere at {plan.study.atmosphere.checked} held-out states: {name} relative error "
+        f"interpolated atmosphere at {study.atmosphere.checked} held-out states: {name} relative error "
         f"{error:.1e} (ground of {GROUND:g}, two-way gas transmittance above {LEAST_GAS:g})"
-        for name, error in plan.sky_error.items() if name.startswith("radiance")
+        for name, error in sky_error.items() if name.startswith("radiance")
     ]  # fmt: skip
-    if any(i.random for i in plan.study.inputs):
-        notes.append(f"random inputs: Sobol sequence, scrambled, seed {plan.study.design.seed}")
+    if any(i.random for i in study.inputs):
+        notes.append(f"random inputs: Sobol sequence, scrambled, seed {study.design.seed}")
     return notes
 
 
-def _sky_error(plan: Plan) -> dict[str, float]:
+def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     """What the interpolation of the atmosphere costs at held-out states, drawn between the nodes (seeded).
 
     Relative error of the radiance over ground of 0.3 where the two-way gas transmittance is above 0.1 (worst and
     rms), and the absolute error of every output, the other inputs as at the first points of the design.
     """
-    study, stated = plan.study, plan.world.stated
-    between, count = stated.atmosphere, study.atmosphere.checked
+    stated, between, count = world.stated, world.stated.atmosphere, study.atmosphere.checked
     rng = np.random.default_rng([study.design.seed, 6])
     states = {f"atmosphere.{k}": _between(np.array(n), rng.random(count)) for k, n in between.nodes.items()}
     exact = replace(between, nodes={}, kept={})
@@ -411,7 +407,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
         for m in question.targets:
             if m.path not in states:
                 columns[m.path] = np.full(count, m.of(middle))
-    a, _ = output_values(plan.world, columns, study.outputs)
+    a, _ = output_values(world, columns, study.outputs)
     b, _ = output_values(World(replace(stated, atmosphere=exact, kept={})), columns, study.outputs)
     for k, output in enumerate(study.outputs):
         errors[f"output {output.name}"] = float(np.max(np.abs(a[:, k] - b[:, k])))
