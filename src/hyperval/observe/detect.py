@@ -19,7 +19,7 @@ from scipy import ndimage
 from hyperval import pixels as px
 from hyperval.collection import Detection, DetectionTarget, Unmixing
 from hyperval.data import Array, Index, Mask, statistics_of
-from hyperval.errors import InputError, UsageError, one_of, refusal
+from hyperval.errors import InputError, UsageError, one_of, refusal, refuse
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects, window_of
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, cut_out
@@ -93,7 +93,6 @@ class FilterBank:
     detectors : by the names of the score maps
     forms : the same by the detector's name and the target's spectrum (F,), None for anomalies
     bands : (B,) those that the filters use, F of them
-    whitener : of the background, where a detector needs it
     shrinkage : of the background's covariance, 0 where there were pixels enough
     background : mean (F,) and covariance that the filters are made of, None where no detector inverts one
     """
@@ -101,7 +100,6 @@ class FilterBank:
     detectors: Mapping[str, px.PixelDetector]
     forms: Mapping[str, tuple[str, Array | None]]
     bands: Mask
-    whitener: px.Whitener | None
     shrinkage: float
     notes: tuple[str, ...]
     background: tuple[Array, PositiveDefinite] | None = None
@@ -225,12 +223,10 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
             key: px.pixel_detector(name, spectrum, mean[bands], inverted, undesired)
             for key, (name, spectrum) in forms.items()
         }
-        if inverted is None:
-            return FilterBank(detectors, forms, bands, None, shrinkage, tuple(notes))
-        notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
-        measures = detection.local_window or any(d.quadratic == "distance" for d in detectors.values())
-        whitener = px.whitener_of(mean[bands], inverted) if measures else None
-    return FilterBank(detectors, forms, bands, whitener, shrinkage, tuple(notes), (mean[bands], inverted))
+        if inverted is not None:
+            notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
+    known = None if inverted is None else (mean[bands], inverted)
+    return FilterBank(detectors, forms, bands, shrinkage, tuple(notes), known)
 
 
 def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) -> tuple[Mask, list[str]]:
@@ -260,8 +256,7 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
             runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
             ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
             parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)")
-    if not left.any():
-        raise refusal("detection.bands", rules="; ".join(parts))
+    refuse(not left.any(), "detection.bands", rules="; ".join(parts))
     notes = [f"detectors use {int(left.sum())} of {len(axis)} bands"]
     return left, [*notes, f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else notes
 
@@ -280,14 +275,15 @@ def _score_maps(
 ) -> tuple[dict[str, Array], list[str]]:
     """Score (lines, samples) by the keys of the bank, and what is to be said of it."""
     cube, local, line = place.cube, detection.local_window, place.line
+    whitener = None if bank.background is None else px.whitener_of(*bank.background)
     watch = watch_lines("scores", cube.bytes_per_line, cube.lines, show=show)
     common: dict[str, Any] = {"needed": cube.axis.good, "watch": watch}
-    if local is None or bank.whitener is None:
-        maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=bank.whitener, scenes=scenes, **common)
+    if local is None or whitener is None:
+        maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=whitener, scenes=scenes, **common)
         return maps, []
     window = local.outer_pixels, local.inner_pixels
     around = place.pixels_of(IMAGE if IMAGE in detection.background else SCENE)
-    maps, lonely = px.score_cube_locally(cube, bank.forms, bank.whitener, window, around, line, bank.bands, **common)
+    maps, lonely = px.score_cube_locally(cube, bank.forms, whitener, window, around, line, bank.bands, **common)
     return maps, [
         f"background means from windows of {window[0]} less {window[1]} pixels; "
         f"{lonely} pixels without neighbours in the window take the mean of the background. "
@@ -316,8 +312,7 @@ class _Curves:
         error, bias = self._mean_sampling(key, detector, noise.scores.size)
         background = replace(_moments(noise.scores), mean_error=error, mean_bias=bias)
         for subject, members in groups.items():
-            if (subject, detector) in found:
-                raise refusal("detection.subject", "detection.group", subject=subject)
+            refuse((subject, detector) in found, "detection.subject", "detection.group", subject=subject)
             found[background_of(subject), detector] = background
             self._add_subject(subject, detector, members, scores, noise)
 
@@ -428,12 +423,10 @@ def _anomaly_note(place: Place, detector: str, scores: Array, background: Mask) 
     labels, count = objects(np.nan_to_num(scores, nan=-np.inf) > threshold)
     if not count:
         return f"{detector}: no pixel beyond {threshold:.4g}, which {level:g} of the background exceeds"
-    sizes, of = np.bincount(labels.ravel()), np.arange(1, count + 1)
-    best = ndimage.maximum(scores, labels, of)
-    words = []
-    for number in of[np.argsort(-best, kind="stable")[:MOST_NAMED]]:
-        line, sample = (int(i) for i in ndimage.maximum_position(scores, labels, number))
-        where, size = f"line {line}, sample {sample}", int(sizes[number])
+    sizes, words = np.bincount(labels.ravel()), list[str]()
+    best = ndimage.maximum_position(scores, labels, np.arange(1, count + 1))
+    for line, sample in sorted(best, key=lambda at: -scores[at])[:MOST_NAMED]:
+        where, size = f"line {line}, sample {sample}", int(sizes[labels[line, sample]])
         if place.cube.transform is not None:
             x, y = place.cube.transform @ (sample + 0.5, line + 0.5)
             where += f" ({x:.2f}, {y:.2f})"
@@ -582,8 +575,7 @@ def unmix(
         groups = target_groups(place.targets, target, detection.group)
         for (subject, members), population in zip(groups.items(), populations, strict=True):
             nominal = float(np.mean([o.area_m2 for o in members]))
-            if not np.isfinite(nominal):
-                raise refusal("unmixing.size", "detection.unmixing", subject=subject)
+            refuse(not np.isfinite(nominal), "unmixing.size", "detection.unmixing", subject=subject)
             for o in members:
                 if o.name not in footprints:
                     footprints[o.name] = _footprints(place, o, region, task, bands, rng)

@@ -254,8 +254,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
 
 def check_line_for_detection(place: Place, collection: CollectionSection) -> None:
     """Raise UsageError where targets are looked for in radiance and no empirical line tells their reflectance."""
-    if place.cube.quantity == "radiance" and collection.empirical_line is None:
-        raise refusal("place.line")
+    refuse(place.cube.quantity == "radiance" and collection.empirical_line is None, "place.line")
 
 
 def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | None = None) -> Cube:
@@ -541,8 +540,7 @@ def image_targets(
     if isinstance(truth, FinerTruth):
         raster, error = imagery.open_raster(path), truth.registration_pixels or 0.0
         if truth.registration_m is not None:
-            if pixel_area_m2 is None:
-                raise refusal("finer.size", str(path))
+            refuse(pixel_area_m2 is None, "finer.size", str(path))
             error = truth.registration_m / math.sqrt(pixel_area)
         blur = truth.psf_fwhm_pixels
         both = blur if isinstance(blur, tuple) else (blur, blur)

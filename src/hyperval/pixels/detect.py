@@ -37,7 +37,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
-from hyperval.errors import HypervalError, UsageError, refusal
+from hyperval.errors import HypervalError, UsageError, refuse
 from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
 from hyperval.pixels.line import EmpiricalLine
 from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
@@ -356,8 +356,7 @@ def _kept_whole(cube: Cube, detectors: Mapping[str, PixelDetector]) -> dict[str,
     whole = {n: d for n, d in detectors.items() if d.image is not None or (d.combine is not None and not d.by_pixel)}
     rows = {name: len(d.weights) + (d.quadratic is not None) for name, d in whole.items()}
     values = sum(rows.values()) * cube.lines * cube.samples
-    if values > MOST_VALUES:
-        raise refusal("detector.whole", names=", ".join(rows), values=values, most=MOST_VALUES)
+    refuse(values > MOST_VALUES, "detector.whole", names=", ".join(rows), values=values, most=MOST_VALUES)
     return {name: np.full((k, cube.lines, cube.samples), np.nan) for name, k in rows.items()}
 
 
@@ -371,8 +370,7 @@ def _spectra_of(
     if elm is None:
         return used, must, gain, offset
     k, b = elm.gain, elm.offset
-    if not np.all(np.isfinite(k[used])):
-        raise refusal("detector.no_gain", count=int(np.sum(~np.isfinite(k[used]))))
+    refuse(not np.all(np.isfinite(k[used])), "detector.no_gain", count=int(np.sum(~np.isfinite(k[used]))))
     return used, must, gain / k[used], (offset - b[used]) / k[used]
 
 

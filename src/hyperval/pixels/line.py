@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import special
 
 from hyperval.data import Array, Mask
-from hyperval.errors import UsageError, refusal
+from hyperval.errors import UsageError, refusal, refuse
 from hyperval.products import EstimatedPart
 
 MINIMUM_CONTRAST = 0.1  # reflectance between the darkest and the brightest panel
@@ -60,8 +60,7 @@ def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, interc
     """
     exact = (x_variance == 0) & (y_variance == 0)
     none = exact.all(axis=0)
-    if np.any(exact.any(axis=0) & ~none):
-        raise refusal("line.errors")
+    refuse(np.any(exact.any(axis=0) & ~none), "line.errors")
     # Error-free bands: unit weights make the same iteration ordinary least squares.
     vx, vy = np.where(none, 0.0, x_variance), np.where(none, 1.0, y_variance)
 
@@ -300,8 +299,7 @@ def fit_elm(
     usable[known] = ~flat
     fit = fit_line(*(part[:, usable] for part in points), intercept=intercept)
     noisy = ~(fit.slope > MINIMUM_GAIN_SNR * np.sqrt(fit.covariance[:, 0, 0]))
-    if np.mean(noisy) > 0.5:
-        raise refusal("line.noisy", least=MINIMUM_GAIN_SNR, count=int(noisy.sum()), bands=noisy.size)
+    refuse(np.mean(noisy) > 0.5, "line.noisy", least=MINIMUM_GAIN_SNR, count=int(noisy.sum()), bands=noisy.size)
     usable[usable] = ~noisy
     parts = (fit.slope, fit.intercept, fit.covariance.T, fit.reduced_chi2)
     gain, offset, covariance, chi2 = (_spread(part[..., ~noisy], usable) for part in parts)
@@ -341,7 +339,6 @@ def darkest_pixel_panel(
     """
     least, noise = np.asarray(darkest, dtype=float), np.asarray(noise_variance, dtype=float)
     lost = ~(least >= -3.0 * np.sqrt(noise)) | ~np.isfinite(least)
-    if np.any(lost):
-        raise refusal("line.darkest", count=int(np.sum(lost)))
+    refuse(np.any(lost), "line.darkest", count=int(np.sum(lost)))
     each = np.ones(least.size)
     return MeasuredPanel("darkest pixel", reflectance * each, reflectance_sd**2 * np.outer(each, each), least, noise)

@@ -65,19 +65,9 @@ _LINES_LABELLED = 256  # at a time
 CENTRED_ON = 64
 
 
-class StoredBlock(NamedTuple):
-    """Some lines of a cube.
-
-    Attributes
-    ----------
-    rows : the lines
-    stored : (F, N) numbers of the bands that are asked for, pixel by pixel, in memory that the next block takes
-    usable : (lines, samples) which pixels hold data
-    """
-
-    rows: slice
-    stored: Array
-    usable: Mask
+# Some lines of a cube: which they are; (F, N) stored numbers of the bands that are asked for, pixel by pixel, in memory
+# that the next block takes; and which pixels (lines, samples) hold data.
+StoredBlock = tuple[slice, Array, Mask]
 
 
 def _memory(size: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
@@ -151,7 +141,7 @@ def stream(
             flat.reshape(ordered.shape)[...] = ordered
             del stored, ordered  # views of lines that a raster may hold: they would stay while it reads the next
             numbers = flat.reshape(pixels, count).T if by_pixel else flat.reshape(count, pixels)
-            yield StoredBlock(slice(first, first + lines), numbers, usable)
+            yield slice(first, first + lines), numbers, usable
 
     return by_segments(cube, step, lambda firsts: work(blocks(firsts)), watch)
 
@@ -560,12 +550,9 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, float]:
     sd, m, bands = np.sqrt(np.diag(s)), n - 1, s.shape[0]
     values, vectors = np.linalg.eigh(s / np.outer(sd, sd))
     values, vectors = np.clip(values[::-1], 0.0, None), vectors[:, ::-1]
-    count = 0
-    while count < m - 1:
-        edge = values[count:].sum() / bands * (1.0 + np.sqrt(bands / (m - count))) ** 2
-        if values[count] <= edge:
-            break
-        count += 1
+    found = np.arange(min(m - 1, bands))
+    edges = values[::-1].cumsum()[::-1][found] / bands * (1.0 + np.sqrt(bands / (m - found))) ** 2
+    count = int(np.append(values[found] <= edges, True).argmax())
     factors = (vectors[:, :count] * values[:count]) @ vectors[:, :count].T
     # Each factor fitted takes its part of the bands' own variance along.
     own = np.clip(1.0 - np.diag(factors), 0.0, None) * (m / (m - count))
