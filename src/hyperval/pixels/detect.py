@@ -490,6 +490,10 @@ class ImageTruth(NamedTuple):
         return np.where(self.objects > 0, self.objects % 2, (lines + samples) % 2).astype(bool)
 
 
+# (image (lines, samples, B), target (B,), what the truth says) -> score (lines, samples)
+ImageScore = Callable[[Array, Array, ImageTruth], npt.ArrayLike]
+
+
 def register_scores(name: str, fit: Callable[[Array, Array], npt.ArrayLike]) -> None:
     """Add a detector that is a function of the whole image.
 
@@ -529,13 +533,7 @@ def register_estimator(name: str, estimator: Any) -> None:
     register_detector(name, partial(_whole, partial(_estimated, estimator)))
 
 
-def _whole(
-    score: Callable[[Array, Array, ImageTruth], npt.ArrayLike],
-    target: Array,
-    mean: Array,
-    covariance: Any,
-    undesired: Array,
-) -> PixelDetector:
+def _whole(score: ImageScore, target: Array, mean: Array, *_: Any) -> PixelDetector:
     bands = np.eye(mean.size)
     return PixelDetector(bands, np.zeros(mean.size), image=lambda image, scene: score(image, target, scene))
 
