@@ -388,17 +388,16 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str], refused: Map
     detection = campaign.detection
     if detection is None:
         return Question(bare, {})
-    names, left_out, notes = detector_names(), dict[str, str](), tuple[str, ...]()
+    undesired, left_out = list(detection.undesired or regions), dict[str, str]()
     if detection.local_window is not None:
         why = "the campaign takes background means from a local window, which this detector does not have"
-        left_out = {name: why for name in names if name not in LOCAL_DETECTORS}
-    undesired = list(detection.undesired or regions)
-    if "osp" not in left_out and not undesired:
-        left_out["osp"] = "no region of the collection is a class of the scenario: nothing to project away"
-    elif "osp" not in left_out and not detection.undesired:
-        notes = (f"osp projects away the mean spectra of {', '.join(undesired)}",)
+        left_out = {name: why for name in detector_names() if name not in LOCAL_DETECTORS}
+    if not undesired:
+        left_out.setdefault("osp", "no region of the collection is a class of the scenario: nothing to project away")
     left_out |= refused
-    run = [name for name in names if name not in left_out]
+    run = [name for name in detector_names() if name not in left_out]
+    is_chosen = "osp" in run and not detection.undesired
+    notes = (f"osp projects away the mean spectra of {', '.join(undesired)}",) if is_chosen else ()
     changed: Detection = with_settings(
         detection,
         {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None},

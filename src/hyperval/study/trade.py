@@ -424,8 +424,8 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
 def _required(p: Prepared, trade: Trade) -> tuple[tuple[float, str], ...]:
     """The value of x at which the output of each curve comes to what is wanted, and in words."""
     trade = trade.model_copy(update={"y": ""})  # which stands as in the scenario, or where its slider does
-    columns, labels = _families(p, trade)
-    offer, outputs = p.inputs[trade.x], outputs_of(trade, trade.x == PFA)
+    (columns, labels), offer = _families(p, trade), p.inputs[trade.x]
+    outputs, unit = outputs_of(trade, trade.x == PFA), f" {offer.unit}" if offer.unit != "1" else ""
     found = np.full((len(labels) // len(outputs), len(outputs)), "", dtype=object)
     for k, o in enumerate(outputs):
         question = Required(
@@ -435,12 +435,13 @@ def _required(p: Prepared, trade: Trade) -> tuple[tuple[float, str], ...]:
         answer = answers(partial(output_values, p.world), columns, question, outputs)
         for i, value in enumerate(answer.solutions.tolist()):
             why = answer.reasons.get(i, "").replace(o.name, KINDS[trade.output])
-            words = why.replace("no solution", "not reached in this range")
-            if math.isfinite(value):
-                unit = f" {offer.unit}" if offer.unit != "1" else ""
-                words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
-                words += f" ({why})" if why else ""
-            found[i, k] = value, words
+            why = why.replace("no solution", "not reached in this range")
+            words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
+            words += f" ({why})" if why else ""
+            found[i, k] = (
+                value,
+                words if math.isfinite(value) else why,
+            )
     each = zip(labels, found.ravel(), strict=True)
     return tuple((value, f"{label}: {words}" if len(labels) > 1 else words) for label, (value, words) in each)
 

@@ -20,7 +20,7 @@ from hyperval.errors import HypervalError
 from hyperval.executors import TaskPool
 from hyperval.web import predictions, runs, uploads  # noqa: F401  (their routes)
 from hyperval.web.guard import Guard
-from hyperval.web.pages import api, page, pages, static
+from hyperval.web.pages import api, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, field_name, mistake_of, problems, said
 from hyperval.web.store import Desk, RunStore, ServerSettings
 
@@ -56,13 +56,6 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
     app.state.desk = Desk(settings, app.state.store, pools)
     for router in (pages, api):
         app.include_router(router)
-
-    @app.get("/static/{name}", include_in_schema=False)
-    def _static(name: str) -> Response:
-        answer = static(name)
-        if answer is None:
-            raise Refused(404, "there is no such file")
-        return answer
 
     for kind in (RequestValidationError, HypervalError, HTTPException):
         app.add_exception_handler(kind, _told)

@@ -25,7 +25,7 @@ from hyperval.errors import UsageError
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
-from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said
+from hyperval.web.refusal import FieldMistake, Refused, mistakes_of
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
@@ -147,7 +147,7 @@ class Form:
 
         Raises
         ------
-        UsageError : a field of lists that is not of their form; ``where`` is its path.
+        Refused : a field of lists that is not of their form.
         """
         return self._read_group(self.schema, "", given)
 
@@ -343,7 +343,8 @@ def _value(text: str, kinds: list[str], path: str) -> Any:
         try:
             return parse_yaml(text, path)[0]
         except UsageError as error:
-            raise UsageError(error.what, where=path, expected="a list such as [1, 2] or {key: value}") from error
+            words = f"{error.what}; expected: a list such as [1, 2] or {{key: value}}"
+            raise Refused(422, [FieldMistake(path, words)]) from error
     if set(kinds) & {"number", "integer"} and _NUMBER.fullmatch(text):
         number = float(text)
         return int(text) if text.lstrip("+-").isdigit() and len(text) < 18 else number
@@ -534,16 +535,3 @@ def yaml_text(kind: str, data: Mapping[str, Any], note: str = "") -> str:
     if parse_yaml(text)[0] != data:
         raise UsageError("this cannot be written as YAML unchanged")
     return f"{SCHEMA_LINE}{kind}.schema.json\n{note}{text}"
-
-
-def form_data(given: Mapping[str, list[str]]) -> dict[str, Any]:
-    """The data of a filled form.
-
-    Raises
-    ------
-    Refused : a field that is not of its form.
-    """
-    try:
-        return scenario_form().data(given)
-    except UsageError as error:
-        raise Refused(422, [FieldMistake(error.where or "", said(error))]) from error

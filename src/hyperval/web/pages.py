@@ -100,12 +100,13 @@ def _static(name: str) -> bytes | None:
     return file.read_bytes() if file.is_file() else None
 
 
-def static(name: str) -> Response | None:
+@pages.get("/static/{name}")
+def static(name: str) -> Response:
     """A script, style or picture of the application, or of the packages that it draws with."""
     kind = _TYPES.get(Path(name).suffix)
     content = _static(name) if kind and "/" not in name and "\\" not in name and not name.startswith(".") else None
     if content is None:
-        return None
+        raise Refused(404, "there is no such file")
     headers = {"cache-control": "public, max-age=3600"}
     return Response(content, media_type=kind, headers=headers)
 

@@ -37,7 +37,6 @@ from hyperval.web.forms import (
     SURFACES,
     Node,
     checked_scenario,
-    form_data,
     marked,
     needs,
     plain,
@@ -107,9 +106,9 @@ async def predict_post(request: Request) -> Response:
 def _posted(request: Request, given: dict[str, list[str]]) -> Response:
     data, begun = dict[str, Any](), given.get("begun", [""])[0]
     if given.get("action", ["run"])[0] != "run":
-        return _form(request, form_data(with_action(given)), begun)
+        return _form(request, scenario_form().data(with_action(given)), begun)
     try:
-        data = {"schema": 1} | form_data(given)
+        data = {"schema": 1} | scenario_form().data(given)
         ordered = order_prediction(request, data)
     except Refused as refusal:
         return _form(request, data, begun, to_show(refusal), 422)
@@ -245,11 +244,8 @@ def predictions(
 def _scenario_of(order: PredictionOrder) -> dict[str, Any]:
     if (order.name is None) == (order.scenario is None):
         raise Refused(422, [FieldMistake("name", "give either name or scenario")])
-    if order.scenario is not None:
-        scenario = order.scenario
-    elif order.name in predefined():
-        scenario = predefined()[order.name]
-    else:
+    scenario = order.scenario or predefined().get(order.name or "")
+    if scenario is None:
         raise Refused(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
     try:
         return plain(with_settings(scenario, order.settings) if order.settings else scenario)
