@@ -296,15 +296,13 @@ def data_list() -> int:
 
     rows = []
     for name, entry in registry().items():
-        if not entry.public:
-            count = files_at_hand(name)
-            where = f"{count} files here" if count else f"held by {entry.holder}: {entry.obtain}"
-            rows.append((name, "-", entry.licence, where, entry.title))
-            continue
-        lacking = len(missing(name))
-        here = "here" if not lacking else f"{lacking} of {len(entry.files)} files missing"
-        size = sum(file.size for file in entry.files) / 1e6
-        rows.append((name, f"{size:.1f} MB", entry.licence, here, entry.title))
+        if entry.public:
+            lacking, size = len(missing(name)), f"{sum(file.size for file in entry.files) / 1e6:.1f} MB"
+            state = f"{lacking} of {len(entry.files)} files missing" if lacking else "here"
+        else:
+            count, size = files_at_hand(name), "-"
+            state = f"{count} files here" if count else f"held by {entry.holder}: {entry.obtain}"
+        rows.append((name, size, entry.licence, state, entry.title))
     print_table(("name", "size", "licence", "state", "title"), rows)
     return 0
 
@@ -811,9 +809,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         code: Any = app(args=arguments, prog_name="hyperval", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, Abort):
-        code = INTERRUPTED
+        return _error("interrupted", INTERRUPTED)
     except _Terminated:
-        code = TERMINATED
+        return _error("terminated", TERMINATED)
     except SystemExit as ended:
         # typer stops with 1 when the reader of our output went away (`hyperval ... | head`), but 1 would
         # mean that a comparison failed; with 0 once it has completed a word for a shell.
@@ -827,12 +825,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except HypervalError as error:
         if settings.debug:
             traceback.print_exc()
-        _error(str(error))
-        return error.exit_code
+        return _error(str(error), error.exit_code)
     except Exception as error:
         return _internal(error)
     if code in (INTERRUPTED, TERMINATED):
-        _error("interrupted" if code == INTERRUPTED else "terminated")
+        _error("interrupted" if code == INTERRUPTED else "terminated", code)
     return code if isinstance(code, int) else 0
 
 
@@ -854,39 +851,35 @@ def _usage(error: TyperException) -> int:
     if context is not None and hasattr(error, "param_type"):  # one is missing: the first of perhaps several
         missing = [p for p in context.command.params if p.required and p.name not in context.params]
         text = "missing: " + ", ".join(p.get_error_hint() for p in missing)
-    _error(f"{text}\n  to fix it: see {command} --help")
-    return 2
+    return _error(f"{text}\n  to fix it: see {command} --help", 2)
 
 
 def _internal(error: Exception) -> int:
-    what = internal_error(error)
+    what, code = internal_error(error), INTERNAL_ERROR
     if settings.debug:
         traceback.print_exc()
-        _error(what)
-        return INTERNAL_ERROR
-    if isinstance(error, OSError) and error.errno in _PLACES and error.filename:
-        name = os.fsdecode(error.filename)[:300]
-        _error(f"{name}: {error.strerror}\n  to fix it: name another file or folder")
-        return UsageError.exit_code
-    if isinstance(error, OSError) and error.errno in _FULL:
-        _error(
-            f"{error}\n  to fix it: free space there, or name another folder with --output; "
-            f"temporary files are in {tempfile.gettempdir()} (TMPDIR)"
-        )
-        return INTERNAL_ERROR
-    try:
-        handle, name = tempfile.mkstemp(prefix="hyperval-", suffix=".log")
-        with open(handle, "w", encoding="utf-8") as log:
-            log.write(f"hyperval {__version__}, Python {sys.version}\n{' '.join(sys.argv)}\n")
-            traceback.print_exception(error, file=log)
-        _error(f"{what} (traceback in {name}, or repeat with: hyperval --debug ...)")
-    except OSError:
-        _error(f"{what} (repeat with: hyperval --debug ...)")
-    return INTERNAL_ERROR
+    elif isinstance(error, OSError) and error.errno in _PLACES and error.filename:
+        what = f"{os.fsdecode(error.filename)[:300]}: {error.strerror}\n  to fix it: name another file or folder"
+        code = UsageError.exit_code
+    elif isinstance(error, OSError) and error.errno in _FULL:
+        what = f"{error}\n  to fix it: free space there, or name another folder with --output; "
+        what += f"temporary files are in {tempfile.gettempdir()} (TMPDIR)"
+    else:
+        try:
+            handle, name = tempfile.mkstemp(prefix="hyperval-", suffix=".log")
+            with open(handle, "w", encoding="utf-8") as log:
+                log.write(f"hyperval {__version__}, Python {sys.version}\n{' '.join(sys.argv)}\n")
+                traceback.print_exception(error, file=log)
+            what += f" (traceback in {name}, or repeat with: hyperval --debug ...)"
+        except OSError:
+            what += " (repeat with: hyperval --debug ...)"
+    return _error(what, code)
 
 
-def _error(text: str) -> None:
+def _error(text: str, code: int) -> int:
+    """Say what went wrong, and pass on the exit code."""
     print(f"hyperval: {text}", file=sys.stderr)
+    return code
 
 
 def main() -> None:
