@@ -32,7 +32,7 @@ from hyperval.compare import named, product_rows, row, skipped
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, measured_mark, row_names
+from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark, row_names
 from hyperval.imagery import TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
@@ -831,33 +831,31 @@ _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
 
 def detector_figure(one: Benchmarked) -> Figure | None:
     """A view for each metric on all objects: value, interval, rank with its set."""
-    detectors, captions = row_names([" = ".join(g) for g in one.groups]), []
-    views = []
-    for metric in one.measures:
-        standings = [one.standing(g, metric) for g in one.groups]
-        known = [(i, row, rank) for i, (row, rank, _) in enumerate(standings) if row is not None and rank is not None]
+    detectors = row_names([" = ".join(g) for g in one.groups])
+
+    def view(metric: str) -> tuple[Panels, str]:
+        standings = [one.standing(group, metric) for group in one.groups]
+        known = {i: (row, rank) for i, (row, rank, _) in enumerate(standings) if row is not None and rank is not None}
+        notes = {i: _rank_text(rank) for i, (_, rank) in known.items()}
         # Densities of false alarms are drawn on a logarithmic axis, where none stands at its left end.
         far = metric.startswith("far")
-        positive = [v for _, row, _ in known for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
+        positive = [v for row, _ in known.values() for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
-        marks, notes = [], [""] * len(one.groups)
+        marks = []
         for first in (True, False):
-            own = [(i, row, rank) for i, row, rank in known if (rank.lower <= 1) == first]
-            values = np.array([(row.value, row.lower, row.upper, i) for i, row, _ in own], float).reshape(-1, 4).T
+            own = {i: row for i, (row, rank) in known.items() if (rank.lower <= 1) == first}
+            values = np.array([(r.value, r.lower, r.upper, i) for i, r in own.items()], float).reshape(-1, 4).T
             columns = dict(zip(("x", "low", "high"), np.maximum(values[:3], floor), strict=True)) | {"y": values[3]}
             label = "may be first" if first else "is not first"
             marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
-            for i, found, rank in own:
-                notes[i] = _rank_text(rank)
-                captions.append(f"{'/'.join(one.groups[i])} {metric} {found.value:.3g}, rank {notes[i]}")
-        none = " (none: at the left end)" if far and any(row.value == 0.0 for _, row, _ in known) else ""
-        part = Part(replace(detectors, notes=tuple(notes)), tuple(marks))
-        views.append(Panels(Axis("value", "log" if far else "linear"), (part,), _TITLES[metric] + none))
-    if not views:
-        return None
+        none = " (none: at the left end)" if far and any(row.value == 0.0 for row, _ in known.values()) else ""
+        said = [f"{'/'.join(one.groups[i])} {metric} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in known.items()]
+        part = Part(replace(detectors, notes=tuple(notes.get(i, "") for i in range(len(one.groups)))), tuple(marks))
+        return Panels(Axis("value", "log" if far else "linear"), (part,), _TITLES[metric] + none), "; ".join(said)
+
     title = f"{one.name}: detectors on all objects with 95 % intervals; rank [95 % set]"
-    alt = f"Metrics of each detector on all objects of {one.name}. {'; '.join(captions)}."
-    return Figure(f"{one.name}-detectors", one.name, title, alt, tuple(views))
+    alt = f"Metrics of each detector on all objects of {one.name}."
+    return a_view_each(f"{one.name}-detectors", one.name, title, alt, one.measures, view)
 
 
 def rank_figure(one: Benchmarked) -> Figure | None:
@@ -916,25 +914,23 @@ def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
 
 def predicted_figure(one: Benchmarked) -> Figure | None:
     """Measured over predicted area and P_D, a point for each subject and detector, a view for each metric."""
-    views, captions = [], []
-    for metric, title in _TITLES.items():
-        pairs = [(key, one.here[*key[:2], metric], row) for key, row in one.here.items()
-                 if key[2] == f"predicted_{metric}" and (*key[:2], metric) in one.here]  # fmt: skip
-        if not pairs or metric.startswith("far"):
-            continue
-        y, low, high, x = np.array([(m.value, m.lower, m.upper, p.value) for _, m, p in pairs], float).T
+    names = [name for name in _TITLES if not name.startswith("far")]
+    pairs = {name: [(key, one.here[*key[:2], name], row) for key, row in one.here.items()
+                    if key[2] == f"predicted_{name}" and (*key[:2], name) in one.here] for name in names}  # fmt: skip
+
+    def view(metric: str) -> tuple[Panels, str]:
+        y, low, high, x = np.array([(m.value, m.lower, m.upper, p.value) for _, m, p in pairs[metric]], float).T
         said = tuple(
-            f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs
+            f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs[metric]
         )
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
         dots = measured_mark("dots", {"x": x, "y": y, "low": low, "high": high}, marker="circle", words=said)
         part = Part(Axis("measured", ends=(-0.02, 1.02)), (diagonal, dots))
-        views.append(Panels(Axis("predicted", ends=(-0.02, 1.02)), (part,), title))
-        captions.append(f"{title}: {'; '.join(said)}")
-    if not views:
-        return None
+        return Panels(Axis("predicted", ends=(-0.02, 1.02)), (part,), _TITLES[metric]), "; ".join(said)
+
     title = f"{one.name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
-    return Figure(f"{one.name}-predicted", one.name, title, f"{title}. {' '.join(captions)}.", tuple(views))
+    known = [name for name in names if pairs[name]]
+    return a_view_each(f"{one.name}-predicted", one.name, title, f"{title}.", known, view)
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
