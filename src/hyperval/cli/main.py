@@ -13,6 +13,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -649,9 +650,8 @@ def sensor_list() -> int:
 
     rows = []
     for sensor in map(load_sensor, library_names()):
-        centre = sensor.axis.centre_nm
-        span = f"{centre.min():.0f}-{centre.max():.0f} nm"
-        rows.append((sensor.name, str(centre.size), span, sensor.specification.title))
+        nm = sensor.axis.centre_nm
+        rows.append((sensor.name, str(nm.size), f"{nm.min():.0f}-{nm.max():.0f} nm", sensor.specification.title))
     print_table(("name", "bands", "range", "title"), rows)
     return 0
 
@@ -774,12 +774,9 @@ def keep_caches(place: Path) -> None:
     """Keep what is computed once in the server's folder, where its user has no home, as that of a service."""
     from hyperval.datasets import cache_dir
 
-    try:
+    with suppress(OSError):
         cache_dir().parent.mkdir(parents=True, exist_ok=True)
-        writable = os.access(cache_dir().parent, os.W_OK)
-    except OSError:
-        writable = False
-    if not writable:
+    if not os.access(cache_dir().parent, os.W_OK):
         os.environ["HYPERVAL_CACHE"] = str(place / "cache")
         os.environ.setdefault("MPLCONFIGDIR", str(place / "cache" / "matplotlib"))
 

@@ -163,15 +163,14 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prep
         path, fill = fixed.get(of) or next(iter(fixed.values()))
         geometry = {"side_m": side_m, "gsd_m": side_m / math.sqrt(max(fill, 1e-4)), "heading_deg": "random"}
         settings[path] = {"geometry": geometry}
-    if scenario.atmosphere is not None:
-        try:
-            emulated = settings | {"atmosphere.engine": "emulator"}
-            world = _read(scenario, emulated)
+    emulated = settings | ({} if scenario.atmosphere is None else {"atmosphere.engine": "emulator"})
+    try:
+        world = _read(scenario, emulated)
+        if scenario.atmosphere is not None:
             world.stated.atmosphere.run({})
-            settings = emulated
-        except UsageError as error:
-            why = error.what
-    world = world if scenario.atmosphere is not None and not why else _read(scenario, settings)
+        settings = emulated
+    except UsageError as error:
+        why, world = error.what, _read(scenario, settings)
     scene = scenario.scene
     return Prepared(
         world.stated.scenario, world, settings,
