@@ -45,9 +45,7 @@ class Injected(Model):
         """How far it is seen."""
         if self.not_applicable is not None:
             return Sight.NOT_APPLICABLE
-        if self.gates:
-            return Sight.GATES
-        return Sight.INFORMING if self.informing else Sight.UNSEEN
+        return Sight.GATES if self.gates else Sight.INFORMING if self.informing else Sight.UNSEEN
 
     @property
     def words(self) -> str:
@@ -113,10 +111,6 @@ class PowerTable(Model):
     errors: dict[str, Injected] = Field(min_length=1)
     reasons: Reasons | None = None
 
-    def named(self, *sights: Sight) -> list[str]:
-        """Errors that are seen so far."""
-        return [name for name, injected in self.errors.items() if injected.sight in sights]
-
     def changed_files(self, inputs: Iterable[Mapping[str, Any]]) -> list[str]:
         """The campaign's own files that are not, or not any more, as they were when the table was computed.
 
@@ -127,8 +121,13 @@ class PowerTable(Model):
 
     def moved_gates(self, rows: Iterable[Result]) -> list[str]:
         """Gates of the model that have another value in a run than they had when the table was computed."""
-        now = gate_values(rows)
-        return [n for n in dict.fromkeys((*self.stated, *now)) if _moved(n, self.stated.get(n), now.get(n))]
+        now, out = gate_values(rows), []
+        for name in dict.fromkeys((*self.stated, *now)):
+            before, value = self.stated.get(name, math.nan), now.get(name, math.nan)
+            # A number that one of both lacks is none within the tolerance.
+            if not abs(value - before) <= default_tolerance(name.split(" | ")[3]).width(before):
+                out.append(name)
+        return out
 
     def told(self, inputs: Iterable[Mapping[str, Any]], rows: Iterable[Result]) -> PowerWords:
         """What a page says of the table beside a run of these inputs and rows."""
@@ -148,15 +147,12 @@ class PowerTable(Model):
     @property
     def sentence(self) -> str:
         """What a reader has to know before all."""
-        injected = len(self.errors) - len(self.named(Sight.NOT_APPLICABLE))
-        unseen, shown = self.named(Sight.UNSEEN), self.named(Sight.INFORMING)
-        parts = [f"The criteria detect {len(self.named(Sight.GATES))} of {injected} injected model errors."]
-        if shown:
-            parts.append(f"Informational comparisons alone detect: {', '.join(shown)}.")
-        if unseen:
-            parts.append(f"Undetected: {', '.join(unseen)}.")
-        if absent := self.named(Sight.NOT_APPLICABLE):
-            parts.append(f"Not applicable: {', '.join(absent)}.")
+        by = {sight: [name for name, one in self.errors.items() if one.sight is sight] for sight in Sight}
+        injected = len(self.errors) - len(by[Sight.NOT_APPLICABLE])
+        parts = [f"The criteria detect {len(by[Sight.GATES])} of {injected} injected model errors."]
+        told = {"Informational comparisons alone detect": Sight.INFORMING}
+        told |= {str(sight).capitalize(): sight for sight in (Sight.UNSEEN, Sight.NOT_APPLICABLE)}
+        parts += [f"{words}: {', '.join(by[sight])}." for words, sight in told.items() if by[sight]]
         if self.disagreeing:
             some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
             parts.append(f"{self.disagreeing} {some} already not met cannot detect any.")
@@ -173,13 +169,6 @@ def gate_name(row: Result) -> str:
     """ "product | subject | method | metric", and the band where there is one."""
     band = [f"{row.band_nm:g} nm"] if row.per_band else []
     return " | ".join([row.product, row.subject, row.method, row.metric, *band])
-
-
-def _moved(name: str, accepted: float | None, value: float | None) -> bool:
-    if accepted is None or value is None:
-        return True
-    metric = name.split(" | ")[3]
-    return abs(value - accepted) > default_tolerance(metric).width(accepted)
 
 
 def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
