@@ -143,17 +143,12 @@ def quicklook(observed: Observed) -> Quicklook | None:
         offset, gain = observed.elm.offset[bands], observed.elm.gain[bands]
     elif cube.quantity == "radiance":
         gain = np.array([irradiance for _, irradiance in COLOURS])
-    thinned = picture[:: max(1, len(picture) * picture.shape[1] // STRETCH_PIXELS)].astype(float)
-    thinned -= offset
-    thinned /= gain
-    high = max(float(np.nanpercentile(thinned, 99.0, overwrite_input=True)), np.finfo(float).tiny)
-    del thinned
+    thinned = (picture[:: max(1, picture[..., 0].size // STRETCH_PIXELS)] - offset) / gain
+    high = max(float(np.nanpercentile(thinned, 99.0)), np.finfo(float).tiny)
     colours = np.empty(picture.shape, np.uint8)
-    for first in range(0, len(picture), LINES_TOGETHER):  # the whole picture in float64 would be the run's peak
-        part = (picture[first : first + LINES_TOGETHER] - offset) / gain
-        shown = np.clip(np.nan_to_num(part) / high, 0.0, 1.0)
-        colours[first : first + LINES_TOGETHER] = np.rint(255.0 * shown**GAMMA)
-    del picture
+    for i in range(3):  # the whole picture in float64 would be the run's peak
+        part = np.nan_to_num((picture[..., i] - offset[i]) / gain[i])
+        colours[..., i] = np.rint(255.0 * np.clip(part / high, 0.0, 1.0) ** GAMMA)
     size = observed.place.pixel_area_m2
     shown_regions = [n for n in observed.place.regions if n not in observed.place.by_rule]
     outlines = {name: observed.place.region(name)[::step, ::step].copy() for name in shown_regions}

@@ -508,8 +508,7 @@ def of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
 
 def both_first(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[Any]:
     """Keys of either side: those of both sides before those of one."""
-    common = [key for key in predicted if key in measured]
-    return common + [k for k in predicted if k not in measured] + [k for k in measured if k not in predicted]
+    return list(dict.fromkeys([*(key for key in predicted if key in measured), *predicted, *measured]))
 
 
 def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[Any], bool]:

@@ -99,7 +99,7 @@ def matrix_of(
     if not planned:
         return None
     every = dict.fromkeys(row.product for row in planned)
-    columns = [*(p for p in _COMPARED if p in every), *(p for p in every if p not in _COMPARED)]
+    columns = [product for product in dict.fromkeys([*_COMPARED, *every]) if product in every]
     groups: dict[str, list[Result]] = {}
     for row in planned:
         groups.setdefault(line_of(row), []).append(row)
@@ -403,10 +403,8 @@ def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figur
 
 def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Sequence[Result]) -> list[dict[str, Any]]:
     """Each product's part of the page: figures, what decides, what does not, what nothing was planned for."""
-    names = [*_COMPARED, *_REASONS]
-    names += [p for p in dict.fromkeys(row.product for row in rows) if p not in names]
     sections = []
-    for name in names:
+    for name in dict.fromkeys([*_COMPARED, *_REASONS, *(row.product for row in rows)]):
         own_drawings = [d for d in drawings if d.section == name and d.name not in PICTURES]
         own = [row for row in rows if row.product == name]
         made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
