@@ -35,12 +35,6 @@ _WIDE = {
     "utf-16-le": (b"\xff\xfe", b"E\0N\0V\0I\0"),
     "utf-16-be": (b"\xfe\xff", b"\0E\0N\0V\0I"),
 }
-_STRUCTURE = frozenset(
-    {
-        "samples", "lines", "bands", "header offset", "data type", "interleave", "byte order",
-        "file compression", "major frame offsets", "minor frame offsets", "file type",
-    }
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -83,11 +77,6 @@ class EnviHeader:
     def expected_bytes(self) -> int:
         """Size of the data file that the header describes, in exact integers."""
         return self.header_offset + self.samples * self.lines * self.bands * self.dtype.itemsize
-
-    @property
-    def extras(self) -> dict[str, str]:
-        """The entries that do not describe the layout of the file."""
-        return {key: text for key, text in self.entries.items() if key not in _STRUCTURE}
 
     def where(self, key: str) -> str:
         """``file:line`` of a key, or the file when the key is absent."""

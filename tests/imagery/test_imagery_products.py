@@ -49,7 +49,8 @@ def test_a_product_is_read_as_it_was_written(tmp_path, product, kind):
         assert np.allclose(cube.axis.fwhm_nm, want["fwhm"])
     assert cube.axis.good.tolist() == [bool(flag) for flag in want.get("good", [1] * cube.bands)]
     assert any(want.get("note", "read as") in note for note in cube.notes)
-    assert cube.extras.get("acquisition time") == want.get("time", cube.extras.get("acquisition time"))
+    entries = cube.raster.description.entries
+    assert entries.get("acquisition time") == want.get("time", entries.get("acquisition time"))
     assert sun_zenith_deg(cube.raster) == ((pytest.approx(want["sun"]), "a.h5") if "sun" in want else None)
     west, north, step = want.get("place", (None, None, None))
     assert cube.transform == (None if step is None else Affine(step, 0, west, 0, -step, north))
@@ -246,7 +247,7 @@ def test_enmap_and_desis_by_their_metadata(tmp_path, sensor, level, factor, name
     want = factor * (gain[:, None, None] * stored + offset[:, None, None])
     assert np.allclose(values_of(cube), want[[0, 1, 3, 2]].transpose(1, 2, 0), rtol=1e-12, equal_nan=True)
     assert {p.name for p in cube.source_files} == {image.name, metadata.name}
-    assert cube.extras["sensor"] == sensor
+    assert cube.raster.description.entries["sensor"] == sensor
 
 
 def test_detectors_of_enmap_level_1b_are_two_cubes_on_no_map(tmp_path):

@@ -138,7 +138,7 @@ def doubts(place: Place | None, detection: Detection | None, scenarios: Sequence
     for scenario in scenarios:
         named, state = f"scenario {scenario.name!r}", scenario.atmosphere
         if state is not None and state.time_utc is not None:
-            yield from time_notes(place.cube.extras, parse_utc(str(state.time_utc)), scenario.name)
+            yield from time_notes(place.cube.raster.description.entries, parse_utc(str(state.time_utc)), scenario.name)
         if state is not None and sun is not None and abs(sun[0] - state.sun[0]) > MAX_SUN_DEG:
             at = f"at a zenith angle of {sun[0]:.2f} degrees in {sun[1]}, at {state.sun[0]:.2f} in {named}"
             yield f"warning: the sun is {at}"

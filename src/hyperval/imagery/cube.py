@@ -6,9 +6,9 @@ What a file is, its content says first, its neighbours last.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal
@@ -60,11 +60,6 @@ PLAUSIBLE = {
 _CHECKED_LINES, _CHECKED_SAMPLES = 16, 64
 _FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
 _MOST_LISTED = 5
-# Header entries that have their own place in a cube.
-_TAKEN = (
-    "wavelength", "wavelength units", "fwhm", "bbl", "map info", "coordinate system string",
-    "data ignore value", "description",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +93,6 @@ class Cube:
     stored_band : (B,) number of the stored band behind each band of ``axis``
     ignore_value : stored value that means no data, None when there is none
     description : the header's description
-    extras : every other header entry as text
     notes : what was assumed or applied on reading
     """
 
@@ -110,7 +104,6 @@ class Cube:
     stored_band: npt.NDArray[np.intp]
     ignore_value: float | None = None
     description: str = ""
-    extras: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
@@ -495,7 +488,6 @@ def open_cube(
         stored_band=table.stored_band,
         ignore_value=about.no_data(),
         description=" ".join(about.entries.get("description", "").split()),
-        extras={key: text for key, text in about.entries.items() if key not in _TAKEN},
         notes=notes,
     )
     return _checked(cube) if check_values and quantity != "other" else cube

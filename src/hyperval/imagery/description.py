@@ -607,7 +607,7 @@ def acquisition_notes(entries: Mapping[str, str], axis: SpectralAxis, quantity: 
 
     Parameters
     ----------
-    entries : header entries in lower case, braces taken off (``Cube.extras``)
+    entries : header entries in lower case, braces taken off
     axis : the bands, for the size of a shift
     quantity : what the campaign takes the cube for
     """

@@ -216,7 +216,7 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     named = [p for p in files if data.name.lower().startswith(p.stem.lower())]
     gains = max(named, key=lambda p: len(p.stem), default=None)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
-    about = Description(entries=parsed.extras, notes=parsed.notes, header=parsed, gains=gains)
+    about = Description(entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains)
     size = parsed.lines, parsed.samples, parsed.bands
     return EnviRaster(data, size, parsed.dtype, about, transform_of(parsed), crs_of(parsed), others)
 

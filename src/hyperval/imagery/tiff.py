@@ -85,7 +85,7 @@ def open_tiff(path: Path, header: Path | str | None) -> TiffRaster:
     if size != (parsed.lines, parsed.samples, parsed.bands):
         raise refusal("tiff.size", parsed.path, size=size, stated=(parsed.lines, parsed.samples, parsed.bands))
     transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
-    about = replace(about, header=parsed, entries=parsed.extras, notes=parsed.notes)
+    about = replace(about, header=parsed, entries=parsed.entries, notes=parsed.notes)
     return replace(raster, description=about, transform=transform, crs=crs, other_files=(parsed.path,))
 
 

@@ -214,7 +214,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
         raise UsageError("the collection has no cube")
     cube = open_source(collection.cube, resolve, collection.bands)
     table, found = _lookup_table(cube, collection.cube, resolve)
-    notes = [*cube.notes, *found, *imagery.acquisition_notes(cube.extras, cube.axis, cube.quantity)]
+    notes = [*cube.notes, *found, *imagery.acquisition_notes(cube.raster.description.entries, cube.axis, cube.quantity)]
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
