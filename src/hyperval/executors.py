@@ -259,7 +259,10 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
     calls: SimpleQueue[Any] = SimpleQueue()
     threading.Thread(target=_attend, args=(connection, calls), daemon=True).start()
     if memory_bytes is not None:
-        _bound_memory(memory_bytes)
+        import resource  # of the systems that a server runs on
+
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
     if prepare is not None:
         prepare()
     latest = [0.0]
@@ -315,15 +318,6 @@ def _attend(connection: Connection, calls: SimpleQueue[Any]) -> None:
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(_UNWIND_S)
     os.killpg(0, signal.SIGKILL)
-
-
-def _bound_memory(bytes_: int) -> None:
-    try:
-        import resource
-    except ImportError:  # another system
-        return
-    with suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_DATA, (bytes_, bytes_))
 
 
 @dataclass

@@ -26,11 +26,15 @@ def set_listener(listener: Listener | None) -> None:
     _listener = listener
 
 
-def _with_listener(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
+def _with_listener(
+    items: Iterable[T], what: str, total: int | None, size: Callable[[T], int] = lambda _: 1
+) -> Iterator[T]:
     """The items; the listener, where there is one, learns of each."""
-    for number, item in enumerate(items):
+    done = 0
+    for item in items:
         if _listener is not None:
-            _listener(_step.get() + what, number, total)
+            _listener(_step.get() + what, done, total)
+        done += size(item)
         yield item
 
 
@@ -96,18 +100,13 @@ def watch_lines(
     """
 
     def counted(parts: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
-        done = 0
-        for part in parts:
-            if _listener is not None:
-                _listener(_step.get() + what, done, lines)
-            done += len(part[0])
-            yield part
+        return _with_listener(parts, what, lines, lambda part: len(part[0]))
 
     def watched(parts: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
         with _bar("Download", "TransferSpeed", "TimeRemaining") as bar:
             task = bar.add_task(_step.get() + what, total=lines * bytes_per_line)
             for part in counted(parts):
-                bar.advance(task, (part[0].stop - part[0].start) * bytes_per_line)
+                bar.advance(task, len(part[0]) * bytes_per_line)
                 yield part
 
     return watched if _shown(show) else counted

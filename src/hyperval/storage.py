@@ -32,11 +32,6 @@ from pathlib import Path, PurePosixPath
 
 from hyperval.errors import HypervalError, refusal, refuse
 
-try:
-    import fcntl
-except ImportError:  # no such claims on this system: everything goes on without
-    fcntl = None  # type: ignore[assignment]
-
 _QUIET_S = 60.0  # the number of a process on another machine may be that of none here
 
 
@@ -48,11 +43,12 @@ def _claim(path: Path) -> int:
     BlockingIOError : another process claims it.
     OSError : it cannot be made.
     """
+    import fcntl  # of systems that claim files: the others have no O_NOFOLLOW either
+
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         try:
-            if fcntl is not None:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(handle)
             raise

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_world import AXIS, BANDS, LINES, SAMPLES, background_spread, moments
 
-from hyperval.campaign import with_measured_fractions, without_circles
+from hyperval.campaign import merged, with_measured_fractions, without_circles
 from hyperval.collection import Classification
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Sources
@@ -244,21 +244,22 @@ def test_classification_error_of_known_classes(two_classes):
 
 def test_a_covariance_of_other_pixels_is_evidence_and_of_its_own_is_not(world):
     world.regions(field=[35, 5, 10, 20], left=[35, 5, 10, 10], right=[35, 15, 10, 10])
-    place = world.place()
 
     def surface(name: str, region: str) -> dict:
         return {"name": name, "spectrum": {"constant": 0.2}, "covariance": {"measured": region}}
 
-    given = scenario(
-        [surface("field", "left") | {"fraction": 1.0}], sites=[surface("right", "left"), surface("left", "left")]
-    )
+    sites = [surface("right", "left"), surface("left", "left")]
+    given = scenario([surface("field", "left") | {"fraction": 1.0}], sites=sites)
     spectra = {n: SpectralEstimate(np.ones(BANDS), np.eye(BANDS), np.eye(BANDS)) for n in ("field", "right", "left")}
     prediction = PredictedProducts(AXIS, reflectance=spectra)
-    kept = without_circles(prediction, [given], place).reflectance
+    kept = without_circles(prediction, [given], world.place()).reflectance
     assert {name for name, s in kept.items() if s.pixel_covariance is not None} == {"right"}
     # Where the pixels are not known, every measured covariance counts as the subject's own.
     blind = without_circles(prediction, [given]).reflectance
     assert all(s.pixel_covariance is None for s in blind.values())
+    # Scenarios together say what each says, noise and full scale too.
+    each = [PredictedProducts(AXIS, noise={name: {}}, full_scale={name: np.ones(BANDS)}) for name in "ab"]
+    assert [[*merged(each).noise], [*merged(each).full_scale]] == [["a", "b"]] * 2
 
 
 def test_fractions_are_those_of_the_pixels_that_count(world):

@@ -95,9 +95,8 @@ def campaign_power(
     jobs = jobs_of(*paths)
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         with workers(worker_count(len(jobs))) as where:
-            tables = list(
-                track(in_order(where, partial(_power, own=own), jobs), "campaigns", len(jobs), show=show_progress)
-            )
+            results = in_order(where, partial(_power, own=own), jobs)
+            tables = list(track(results, "campaigns", len(jobs), show=show_progress))
         for place in (*([folder] if folder is not None else []), *([power_file.ACCEPTED] if accept else [])):
             for item in tables:
                 if item.table is not None:
@@ -113,11 +112,8 @@ def _power(job: Job, own: Path | None) -> Power:
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        return Power(
-            name,
-            power_table(job, errors=errors, show_progress=False),
-            accepted=power_file.accepted_table(name, job.folder),
-        )
+        table = power_table(job, errors=errors, show_progress=False)
+        return Power(name, table, accepted=power_file.accepted_table(name, job.folder))
     except MissingDataError as error:
         return Power(name, skipped=str(error))
 

@@ -39,7 +39,6 @@ from hyperval.products import (
     ExceedanceCurve,
     ObservedProducts,
     PredictedProducts,
-    Products,
     RocCurve,
 )
 from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario
@@ -324,7 +323,7 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
     if not rest:
         return first
     parts: dict[str, Any] = {}
-    for name in (f.name for f in fields(Products) if f.name != "provenance"):
+    for name in (f.name for f in fields(PredictedProducts) if f.name != "provenance"):
         values = [getattr(p, name) for p in predictions]
         if not isinstance(values[0], Mapping):
             continue
@@ -333,13 +332,8 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
             raise UsageError(f"two scenarios predict the {name} of {twice[0]}")
         parts[name] = {key: item for value in values for key, item in value.items()}
     notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
-    return PredictedProducts(
-        axis=first.axis,
-        **parts,
-        notes=notes,
-        provenance={"scenarios": [dict(p.provenance) for p in predictions]},
-        expected_scores={key: score for p in predictions for key, score in p.expected_scores.items()},
-    )
+    provenance = {"scenarios": [dict(p.provenance) for p in predictions]}
+    return PredictedProducts(axis=first.axis, **parts, notes=notes, provenance=provenance)
 
 
 def without_circles(
@@ -405,18 +399,9 @@ def _areas(
     unmixed, detection = side.observed.unmixed, side.campaign.detection
     if unmixed is None or detection is None or detection.unmixing is None:
         return out
-    truths = truths or [{} for _ in side.scenarios]
+    truths, task = truths or [{} for _ in side.scenarios], detection.unmixing
+    known = unmixed.subjects, unmixed.bands, unmixed.covariances, unmixed.pixel_area_m2
     for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
-        out |= predicted_areas(
-            scenario,
-            side.origins(scenario, None),
-            truth,
-            prediction,
-            unmixed.subjects,
-            unmixed.bands,
-            unmixed.covariances,
-            unmixed.pixel_area_m2,
-            draws=detection.unmixing.draws,
-            seed=detection.unmixing.seed,
-        )
+        own = scenario, side.origins(scenario, None), truth, prediction
+        out |= predicted_areas(*own, *known, draws=task.draws, seed=task.seed)
     return out
