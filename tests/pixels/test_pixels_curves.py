@@ -283,7 +283,7 @@ def test_halves_of_an_image_differ_by_the_rates_of_their_own_pixels():
 def test_ranks_of_a_threshold_are_those_whose_interval_holds_the_probability():
     # 36 scores are few enough for the effect of each to be looked up: the limits themselves, one by one.
     scores = np.random.default_rng(12).normal(size=(3, 3)).repeat(2, 0).repeat(2, 1) + np.arange(36).reshape(6, 6) / 99
-    blocks = pixels.AlarmBlocks.of_map(scores, np.ones((6, 6), bool), side=2)
+    blocks = pixels.AlarmBlocks.of_places(scores.ravel(), *np.indices((6, 6)).reshape(2, -1), 2)
     _, low, high = blocks.pfa_limits(np.append(blocks.ascending[::-1], -np.inf))
     pfa = np.array([0.1, 0.3, 0.85, 0.95])
     holds = (low <= pfa[:, None]) & (pfa[:, None] <= high)

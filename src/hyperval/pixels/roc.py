@@ -86,27 +86,20 @@ class AlarmBlocks:
     stratum: Counts
 
     @classmethod
-    def of_map(
-        cls, score_map: Array, counted: Mask, side: int | None = None, classes: npt.NDArray[Any] | None = None
-    ) -> AlarmBlocks:
-        """Pixels of a score map (lines, samples) that count; NaN where invalid.
+    def of_map(cls, score_map: Array, counted: Mask, classes: npt.NDArray[Any] | None = None) -> AlarmBlocks:
+        """Pixels of a score map (lines, samples) that count, in about 64 blocks; NaN where invalid.
 
-        ``side`` None: about 64 blocks.  ``classes`` (lines, samples): number of the class of each pixel, from 0 on;
-        None where classes are not known, and their differences count as chance.
+        ``classes`` (lines, samples): number of the class of each pixel, from 0 on; None where classes are not known,
+        and their differences count as chance.
         """
         lines, samples = at = np.nonzero(counted & np.isfinite(score_map))
-        return cls.of_places(score_map[at], lines, samples, side, None if classes is None else classes[at])
+        return cls.of_places(score_map[at], lines, samples, None, None if classes is None else classes[at])
 
     @classmethod
     def of_places(
-        cls,
-        scores: Array,
-        lines: Index,
-        samples: Index,
-        side: int | None = None,
-        classes: npt.NDArray[Any] | None = None,
+        cls, scores: Array, lines: Index, samples: Index, side: int | None = None, classes: npt.ArrayLike | None = None
     ) -> AlarmBlocks:
-        """Scores (n,) at lines and samples (n,) [pixels], of ``classes`` (n,)."""
+        """Scores (n,) at lines and samples (n,) [pixels], of ``classes`` (n,); ``side`` None: about 64 blocks."""
         b = side or block_side(scores.size)
         own = np.zeros(scores.size, np.int64) if classes is None else np.asarray(classes, np.int64)
         width, many = int(samples.max(initial=0)) // b + 1, int(own.max(initial=0)) + 1
