@@ -43,6 +43,7 @@ def line(white=None, *, sd=0.01, rho=0.05, change=None, **options):
         (lambda: line(change={"radiance": np.full(3, np.nan)}), "panel 'white' holds NaN or infinity"),
         (lambda: line(panel(rho=60.0)), "divide percent by 100"),
         (lambda: line(panel(rho=-0.2)), "reflectance of -0.2"),
+        (lambda: line(panel(rho=np.nan)), "no reflectance in any band"),
         (lambda: line(rho=0.55), "differ by 0.05"),
         (lambda: line(panel(variance=25.0)), "gain is below 5 times"),
         (lambda: line(panel(radiance=GAIN * 0)), "check which panel"),

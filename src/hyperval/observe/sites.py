@@ -246,7 +246,7 @@ def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
 
 def _left_out(elm: EmpiricalLine, axis: SpectralAxis) -> dict[str, Array]:
     """Error of each panel's reflectance by the line through the others, where the line can be used and has one."""
-    if elm.leave_one_out is None:
+    if len(elm.panels) <= 1 + elm.intercept:  # the others are too few
         return {}
     errors = elm.leave_one_out[:, elm.usable & axis.good]
     return {name: error[np.isfinite(error)] for name, error in zip(elm.names, errors, strict=True)}

@@ -168,13 +168,11 @@ class EmpiricalLine:
             return None
 
     @cached_property
-    def leave_one_out(self) -> Array | None:
+    def leave_one_out(self) -> Array:
         """(P, B) error of the reflectance of each panel by the line through the others; NaN where they fix none.
 
-        An extrapolation for the darkest and the brightest; None where the others are too few.
+        An extrapolation for the darkest and the brightest.
         """
-        if len(self.panels) <= 1 + self.intercept:
-            return None
         error = np.full((len(self.panels), self.gain.size), np.nan)
         for own, panel in zip(error, self.panels, strict=True):
             if (others := self.without(panel.name)) is not None:
@@ -252,13 +250,10 @@ def _spread(values: Array, usable: Mask) -> Array:
     return full
 
 
-def _points(panels: Sequence[MeasuredPanel]) -> tuple[Array, Array, Array, Array]:
-    """(P, B) reflectance, radiance, and the variances of their errors."""
-    return (
-        np.stack([p.reflectance for p in panels]), np.stack([p.radiance for p in panels]),
-        np.stack([variance_of(p.reflectance_error) for p in panels]),
-        np.stack([variance_of(p.radiance_error) for p in panels]),
-    )  # fmt: skip
+def _points(panels: Sequence[MeasuredPanel]) -> Array:
+    """(4, P, B) reflectance, radiance, and the variances of their errors."""
+    errors = [[variance_of(error) for error in (p.reflectance_error, p.radiance_error)] for p in panels]
+    return np.stack([[p.reflectance, p.radiance, *each] for p, each in zip(panels, errors, strict=True)], axis=1)
 
 
 def fit_elm(
@@ -317,8 +312,12 @@ def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
         for wrong, words, mend in (
             (~known.any(), " has no reflectance in any band", None),
             (~np.isfinite(values[:, known]), " holds NaN or infinity", "leave those bands out"),
-            (rho > PERCENT_LIMIT, f" has a reflectance of {rho.max():.4g}, not 0 to 1", "divide percent by 100"),
-            (rho < -0.05, f" has a reflectance of {rho.min():.3g}", None),
+            (
+                rho > PERCENT_LIMIT,
+                f" has a reflectance of {rho.max(initial=0.0):.4g}, not 0 to 1",
+                "divide percent by 100",
+            ),
+            (rho < -0.05, f" has a reflectance of {rho.min(initial=0.0):.3g}", None),
         ):
             if np.any(wrong):
                 raise UsageError(f"panel {p.name!r}{words}", mend=mend)
