@@ -874,7 +874,7 @@ def object_scores(score_map: Array, objects: Iterable[TargetObject], halo: int =
     scores = np.where(np.isnan(score_map), -np.inf, score_map)
     if halo:
         scores = ndimage.maximum_filter(scores, 2 * halo + 1, mode="constant", cval=-np.inf)
-    greatest = {o.name: float(scores[o.window][o.part].max()) for o in objects}
+    greatest = {o.name: float(scores[o.window][o.part].max(initial=-np.inf)) for o in objects}
     return {name: math.nan if math.isinf(score) else score for name, score in greatest.items()}
 
 
