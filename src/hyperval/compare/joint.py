@@ -281,7 +281,16 @@ def _sensor_rows(joint: JointDifference, found: InCommon) -> Iterator[Result]:
 
 def would_decide(item: Result, predicted: Products, observed: Products, fitted_on: Sequence[str] = ()) -> str:
     """What would decide an inconclusive criterion, in words: how well which sources would have to be known, or how many
-    more would have to be counted.
+    more would have to be counted.  The value is taken to stay: a ratio is judged by its logarithm, of the interval on
+    the side of the value where an end of the range lies.
+
+    Examples
+    --------
+    >>> from hyperval.spectra.axis import SpectralAxis
+    >>> nothing, limits = Products(SpectralAxis([410.0], 10.0)), {"limit_low": 0.5, "limit_high": 2.0}
+    >>> alarms = Result("", "scores", "", "cem", "pfa_ratio@1e-2", 0.26, lower=0.105, upper=0.57, n=4773, **limits)
+    >>> would_decide(alarms, nothing, nothing)
+    'a count of 6878 in place of 4773; or an interval 1.2 times narrower'
     """
     times, metric = item.shortfall, metric_of(item.metric)
     if metric.kind is Kind.TEST:
@@ -289,16 +298,17 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
         return words if times > 1 else ""
     side = groups(observed, fitted_on).get(item.subject)
     budget, subjects = _of_region(item, predicted, side) if side else (_of_level(item, predicted, observed), 1)
-    ends = [end for end in (item.limit_low, item.limit_high) if math.isfinite(end)]
-    half = 0.5 * (item.upper - item.lower)
-    if not ends or not half > 0.0:
+    as_judged = math.log if metric.agreement == 1.0 and item.lower > 0.0 else float
+    low, value, high = map(as_judged, (item.lower, item.value, item.upper))
+    ends = [as_judged(end) for end in (item.limit_low, item.limit_high) if item.lower < end < item.upper]
+    if not ends:
         return ""
-    wanted = min(abs(item.value - end) for end in ends) / half  # of the half width that is there
+    wanted = min((end - value) / ((high if end > value else low) - value) for end in ends)
     if wanted <= 0.0:
         return "another collection: the value is at the limit of its range"
     if not budget:
         more = f"a count of {math.ceil(item.n / wanted**2)} in place of {item.n}; or " if item.n else ""
-        return f"{more}an interval {1.0 / wanted:.2g} times narrower"
+        return f"{more}an interval {1.0 / wanted:.3g} times narrower"
     same = [p for s, p in getattr(predicted, item.product).items() if side or s == item.subject]
     # Field spectra of several subjects have no one uncertainty.
     scales = {name: (e.size, e.unit) for p in same for name, e in p.errors.items() if not side or name != OWN}
@@ -350,11 +360,10 @@ def deciding(
         return math.sqrt(max(wanted**2 * total - (total - share), 0.0) / share)
 
     def known(names: Sequence[str]) -> str:
-        words = []
+        words, part = [], left(names)
         for name in names:
             size, unit = scales.get(name, (math.nan, ""))
-            part, unit = left(names), f" {unit}".rstrip()
-            to = f"to {part * size:.2g}{unit} (now {size:.2g})"
+            to = f"to {part * size:.2g} {unit}".rstrip() + f" (now {size:.2g})"
             words.append(f"{name} known " + (to if math.isfinite(size) else f"{1 / part:.2g} times better"))
         return " and ".join(words)
 

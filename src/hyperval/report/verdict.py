@@ -150,10 +150,10 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
     ]  # fmt: skip
     if unsure:
         row = max(unsure, key=lambda one: one.effect_upper - one.effect_lower)
-        half, room = 0.5 * (row.effect_upper - row.effect_lower), 0.5 * (row.accepted_high - row.accepted_low)
+        accepted = f"{short_text(row.accepted_low)} to {short_text(row.accepted_high)}"
         steps.append(
             f"Narrow the intervals of what is inconclusive: {product_words(row.product)} of {row_label(row)} "
-            f"is known to ±{short_text(half)} and needs better than ±{short_text(room)} ({row.effect_unit})."
+            f"is {effect_text(row)}, and {accepted} is accepted ({row.effect_unit})."
         )
     if any(row.gates and row.outcome is Outcome.SKIPPED for row in rows):
         steps.append("Get what is missing for the criteria that were not run: it stands under Not compared.")
