@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -38,11 +38,11 @@ class CubeSource(Model):
         None, description="lookup table (GLT) or places of pixels (IGM); None: the product's own, or one beside it"
     )
 
-    @model_validator(mode="after")
-    def _known_bands(self) -> CubeSource:
-        if self.by_number and (self.quantity == "radiance" or self.wavelength_unit or self.sort_bands):
-            raise ValueError("by_number is for reflectance or counts without known wavelengths")
-        return self
+    refused: ClassVar = {
+        "by_number is for reflectance or counts without known wavelengths": lambda c: (
+            c.by_number and (c.quantity == "radiance" or c.wavelength_unit or c.sort_bands)
+        )
+    }
 
     @property
     def may_state_unit(self) -> bool:
@@ -162,15 +162,13 @@ class RegionSource(VectorSource, OneOf):
         None, description="around another region: the surroundings that its light is scattered from"
     )
 
-    @model_validator(mode="after")
-    def _one_source(self) -> RegionSource:
-        if self.name is None and self.file is None:
-            raise ValueError("a region that is not read from a file needs a name")
-        if self.classes and (self.file is None or self.name is not None):
-            raise ValueError("classes name the regions of a file: give file, and no name")
-        if self.band is not None and not self.classes:
-            raise ValueError("band says where classes are: give classes")
-        return self
+    refused: ClassVar = {
+        "a region that is not read from a file needs a name": lambda r: r.name is None and r.file is None,
+        "classes name the regions of a file: give file, and no name": lambda r: (
+            r.classes and (r.file is None or r.name is not None)
+        ),
+        "band says where classes are: give classes": lambda r: r.band is not None and not r.classes,
+    }
 
 
 class TargetRasters(Model):
@@ -266,11 +264,11 @@ class TargetTruth(OneOf):
     )
     guard_pixels: int = Field(1, ge=0, description="pixels around every target left out of the background")
 
-    @model_validator(mode="after")
-    def _one_source(self) -> TargetTruth:
-        if self.csv is None and self.pixels == "centre":
-            raise ValueError("only a list (csv) says where a target's centre is: pixels must be 'touched'")
-        return self
+    refused: ClassVar = {
+        "only a list (csv) says where a target's centre is: pixels must be 'touched'": lambda t: (
+            t.csv is None and t.pixels == "centre"
+        )
+    }
 
 
 def _twice(names: Sequence[str]) -> list[str]:
@@ -499,11 +497,11 @@ class LocalWindowSource(Model):
     outer_pixels: int = Field(ge=5, le=201, description="side of the outer square, odd")
     inner_pixels: int = Field(ge=1, le=199, description="side of the inner square, odd: wider than the target")
 
-    @model_validator(mode="after")
-    def _fits(self) -> LocalWindowSource:
-        if self.outer_pixels % 2 == 0 or self.inner_pixels % 2 == 0 or self.inner_pixels >= self.outer_pixels:
-            raise ValueError("outer_pixels and inner_pixels are odd, and the inner one is less")
-        return self
+    refused: ClassVar = {
+        "outer_pixels and inner_pixels are odd, and the inner one is less": lambda w: (
+            w.outer_pixels % 2 == 0 or w.inner_pixels % 2 == 0 or w.inner_pixels >= w.outer_pixels
+        )
+    }
 
 
 class Detection(Model):

@@ -49,7 +49,7 @@ def test_the_neighbour_lies_where_it_is_said_to():
     """Lines first: a neighbour below fills pixels below, by another route at one stated place."""
     own = neighbour_fill_geometry(1.0, 1.0, 20.0, phase="centred")
     offset = (2.2, -0.7)
-    fills, others = model.shared_pixel_fills(own, 25, [model.Neighbour(own, offset)])
+    fills, others = model.shared_pixel_fills(own, 25, [(own, offset)])
     mine = model.pixel_fills(own, [[0.0, 0.0]], [20.0])[0]
     beside = model.pixel_fills(own, [[offset[1] % 1.0 - 1.0, offset[0] % 1.0]], [20.0])[0]  # (x, y) within a pixel
     # Its grid is moved by whole pixels: two lines down, no sample (the -0.7 is already within a pixel's reach).
@@ -66,7 +66,5 @@ def test_the_neighbour_lies_where_it_is_said_to():
 def test_places_known_roughly_never_fill_a_pixel_twice():
     rng = np.random.default_rng(1)
     square = neighbour_fill_geometry(2.0, 2.0, 0.0)
-    own, others = model.shared_pixel_fills(
-        square, 16, [model.Neighbour(square, (0.0, 2.2))], rng.normal(0.0, 0.5, (377, 1, 2))
-    )
+    own, others = model.shared_pixel_fills(square, 16, [(square, (0.0, 2.2))], rng.normal(0.0, 0.5, (377, 1, 2)))
     assert np.all(own + others.sum(axis=2) <= 1.0 + 1e-12)

@@ -13,7 +13,6 @@ from scipy.special import ndtr
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.model import (
-    Neighbour,
     adjacency_slope,
     aperture_weights,
     average_reflectance,
@@ -296,7 +295,7 @@ def test_3_10_pixels_that_a_target_touches_are_as_many_as_steiner_says(length, w
 def test_3_10_two_targets_share_a_pixel():
     # Two squares of one pixel side by side are a strip of two by one, whose fill is the sum of theirs.
     square = rectangle(1.0, 1.0, 0.8, phase="centred")
-    own, others = shared_pixel_fills(square, 9, [Neighbour(square, (0.0, 1.0))])
+    own, others = shared_pixel_fills(square, 9, [(square, (0.0, 1.0))])
     strip = pixel_fills(rectangle(1.0, 2.0, 0.8), [[0.5, 0.0]], [0.0])[0]
     assert np.max(own + others[..., 0]) == pytest.approx(np.max(strip), abs=2e-4)
     assert own[0, 0] == pytest.approx(np.max(pixel_fills(square, [[0.0, 0.0]], [0.0])), abs=2e-4)

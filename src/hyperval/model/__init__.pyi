@@ -19,7 +19,6 @@ from .classification import (
 from .detection import Evaluation, detect, detection_bands, evaluations
 from .fill import (
     FillDistribution,
-    Neighbour,
     aperture_weights,
     beta_fill,
     fill_distribution,
@@ -171,7 +170,6 @@ __all__ = [
     "Host",
     "Light",
     "LinearFilter",
-    "Neighbour",
     "Origins",
     "PositiveDefinite",
     "Read",

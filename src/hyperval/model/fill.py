@@ -264,12 +264,7 @@ def _ramp(z: Array, s: float) -> Array:
 _STEPS = 8
 
 
-@dataclass(frozen=True)
-class Neighbour:
-    """Another target: its geometry, and its centre from the object's own (lines, samples) [pixels]."""
-
-    geometry: Geometry
-    offset: tuple[float, float]
+Neighbour = tuple[Geometry, Array]  # another target, and its centre (2,) from one's own (lines, samples) [pixels]
 
 
 def shared_pixel_fills(
@@ -293,14 +288,14 @@ def shared_pixel_fills(
     ------
     UsageError : a random heading: what lies beside a target that may lie any way is not known.
     """
-    for geometry in (own, *(x.geometry for x in neighbours)):
+    for geometry in (own, *(geometry for geometry, _ in neighbours)):
         if geometry.heading_deg == "random":
             raise UsageError("a target with a position has no heading", mend="state heading_deg or omit position_m")
     fills, chosen = _fullest(own, n)
     others = np.zeros((*fills.shape, len(neighbours)))
-    for j, x in enumerate(neighbours):
-        away = np.asarray(x.offset) + (0.0 if shifts is None else shifts[:, j, None, :])
-        others[..., j] = _looked_up(_fill_table(x.geometry.model_copy(update={"phase": "random"})), chosen - away)
+    for j, (geometry, offset) in enumerate(neighbours):
+        away = np.asarray(offset) + (0.0 if shifts is None else shifts[:, j, None, :])
+        others[..., j] = _looked_up(_fill_table(geometry.model_copy(update={"phase": "random"})), chosen - away)
     over = np.maximum(fills + others.sum(axis=2), 1.0)
     return fills / over, others / over[..., None]
 

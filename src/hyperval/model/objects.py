@@ -34,7 +34,6 @@ from hyperval.data import Array, Index
 from hyperval.model.detection import Evaluation, Responses
 from hyperval.model.fill import (
     PHASES,
-    Neighbour,
     fills_of_objects,
     moments,
     pixels_of_object,
@@ -291,8 +290,7 @@ def _pixels_at_place(
     for subject in beside:
         other, here, there = subject.fill.geometry, population.position_m or (), subject.position_m or ()
         assert other is not None  # noqa: S101 - as neighbours_of has chosen them
-        away = np.subtract(there, here) / geometry.gsd_m
-        placed.append(Neighbour(widened(other, change), tuple(away)))
+        placed.append((widened(other, change), np.subtract(there, here) / geometry.gsd_m))
     return shared_pixel_fills(widened(geometry, change), n, placed, shifts if placed else None)
 
 
