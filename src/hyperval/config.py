@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, PrivateAttr, ValidationError, model_validator
 from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
@@ -82,6 +82,17 @@ class Model(BaseModel):
         for words in (words for words, contradicts in self.refused.items() if contradicts(self)):
             raise ValueError(words)
         return self
+
+
+class FileModel(Model):
+    """What a whole file says."""
+
+    _folder: Path | None = PrivateAttr(None)
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the file that it was read from, to which its references are relative."""
+        return self._folder
 
 
 class OneOf(Model):
@@ -363,7 +374,10 @@ def write_draft(path: Path, kind: str, text: str) -> None:
 def load_model(model: type[M], path: Path) -> M:
     """Read ``path`` as strict YAML and validate it as ``model``."""
     data, lines = load_yaml(path)
-    return validate(model, data, lines, str(path))
+    loaded = validate(model, data, lines, str(path))
+    if isinstance(loaded, FileModel):
+        loaded._folder = Path(path).resolve().parent
+    return loaded
 
 
 def _keys_of(model: type[BaseModel], seen: frozenset[type] = frozenset()) -> list[str]:

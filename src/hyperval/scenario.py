@@ -13,16 +13,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import (
-    Field,
-    PrivateAttr,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.config import Model, OneOf, file_of, load_model, load_yaml, shipped
+from hyperval.config import FileModel, Model, OneOf, file_of, load_model, load_yaml, shipped
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
 from hyperval.errors import UsageError, as_typed, reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
@@ -490,7 +484,7 @@ class Processing(Model):
         return [d for d in self.detectors if d in LINEAR_DETECTORS]
 
 
-class Scenario(Model):
+class Scenario(FileModel):
     """One scenario."""
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -506,7 +500,6 @@ class Scenario(Model):
     processing: Processing = Processing()
     uncertainty: Uncertainty = Uncertainty()
 
-    _folder: Path | None = PrivateAttr(None)
     refused: ClassVar = {
         "a scenario with an atmosphere needs a sensor, save for mean spectra above it": lambda s: (
             s.atmosphere and not s.sensor and (s.scene.targets or not s.is_of_space)
@@ -566,11 +559,6 @@ class Scenario(Model):
         """Whether it is looked at from above the atmosphere."""
         return self.atmosphere is not None and self.atmosphere.in_space
 
-    @property
-    def folder(self) -> Path | None:
-        """Folder of the file that the scenario was read from; file references are relative to it."""
-        return self._folder
-
 
 def builtin_scenarios() -> tuple[str, ...]:
     """Names of the scenarios that ship with the project."""
@@ -596,6 +584,4 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
             "this is a campaign, not a scenario", where=str(path),
             mend=f"predict takes the file of a scenario; all of it: {as_typed('validate', path, '-o', 'DIR')}",
         )  # fmt: skip
-    scenario = load_model(Scenario, path)
-    scenario._folder = path.resolve().parent
-    return scenario
+    return load_model(Scenario, path)

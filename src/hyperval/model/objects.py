@@ -32,14 +32,7 @@ from scipy.special import ndtri
 
 from hyperval.data import Array, Index
 from hyperval.model.detection import Evaluation, Responses
-from hyperval.model.fill import (
-    PHASES,
-    fills_of_objects,
-    moments,
-    pixels_of_object,
-    shared_pixel_fills,
-    widened,
-)
+from hyperval.model.fill import PHASES, fills_of_objects, moments, pixels_of_object, shared_pixel_fills, widened
 from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixel_reflectance
 from hyperval.model.roc import Host
 from hyperval.model.stated import correlation

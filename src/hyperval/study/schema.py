@@ -9,9 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, model_validator
 
-from hyperval.config import Model, OneOf, load_model
+from hyperval.config import FileModel, Model, OneOf, load_model
 from hyperval.errors import UsageError, reader
 from hyperval.model.world import column_of
 
@@ -246,7 +246,7 @@ class AtmosphereTable(Model):
     above: int = Field(40, ge=1, le=400, description="states up to which each is run; a table beyond")
 
 
-class StudyFile(Model):
+class StudyFile(FileModel):
     """One study."""
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -263,8 +263,6 @@ class StudyFile(Model):
     knees: list[Knee] = Field(default_factory=list)
     plots: list[Plot] = Field(default_factory=list)
     references: list[str] = Field(default_factory=list)
-
-    _folder: Path | None = PrivateAttr(None)
 
     @model_validator(mode="after")
     def _check_names(self) -> StudyFile:
@@ -319,11 +317,6 @@ class StudyFile(Model):
             return 1 + sum(i.size for i in self.inputs)
         return math.prod(i.size for i in self.inputs) * (self.design.count if any(i.random for i in self.inputs) else 1)
 
-    @property
-    def folder(self) -> Path | None:
-        """Folder of the study file; the scenario's file is relative to it."""
-        return self._folder
-
 
 @reader
 def load_study(path: Path) -> StudyFile:
@@ -335,7 +328,6 @@ def load_study(path: Path) -> StudyFile:
     InputError : no such file.
     """
     study = load_model(StudyFile, path)
-    study._folder = Path(path).resolve().parent
     if study.count > MOST_POINTS:
         raise UsageError(f"{study.count:,} points", where=str(path), expected=f"at most {MOST_POINTS:,}")
     return study

@@ -30,12 +30,7 @@ from hyperval.errors import UsageError
 from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
 from hyperval.imagery import open_raster, record
 from hyperval.observe import open_source
-from hyperval.products import (
-    ObservedProducts,
-    PredictedProducts,
-    SpectralEstimate,
-    background_of,
-)
+from hyperval.products import ObservedProducts, PredictedProducts, SpectralEstimate, background_of
 from hyperval.run import file_stems, read_pair
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
@@ -101,7 +96,6 @@ def _number(value: Any) -> float | None:
 @lru_cache(maxsize=8)
 def _predicted(folder: str) -> api.Prediction:
     scenario = load_model(Scenario, Path(folder) / "scenario.yaml")
-    scenario._folder = Path(folder)
     return api.predict(scenario)
 
 
