@@ -107,8 +107,8 @@ class RadCalNetDay:
     site, latitude_deg, longitude_deg, altitude_m : of the heading
     quantity : "reflectance" of the surface, or "top-of-atmosphere reflectance"
     times : (T,) UTC
-    state, state_uncertainty : name of ``STATE`` -> (T,) pressure [hPa], temperature [K], water vapour [g cm-2],
-        ozone [Dobson], aerosol optical depth at 550 nm, Angstrom exponent, and their standard uncertainties
+    state : name of ``STATE`` -> (T,) pressure [hPa], temperature [K], water vapour [g cm-2], ozone [Dobson], aerosol
+        optical depth at 550 nm, Angstrom exponent; names with ``u_`` before them: their standard uncertainties
     wavelength_nm : (W,)
     values, uncertainty : (T, W) reflectance and its standard uncertainty [1]
     source : the file
@@ -121,7 +121,6 @@ class RadCalNetDay:
     quantity: str
     times: tuple[datetime, ...]
     state: Mapping[str, Array]
-    state_uncertainty: Mapping[str, Array]
     wavelength_nm: Array
     values: Array
     uncertainty: Array
@@ -135,7 +134,7 @@ class RadCalNetDay:
     @property
     def valid(self) -> tuple[str, ...]:
         """Labels of the half hours with a spectrum and the whole state."""
-        whole = np.isfinite(np.stack(list(self.state.values()))).all(axis=0)
+        whole = np.isfinite([self.state[name] for name in STATE.values()]).all(axis=0)
         whole &= np.isfinite(self.values).sum(axis=1) >= 2
         return tuple(label for label, good in zip(self.labels, whole, strict=True) if good)
 
@@ -150,7 +149,6 @@ class RadCalNetDay:
         """State of a half hour and its standard uncertainties, names with ``u_`` before them; ozone in atm cm."""
         i = self.column(label)
         numbers = {name: float(values[i]) for name, values in self.state.items()}
-        numbers |= {f"u_{name}": float(values[i]) for name, values in self.state_uncertainty.items()}
         for name in ("ozone", "u_ozone"):
             numbers[f"{name}_atm_cm"] = numbers.pop(f"{name}_dobson") / _DOBSON_PER_ATM_CM
         return numbers
@@ -216,7 +214,8 @@ def day_of(text: str, path: Path) -> RadCalNetDay:
     refuse(wrong.any(), "radcalnet.values", path, count=wrong.sum(), some=values[wrong][:1], least=NO_VALUE)
     (site,) = first["Site:"].cells(1)
     place = (site, latitude, longitude, altitude)
-    return RadCalNetDay(*place, quantity, times, state, doubt, nm, values, uncertainty, str(path))
+    state |= {f"u_{name}": u for name, u in doubt.items()}
+    return RadCalNetDay(*place, quantity, times, state, nm, values, uncertainty, str(path))
 
 
 class _Row(NamedTuple):
