@@ -36,7 +36,6 @@ SAMPLED_LINES = 16
 SUN_ZENITH = re.compile(r"(sun|solar)\W+zenith", re.IGNORECASE)
 _FILLS = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
-Reference = str | float
 Position = tuple[Affine | None, CRS | None, tuple[str, ...]]
 
 
@@ -92,9 +91,9 @@ class ProductTree:
             value = value.decode("utf-8", "replace")
         return None if value is None or not str(value).strip() else str(value).strip()
 
-    def number(self, reference: Reference) -> float:
+    def number(self, reference: str) -> float:
         """A number; InputError when the file has none there, or not a finite one."""
-        found = self.floats(reference) if isinstance(reference, str) else np.array([float(reference)])
+        found = self.floats(reference)
         refuse(not np.isfinite(found[:1]).any(), "product.number", self.path, reference=reference)
         return float(found[0])
 
@@ -250,7 +249,7 @@ def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tupl
     if array.divisor is not None:
         divisor = tree.number(array.divisor)
         refuse(divisor == 0, "product.divisor", tree.path, name=array.divisor)
-        return 1.0 / divisor, -tree.number(array.subtract or 0.0)
+        return 1.0 / divisor, -tree.number(array.subtract) if array.subtract is not None else 0.0
     gain, offset = (_stated(image.attrs, name) for name in ("scale_factor", "add_offset"))
     return 1.0 if gain is None else gain, offset or 0.0
 
