@@ -560,9 +560,8 @@ def unmix(
     covariances = {METHODS[w]: None if w == "equal" else covariance for w in task.weights}
     noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
     targets = {t.name: t for t in detection.targets}
-    for item in task.targets:
-        if item.target not in targets:
-            raise UsageError(f"unmixing: no detection target {item.target!r}", expected=one_of(targets))
+    if lacking := [item.target for item in task.targets if item.target not in targets]:
+        raise UsageError(f"unmixing: no detection target {lacking[0]!r}", expected=one_of(targets))
     sources, rng = Sources(place.cube.axis, {}, resolve), np.random.default_rng(task.seed)
     footprints: dict[str, _Footprints] = {}
     areas: dict[tuple[str, str], Abundance] = {}

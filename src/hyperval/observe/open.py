@@ -235,9 +235,8 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
     near = imagery.all_pixels(targets, cube.shape)
     if targets and truth is not None and truth.guard_pixels:
         near = imagery.guard(near, truth.guard_pixels)
-    for name in collection.leave_out:
-        if name not in regions:
-            raise UsageError(f"leave_out names {name!r}, which is not a region", expected=", ".join(regions))
+    if lacking := [name for name in collection.leave_out if name not in regions]:
+        raise UsageError(f"leave_out names {lacking[0]!r}, which is not a region", expected=", ".join(regions))
     if collection.leave_out and collection.leave_out_guard_pixels:
         left_out = np.any([regions[name].mask for name in collection.leave_out], axis=0)
         around = imagery.guard(left_out, collection.leave_out_guard_pixels) & ~left_out
@@ -412,9 +411,8 @@ class _Site:
             path = self.resolve(source.file)
             drawn = self.read(path, source, source.regions, touched=True)
             fits = {p: [name for name in drawn if fnmatchcase(name, p)] for p in source.regions}
-            for pattern, names in fits.items():
-                if not names:
-                    raise UsageError(f"no region {pattern!r}", where=str(path), expected=one_of(sorted(drawn)))
+            if lacking := [pattern for pattern, names in fits.items() if not names]:
+                raise UsageError(f"no region {lacking[0]!r}", where=str(path), expected=one_of(sorted(drawn)))
             kept = set().union(*fits.values()) if fits else set(drawn)
             chosen = [region for name, region in drawn.items() if name in kept]
             remarks += [f"{remark} (targets)" for region in chosen for remark in region.remarks]

@@ -353,11 +353,10 @@ def _site_reflectance(
     flight line, and the note marks it as a one-point line.  Sites of one flight share their calibration, which
     cancels, but for the part of it in which a stated path radiance has none.
     """
-    lines = {site.source.line for site in sites.values()}
-    for entry in source.path_radiance:
-        if entry.line not in lines:
-            what, known = f"path_radiance: no site of flight line {entry.line!r}", sorted(repr(line) for line in lines)
-            raise UsageError(what, where=WHERE, expected=one_of(known))
+    lines, paths = {site.source.line for site in sites.values()}, {entry.line: entry for entry in source.path_radiance}
+    if lacking := [line for line in paths if line not in lines]:
+        what, known = f"path_radiance: no site of flight line {lacking[0]!r}", sorted(repr(line) for line in lines)
+        raise UsageError(what, where=WHERE, expected=one_of(known))
     panels: dict[str, MeasuredPanel] = {}
     for panel in source.panels:
         name = panel.region
@@ -366,7 +365,6 @@ def _site_reflectance(
         site = sites[name]
         own, n = site.parts.get(NOISE, np.zeros(len(axis))), site.source.pixels or 1
         panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), site.mean, own, n)
-    paths = {entry.line: entry for entry in source.path_radiance}
     out: dict[str, SpectralEstimate] = {}
     notes: list[str] = []
     for name, site in sites.items():

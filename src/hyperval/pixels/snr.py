@@ -46,7 +46,16 @@ def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
         raise UsageError(f"{bands} bands: a band needs two neighbours to be told from noise", expected="3 or more")
     mean = x.mean(axis=0)
     parts = (x[start : start + _TOGETHER] - mean for start in range(0, n, _TOGETHER))  # a copy of all takes 16 MB
-    return _estimate(mean, _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3), n)
+    variance, relative_variance, correlation = _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3)
+    sd = np.sqrt(variance) / (1.0 - 2.0 / (9.0 * (n - 3))) ** 1.5
+    with np.errstate(divide="ignore", invalid="ignore"):
+        snr = np.where(sd > 0, mean / sd, np.nan)
+    # First order: var(mean/s) = 1/n + snr^2 times a quarter of the relative variance of s^2; the two parts are
+    # independent for normal noise.
+    of_noise = np.abs(snr) * np.sqrt(relative_variance) / 2.0
+    budget = {"mean": np.full(snr.shape, n**-0.5), "noise estimate": of_noise}
+    covariance = np.outer(np.nan_to_num(of_noise), np.nan_to_num(of_noise)) * correlation
+    return SpectralEstimate(snr, covariance + np.diag(budget["mean"] ** 2), None, n, budget)
 
 
 def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
@@ -117,16 +126,3 @@ def _texture(covariance: Array, brightness: Array, b: int, dof: float) -> tuple[
     # Isserlis: cov(S_ij, S_kl) = (S_ik S_jl + S_il S_jk)/dof.
     pairs = relative[np.ix_(i, i)] * relative[np.ix_(j, j)] + relative[np.ix_(i, j)] * relative[np.ix_(j, i)]
     return float(relative[i, j].mean()), float(pairs.mean() / dof)
-
-
-def _estimate(mean: Array, noise: tuple[Array, Array, Array], n: int) -> SpectralEstimate:
-    (variance, relative_variance, correlation), dof = noise, n - 3
-    sd = np.sqrt(variance) / (1.0 - 2.0 / (9.0 * dof)) ** 1.5
-    with np.errstate(divide="ignore", invalid="ignore"):
-        snr = np.where(sd > 0, mean / sd, np.nan)
-    # First order: var(mean/s) = 1/n + snr^2 times a quarter of the relative variance of s^2; the two parts are
-    # independent for normal noise.
-    of_noise = np.abs(snr) * np.sqrt(relative_variance) / 2.0
-    budget = {"mean": np.full(snr.shape, n**-0.5), "noise estimate": of_noise}
-    covariance = np.outer(np.nan_to_num(of_noise), np.nan_to_num(of_noise)) * correlation
-    return SpectralEstimate(snr, covariance + np.diag(budget["mean"] ** 2), None, n, budget)
