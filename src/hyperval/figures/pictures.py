@@ -54,10 +54,9 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
     bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"
-    title = "Scene with its regions of interest" + (f" (red, green, blue: {bands})" if quicklook.band_nm else "")
     cut = _cut(rgb.shape, view)
-    title += f"; {cut}" if cut else ""
-    size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f", {cut} of them shown" if cut else "")
+    title = f"Scene with its regions of interest{f' (red, green, blue: {bands})' if quicklook.band_nm else ''}{cut}"
+    size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f",{cut[1:]} of them shown" if cut else "")
     alt = f"Image of the scene, {size}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
     segments = _segments(quicklook.regions)
     return canvas.drawing("scene", "scene", title, alt, quicklook.regions, segments, quicklook.pixel_size_m)
@@ -74,8 +73,7 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
         named = f"{len(outlines)} objects" if len(outlines) > _MOST_NUMBERED else ", ".join(outlines)
         outlined = f"; outlined: {named or 'nothing'}."
         values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
-        cut = _cut(scores.shape, view)
-        note = f"; {cut}" if cut else ""
+        note = _cut(scores.shape, view)
         note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
         size = f"{scores.shape[0]} lines by {scores.shape[1]} samples"
         shown = [(
@@ -291,11 +289,11 @@ def _round_length(length: float) -> float:
 
 
 def _cut(shape: tuple[int, ...], view: Window) -> str:
-    """The lines and samples of a window that is not the whole image; empty when it is."""
+    """Of a window that is not the whole image "; ", and its lines and samples; empty when it is."""
     if _size(view) == tuple(shape[:2]):
         return ""
     lines, samples = (f"{part.start} to {part.stop - 1}" for part in view)
-    return f"lines {lines}, samples {samples}"
+    return f"; lines {lines}, samples {samples}"
 
 
 def _numbered_names(regions: Mapping[str, Any]) -> str:
