@@ -124,10 +124,10 @@ def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path, val
     raster = open_raster(tagged(tmp_path / "c.tif", np.tile(values, (40, 8, 1)), []))
     with warnings.catch_warnings(record=True) as seen, ThreadPoolExecutor(8) as pool:
         warnings.simplefilter("always")
-        blocks = list(pool.map(lambda line: raster.read_lines(line, 1), range(raster.lines)))
+        blocks = list(pool.map(lambda line: raster.read_bands(line, 1), range(raster.lines)))
     # Others may come from what earlier tests left to be collected.
     assert not [w for w in seen if issubclass(w.category, NotGeoreferencedWarning)]
-    assert np.array_equal(np.concatenate(blocks), raster.read_lines(0, raster.lines))
+    assert np.array_equal(np.concatenate(blocks, axis=1), raster.read_bands(0, raster.lines))
 
 
 def test_other_sidecars_of_a_geotiff_are_not_read(placed, axis, values):

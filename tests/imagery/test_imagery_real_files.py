@@ -23,7 +23,7 @@ def test_hysu_targets_from_rasters_are_those_of_the_list(data_dir):
         (region,) = read_regions(data_dir(f"hysu/published/rois/{file}"), SHAPE).values()
         masks[material] = region.mask
         assert region.name.lower() == file.lower()
-    sizes = open_raster(data_dir("hysu/published/rois/targetsSizeROI")).read_lines(0, 86)[:, :, 0]
+    sizes = open_raster(data_dir("hysu/published/rois/targetsSizeROI")).read_bands(0, 86)[0]
     found = intersected_objects(masks, sizes, SIDES)
     with open(data_dir("hysu/targets.csv"), newline="") as stream:
         rows = list(csv.DictReader(stream))

@@ -173,7 +173,7 @@ class Cube:
 
     def read(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> Block:
         """The lines ``first_line`` to ``first_line + count - 1``."""
-        stored = self.raster.read_lines(first_line, count)
+        stored = self.raster.read_bands(first_line, count).transpose(1, 2, 0)
         values, valid = self._physical(stored, np.dtype(dtype))
         return Block(first_line, values, valid)
 

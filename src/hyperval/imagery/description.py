@@ -411,10 +411,6 @@ class Raster:
         """Inside, the file is opened once for all reads, where its reader can."""
         return nullcontext()
 
-    def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
-        """(count, samples, bands) stored numbers of consecutive lines."""
-        return self.read_bands(first, count).transpose(1, 2, 0)
-
     def read_bands(self, first: int, count: int, buffer: npt.NDArray[Any] | None = None) -> npt.NDArray[Any]:
         """(bands, count, samples) stored numbers of consecutive lines: a view in the order of the file.
 
