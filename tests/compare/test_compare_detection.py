@@ -412,8 +412,8 @@ def test_right_predictions_with_common_errors_are_rejected_at_the_stated_rate(mo
     # 100 worlds whose common error is as large as the rest: a 5 % test rejects 5 of them (sd 2.2); limit at 4 sd.
     # The customary test, which takes objects for independent, rejects most.  1,000 sets of the model place a
     # p-value of 5 % to 0.7 %, which leaves the rate of rejection; how wide a departure is detectable is not asked.
-    monkeypatch.setattr(compare.detection, "REPLICATES", 1000)
-    monkeypatch.setattr(compare.detection, "POWER_DRAWS", 20)
+    monkeypatch.setattr("hyperval.compare.detection.REPLICATES", 1000)
+    monkeypatch.setattr("hyperval.compare.detection.POWER_DRAWS", 20)
     rng = np.random.default_rng(4)
     ours, customary, joint, drift = 0, 0, 0, 0
     for _ in range(100):
