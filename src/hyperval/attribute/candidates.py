@@ -8,11 +8,12 @@ pipeline that is compared is the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
-from itertools import chain, combinations, permutations, product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ from hyperval.model import (
 from hyperval.model.inputs import Kind, field_spectrum_of, form_in_words
 from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
 from hyperval.products import PredictedProducts, SpectralEstimate
-from hyperval.scenario import Scenario, SpectralForm, Target, TargetSubject
+from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
 
 Array = npt.NDArray[np.float64]
@@ -86,6 +87,7 @@ SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
 _OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
     ("sensor_altitude_km", "sensor altitude", "10 %", (-5.0, 20.0)),
     ("ground_altitude_km", "ground height", "0.1 km", (-5.0, 8.0)),
+    ("aerosol_share_below", "share of aerosol below the sensor", "10 %", (-5.0, 10.0)),
     ("view_zenith_deg", "view zenith angle", "1 deg", (-20.0, 20.0)),
 )
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
@@ -339,39 +341,42 @@ def exchanged_entries(worlds: Sequence[World]) -> list[Candidate]:
 
 def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     """What is looked for where little else explains a change: field spectra at another level or one in the place of
-    another, shade, heights, the direction of view, another sun.
+    another, fractions that two classes trade, shade, heights, the direction of view, another sun.
     """
-    out, entries, every = list[Candidate](), dict[str, list[Truth]](), list[dict[str, Array]]()
+    out, entries = list[Candidate](), dict[str, list[Truth]]()
+    levels = defaultdict[str, list[dict[str, Array]]](lambda: [{} for _ in worlds])
     for number, world in enumerate(worlds):
-        scene = world.stated.scenario.scene
-        of_kinds = [
-            {f"surfaces.[{s.name}].mean": s.name for s in kind if s.spectrum.measured is None}
-            for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets)
-        ]
-        every.append({path: np.asarray(value_at(world, path))[0] for paths in of_kinds for path in paths})
-        for path, name in chain.from_iterable(paths.items() for paths in of_kinds):
-            level = _part(world, f"level of the spectrum of {name}", "scene", path, 0.05)
-            out.append(_in_one(level, number, len(worlds), (-6.0, 8.0)))
+        scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
+        for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
+            means = {s.name: np.asarray(value_at(world, path))[0] for s, path in _field_spectra(kind)}
+            for s, path in _field_spectra(kind):
+                of_file = [f"spectra of {s.spectrum.file} {s.spectrum.record or ''}".strip()] * bool(s.spectrum.file)
+                for name in (f"the spectrum of {s.name}", *of_file, "all spectra of the ground"):
+                    levels[name][number][path] = means[s.name]
+                entries |= {f"{by} in the place of {s.name}": alone({path: means[by]}) for by in means if by != s.name}
         for t in scene.targets:
             light = _part(world, f"light of {t.name}", "scene", f"scene.targets.[{t.name}].illumination.beam", 0.1)
             out.append(_in_one(light, number, len(worlds), (-9.0, -4.0)))
-        for (path, name), (other, by) in chain.from_iterable(permutations(p.items(), 2) for p in of_kinds):
-            entries[f"{by} in the place of {name}"] = _alone(number, len(worlds), {path: every[number][other]})
-    if sum(map(len, every)) > 1:
-
-        def levels(units: float) -> list[Truth]:
-            return [{path: (1.0 + 0.05 * units) * mean for path, mean in means.items()} for means in every]
-
-        out.append(
-            Candidate("level of all spectra of the ground", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=levels)
-        )
+    classes = [world.stated.scenario.scene.classes for world in worlds]
+    for i, j in combinations(range(max(map(len, classes))), 2):
+        there = [n for n, own in enumerate(classes) if len(own) > j]
+        for where in dict.fromkeys([tuple(there), *((n,) for n in there)]):
+            name = f"fraction of {classes[where[0]][i].name} for {classes[where[0]][j].name}"
+            traded = partial(_traded, [(own[i], own[j]) if n in where else () for n, own in enumerate(classes)])
+            name += f" and of {len(where) - 1} more" * (len(where) > 1)
+            out.append(Candidate(name, "scene", "0.05 of the area", False, sizes=(-8.0, 8.0), moved=traded))
+    names = {str([sorted(means) for means in each]): name for name, each in reversed(levels.items())}
+    for name in names.values():  # of those that mean the same spectra the first
+        level = partial(_levelled, levels[name])
+        out.append(Candidate(f"level of {name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=level))
     if entries:
         out.append(_one_of("entry of a spectrum", "scene", entries))
     if not all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds):
         return out
-    out += [_of_state(worlds, *row) for row in _OF_STATE]
+    states = [world.stated.scenario.atmosphere for world in worlds]
+    out += [_of_state(worlds, *row) for row in _OF_STATE if all(getattr(s, row[0]) is not None for s in states)]
     suns: dict[str, list[Truth]] = {sun: [{"atmosphere.solar_spectrum": sun} for _ in worlds] for sun in SOLAR_SPECTRA}
-    stated = {w.stated.scenario.atmosphere.solar_spectrum for w in worlds if w.stated.scenario.atmosphere}
+    stated = {s.solar_spectrum for s in states if s is not None}
     return [*out, _one_of("solar spectrum", "atmosphere", {s: t for s, t in suns.items() if s not in stated})]
 
 
@@ -382,6 +387,25 @@ def _of_state(worlds: Sequence[World], key: str, name: str, step: str, sizes: tu
     if step.endswith("%"):
         there = [_part(w, name, "scene", path, size / 100.0) for w in worlds]
     return Candidate(name, "scene", step, False, tuple(there), sizes)
+
+
+def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
+    """Surfaces whose spectrum is not measured on the imagery, with the path of their mean."""
+    return [(s, f"surfaces.[{s.name}].mean") for s in kind if s.spectrum.measured is None]
+
+
+def _levelled(means: Sequence[Mapping[str, Array]], units: float) -> list[Truth]:
+    return [{path: (1.0 + 0.05 * units) * mean for path, mean in each.items()} for each in means]
+
+
+def _traded(pairs: Sequence[Sequence[BackgroundClass]], units: float) -> list[Truth]:
+    """Of each scenario two classes, the first with so much more area, or none."""
+    truths = list[Truth]()
+    for pair in pairs:
+        area = min(max(0.05 * units, -pair[0].fraction), pair[1].fraction) if pair else 0.0
+        changed = zip(pair, (area, -area), strict=False)
+        truths.append({f"scene.classes.[{c.name}].fraction": c.fraction + more for c, more in changed})
+    return truths
 
 
 def _in_one(one: UncertainInput, number: int, of: int, sizes: tuple[float, ...]) -> Candidate:

@@ -62,7 +62,9 @@ MOST_ROUNDS, MOST_REFINED, MOST_PIXELS = 3, 4, 2
 SMOOTH_PART = 0.03
 KNOTS_NM = np.array([400, 430, 460, 500, 550, 600, 650, 700, 800, 900, 1000, 1200, 1400, 1650, 2000, 2250, 2500], float)
 SINGLE_BANDS = 0.01
+UNITS = np.array([0.001, 0.01, 0.1, 10.0, 100.0, 1000.0])  # of spectra in another unit than is stated
 FACTOR = 2.0  # a ratio of false alarms within it is good
+LEAST_CHANGE = 1e-4  # chi-square of a change that is looked at
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
 CHANGE_FLOOR, OFF, STILL = 2e-3, 0.01, 1e-4
@@ -157,9 +159,9 @@ class Causes:
     def changed(self, told: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
         """What explains the change since a run with the sides ``told``; None where both share no quantity.
 
-        What is less than its uncertainty is nothing to explain.  Else the same data and the same draws have no noise:
-        what was measured moved, or the prediction did.  Where measured
-        spectra moved the data are to say why, and the model too where they are ``simulated``; else the model.
+        What is less than its uncertainty and is not explained is nothing to explain.  Else the same data and the same
+        draws have no noise: what was measured moved, or the prediction did.  Where measured spectra moved the data are
+        to say why, and the model too where they are ``simulated``; else the model.
         """
         places, then = [], []
         for block, at in self.stack.placed():
@@ -170,10 +172,18 @@ class Causes:
         of, (observed, predicted) = np.concatenate(places), np.hstack(then)
         if not of.size:
             return None
-        spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.columns
         moved, of_model = self.stack.observed[of] - observed, predicted - self.predicted[of]
-        if Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square < 1.0:
-            return Posterior(ALL, 0.0, of.size, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+        size = Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square
+        found = self._change(moved, of_model, of, observed, predicted, simulated) if size > LEAST_CHANGE else None
+        if found is not None and (size > 1.0 or found.enough):
+            return found
+        return Posterior(ALL, 0.0, of.size, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+
+    def _change(
+        self, moved: Array, of_model: Array, of: Indices, observed: Array, predicted: Array, simulated: bool
+    ) -> Posterior:
+        """What explains that entries ``of`` moved from what was ``observed`` and ``predicted``."""
+        spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.columns
         if np.any(np.abs(moved) > STILL * np.abs(observed), where=spectral[of]):
             level[of] = np.where(spectral[of], observed, predicted)
             light = (spectral | (self.stack.named("product") == "snr"))[of]
@@ -475,7 +485,9 @@ def _of_spectra(
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
         *((name, "region", area, (-5.0, 50.0), change) for name, change in mixed.items()),
     ]
-    out = {}
+    units = tuple(f"x {factor:g}" for factor in UNITS)
+    lit = np.where(stack.bands >= 0, level, 0.0)
+    out = {Candidate("unit of the measured spectra", "sensor", "", False, labels=units): np.outer(lit, UNITS - 1.0)}
     for name, kind, step, sizes, change in parts:
         if np.any(change):
             one = Candidate(name, kind, step, False, sizes=sizes, knots_nm=tuple(KNOTS_NM) if step == smooth else ())
