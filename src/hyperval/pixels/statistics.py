@@ -123,8 +123,11 @@ def stream(
     watch : wraps the iterator over the parts of the pass, for a progress bar
     """
     step = min(max(1, round(BLOCK_PIXELS / cube.samples)), cube.lines)
-    chosen = None if bands is None or bands.all() else np.flatnonzero(bands)
-    count, most = cube.bands if chosen is None else chosen.size, step * cube.samples
+    chosen = np.flatnonzero(np.ones(cube.bands, bool) if bands is None else bands)
+    ends = (
+        np.flatnonzero(np.diff(chosen, append=cube.bands + 1) > 1) + 1
+    )  # of stretches of neighbours, among the chosen
+    count, most = chosen.size, step * cube.samples
 
     def blocks(firsts: range) -> Iterator[StoredBlock]:
         buffer, memory = _memory(cube.bands * most, cube.dtype), _memory(count * most, np.float64)
@@ -134,13 +137,12 @@ def stream(
             stored, usable = cube.read_stored(first, lines, needed, buffer[: cube.bands * pixels])
             # In the order of the file: by pixel where the bands of a pixel lie side by side.
             by_pixel = stored.strides[0] < stored.strides[2]
-            ordered = stored.transpose(1, 2, 0) if by_pixel else stored
-            if chosen is not None:
-                ordered = np.take(ordered, chosen, axis=-1 if by_pixel else 0)
             flat = memory[: count * pixels]
-            flat.reshape(ordered.shape)[...] = ordered
-            del stored, ordered  # views of lines that a raster may hold: they would stay while it reads the next
             numbers = flat.reshape(pixels, count).T if by_pixel else flat.reshape(count, pixels)
+            image = numbers.reshape(count, lines, cube.samples)
+            for start, end in zip([0, *ends[:-1]], ends, strict=False):
+                image[start:end] = stored[chosen[start] : chosen[end - 1] + 1]
+            del stored  # a view of lines that a raster may hold: they would stay while it reads the next
             yield slice(first, first + lines), numbers, usable
 
     return by_segments(cube, step, lambda firsts: work(blocks(firsts)), watch)
@@ -734,8 +736,6 @@ def kurtosis_parameter(tail_dof: float) -> float:
 
     Source: Muirhead, Aspects of Multivariate Statistical Theory, 1982, section 1.6.
     """
-    if np.isinf(tail_dof):
-        return 0.0
     return 2.0 / (tail_dof - 4.0) if tail_dof > 4.0 else float("inf")
 
 
