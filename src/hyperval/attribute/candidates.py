@@ -282,12 +282,11 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     if all(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
         out.append(_of_state(worlds, "solar_zenith_deg", "solar zenith angle", "1 deg", (1.0, -1.0, -5.0, 5.0)))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
-        kinds: dict[str, list[Truth]] = {
-            h: [{"atmosphere.aerosol": h} if s is not None else {} for s in states] for h in HAZES if h not in hazes
-        }
+        kinds: dict[str, list[Truth]] = {h: [] for h in HAZES if h not in hazes}
+        for haze, truths in kinds.items():
+            truths += [{"atmosphere.aerosol": haze} if s is not None else {} for s in states]
         out.append(_one_of("aerosol type", "atmosphere", kinds))
-    pairs: dict[str, list[Truth]] = {}
-    scaled: dict[str, list[Truth]] = {}
+    pairs, scaled = dict[str, list[Truth]](), dict[str, list[Truth]]()
     for number, world in enumerate(worlds):
         scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
         for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
@@ -355,8 +354,10 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
                     levels[name][number][path] = means[s.name]
                 entries |= {f"{by} in the place of {s.name}": alone({path: means[by]}) for by in means if by != s.name}
         for t in scene.targets:
-            light = _part(world, f"light of {t.name}", "scene", f"scene.targets.[{t.name}].illumination.beam", 0.1)
-            out.append(_in_one(light, number, len(worlds), (-9.0, -4.0)))
+            path = f"scene.targets.[{t.name}].illumination"
+            light = _part(world, f"light of {t.name}", "scene", f"{path}.beam", 0.1)
+            out.append(_in_one(light, number, len(worlds), (-9.0, -4.0, 7.0)))
+            entries[f"{t.name} in full light"] = alone({f"{path}.beam": 1.0, f"{path}.sky_view": 1.0})
     classes = [world.stated.scenario.scene.classes for world in worlds]
     for i, j in combinations(range(max(map(len, classes))), 2):
         there = [n for n, own in enumerate(classes) if len(own) > j]
@@ -370,7 +371,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
         level = partial(_levelled, levels[name])
         out.append(Candidate(f"level of {name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=level))
     if entries:
-        out.append(_one_of("entry of a spectrum", "scene", entries))
+        out.append(_one_of("entry of a surface", "scene", entries))
     if not all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds):
         return out
     states = [world.stated.scenario.atmosphere for world in worlds]
