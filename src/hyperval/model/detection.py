@@ -569,8 +569,7 @@ def detect(
     UsageError : no filter, as the background can not be inverted.
     """
     processing, units, pfa = e.scenario.processing, ("pixel", "object") if object_curves else ("pixel",), e.pfa
-    used = [f"detectors use {e.bands.size} of {len(e.axis)} bands"] if e.targets and processing.detectors else []
-    out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": [*used]} for _ in points]
+    out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
     for number, target in enumerate(e.targets):
         for name in processing.detectors:
             linear = name in LINEAR_DETECTORS
@@ -597,8 +596,9 @@ def detect(
                     f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
                     f"{pd_error:.2g}, of P_FA at {pfa[0]:.1g} {100 * pfa_error:.2g} %"
                 )
-    alone = spectra or [PredictedProducts(e.axis) for _ in points]
-    return [replace(p, **{**new, "notes": (*p.notes, *new["notes"])}) for p, new in zip(alone, out, strict=True)]
+    used = [f"detectors use {e.bands.size} of {len(e.axis)} bands"] if e.targets and processing.detectors else []
+    alone = zip(spectra or [PredictedProducts(e.axis) for _ in points], out, strict=True)
+    return [replace(p, **{**new, "notes": (*p.notes, *used, *new["notes"])}) for p, new in alone]
 
 
 def linear_curves(

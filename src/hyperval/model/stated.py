@@ -43,7 +43,7 @@ from hyperval.scenario import (
     TargetSubject,
 )
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.specification import Sensor, binned_axis, load_sensor
+from hyperval.sensor.specification import Sensor, binned_axis, library_names, library_sensor, load_sensor
 from hyperval.settings import with_settings
 from hyperval.spectra import FieldSpectrum, read_records, read_spectrum
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
@@ -55,6 +55,7 @@ Engine = Callable[[AtmosphericState], AtmosphericTerms]
 Read = dict[object, Any]  # spectra of files, by the file and how it is read
 Made = TypeVar("Made")
 
+IN_THE_OPEN = Illumination()
 SAME_BAND_NM = 0.05  # centres this close are the same band
 # Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
 FEW_PER_BAND = 3
@@ -714,7 +715,7 @@ class Stated(Keeps):
         self.classes = [c.name for c in scene.classes]
         self.names = {"class": self.classes, "surface": list(self.surfaces), "target": [t.name for t in scene.targets]}
         self.mean = np.array([s.mean for s in self.surfaces.values()])
-        lights = [t.illumination or Illumination() for t in scene.targets]
+        lights = [t.illumination or IN_THE_OPEN for t in scene.targets]
         of: dict[str, list[float]] = {
             "fraction": [c.fraction for c in scene.classes],
             "class_gain": [c.gain for c in scene.classes],
@@ -777,7 +778,8 @@ def read_files(
     find, measured, operation = source.find(scenario), source.measured or {}, scenario.sensor_operation
     name, sensor = scenario.sensor or "", source.sensor
     if sensor is None and name:
-        sensor = load_sensor(find(name) if PurePath(name).suffix or ":" in name else name)
+        at = find(name) if PurePath(name).suffix or ":" in name else name
+        sensor = library_sensor(name) if name in library_names() else load_sensor(at)
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = next((a for a in axes if a is not None), None)
     if axis is None:

@@ -286,6 +286,9 @@ class SensorOperation(Model):
     column: float | None = Field(None, description="sample, from 0, at which the smile is taken; None: the middle")
 
 
+AS_BUILT = SensorOperation()
+
+
 def averaged_noise(noise: NoiseModel, operation: SensorOperation) -> NoiseModel:
     """The noise of co-added frames and spatial bins (3.15)-(3.19).
 
@@ -448,7 +451,7 @@ class Sensor:
         ------
         UsageError : a column outside the track, an arm that the sensor does not have, bands that change places.
         """
-        op = operation or SensorOperation()
+        op = operation or AS_BUILT
         shift = np.zeros(len(nominal))
         for item in self.specification.spectral_calibration:
             low, high = item.range_nm or (0.0, np.inf)
@@ -602,6 +605,7 @@ def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",)) -> str:
     return str(Template(template, trim_blocks=True, keep_trailing_newline=True).render(name=name, arms=arms))
 
 
+@lru_cache(maxsize=1)
 def library_names() -> tuple[str, ...]:
     """Names of the sensors that ship with the project."""
     return tuple(shipped("hyperval.sensor", "library"))
@@ -618,10 +622,10 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     """
     known = shipped("hyperval.sensor", "library")
     path = file_of(name_or_path, known, "sensor")
-    return _of_library(path) if path in known.values() else Sensor(load_model(SensorSpecification, path))
+    return library_sensor(path.stem) if path in known.values() else Sensor(load_model(SensorSpecification, path))
 
 
 @lru_cache(maxsize=16)
-def _of_library(path: Path) -> Sensor:
+def library_sensor(name: str) -> Sensor:
     """A sensor of the library, read once."""
-    return Sensor(load_model(SensorSpecification, path))
+    return Sensor(load_model(SensorSpecification, shipped("hyperval.sensor", "library")[name]))
