@@ -241,7 +241,6 @@ def test_filled_in_it_runs_through(line, tmp_path, monkeypatch):
     monkeypatch.setenv("HYPERVAL_DATA", str(line))
     # Draws of covariances in 360 bands take half of the run, and other campaigns have them.
     monkeypatch.setattr("hyperval.compare.covariance.sampled", lambda *words: None)
-    monkeypatch.setattr("hyperval.campaign.products.sampled", lambda *words: None)
     path = filled_in(tmp_path / "campaign")
     assert "FILL_IN" not in "".join(str(yaml.safe_load(p.read_text())) for p in path.parent.glob("*.yaml"))
     assert [i for i in dry_run([path]) if i.lacking] == []
@@ -280,7 +279,6 @@ def test_filled_in_it_runs_through(line, tmp_path, monkeypatch):
 def test_the_polished_reflectance_whole_and_divided(line, tmp_path, monkeypatch):
     """Planks against the whole scene and against their own half of it; one half of a field predicts the other."""
     monkeypatch.setenv("HYPERVAL_DATA", str(line))
-    monkeypatch.setattr("hyperval.campaign.products.sampled", lambda *words: None)  # a figure
     folder = filled_in(tmp_path / "campaign").parent
     rows = {}
     for name in ("campaign-reflectance.yaml", "campaign-divided.yaml"):
