@@ -434,6 +434,15 @@ class Reasoner:
     >>> two = {water: wide[:, :1], gain: np.ones((8, 1))}
     >>> [Reasoner(two, wide, noisy=noisy).posterior("all", change).first for noisy in (True, False)]
     ['water', 'none of these']
+
+    What would have to go beyond its bounds is no reason, alone or after another.
+
+    >>> one, smooth = np.eye(40), Candidate("smooth gain", "sensor", "3 %", False, knots_nm=(400.0,))
+    >>> offset = Candidate("offset", "sensor", "1 %", False)
+    >>> known = Reasoner({offset: one[:, :1], smooth: one[:, 1:2]}, one[:, 4:])
+    >>> changes = 10.0 * one[1], 30.0 * one[1], 30.0 * (one[0] + one[1])
+    >>> [[cause.name for cause in known.posterior("all", change).best.causes] for change in changes]
+    [['smooth gain'], ['none of these'], ['offset', 'none of these']]
     """
 
     def __init__(self, columns: Mapping[Candidate, Array], wide: Array, *, noisy: bool = True):

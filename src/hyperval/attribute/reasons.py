@@ -46,7 +46,7 @@ from hyperval.attribute.residuals import (
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import Array, named, row, scientific
-from hyperval.errors import EngineError, UsageError, refuse
+from hyperval.errors import EngineError, MissingDataError, UsageError, refuse
 from hyperval.model import Truth, World, inputs_of
 from hyperval.products import Products, background_of
 from hyperval.progress import track
@@ -64,7 +64,7 @@ KNOTS_NM = np.array([400, 430, 460, 500, 550, 600, 650, 700, 800, 900, 1000, 120
 SINGLE_BANDS = 0.01
 UNITS = np.array([0.001, 0.01, 0.1, 10.0, 100.0, 1000.0])  # of spectra in another unit than is stated
 FACTOR = 2.0  # a ratio of false alarms within it is good
-LEAST_CHANGE = 1e-4  # chi-square of a change that is looked at
+AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted one and of another machine agree
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
 CHANGE_FLOOR, OFF, STILL = 2e-3, 0.01, 1e-4
@@ -173,8 +173,9 @@ class Causes:
         if not of.size:
             return None
         moved, of_model = self.stack.observed[of] - observed, predicted - self.predicted[of]
+        same = (np.abs(moved) <= AS_WRITTEN * np.abs(observed)) & (np.abs(of_model) <= AS_WRITTEN * np.abs(predicted))
+        found = None if same.all() else self._change(moved, of_model, of, observed, predicted, simulated)
         size = Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square
-        found = self._change(moved, of_model, of, observed, predicted, simulated) if size > LEAST_CHANGE else None
         if found is not None and (size > 1.0 or found.enough):
             return found
         return Posterior(ALL, 0.0, of.size, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
@@ -286,10 +287,18 @@ def _quantity(block: ResidualBlock) -> str:
 
 
 def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array] | None]:
-    """What the model says; None of what cannot be, such as a sun below the horizon."""
+    """What the model says; None of what cannot be, such as a sun below the horizon, or is not on this machine.
+
+    >>> def evaluate(truths, title):
+    ...     if "kurucz" in truths:
+    ...         raise MissingDataError("the solar spectrum 'kurucz' is not on this machine")
+    ...     return [(np.zeros(1), np.zeros(1)) for _ in truths]
+    >>> [side is not None for side in _asked(evaluate, ["tsis-1", "kurucz", "astm-g173"])]
+    [True, False, True]
+    """
     try:
         return [*evaluate(truths, "attribution: larger errors")]
-    except (UsageError, EngineError):
+    except (UsageError, EngineError, MissingDataError):
         half = len(truths) // 2
         return [*_asked(evaluate, truths[:half]), *_asked(evaluate, truths[half:])] if half else [None]
 
